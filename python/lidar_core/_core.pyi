@@ -49,10 +49,14 @@ __all__ = [
     "segment_scan",
     "target_center",
     "traverse",
+    "vector_unit",
+    "vector_units",
 ]
 
 __version__: str
 
+def vector_unit() -> str: ...
+def vector_units() -> list[str]: ...
 def traverse(
     start: NDArray[np.float64],
     end: NDArray[np.float64],
@@ -179,6 +183,7 @@ _TargetArrays: TypeAlias = tuple[
     NDArray[np.int64],
     NDArray[np.int64],
     NDArray[np.bool_],
+    NDArray[np.float64],
 ]
 
 def fusion_run(config: object, measurements: Measurements) -> _RunArrays: ...
@@ -589,6 +594,7 @@ class MultiTargetTracker:
     def process(
         self, stamp_ns: int, source: int, measurements: Measurements
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]: ...
+    def work(self) -> tuple[int, int, int]: ...
     def tracks_at(self, stamp_ns: int) -> _TargetArrays: ...
 
 @final

@@ -310,6 +310,9 @@ class TargetTracks(ObjectTable):
     hits : ndarray, shape (T,), int64
         Measurements.
     confirmed : ndarray, shape (T,), bool
+        Whether the track is reported.
+    existence : ndarray, shape (T,)
+        Probability that there is a target; NaN for associations that do not estimate it.
     """
 
     stamp_ns: int
@@ -321,6 +324,7 @@ class TargetTracks(ObjectTable):
     seen_ns: NDArray[np.int64]
     hits: NDArray[np.int64]
     confirmed: NDArray[np.bool_]
+    existence: NDArray[np.float64]
 
     @property
     def position(self) -> NDArray[np.float64]:

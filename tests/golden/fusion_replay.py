@@ -206,7 +206,7 @@ SCENES |= {
     f"many, {association}, {method}, {model}": partial(
         _many, association=association, method=method, model=model
     )
-    for association in ("nearest", "joint")
+    for association in ("integrated", "nearest", "joint")
     for method, model in (("ekf", "cv"), ("ukf", "ctrv"), ("imm", "cv"))
 }
 SCENES |= {"published model": _published, "noise": _noise}

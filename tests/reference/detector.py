@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from reference import center, separate
-from reference.classify import classify, clearance, diagonal
+from reference.classify import classify, clearance, diagonal, flying_or_unknown
 from reference.cluster import cluster_points
 from reference.tracker import Tracker
 from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
@@ -20,6 +20,7 @@ from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
 RAYS_TO_CUT = 2  # so many that end in front of a target may hide a part of it
 RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
 POINTS_HALF_SURE = 3.0
+OWN_RADIUS, ALONE_RADIUS = 0.75, 2.0  # what belongs to a few points, and what may not be there
 
 
 @dataclass
@@ -114,7 +115,7 @@ class Detector:
         self.map.integrate(cloud, point_class, places, rays, no_return)
         self.remove_separate()
         self.scans += 1
-        self.track(cloud, places, delays, found, stamp)
+        self.track(cloud, labels, verdicts, places, origin, delays, found, stamp)
         more = self.followed(cloud, labels, verdicts, origin)
         found += self.detections(cloud, labels, more, origin, delays, is_judged=False)
         point_class[np.isin(labels, np.flatnonzero(np.array(more) == FLYING))] = FLYING
@@ -234,7 +235,7 @@ class Detector:
                 self.map, max_gap=options.max_gap, min_confident=options.min_confident
             )
 
-    def track(self, cloud, places, delays, found, stamp) -> None:
+    def track(self, cloud, labels, verdicts, places, origin, delays, found, stamp) -> None:
         occupied = (np.array(self.map.occupied()).reshape(-1, 3) + 0.5) * self.map.config.voxel_size
         lengths = self.lengths
         directions = self.spans / np.linalg.norm(self.spans, axis=1, keepdims=True)
@@ -256,10 +257,29 @@ class Detector:
         self.tracker.center = center_of
         self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
         self.tracker.view = self.tracker.center = None
+        self.hint(cloud, labels, verdicts, origin)
         names = ("position", "covariance", "delay", "confidence")
         columns = ([one[name] for one in found] for name in names)
         position, *others = columns
         self.tracker.new_detections(position, occupied, stamp, *others)
+
+    def hint(self, cloud, labels, verdicts, origin) -> None:
+        """What too few points tell: unconfirmed tracks follow something alone in free space."""
+        rules, newest = self.c.classify, self.tracker.buffer[-1][0]
+        known = cloud[np.isfinite(cloud).all(axis=1)].astype(float)
+        for track in self.tracker.tracks:
+            if track.confirmed or track.seen != newest or track.points is None:
+                continue
+            rows = np.flatnonzero((cloud.astype(float) == track.points[0]).all(axis=1))
+            label = labels[rows[0]]
+            own = cloud[labels == label].astype(float)
+            if label < 0 or verdicts[label] != UNKNOWN or len(own) >= rules.min_points:
+                continue
+            gaps = np.linalg.norm(known - own.mean(axis=0), axis=1)
+            is_alone = not ((gaps > OWN_RADIUS) & (gaps <= ALONE_RADIUS)).any()
+            any_number = rules.model_copy(update={"min_points": 1})
+            found = flying_or_unknown(self.map, own, diagonal(own), origin, any_number)
+            track.hinted = is_alone and self.has_background and found == FLYING
 
     def followed(self, cloud, labels, verdicts, origin):
         """Verdicts on the unknown clusters that confirmed tracks follow: flying."""

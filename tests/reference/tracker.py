@@ -24,6 +24,19 @@ UNSEEN_TIME, SIZE_TIME = 0.3, 2.0  # [s]
 MOVED, CLEARED = 0.5, 0.3  # [m]
 STILL_HITS, STILL_WINDOW = 10, 20
 MERGE_SPEED = 1.0  # [m/s]
+LONG_UNSEEN = 0.3  # [s]
+LOITER_SHARE = 0.5  # of the way that a target may have flown, it is from where it was seen
+
+
+def cost(pair):
+    """-2 ln of the likelihood of a difference, without what all share."""
+    y, S = pair
+    return y @ np.linalg.solve(S, y) + np.log(np.linalg.det(S))
+
+
+def either(track):
+    """Sets of detections in which there was something of a track, a few points at least."""
+    return [one or other for one, other in zip(track.history, track.hints, strict=True)]
 
 
 @dataclass
@@ -42,6 +55,11 @@ class Track:
     history: list[bool] = field(default_factory=lambda: [True])
     sure: list[bool] = field(default_factory=lambda: [True])
     place: np.ndarray = None
+    seen_at: np.ndarray = None
+    seen_speed: float = 0.0
+    found_at: np.ndarray = None  # after it had been out of sight for long
+    hints: list[bool] = field(default_factory=lambda: [False])
+    hinted: bool = False  # too few points of it for a detection are in free space
     confirmed: bool = False
     left: bool = False  # nothing is where it began
     own: float = 0.0  # points of its clusters
@@ -134,7 +152,10 @@ class Tracker:
         track.P = (track.P + track.P.T) / 2
         track.aged = track.P
         track.extent = np.asarray(extent, float)
+        if (track.stamp - track.seen) * 1e-9 > LONG_UNSEEN:
+            track.found_at = z
         track.seen = track.stamp
+        track.seen_at, track.seen_speed = track.r, np.linalg.norm(track.x[3:6])
 
     # --- clusters -----------------------------------------------------------------------------
 
@@ -327,9 +348,9 @@ class Tracker:
             weak = confidence is not None and self.c.confirm_confidence is not None
             sure = [not weak or bool(confidence[index] >= self.c.confirm_confidence)]
             size = np.zeros(3)
-            fresh.append(
-                Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, sure=sure, place=z)
-            )
+            new = Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, sure=sure, place=z)
+            new.seen_at = new.found_at = z
+            fresh.append(new)
         for time, points, delays in self.buffer:
             if time > stamp:
                 self.update(fresh, time, points, occupied, delays)
@@ -358,9 +379,8 @@ class Tracker:
         def offset(row, column):
             new, track = fresh[row], self.tracks[column]
             stamp = max(new.stamp, track.stamp)
-            (x, P), (other, reach) = self.at(new, stamp), self.waiting(track, stamp)
-            y = (x - other.x)[:3]
-            return (y, (P + other.P)[:3, :3]) if np.linalg.norm(y) <= reach else None
+            ways = self.ways(self.waiting(track, stamp), *self.at(new, stamp))
+            return min(filter(None, ways), key=cost, default=None)
 
         fed, known = [], list(self.tracks)
         track_of = self.assign(len(fresh), len(self.tracks), offset)
@@ -374,25 +394,41 @@ class Tracker:
             fed.append((index, new.sure[0]))
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
-                wide, _ = self.waiting(track, stamp)
-                track.x, track.P, track.stamp = wide.x, wide.P, stamp
+                waiting = self.waiting(track, stamp)
                 self.move(new, stamp)
-                self.correct(track, new.r, new.P[:3, :3], new.extent)
+                ahead, turned = self.ways(waiting, new.x, new.P)
+                track.x, track.P, track.stamp = waiting[0].x, waiting[0].P, stamp
+                if turned is not None and (ahead is None or cost(turned) < cost(ahead)):
+                    track.x, track.P, track.aged = new.x, new.P, new.aged
+                    track.extent, track.seen, track.seen_at = new.extent, new.seen, new.seen_at
+                else:
+                    self.correct(track, new.r, new.P[:3, :3], new.extent)
         return fed
 
+    def ways(self, waiting, x, P):
+        """Offsets of a detection from where its target would be: ahead, or where it turned."""
+        track, reach, strayed = waiting
+        ahead = (x - track.x)[:3], (P + track.P)[:3, :3]
+        turned = x[:3] - track.seen_at, P[:3, :3] + (strayed or 0.0) ** 2 * EYE
+        return [
+            ahead if np.linalg.norm(ahead[0]) <= reach else None,
+            turned if strayed is not None and np.linalg.norm(turned[0]) <= reach else None,
+        ]
+
     def waiting(self, track, stamp):
-        """A track as it waits for detections, and how far it looks for them."""
+        """A track as it waits for detections, how far it looks for them, how far it strayed."""
         x, P = self.at(track, stamp)
         waiting = replace(track, x=x, P=P, stamp=stamp)
         acceleration = self.c.rejoin_acceleration
         is_lost = bool(self.buffer) and track.seen < self.buffer[-1][0]
         if acceleration is None or not track.confirmed or not is_lost:
-            return waiting, self.reach(track)
+            return waiting, self.reach(track), None
         dt = (stamp - track.seen) * 1e-9
         strayed = np.kron([dt**2 / 2, dt, 1.0], EYE) * acceleration
         waiting.P = P + strayed.T @ strayed
         waiting.P[:3, :3] += self.c.initial_std[0] ** 2 * EYE
-        return waiting, self.c.radius_limits[1]
+        strayed = self.c.initial_std[0] + LOITER_SHARE * track.seen_speed * dt
+        return waiting, self.c.radius_limits[1], strayed
 
     def is_seen_twice(self, new, known):
         late = new.delay if new.stamp == new.born else 0.0
@@ -409,6 +445,8 @@ class Tracker:
             events.born.append(track.id)
         for track in self.tracks[:known]:
             track.history.append(False)
+            track.hints.append(track.hinted)
+            track.hinted = False
             track.sure.append(False)
         for index, is_sure in fed:
             self.tracks[index].history[-1] = True
@@ -419,7 +457,7 @@ class Tracker:
                 track.confirmed = True
                 events.confirmed.append(track.id)
         events.removed = self.remove(
-            lambda track: not track.confirmed and not any(track.history[-window:])
+            lambda track: not track.confirmed and not any(either(track)[-window:])
         )
         events.merged = self.merge()
         return events
@@ -431,8 +469,10 @@ class Tracker:
         if track.stray > track.own:
             return False
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
-        away = np.linalg.norm(track.r - track.place) > MOVED + 2 * std
-        counted = track.history if track.left and away else track.sure
+        reach = MOVED + 2 * std
+        has_moved = track.left and np.linalg.norm(track.r - track.place) > reach
+        is_far = np.linalg.norm(track.r - track.found_at) > reach
+        counted = (either(track) if is_far else track.history) if has_moved else track.sure
         many = sum(track.history[-STILL_WINDOW:]) >= STILL_HITS
         return many or sum(counted[-window:]) >= hits
 
@@ -458,7 +498,7 @@ class Tracker:
             state = gone if gone.seen > kept.seen else kept
             size = max(len(kept.history), len(gone.history))
 
-            def either(one, other, size=size):
+            def united(one, other, size=size):
                 padded = [[False] * (size - len(sets)) + sets for sets in (one, other)]
                 return [a or b for a, b in zip(*padded, strict=True)]
 
@@ -468,8 +508,9 @@ class Tracker:
                 born=kept.born,
                 confirmed=kept.confirmed,
                 n_detections=max(kept.n_detections, gone.n_detections),
-                history=either(kept.history, gone.history),
-                sure=either(kept.sure, gone.sure),
+                history=united(kept.history, gone.history),
+                sure=united(kept.sure, gone.sure),
+                hints=united(kept.hints, gone.hints),
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

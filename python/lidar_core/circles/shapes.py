@@ -101,8 +101,6 @@ def fit_shapes(
     >>> shapes.ends().round(1).tolist()
     [[[3.0, -0.5], [3.0, 0.5]]]
     """
-    scan, angles = as_scan(ranges, bearings)
-    arrays = arrays_of(segments)
-    known = as_config(config, FitConfig)
-    limits = as_config(scanner, Scanner)
-    return Shapes(*_core.fit_shapes(scan, angles, arrays, config=known, scanner=limits))
+    fit, limits = as_config(config, FitConfig), as_config(scanner, Scanner)
+    given = (*as_scan(ranges, bearings), arrays_of(segments))
+    return Shapes(*_core.fit_shapes(*given, config=fit, scanner=limits))

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from lidar_core.cli import config, train
-from lidar_core.cli.shared.common import help_text, stoppable
+from lidar_core.cli.shared.common import help_text, printing, stoppable
 from lidar_core.errors import LidarCoreError, OdometryWarning, PluginWarning, PoseFrameWarning
 
 app = typer.Typer(
@@ -45,12 +45,10 @@ app.add_typer(config.app, name="config")
 app.add_typer(train.app, name="train")
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        from lidar_core import __version__
+def _print_version() -> None:
+    from lidar_core import __version__
 
-        print(f"lidar-core {__version__}")
-        raise typer.Exit
+    print(f"lidar-core {__version__}")
 
 
 @app.callback()
@@ -58,7 +56,7 @@ def options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
+            "--version", callback=printing(_print_version), is_eager=True, help="Print the version."
         ),
     ] = False,
 ) -> None:

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.shared.common import JsonFile, consoles, given, progress_on, write_json
-from lidar_core.cli.shared.run_options import (
-    End,
-    Metadata,
-    NoReturn,
-    PointTime,
-    Recover,
-    ScanRate,
-    Stamps,
-    Start,
+from lidar_core.cli.shared.common import (
+    JsonFile,
+    consoles,
+    given,
+    printing,
+    progress_on,
+    write_json,
 )
+from lidar_core.cli.shared.run_options import DecodingOptions, End, Start, with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,9 +24,7 @@ if TYPE_CHECKING:
     from lidar_core.messages import Message
 
 
-def _print_formats(wanted: bool) -> None:
-    if not wanted:
-        return
+def _print_formats() -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -39,10 +35,12 @@ def _print_formats(wanted: bool) -> None:
         ends = " ".join(end or "(a new folder)" for end in one.suffixes)
         table.add_row(one.format, ends, one.takes, one.extra)
     Console().print(table)
-    raise typer.Exit
 
 
+@with_options(DecodingOptions)
 def command(
+    options: DecodingOptions,
+    *,
     recording: Annotated[Path, typer.Argument(help="Recording, or folder of a run.")],
     output: Annotated[
         Path,
@@ -52,18 +50,11 @@ def command(
             " NAME.txt (MOTChallenge), NAME.bag or a folder (obstacles of ROS)."
         ),
     ],
-    *,
     topic: Annotated[
         list[str] | None, typer.Option(help="Scans of this topic alone; may be repeated.")
     ] = None,
     start: Start = 0.0,
     end: End = None,
-    point_time: PointTime = None,
-    no_return: NoReturn = None,
-    metadata: Metadata = None,
-    stamps: Stamps = None,
-    scan_rate: ScanRate = None,
-    recover: Recover = False,
     resolution: Annotated[
         float | None,
         typer.Option(help="Edge of the voxels of NAME.bt \\[m]; else that of the map read."),
@@ -75,7 +66,10 @@ def command(
     formats: Annotated[
         bool,
         typer.Option(
-            "--formats", callback=_print_formats, is_eager=True, help="List the output formats."
+            "--formats",
+            callback=printing(_print_formats),
+            is_eager=True,
+            help="List the output formats.",
         ),
     ] = False,
 ) -> None:
@@ -90,16 +84,7 @@ def command(
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
-    values = given(
-        {
-            "point_time": point_time,
-            "no_return": no_return,
-            "metadata": metadata,
-            "stamps": stamps,
-            "scan_rate": scan_rate,
-            "recover": recover or None,
-        }
-    )
+    values = options.given()
     chosen = given({"topic": topic or None, "start": start or None, "end": end})
     of_run, of_map = given({"class": class_name}), given({"resolution": resolution})
     console, errors = consoles(json_file)

@@ -52,13 +52,20 @@ def _report() -> dict[str, Any]:
 
 
 def _cpu() -> dict[str, Any]:
-    """Architecture, and the wide instructions that numpy finds."""
+    """Architecture, the wide instructions that numpy finds, and the vector unit of the core."""
     import numpy as np
+
+    from lidar_core._core import vector_unit
+    from lidar_core.errors import ConfigError
 
     config = np.show_config(mode="dicts")
     found = {} if config is None else config.get("SIMD Extensions", {})
     features = [*found.get("baseline", []), *found.get("found", [])]
-    return {"architecture": platform.machine(), "features": features}
+    try:
+        used = vector_unit()
+    except ConfigError as error:
+        used = str(error)
+    return {"architecture": platform.machine(), "features": features, "vector_unit": used}
 
 
 def _recordings() -> dict[str, Any]:
@@ -114,6 +121,7 @@ def _print(report: dict[str, Any]) -> None:
     )
     cpu, recordings = report["cpu"], report["recordings"]
     console.print(f"{cpu['architecture']}: {' '.join(cpu['features'])}", markup=False)
+    console.print(f"vector unit of the core: {cpu['vector_unit']}", markup=False)
     console.print(_told(recordings), markup=False, highlight=False, soft_wrap=True)
     console.print(f"core: {report['core']}", style=None if report["core"] == "works" else "red")
     table = Table("extra", "packages", "to install")

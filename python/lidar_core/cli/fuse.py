@@ -37,7 +37,7 @@ RECORDING = (
     "L/R text, a table (CSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
     " detections of Autoferry (.json)."
 )
-ASSOCIATION = "For many targets: nearest, or joint (JPDA)."
+ASSOCIATION = "For many targets: integrated (JIPDA), nearest, or joint (JPDA)."
 LAG = "Smooth: use measurements up to this much later for every state \\[s]."
 FIT = "Find the noise of motion and sensors from the measurements first, as `config fit` does."
 FORCE = "Go on with measurements whose NIS is beyond reason."

@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import as_options, given
-from lidar_core.cli.shared.run_options import (
-    Metadata,
-    NoReturn,
-    PointTime,
-    Recover,
-    ScanRate,
-    Stamps,
-)
+from lidar_core.cli.shared.common import as_options, printing
+from lidar_core.cli.shared.run_options import DecodingOptions, with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,9 +15,7 @@ if TYPE_CHECKING:
     from lidar_core.io import RecordingInfo
 
 
-def _print_formats(wanted: bool) -> None:
-    if not wanted:
-        return
+def _print_formats() -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -34,44 +25,31 @@ def _print_formats(wanted: bool) -> None:
     for one in READERS.parts():
         table.add_row(one.name, " ".join(one.suffixes), one.extra, one.note)
     Console().print(table)
-    raise typer.Exit
 
 
+@with_options(DecodingOptions)
 def command(
+    options: DecodingOptions,
+    *,
     recording: Annotated[
         Path, typer.Argument(help="File or folder to inspect; --formats lists the formats.")
     ],
-    point_time: PointTime = None,
-    no_return: NoReturn = None,
-    metadata: Metadata = None,
-    stamps: Stamps = None,
-    scan_rate: ScanRate = None,
-    recover: Recover = False,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
     formats: Annotated[
         bool,
         typer.Option(
-            "--formats", callback=_print_formats, is_eager=True, help="List the input formats."
+            "--formats",
+            callback=printing(_print_formats),
+            is_eager=True,
+            help="List the input formats.",
         ),
     ] = False,
 ) -> None:
-    """Topics, rates, frames, time span and defects of a recording; the command that goes on."""
+    """Topics, rates, frames, time span and defects of a recording; suggested next commands."""
     from lidar_core.io import ReadOptions, open_recording
     from lidar_core.runs.next_steps import next_steps
 
-    options = ReadOptions.load(
-        given(
-            {
-                "point_time": point_time,
-                "no_return": no_return,
-                "metadata": metadata,
-                "stamps": stamps,
-                "scan_rate": scan_rate,
-                "recover": recover or None,
-            }
-        )
-    )
-    with open_recording(recording, options) as opened:
+    with open_recording(recording, ReadOptions.load(options.given())) as opened:
         info = opened.info()
         steps = [] if as_json else list(next_steps(opened, info))
     if as_json:

@@ -3,7 +3,7 @@
 from lidar_core.fusion.config import FusionConfig, PublishedModel
 from lidar_core.fusion.coverage import TargetCoverage, empty_gospa, mean_gospa, target_coverage
 from lidar_core.fusion.filter import FilterHealth, TargetFilter
-from lidar_core.fusion.many import MultiTargetTracker, ScanResult
+from lidar_core.fusion.many import MultiTargetTracker, ScanResult, TrackerHealth
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
@@ -37,6 +37,7 @@ __all__ = [
     "TargetRecording",
     "TargetTracks",
     "TargetTruth",
+    "TrackerHealth",
     "empty_gospa",
     "fit_noise",
     "in_space",

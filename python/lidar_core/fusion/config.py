@@ -106,6 +106,13 @@ class FusionConfig(Config):
     imm_sojourn: float = Field(
         2.0, gt=0, le=1e6, description="Mean time for which a target follows one of them [s]."
     )
+    imm_quiet: float | None = Field(
+        None,
+        gt=0,
+        lt=1,
+        description="Share of the process noise with which each model of imm takes part a second"
+        " time, for targets that move evenly or stand (no unit); none: no such models.",
+    )
     process: Literal["continuous", "discrete"] = Field(
         "continuous",
         description="Process noise: white in continuous time, the same for any rate of"

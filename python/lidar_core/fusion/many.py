@@ -42,12 +42,32 @@ class ScanResult:
     nis: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class TrackerHealth:
+    """What the scans of a tracker have cost.
+
+    Attributes
+    ----------
+    n_scans : int
+        Scans processed; a late one counts those after it again.
+    n_predictions : int
+        Predictions of a track to the time of a scan: one per track and scan.
+    n_pairs : int
+        Pairs of a track and a measurement that were compared: only near ones.
+    """
+
+    n_scans: int
+    n_predictions: int
+    n_pairs: int
+
+
 class MultiTargetTracker(FullState):
     """Targets that LiDAR and radar see, any number of them.
 
-    Measurements are assigned by global nearest neighbours, or by joint probabilities, first to the
-    confirmed tracks; what is left starts new ones. With measurements "pose" in a scan, tracks are
-    in the world.
+    Measurements are shared out by joint integrated probabilities: every track has a probability of
+    existence, on which report and end depend. By the other associations measurements go first to
+    confirmed tracks, and counts confirm. With measurements "pose" in a scan, tracks are in the
+    world.
 
     Parameters
     ----------
@@ -137,6 +157,10 @@ class MultiTargetTracker(FullState):
         self._sources[source] = number
         return ScanResult(*result)
 
+    def health(self) -> TrackerHealth:
+        """Return what the scans have cost; a tracker from a saved state begins anew."""
+        return TrackerHealth(*self._tracker.work())
+
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
         """Tracks, predicted to a time.
 
@@ -145,10 +169,11 @@ class MultiTargetTracker(FullState):
         stamp_ns : int
             A time before the last measurement of a track gives its state at that measurement [ns].
         confirmed : bool
-            Whether tracks that still wait for their confirmation are left out.
+            Whether tracks that are not reported yet are left out.
         """
         stamp = as_stamp(stamp_ns)
-        ids, states, covariances, born, seen, hits, is_sure = self._tracker.tracks_at(stamp)
+        arrays = self._tracker.tracks_at(stamp)
+        ids, states, covariances, born, seen, hits, is_sure, existence = arrays
         if not len(ids):
             width = len(state_names(self.config.target))
             states, covariances = np.empty((0, width)), np.empty((0, width, width))
@@ -163,4 +188,5 @@ class MultiTargetTracker(FullState):
             seen_ns=seen[rows],
             hits=hits[rows],
             confirmed=is_sure[rows],
+            existence=existence[rows],
         )

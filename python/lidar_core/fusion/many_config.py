@@ -17,7 +17,8 @@ class MultiTargetConfig(Config):
     Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and
     Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999;
     Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
-    data association", 1983.
+    data association", 1983; Musicki & Evans, "Joint integrated probabilistic data association:
+    JIPDA", 2004.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -25,17 +26,20 @@ class MultiTargetConfig(Config):
         "radar_clutter": "write it as the second value of clutter",
     }
     target: FusionConfig = Field(
-        FusionConfig(),
+        FusionConfig(
+            method="imm", imm_models=("cv",), imm_quiet=0.1, start_rows=3, initial_speed=15.0
+        ),
         description="The filter of each target; its gate decides which measurements may be one's,"
         " its `buffer_time` how late scans may come. `loss_ratio` and `sensor_noise` are not"
-        " used: a lost track ends, and noise is as configured.",
+        " used: a lost track ends, and noise is as configured. With association integrated,"
+        " `initial_speed` is the first guess: speeds of tracks teach better.",
     )
     confirm_hits: int = Field(
         3,
         ge=1,
         le=64,
         description="Scans of the last `confirm_window` that must have measured a track before it"
-        " is confirmed (count, no unit).",
+        " is confirmed, for associations nearest and joint (count, no unit).",
     )
     confirm_window: int = Field(
         5,
@@ -48,7 +52,8 @@ class MultiTargetConfig(Config):
         2.0,
         gt=0,
         le=1e6,
-        description="A track ends when it has not been measured for longer [s].",
+        description="A track ends when it has not been measured for longer, for associations"
+        " nearest and joint [s].",
     )
     max_position_std: float = Field(
         5.0,
@@ -64,23 +69,33 @@ class MultiTargetConfig(Config):
         " of an object are no objects [m].",
     )
 
-    association: Literal["nearest", "joint"] = Field(
-        "nearest",
-        description="Measurements within gates are of the nearest track, all distances together"
-        " (global nearest neighbours); or of all near ones, each with its probability (JPDA)"
-        " (no unit).",
+    association: Literal["integrated", "nearest", "joint"] = Field(
+        "integrated",
+        description="Measurements within gates are of all near tracks, each with its probability,"
+        " and each track has a probability of existence (JIPDA); or of the nearest track, all"
+        " distances together (global nearest neighbours); or of all near ones, confirmed by counts"
+        " (JPDA) (no unit).",
     )
     detection_probability: float = Field(
         0.9,
         gt=0,
         lt=1,
-        description="Probability that a scan measures a target, for association joint (no unit).",
+        description="Probability that a scan measures a target, for associations joint and"
+        " integrated (no unit); with integrated only the first guess, as `clutter`: scans teach"
+        " better.",
     )
 
     clutter: tuple[Density, Density] = Field(
         (1e-3, 1e-3),
         description="Densities of clutter of the LiDAR [1/m^2] and of the radar [1/(m rad m/s)],"
         " for the same.",
+    )
+    report_existence: float = Field(
+        0.95,
+        gt=0,
+        lt=1,
+        description="A track is reported from this probability of existence on, until it falls"
+        " below half of it, for association integrated (no unit).",
     )
 
     @classmethod
@@ -94,6 +109,7 @@ class MultiTargetConfig(Config):
                 initial_speed=6.0,
                 gate_probability=0.999,
             ),
+            association="nearest",
             confirm_hits=3,
             confirm_window=6,
             max_coast=15.0,

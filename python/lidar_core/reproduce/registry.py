@@ -41,6 +41,9 @@ MODULES = (
     "fusion.consistency",
     "tracking.noise",
     "tracking.dropout",
+    "tracking.scaling",
+    "tracking.existence",
+    "tracking.clutter",
 )
 """Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 

@@ -280,6 +280,11 @@ class _FuseJob:
             told = "lag, fit_noise and mode paper are for one"
             raise ConfigError(f"{self.recording}: many targets; {told}")
         base = MultiTargetConfig.boats() if found.source == "Autoferry" else MultiTargetConfig()
+        if "model" in self.ways and "method" not in self.ways and base.target.method == "imm":
+            # Interacting models have models of their own: the one that was asked for would do
+            # nothing.
+            target = base.target.model_copy(update={"method": "ekf"})
+            base = base.model_copy(update={"target": target})
         ways = {
             name if name == "association" else f"target.{name}": value
             for name, value in self.ways.items()

@@ -11,7 +11,15 @@ from lidar_core.extras import require
 from lidar_core.io.tables.shapes import outline
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.objects import ShapeElements
-from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
+from lidar_core.viz.figure import (
+    INK,
+    PALE,
+    PURPOSE,
+    draw_truth,
+    opaque_legend,
+    two_columns,
+    write_figure,
+)
 from lidar_core.viz.film import write_film
 from lidar_core.viz.views import CirclesView
 
@@ -85,32 +93,13 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
 
 
 def _compose(figure: Any, view: CirclesView) -> None:
-    grid = figure.add_gridspec(
-        2,
-        2,
-        width_ratios=(1.35, 1.0),
-        height_ratios=(1.3, 1.0),
-        left=0.06,
-        right=0.985,
-        top=0.9,
-        bottom=0.08,
-        wspace=0.16,
-        hspace=0.36,
-    )
-    figure.suptitle(view.title, x=0.06, y=0.975, ha="left", fontsize=13, fontweight="bold")
+    grid = two_columns(figure, view.title, widths=(1.35, 1.0), heights=(1.3, 1.0), hspace=0.36)
     above = figure.add_subplot(grid[:, 0])
     _earlier(above, view)
     _above(above, view, len(view.maps) - 1, _limits(view, TALL))
     above.set_title("from above, at the end")
     if view.maps:
-        above.legend(
-            loc="upper left",
-            fontsize=8,
-            frameon=True,
-            facecolor="white",
-            framealpha=0.88,
-            edgecolor="none",
-        )
+        opaque_legend(above, "upper left")
     _radii(figure.add_subplot(grid[0, 1]), view)
     _counts(figure.add_subplot(grid[1, 1]), view)
 
@@ -155,16 +144,7 @@ def _above(
         way = view.sensor[: scan + 1]
         axes.plot(way[:, 0], way[:, 1], color=INK, lw=1.4, zorder=4, label="sensor")
         axes.plot(*way[-1], marker="^", ms=8, color=INK, zorder=4)
-        for order, line in enumerate(view.truth.values()):
-            axes.plot(
-                line[: scan + 1, 0],
-                line[: scan + 1, 1],
-                color="black",
-                lw=1.1,
-                ls=(0, (3, 2)),
-                zorder=6,
-                label=None if order else "truth",
-            )
+        draw_truth(axes, (line[: scan + 1, :2] for line in view.truth.values()))
         _elements(axes, view, scan)
         if view.shapes:
             _shapes(axes, view.shapes[scan])

@@ -1,15 +1,19 @@
 """Common style of all pictures, and saving of figures."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import written_whole
 
 PURPOSE = "the picture"
 INK, PALE = "#1f2933", "#9aa5b1"
+DASHED = (0, (3, 2))
 
 
 def write_figure(
@@ -51,6 +55,33 @@ def figure_with_style(*, size: tuple[float, float], dpi: int) -> Iterator[Any]:
         figure = figures.Figure(figsize=size, dpi=dpi, facecolor="white")
         canvas.FigureCanvasAgg(figure)
         yield figure
+
+
+def two_columns(
+    figure: Any,
+    title: str,
+    *,
+    widths: tuple[float, float],
+    heights: tuple[float, ...],
+    **gaps: float,
+) -> Any:
+    """Grid of a picture: a title, a tall panel on the left, and panels on the right."""
+    edges = {"left": 0.06, "right": 0.985, "top": 0.9, "bottom": 0.08, "wspace": 0.16} | gaps
+    figure.suptitle(title, x=edges["left"], y=0.975, ha="left", fontsize=13, fontweight="bold")
+    return figure.add_gridspec(len(heights), 2, width_ratios=widths, height_ratios=heights, **edges)
+
+
+def draw_truth(axes: Any, ways: Iterable[NDArray[np.float64]]) -> None:
+    """Dashed lines where the targets were."""
+    for order, way in enumerate(ways):
+        label = None if order else "truth"
+        axes.plot(*way.T, color="black", lw=1.1, ls=DASHED, zorder=6, label=label)
+
+
+def opaque_legend(axes: Any, place: str, **more: Any) -> None:
+    """Legend that can be read in front of points."""
+    ground = {"frameon": True, "facecolor": "white", "framealpha": 0.88, "edgecolor": "none"}
+    axes.legend(loc=place, fontsize=8, **ground, **more)
 
 
 _STYLE = {

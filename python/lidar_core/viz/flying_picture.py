@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from lidar_core.extras import require
 from lidar_core.messages import ShownClass
 from lidar_core.objects import Tracks
-from lidar_core.viz.figure import INK, PALE, PURPOSE, write_figure
+from lidar_core.viz.figure import (
+    INK,
+    PALE,
+    PURPOSE,
+    draw_truth,
+    opaque_legend,
+    two_columns,
+    write_figure,
+)
 from lidar_core.viz.views import FlyingView
 
 SIZE, DPI = (14.0, 8.2), 110
@@ -53,33 +61,13 @@ def draw_flying(view: FlyingView, path: str | Path) -> Path:
 
 
 def _compose(figure: Any, view: FlyingView) -> None:
-    grid = figure.add_gridspec(
-        3,
-        2,
-        width_ratios=(1.15, 1.0),
-        height_ratios=(1.25, 1.0, 0.8),
-        left=0.045,
-        right=0.985,
-        top=0.9,
-        bottom=0.065,
-        wspace=0.1,
-        hspace=0.4,
-    )
-    figure.suptitle(view.title, x=0.045, y=0.975, ha="left", fontsize=13, fontweight="bold")
+    gaps = {"left": 0.045, "bottom": 0.065, "wspace": 0.1, "hspace": 0.4}
+    grid = two_columns(figure, view.title, widths=(1.15, 1.0), heights=(1.25, 1.0, 0.8), **gaps)
     low, high = _limits(view)
     above, side = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
     _map(above, view, (0, 1), low, high)
     above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
-    above.legend(
-        loc="upper left",
-        ncols=2,
-        fontsize=8,
-        labelspacing=0.35,
-        frameon=True,
-        facecolor="white",
-        framealpha=0.88,
-        edgecolor="none",
-    )
+    opaque_legend(above, "upper left", ncols=2, labelspacing=0.35)
     _map(side, view, (0, 2), low, high)
     side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
     _distances(figure.add_subplot(grid[1, 1]), view)
@@ -140,16 +128,7 @@ def _map(
     )
     if len(view.sensor):
         axes.plot(*view.sensor[-1, list(plane)], marker="^", ms=8, color=INK, zorder=4)
-    for order, way in enumerate(view.truth.values()):
-        axes.plot(
-            way[:, across],
-            way[:, up],
-            color="black",
-            lw=1.1,
-            ls=(0, (3, 2)),
-            zorder=6,
-            label="truth" if order == 0 else None,
-        )
+    draw_truth(axes, (way[:, list(plane)] for way in view.truth.values()))
     _tracks(axes, view, plane)
     axes.set(
         aspect="equal",

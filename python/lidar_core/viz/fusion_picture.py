@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.viz.circles_picture import colour_of
-from lidar_core.viz.figure import PALE, write_figure
+from lidar_core.viz.figure import DASHED, PALE, draw_truth, opaque_legend, two_columns, write_figure
 from lidar_core.viz.views import FusionView, PlanarLine
 
 SIZE, DPI = (12.0, 7.0), 90
@@ -41,18 +41,7 @@ def draw_fusion(view: FusionView, path: str | Path) -> Path:
 
 
 def _compose(figure: Any, view: FusionView) -> None:
-    grid = figure.add_gridspec(
-        3,
-        2,
-        width_ratios=(1.2, 1.0),
-        left=0.06,
-        right=0.985,
-        top=0.9,
-        bottom=0.08,
-        wspace=0.16,
-        hspace=0.42,
-    )
-    figure.suptitle(view.title, x=0.06, y=0.975, ha="left", fontsize=13, fontweight="bold")
+    grid = two_columns(figure, view.title, widths=(1.2, 1.0), heights=(1.0,) * 3, hspace=0.42)
     _above(figure.add_subplot(grid[:, 0]), view)
     stamps = [line.stamp_ns for line in (*view.tracks.values(), *view.truth.values())]
     stamps += [times for times, _ in view.nis.values()]
@@ -76,15 +65,7 @@ def _above(axes: Any, view: FusionView) -> None:
             label=sensor,
             rasterized=True,
         )
-    for order, line in enumerate(view.truth.values()):
-        axes.plot(
-            *line.position.T,
-            color="black",
-            lw=1.1,
-            ls=(0, (3, 2)),
-            zorder=5,
-            label=None if order else "truth",
-        )
+    draw_truth(axes, (line.position for line in view.truth.values()))
     longest = sorted(view.tracks, key=lambda number: len(view.tracks[number].stamp_ns))[-NAMED:]
     for order, (number, line) in enumerate(view.tracks.items()):
         _track(axes, line, colour_of(number), None if order else "track, 2σ ellipses")
@@ -103,14 +84,7 @@ def _above(axes: Any, view: FusionView) -> None:
     )
     axes.grid(visible=True)
     if view.seen or view.tracks:
-        axes.legend(
-            loc="best",
-            fontsize=8,
-            frameon=True,
-            facecolor="white",
-            framealpha=0.88,
-            edgecolor="none",
-        )
+        opaque_legend(axes, "best")
 
 
 def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:
@@ -153,7 +127,7 @@ def _over_time(axes: Any, view: FusionView, axis: int, name: str, first: int) ->
                 line.position[:, axis],
                 color="black",
                 lw=0.9,
-                ls=(0, (3, 2)),
+                ls=DASHED,
                 zorder=5,
             )
     title = f"error of {name}, 2σ band" if of_error else f"{name}, 2σ band"
@@ -185,7 +159,7 @@ def _consistency(axes: Any, view: FusionView, first: int) -> None:
             label=f"{sensor}: {100 * np.mean(ratio <= 1):.0f} % below" if len(ratio) else sensor,
         )
         top = max(top, 1.2 * float(np.percentile(ratio, 98))) if len(ratio) else top
-    axes.axhline(1.0, color="black", lw=0.9, ls=(0, (3, 2)))
+    axes.axhline(1.0, color="black", lw=0.9, ls=DASHED)
     axes.set(title="NIS over its 95 % limit", xlabel="time [s]", ylim=(0, top))
     axes.grid(visible=True)
     if view.nis:

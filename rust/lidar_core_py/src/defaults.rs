@@ -44,7 +44,8 @@ pub(crate) fn parameters_of(model: &str, config: &Bound<'_, PyAny>) -> Result<St
     })
 }
 
-/// The parameters of the core, as `parameters_of` prints them: "default", "paper", or "joint".
+/// The parameters of the core, as `parameters_of` prints them: "default", "paper", "nearest" or
+/// "joint".
 #[pyfunction]
 pub(crate) fn default_parameters(model: &str, mode: &str) -> Result<String, BorderError> {
     Ok(match (model, mode) {
@@ -63,6 +64,10 @@ pub(crate) fn default_parameters(model: &str, mode: &str) -> Result<String, Bord
         ("fusion", "default") => text(&FusionParameters::default()),
         ("fusion", "paper") => text(&FusionParameters::paper()),
         ("many", "default") => text(&ManyParameters::default()),
+        ("many", "nearest") => {
+            let association = TargetAssociation::Nearest;
+            text(&ManyParameters { association, ..ManyParameters::default() })
+        }
         ("many", "joint") => {
             let association = TargetAssociation::joint();
             text(&ManyParameters { association, ..ManyParameters::default() })

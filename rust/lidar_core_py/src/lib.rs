@@ -10,6 +10,7 @@ mod fusion;
 mod geometry;
 mod guard;
 mod sim;
+mod vector_unit;
 
 #[pyo3::pymodule]
 mod _core {
@@ -52,6 +53,8 @@ mod _core {
     use super::geometry::{cluster_points, traverse};
     #[pymodule_export]
     use super::sim::scene::{SimScene, SimShape, SimTrajectory};
+    #[pymodule_export]
+    use super::vector_unit::{vector_unit, vector_units};
 
     use pyo3::prelude::*;
 

@@ -6,6 +6,7 @@
 //! seed, scan and ray, so that the result is the same for any number of threads.
 
 pub mod air;
+pub mod circle_beams;
 pub mod circle_samples;
 pub mod mesh;
 pub mod motion;

@@ -26,6 +26,7 @@ DEFAULTS = {
     ("fusion", "default"): FusionConfig(),
     ("fusion", "paper"): FusionConfig.paper(),
     ("many", "default"): MultiTargetConfig(),
+    ("many", "nearest"): MultiTargetConfig(association="nearest"),
     ("many", "joint"): MultiTargetConfig(association="joint"),
 }
 

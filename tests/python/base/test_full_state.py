@@ -117,7 +117,7 @@ def tracks_of(tracker, made, source):
     return out
 
 
-@pytest.mark.parametrize("association", ["nearest", "joint"])
+@pytest.mark.parametrize("association", ["integrated", "nearest", "joint"])
 def test_many_targets_go_on_to_the_same_bits(association, tmp_path):
     made = list(scans())
     config = lc.fusion.MultiTargetConfig(

@@ -148,6 +148,50 @@ def test_the_detector_does_what_the_specification_says(mode, stream):
     assert met["classes"] == {0, BACKGROUND, FLYING, UNKNOWN}
 
 
+def few_points(counts, *, speed, others=()):
+    """Scans of a floor, a wall and a target of so many returns; others give one return each."""
+    body, pose = fan(16, 40), np.eye(4)
+    for k, count in enumerate((0, 0, 0, 0, *counts)):
+        target = np.array([1.3 - speed * 0.1 * (k - 4), 2.1, 0.8])
+        hits = [
+            cast_plane(np.zeros_like(body), body, [0, 0, 1], -2.2),
+            cast_plane(np.zeros_like(body), body, [1, 0, 0], 3.5),
+        ]
+        distance = np.min(hits, axis=0)
+        for place, rows in ((target, count), *((target + other, 1) for other in others)):
+            along = body @ place
+            distance[np.argsort(-along)[:rows]] = np.linalg.norm(place)
+        no_return = distance > 7.0
+        yield {
+            "points": (body * np.where(no_return, np.nan, distance)[:, None]).astype(np.float32),
+            "poses": pose,
+            "stamp": 1_000 + k * STEP_NS,
+            "no_return": no_return,
+            "directions": body.astype(np.float32),
+        }
+
+
+@pytest.mark.parametrize(
+    ("counts", "speed", "others", "tracks"),
+    [
+        ([3, 1, 2, 1, 2, 1, 1, 2], 2.0, (), 1),
+        ([3, 0, 0, 0, 0, 0, 0, 0], 2.0, (), 0),
+        ([3, 1, 2, 1, 2, 1, 1, 2], 0.0, (), 0),
+        ([3, 0, 0, 0, 0, 1, 1, 1], 2.0, (), 0),
+        ([3, 1, 2, 1, 2, 1, 1, 2], 2.0, ([0.0, 1.0, 0.9],), 0),
+    ],
+    ids=["it moves", "seen once", "it stands", "found again elsewhere", "not alone"],
+)
+def test_a_point_or_two_in_free_space_confirm_what_moves(counts, speed, others, tracks):
+    config = small(FlyingConfig())
+    detector, specification = FlyingObjectDetector(config), Specification(config)
+    for scan in few_points(counts, speed=speed, others=others):
+        given = (scan["points"], scan["poses"], scan["stamp"])
+        frame = detector.process(*given, no_return=scan["no_return"], directions=scan["directions"])
+        same(frame, specification.process(**scan))
+    assert len(frame.tracks) == tracks
+
+
 @pytest.mark.parametrize("min_confident", [1, 2])
 def test_removal_from_the_first_scan_does_what_the_specification_says(min_confident):
     config = small(FlyingConfig.paper())

@@ -310,6 +310,28 @@ def test_a_number_survives_two_hidden_seconds(seed):
     assert np.linalg.norm(tracker.tracks_at(k * STEP_NS).position[0] - truth) < 0.3
 
 
+@pytest.mark.parametrize(
+    ("aside", "ahead", "number"),
+    [(1.0, 0.0, 0), (-1.0, -0.5, 0), (0.0, 3.6, 0), (1.0, -4.0, 1), (4.0, 0.0, 1)],
+    ids=["aside", "back", "straight on", "too far back", "too far aside"],
+)
+def test_a_target_that_turned_while_hidden_keeps_its_number(aside, ahead, number):
+    """It flew 3 m/s, and is found 1.2 s later, so far from where it was seen last [m]."""
+    tracker = PointCloudTracker(BEST)
+    seen_last = np.array([20.0, 3.0, 2.0])
+    for k in range(20):
+        fly(tracker, (seen_last - [0.0, 0.3 * (19 - k), 0.0])[None], k)
+    wall = 0.6 * seen_last + np.random.default_rng(0).uniform(-3.0, 3.0, (600, 3))
+    for k in range(20, 31):
+        fly(tracker, seen_last[None], k, detected=False, hidden=True, wall=wall)
+    for k in range(31, 36):
+        place = seen_last + np.array([0.0, ahead, aside])
+        fly(tracker, place[None], k)
+    tracks = tracker.tracks_at(k * STEP_NS)
+    is_here = np.linalg.norm(tracks.position - place, axis=1) < 0.5
+    assert tracks.id[is_here].tolist() == [number]
+
+
 def test_a_track_in_sight_that_finds_nothing_is_removed_but_a_hidden_one_waits():
     wall = np.random.default_rng(0).uniform(-0.5, 0.5, (100, 3)) + np.array([5, 0, 0])
     gone, waiting = {}, {}

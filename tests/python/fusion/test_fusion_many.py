@@ -29,6 +29,7 @@ ORACLE = 1e-9
 """Inverses instead of factors, over tens of scans, relative to metres."""
 GATE = 0.99
 SMALL = MultiTargetConfig(
+    association="nearest",
     target=FusionConfig(
         model="cv", method="kf", lidar_std=(0.5, 0.4), acceleration_noise=0.7, gate_probability=GATE
     ),
@@ -39,7 +40,7 @@ SMALL = MultiTargetConfig(
     birth_distance=1.5,
 )
 SCENARIOS = (2, 3, 4, 5, 13, 17)
-COVERED = {"nearest": 0.85, "joint": 0.65}
+COVERED = {"integrated": 0.65, "nearest": 0.85, "joint": 0.65}
 """Least share of the time for which a target has a track of its own; 0.85 is the goal."""
 SHARED = {(17, 2): 0.30}
 """Targets, by scenario and number, that miss the goal: beside another one whose track is theirs."""
@@ -363,7 +364,9 @@ def test_coverage_leaves_detection_gaps_out(tmp_path):
     truth = [[{"targetID": 1, "position": [0.0, 0.0]}]] * 5
     entries = [entry(1, time, [0.0, 0.0], own=(0, 0)) for time in places]
     scans = read_autoferry(scenario(tmp_path, entries, truth))
-    tracker = MultiTargetTracker(MultiTargetConfig(confirm_hits=1, confirm_window=1))
+    tracker = MultiTargetTracker(
+        MultiTargetConfig(association="nearest", confirm_hits=1, confirm_window=1)
+    )
     tracks = []
     for scan in scans[:3]:
         tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
@@ -398,6 +401,7 @@ def held(folder, scans, places_of):
                 np.zeros((count, 2)),
                 *np.zeros((3, count), np.int64),
                 np.ones(count, bool),
+                np.ones(count),
             )
         )
     return read, tracks
@@ -452,7 +456,7 @@ def test_gospa_of_an_empty_output_by_hand(tmp_path):
     assert ours["distance"] == pytest.approx(np.sqrt(459) / 2)
 
 
-@pytest.mark.parametrize("association", ["nearest", "joint"])
+@pytest.mark.parametrize("association", ["integrated", "nearest", "joint"])
 @pytest.mark.parametrize("number", SCENARIOS)
 def test_boats_are_tracked(recordings, number, association):
     folder = recordings / "2d" / "autoferry" / f"scenario{number}"
@@ -467,7 +471,7 @@ def test_boats_are_tracked(recordings, number, association):
         assert item.share < 0.5 or (number, target) not in SHARED
 
 
-@pytest.mark.parametrize("association", ["nearest", "joint"])
+@pytest.mark.parametrize("association", ["integrated", "nearest", "joint"])
 def test_fuse_tracks_many(recordings, tmp_path, association):
     path = recordings / "2d" / "autoferry" / "scenario13" / "scenario13_detections.json"
     folder = tmp_path / "run"
@@ -533,3 +537,29 @@ def test_a_state_with_other_scanners_is_refused(sources):
     core, _ = tracker._state()
     with pytest.raises(FormatError, match="sources: expected up to 64 different names"):
         MultiTargetTracker._from_state(tracker.config, core, {"sources": sources})
+
+
+@pytest.mark.parametrize("association", ["nearest", "integrated"])
+@pytest.mark.parametrize(("count", "spacing"), [(100, 20.0), (900, 20.0), (100, 0.1)])
+def test_only_near_pairs_are_compared_and_each_track_is_predicted_once(count, spacing, association):
+    """Targets that are far apart cost in proportion to their number; a crowd costs all pairs."""
+    config = MultiTargetConfig(
+        association=association, target=FusionConfig(model="cv", method="kf")
+    )
+    tracker = MultiTargetTracker(config)
+    side = int(count**0.5)
+    places = spacing * np.stack([np.arange(count) % side, np.arange(count) // side], axis=1)
+    scans, looks = 5, 0
+    for k in range(scans):
+        looks += len(tracker.tracks_at(k * STEP_NS, confirmed=False).id)
+        tracker.process(k * STEP_NS, lidar(k * STEP_NS, places), source="lidar")
+    health = tracker.health()
+    assert health.n_scans == scans
+    assert health.n_predictions == looks
+    if association == "nearest":
+        assert looks == count * (scans - 1)
+    if spacing > 1:
+        assert looks <= 1.5 * count * (scans - 1)  # one more hypothesis for a scan, while divided
+        assert looks <= health.n_pairs <= (1.5 if association == "nearest" else 3) * looks
+    else:
+        assert health.n_pairs > 10 * looks

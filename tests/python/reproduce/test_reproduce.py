@@ -121,6 +121,19 @@ SHORT = {
         scans=4,
     ),
     "tracking-dropout": Short(("10 m/s, turns back: first fix",), modes=("best_mode",), scans=4),
+    "tracking-existence": Short(
+        ("default, all: calibration error", "default, all: Brier over base rate"),
+        modes=("best_mode",),
+        scans=1,
+    ),
+    "tracking-clutter": Short(
+        ("integrated, clutter 10: OSPA", "nearest, clutter 10: false tracks per scan"),
+        modes=("best_mode",),
+        scans=1,
+    ),
+    "tracking-scaling": Short(
+        ("pairs compared per target and scan, 1000 targets",), modes=("best_mode",), scans=2
+    ),
 }
 
 

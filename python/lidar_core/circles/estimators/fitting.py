@@ -106,10 +106,8 @@ def fit_circles(
     >>> np.asarray(circles).round(2) + 0.0
     array([[4. , 0. , 0.3]])
     """
-    scan, angles = as_scan(ranges, bearings)
-    given = {"method": method, "range_std": range_std}
-    known = {name: value for name, value in given.items() if value is not None}
+    chosen = {"method": method, "range_std": range_std}
+    known = {name: value for name, value in chosen.items() if value is not None}
     fit = FitConfig.load(as_config(config, FitConfig).model_dump() | known)
-    arrays = arrays_of(segments)
-    limits = as_config(scanner, Scanner)
-    return Circles(*_core.fit_circles(scan, angles, arrays, config=fit, scanner=limits))
+    given = (*as_scan(ranges, bearings), arrays_of(segments))
+    return Circles(*_core.fit_circles(*given, config=fit, scanner=as_config(scanner, Scanner)))

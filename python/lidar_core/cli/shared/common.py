@@ -29,7 +29,7 @@ NOTHING_CAME = 3
 """Exit status of a live run to which no scan ever came."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C or SIGTERM."""
-READ, WRITTEN = "What is read", "What is written"
+READ, WRITTEN = "Input", "Output"
 """Groups of options in a `--help`: each is a table as wide as its own names need."""
 
 
@@ -65,6 +65,17 @@ JsonFile: TypeAlias = Annotated[
         help="Also write the result as JSON; - prints it instead of the table.",
     ),
 ]
+
+
+def printing(show: Callable[[], None]) -> Callable[[bool], None]:
+    """Callback of an option that prints something instead of running the command."""
+
+    def called(is_wanted: bool) -> None:
+        if is_wanted:
+            show()
+            raise typer.Exit
+
+    return called
 
 
 def help_text(command: Callable[..., None]) -> str:

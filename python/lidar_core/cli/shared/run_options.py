@@ -109,8 +109,25 @@ class RunOptions(PipelineOptions):
     overwrite: Overwrite = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecodingOptions:
+    """How commands that only read a recording decode its messages."""
+
+    point_time: PointTime = None
+    no_return: NoReturn = None
+    metadata: Metadata = None
+    stamps: Stamps = None
+    scan_rate: ScanRate = None
+    recover: Recover = False
+
+    def given(self) -> dict[str, Any]:
+        """Values that were given, as `ReadOptions` takes them."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return given(values | {"recover": self.recover or None})
+
+
 def with_options(
-    sort: type[PipelineOptions],
+    sort: type[PipelineOptions | DecodingOptions],
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator that gives typer every field of a command's first argument, a `sort`, as option."""
     hints = get_type_hints(sort, include_extras=True)

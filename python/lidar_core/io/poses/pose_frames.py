@@ -34,7 +34,7 @@ NEAREST = 2.5
 """Points nearer than this are often of the carrier itself, which fits without any motion [m]."""
 
 
-class Verdict(NamedTuple):
+class FrameMismatch(NamedTuple):
     """Best fit: frame, rotation `frame_from_lidar` (3, 3), shares of aligned points."""
 
     name: str
@@ -103,8 +103,8 @@ class PoseFrameCheck:
         self._views: list[_View] = []
         self.is_done = False
 
-    def add(self, points: NDArray[np.float32], pose: NDArray[np.float64]) -> Verdict | None:
-        """Take in one scan; a verdict where the poses are in another frame."""
+    def add(self, points: NDArray[np.float32], pose: NDArray[np.float64]) -> FrameMismatch | None:
+        """Take in one scan; a mismatch where the poses are in another frame."""
         if self.is_done:
             return None
         rows = np.asarray(points, np.float64).reshape(-1, 3)
@@ -120,8 +120,8 @@ class PoseFrameCheck:
             return None
         return self.decide()
 
-    def decide(self) -> Verdict | None:
-        """Verdict if the scans so far show that the poses are in another frame, else None."""
+    def decide(self) -> FrameMismatch | None:
+        """The mismatch if the scans so far show that the poses are in another frame, else None."""
         if self.is_done:
             return None
         self.is_done = True
@@ -137,7 +137,7 @@ class PoseFrameCheck:
         if gains.mean() < LEAST_GAIN or (gains > 0).mean() < LEAST_WINS:
             return None
         name, turn, inverse = candidates[best]
-        return Verdict(name, turn, inverse, float(total[0]), float(total[best]))
+        return FrameMismatch(name, turn, inverse, float(total[0]), float(total[best]))
 
 
 def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:
@@ -184,17 +184,17 @@ def _shares(
     return found
 
 
-def advice(verdict: Verdict, *, frame: str, source: str) -> str:
-    """The verdict in words, with the cure."""
+def advice(mismatch: FrameMismatch, *, frame: str, source: str) -> str:
+    """The mismatch in words, with the cure."""
     fits = (
-        f"{verdict.found:.0%} of the points of one scan then fit another scan, with the given poses"
-        f" {verdict.given:.0%}"
+        f"{mismatch.found:.0%} of the points of one scan then fit another scan, with the given"
+        f" poses {mismatch.given:.0%}"
     )
-    turn, angles = verdict.turn, _angles(verdict.turn)
+    turn, angles = mismatch.turn, _angles(mismatch.turn)
     is_own = np.array_equal(turn, np.eye(3))
     mounting = f'mounting="carrier {frame or "lidar"} 0 0 0 {angles}"'
     cure = [
-        *(["give the inverse of every matrix"] if verdict.is_inverse else []),
+        *(["give the inverse of every matrix"] if mismatch.is_inverse else []),
         *(
             []
             if is_own
@@ -204,8 +204,8 @@ def advice(verdict: Verdict, *, frame: str, source: str) -> str:
             ]
         ),
     ]
-    inverted = "inverted, of the world in the sensor's frame" if verdict.is_inverse else ""
-    named = "" if is_own else f"in another frame than the scans: {verdict.name}"
+    inverted = "inverted, of the world in the sensor's frame" if mismatch.is_inverse else ""
+    named = "" if is_own else f"in another frame than the scans: {mismatch.name}"
     what = ", and ".join(text for text in (inverted, named) if text)
     return f"poses ({source}) seem to be {what}; {fits}. Cure: {'; and '.join(cure)}"
 

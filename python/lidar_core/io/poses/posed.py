@@ -15,7 +15,7 @@ from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.options import NS, PoseOptions
 from lidar_core.io.poses.nameless import carrier_of
 from lidar_core.io.poses.pose_files import read_poses
-from lidar_core.io.poses.pose_frames import PoseFrameCheck, Verdict, advice
+from lidar_core.io.poses.pose_frames import FrameMismatch, PoseFrameCheck, advice
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.scan_topics import WORDS, listed, scan_topic
 from lidar_core.messages import LaserScan, Pose, PosedScan, Scan, ScanT
@@ -73,14 +73,14 @@ class PosedScans(Generic[ScanT]):
             if not check.is_done:
                 poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
                 scan: Any = item.scan
-                if verdict := check.add(scan.points, poses[len(poses) // 2]):
-                    self._tell(verdict, frame)
+                if mismatch := check.add(scan.points, poses[len(poses) // 2]):
+                    self._tell(mismatch, frame)
             yield item
-        if verdict := check.decide():
-            self._tell(verdict, frame)
+        if mismatch := check.decide():
+            self._tell(mismatch, frame)
 
-    def _tell(self, verdict: Verdict, frame: str) -> None:
-        text = advice(verdict, frame=frame, source=self.source)
+    def _tell(self, mismatch: FrameMismatch, frame: str) -> None:
+        text = advice(mismatch, frame=frame, source=self.source)
         self._recording.findings.note(text)
         warnings.warn(text, PoseFrameWarning, stacklevel=3)
 

@@ -1,26 +1,18 @@
 """Elements of a circle map in tables and trajectory files."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.elements import element_columns, element_rows
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.objects import CircleElements
 
 STATE = ("x", "y", "vx", "vy", "radius")
-COLUMNS: dict[str, type] = {
-    "t_ns": int,
-    "track_id": int,
-    "frame_id": str,
-    **dict.fromkeys(STATE, float),
-    "age": float,
-    "visible": int,
-    **dict.fromkeys(covariance_titles(STATE), float),
-}
+COLUMNS = element_columns(STATE)
 """Columns of the circles table: SI units, world frame."""
 
 
@@ -43,7 +35,7 @@ def write_circles_table(
     path : Path
         File that was written; `read_columns` reads it.
     """
-    return write_long_table(path, COLUMNS, _rows(maps, frame_id))
+    return write_long_table(path, COLUMNS, element_rows(maps, frame_id, len(STATE), _values))
 
 
 def write_circles_tum(folder: str | Path, maps: Iterable[CircleElements]) -> list[Path]:
@@ -52,18 +44,6 @@ def write_circles_tum(folder: str | Path, maps: Iterable[CircleElements]) -> lis
     return write_trajectories(folder, steps)
 
 
-def _rows(maps: Iterable[CircleElements], frame_id: str) -> Iterator[Sequence[Any]]:
-    for state in maps:
-        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
-        for row, number in enumerate(state.id.tolist()):
-            yield (
-                int(state.stamp_ns),
-                number,
-                frame_id,
-                *state.center[row].tolist(),
-                *state.velocity[row].tolist(),
-                float(state.radius[row]),
-                float(state.age[row]),
-                int(state.visible[row]),
-                *covariance[row],
-            )
+def _values(state: CircleElements, row: int) -> Sequence[Any]:
+    place, velocity = state.center[row].tolist(), state.velocity[row].tolist()
+    return (*place, *velocity, float(state.radius[row]))

@@ -1,6 +1,6 @@
 """Elements of a map that are no circles: tables and outlines."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,23 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.tables.columns import Columns
-from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
+from lidar_core.io.tables.elements import element_columns, element_rows
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.messages import ShapeKind
 from lidar_core.objects import ShapeElements
 
 STATE = ("x", "y", "vx", "vy", "heading", "half_length", "half_width")
 ENDS = ("x1", "y1", "x2", "y2")
-COLUMNS: dict[str, type] = {
-    "t_ns": int,
-    "track_id": int,
-    "frame_id": str,
-    "kind": str,
-    **dict.fromkeys((*STATE, *ENDS), float),
-    "age": float,
-    "visible": int,
-    **dict.fromkeys(covariance_titles(STATE), float),
-}
+COLUMNS = element_columns(STATE, texts=("kind",), more=ENDS)
 """Columns of the shapes table: SI units, world frame; ends of lines only, NaN for others."""
 
 
@@ -48,7 +39,7 @@ def write_shapes_table(
     path : Path
         File that was written; `read_columns` reads it.
     """
-    return write_long_table(path, COLUMNS, _rows(shapes, frame_id))
+    return write_long_table(path, COLUMNS, element_rows(shapes, frame_id, len(STATE), _values))
 
 
 def outline(shapes: ShapeElements, row: int, corners: int) -> NDArray[np.float64]:
@@ -87,21 +78,12 @@ def _transform(
     return points
 
 
-def _rows(shapes: Iterable[ShapeElements], frame_id: str) -> Iterator[Sequence[Any]]:
-    for state in shapes:
-        covariance = upper_triangle(state.covariance, len(STATE)).tolist()
-        for row, number in enumerate(state.id.tolist()):
-            yield (
-                int(state.stamp_ns),
-                number,
-                frame_id,
-                ShapeKind(int(state.kind[row])).name.lower(),
-                *state.center[row].tolist(),
-                *state.velocity[row].tolist(),
-                float(state.heading[row]),
-                *state.half_size[row].tolist(),
-                *state.ends[row].ravel().tolist(),
-                float(state.age[row]),
-                int(state.visible[row]),
-                *covariance[row],
-            )
+def _values(state: ShapeElements, row: int) -> Sequence[Any]:
+    return (
+        ShapeKind(int(state.kind[row])).name.lower(),
+        *state.center[row].tolist(),
+        *state.velocity[row].tolist(),
+        float(state.heading[row]),
+        *state.half_size[row].tolist(),
+        *state.ends[row].ravel().tolist(),
+    )

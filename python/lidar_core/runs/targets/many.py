@@ -151,6 +151,8 @@ class ManyRun:
         states, covariances = self._stacked()
         names = state_names(self.config.target)
         table = planar_table("track_id", stamps, states[:, :2], velocity, numbers)
+        existence = [np.empty(0), *(state.existence for state in self.tracks)]
+        table |= {"existence": np.concatenate(existence)}
         files = [
             folder.write_table("tracks", table | covariance_columns("xy", covariances)),
             folder.write_table(

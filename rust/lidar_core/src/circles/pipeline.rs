@@ -4,7 +4,7 @@ use super::fit::FitMethod;
 use super::fit::circle::CircleEstimate;
 use super::frame::{CircleFrame, CircleTiming, PreparedSweep};
 use super::map::SavedCircleMap;
-use super::map::{CircleMap, CircleScan, MapElement, MapShape, MapStats, View};
+use super::map::{CircleMap, CircleScan, MapElement, MapShape, MapStats, ScanWithLimits};
 use super::map_input::{ByKind, Parts};
 use super::parameters::PipelineParameters;
 use super::preprocess::projection;
@@ -254,7 +254,7 @@ impl CirclePipeline {
             outlines: &parts.outlines,
             points: Some(&points),
             lines: &parts.shapes,
-            view: Some(View { scan: &prepared.level.scan, range_min, range_max }),
+            view: Some(ScanWithLimits { scan: &prepared.level.scan, range_min, range_max }),
         });
         let stats =
             updated.map_err(|error| with_name(error, prepared.number, &prepared.scanner))?;

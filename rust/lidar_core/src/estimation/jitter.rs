@@ -126,7 +126,7 @@ mod tests {
         let (mut jitter, e) = (Jitter::new(0.0, 0.0), 0.02);
         for step in 0..60 {
             let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
-            jitter.add(step * 50_000_000, [sign * e, 0.0], 1e-5);
+            jitter.add(step * 50_000_000, [sign * e; 2], 1e-5);
         }
         assert!((jitter.variance() - (4.0 * e * e - 1e-5)).abs() < 1e-12);
     }

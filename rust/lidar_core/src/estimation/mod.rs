@@ -7,4 +7,5 @@ pub mod jitter;
 pub mod kalman;
 pub mod minimise;
 pub mod probability;
+mod quadrature;
 pub mod unscented;

@@ -7,6 +7,7 @@
 //! singular covariances, whose further axes only narrow the innermost interval. Where it is not
 //! small, the inner two integrals become one integral over the correlation, which is faster.
 
+use super::quadrature::{KRONROD, NODES, integrate};
 use crate::Error;
 use crate::error::require;
 
@@ -18,8 +19,6 @@ const LEAST_SHARE: f64 = 1e-15;
 const ROUNDING: f64 = 1e-9;
 /// Largest accepted difference of the two quadrature rules on a panel, outer and inner integral.
 const TOLERANCE: [f64; 2] = [1e-8, 1e-9];
-/// Most halvings of a panel.
-const DEPTH: u32 = 16;
 /// Longest first panel, in standard deviations.
 const PANEL: f64 = 3.0;
 /// Largest correlation for which the inner two integrals are computed as one.
@@ -183,7 +182,7 @@ impl Nested {
         };
         let cuts = self.cuts(level, &z, [start, end]);
         let tolerance = TOLERANCE[level.min(1)];
-        cuts.windows(2).map(|cut| integrate(&integrand, cut[0], cut[1], tolerance, DEPTH)).sum()
+        cuts.windows(2).map(|cut| integrate(&integrand, cut[0], cut[1], tolerance)).sum()
     }
 
     /// Probability of the last entry of `z`, bounded by its own row and by all rows that it
@@ -315,65 +314,9 @@ fn interval(start: f64, end: f64) -> f64 {
     if start + end > 0.0 { above(start) - above(end) } else { above(-end) - above(-start) }
 }
 
-/// Integral by Kronrod's rule of 15 points, halved until Gauss's rule of 7 of them agrees.
-fn integrate(f: &dyn Fn(f64) -> f64, start: f64, end: f64, tolerance: f64, depth: u32) -> f64 {
-    let (middle, half) = (0.5 * (start + end), 0.5 * (end - start));
-    let center = f(middle);
-    let (mut gauss, mut kronrod) = (GAUSS[3] * center, KRONROD[7] * center);
-    for index in 0..7 {
-        let offset = half * NODES[index];
-        let both = f(middle - offset) + f(middle + offset);
-        kronrod += KRONROD[index] * both;
-        if index % 2 == 1 {
-            gauss += GAUSS[index / 2] * both;
-        }
-    }
-    if depth == 0 || half * (kronrod - gauss).abs() <= tolerance {
-        return half * kronrod;
-    }
-    integrate(f, start, middle, tolerance, depth - 1)
-        + integrate(f, middle, end, tolerance, depth - 1)
-}
-
-/// Nodes of the 15-point Kronrod rule on -1..1 without the middle one; every second is Gauss's.
-const NODES: [f64; 7] = [
-    0.991_455_371_120_812_6,
-    0.949_107_912_342_758_5,
-    0.864_864_423_359_769_1,
-    0.741_531_185_599_394_4,
-    0.586_087_235_467_691_1,
-    0.405_845_151_377_397_2,
-    0.207_784_955_007_898_47,
-];
-const KRONROD: [f64; 8] = [
-    0.022_935_322_010_529_224,
-    0.063_092_092_629_978_55,
-    0.104_790_010_322_250_18,
-    0.140_653_259_715_525_92,
-    0.169_004_726_639_267_9,
-    0.190_350_578_064_785_4,
-    0.204_432_940_075_298_9,
-    0.209_482_141_084_727_83,
-];
-const GAUSS: [f64; 4] = [
-    0.129_484_966_168_869_7,
-    0.279_705_391_489_276_64,
-    0.381_830_050_505_118_9,
-    0.417_959_183_673_469_4,
-];
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_rule_is_exact_for_polynomials() {
-        for power in 0..=22 {
-            let exact = if power % 2 == 0 { 2.0 / f64::from(power + 1) } else { 0.0 };
-            let got = integrate(&|x: f64| x.powi(power), -1.0, 1.0, f64::INFINITY, 0);
-            assert!((got - exact).abs() < 1e-14, "{power}: {got}");
-        }
-    }
 
     #[test]
     fn independent_axes_multiply() -> Result<(), Error> {

@@ -258,14 +258,18 @@ impl FlyingObjectDetector {
         noise: PoseNoise,
         stamp_ns: i64,
     ) -> Result<ScanDetections, Error> {
-        let Self { parameters, workers, local, teammates, scan, classifier, tracker, .. } = self;
+        let Self {
+            parameters, workers, local, teammates, scan, classifier, tracker, burn_in, ..
+        } = self;
         let FlyingParameters { target_radius, range_std, .. } = *parameters;
         let view = ScanView::new(scan, target_radius, range_std, noise.spread, workers.pool());
         let map_from_world = local.map_from_world;
         let input = ScanToDetect { scan, view: &view, teammates, map_from_world, parameters };
         let verdicts = classifier.verdicts().iter().enumerate();
         let mut found = detect(&input, classifier.clusters(), verdicts);
-        let followed = update_tracks(tracker, &local.map, &view, scan, &found, stamp_ns)?;
+        let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
+        let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
+        let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
         add_followed(&input, classifier, &mut found, &followed);
         Ok(found)
     }

@@ -9,7 +9,7 @@ use super::models::motion::{NoiseForm, Prior};
 use super::sensors::observation::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Strengths};
 use super::targets::lifecycle::{GyroUse, Life, Loss};
-use super::targets::many::{ManyParameters, TargetAssociation};
+use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.
 const GATE_PROBABILITY: f64 = 0.9999;
@@ -65,6 +65,7 @@ impl Default for Life {
             memory: Some(200.0),
             loss: Some(Loss { ratio: 4.0, window: 10.0 }),
             radar_starts_speed: true,
+            starts_as_measured: false,
             gyro: GyroUse::Input,
             buffer_ns: 500_000_000,
         }
@@ -127,18 +128,34 @@ impl FusionParameters {
     }
 }
 
-/// Global nearest neighbours.
+/// Probabilities of existence, of targets that stand, move evenly, or change their velocity.
 impl Default for ManyParameters {
     fn default() -> Self {
         Self {
-            filter: FusionParameters::default(),
+            filter: FusionParameters {
+                method: Method::Interacting {
+                    models: [true, false, false, false, false],
+                    sojourn: 2.0,
+                    quiet: Some(0.1),
+                },
+                prior: Prior { speed: 225.0, ..Prior::default() },
+                life: Life { start_rows: 3, ..Life::default() },
+                ..FusionParameters::default()
+            },
             confirm_hits: 3,
             confirm_window: 5,
             max_coast: 2.0,
             max_position_std: 5.0,
             birth_distance: 0.0,
-            association: TargetAssociation::Nearest,
+            association: TargetAssociation::Integrated(ExistenceParameters::default()),
         }
+    }
+}
+
+/// Targets that stay for half a minute, in clutter that is learnt.
+impl Default for ExistenceParameters {
+    fn default() -> Self {
+        Self { detection: 0.9, clutter: [1e-3, 1e-3], report: 0.95 }
     }
 }
 

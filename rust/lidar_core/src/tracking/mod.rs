@@ -1,3 +1,8 @@
-//! Mechanisms that every tracker needs and no filter has: how noisy a sensor really is.
+//! Mechanisms that every tracker needs and no filter has: which measurements are near a track, how
+//! probable each is its own, how noisy a sensor really is.
 
+pub mod existence;
+pub mod joint_association;
+pub mod near;
 pub mod sensor_noise;
+pub mod surroundings;

@@ -6,3 +6,4 @@ pub(crate) mod key_hasher;
 pub(crate) mod object_pool;
 pub(crate) mod stopwatch;
 pub mod threads;
+pub mod vector_unit;

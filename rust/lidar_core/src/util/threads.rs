@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::error::require;
+use crate::util::vector_unit;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Arc;
 
@@ -26,11 +27,12 @@ pub fn pool(threads: usize) -> Result<ThreadPool, Error> {
 pub struct Workers(Option<Arc<ThreadPool>>);
 
 impl Workers {
-    /// `threads` threads, 1 to [`MAX_THREADS`].
+    /// `threads` threads, 1 to [`MAX_THREADS`], on the vector unit that is used.
     ///
     /// # Errors
-    /// As [`pool`].
+    /// As [`pool`] and [`vector_unit::used`].
     pub fn new(threads: usize) -> Result<Self, Error> {
+        vector_unit::used()?;
         let pool = pool(threads)?;
         Ok(Self((threads > 1).then(|| Arc::new(pool))))
     }

@@ -9,7 +9,7 @@ use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
     CircleMap, CircleMapParameters, CircleScan, ElementConfirmation, ElementFilter, Independent,
     Joint, Limits, LineRules, MapElement, MapShape, MapStats, MotionMode, Patience, PoseCovariance,
-    Standing, View,
+    ScanWithLimits, Standing,
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -188,7 +188,7 @@ impl PyCircleMap {
                 outlines: &[],
                 points: None,
                 lines: &[],
-                view: scan.as_ref().map(|(scan, (range_min, range_max))| View {
+                view: scan.as_ref().map(|(scan, (range_min, range_max))| ScanWithLimits {
                     scan,
                     range_min: *range_min,
                     range_max: *range_max,

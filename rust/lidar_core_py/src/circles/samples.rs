@@ -5,7 +5,8 @@ use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;
 use lidar_core::util::threads;
-use lidar_sim::circle_samples::{self, Beams, Disturbance, Samples, Source};
+use lidar_sim::circle_beams::Beams;
+use lidar_sim::circle_samples::{self, Disturbance, Samples, Source};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 

@@ -42,6 +42,7 @@ pub(crate) struct FusionConfig {
     sigma_points: String,
     imm_models: Vec<String>,
     imm_sojourn: f64,
+    imm_quiet: Option<f64>,
     published: PublishedModel,
 }
 
@@ -132,7 +133,10 @@ impl FusionConfig {
             ("ekf", Method::Extended),
             ("ukf", Method::Sigma { spread: self.sigma_spread, carries }),
             ("ckf", Method::Cubature),
-            ("imm", Method::Interacting { models, sojourn: self.imm_sojourn }),
+            (
+                "imm",
+                Method::Interacting { models, sojourn: self.imm_sojourn, quiet: self.imm_quiet },
+            ),
         ];
         choice("method", &self.method, &known)
     }
@@ -156,6 +160,7 @@ impl FusionConfig {
             memory: Life::default().memory.filter(|_| estimates),
             loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
+            starts_as_measured: false,
             gyro: choice("gyro", &self.gyro, &GYROS)?,
             buffer_ns: (self.buffer_time * 1e9).round() as i64,
         })

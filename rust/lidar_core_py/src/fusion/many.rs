@@ -6,7 +6,7 @@ use crate::fusion::config::FusionConfig;
 use crate::fusion::filter::PyMeasurements;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
-use lidar_core::fusion::targets::many::MAX_SOURCES;
+use lidar_core::fusion::targets::many::{ExistenceParameters, MAX_SOURCES, TrackingWork};
 use lidar_core::fusion::targets::record::padded;
 use lidar_core::fusion::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -25,15 +25,20 @@ pub(crate) struct MultiTargetConfig {
     association: String,
     detection_probability: f64,
     clutter: [f64; 2],
+    report_existence: f64,
 }
 
 impl MultiTargetConfig {
     pub(crate) fn parameters(&self) -> Result<ManyParameters, Error> {
-        let joint = TargetAssociation::Joint {
+        let clutter = self.clutter;
+        let joint = TargetAssociation::Joint { detection: self.detection_probability, clutter };
+        let integrated = TargetAssociation::Integrated(ExistenceParameters {
             detection: self.detection_probability,
-            clutter: self.clutter,
-        };
-        let associations = [("nearest", TargetAssociation::Nearest), ("joint", joint)];
+            clutter,
+            report: self.report_existence,
+        });
+        let nearest = TargetAssociation::Nearest;
+        let associations = [("integrated", integrated), ("nearest", nearest), ("joint", joint)];
         Ok(ManyParameters {
             filter: self.target.parameters()?,
             confirm_hits: self.confirm_hits,
@@ -53,7 +58,8 @@ pub(crate) struct PyMultiTargetTracker(Guarded<ManyTargets>);
 type ScanArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed.
+/// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed,
+/// probabilities of existence.
 type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray2<f64>>,
@@ -62,6 +68,7 @@ type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<f64>>,
 );
 
 #[pymethods]
@@ -96,6 +103,14 @@ impl PyMultiTargetTracker {
         let source = u8::try_from(source).unwrap_or(MAX_SOURCES);
         let scan = &measurements.0;
         scan_arrays(py, &self.0.with(py, |tracker| tracker.process(stamp_ns, source, scan))?)
+    }
+
+    /// Scans, predictions and pairs so far.
+    fn work(&self, py: Python<'_>) -> Result<(u64, u64, u64), BorderError> {
+        self.0.with(py, |tracker| {
+            let TrackingWork { scans, predictions, pairs } = tracker.work();
+            Ok((scans, predictions, pairs))
+        })
     }
 
     fn tracks_at<'py>(
@@ -140,5 +155,10 @@ fn track_arrays<'py>(
         numbers(|track| track.seen_ns),
         numbers(|track| i64::from(track.hits)),
         tracks.iter().map(|track| track.confirmed).collect::<Vec<bool>>().into_pyarray(py),
+        tracks
+            .iter()
+            .map(|track| track.existence.unwrap_or(f64::NAN))
+            .collect::<Vec<f64>>()
+            .into_pyarray(py),
     ))
 }

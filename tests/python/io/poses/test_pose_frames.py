@@ -42,7 +42,7 @@ def flight():
     return simulated(5, columns=256)
 
 
-def verdict_on(scans, poses):
+def mismatch_of(scans, poses):
     check = PoseFrameCheck()
     found = [
         check.add(getattr(scan, "points", scan), pose)
@@ -66,7 +66,7 @@ def test_poses_of_a_camera_or_a_body_are_named(flight, turn, words, lever):
     scans, poses = flight
     for world in (np.eye(4), pose_of(turn)):  # the world may have the other axes, too
         other = world @ poses @ pose_of(turn.T, lever)
-        found = verdict_on(scans, other)
+        found = mismatch_of(scans, other)
         assert found is not None
         assert found.name.startswith(words)
         assert not found.is_inverse
@@ -76,13 +76,13 @@ def test_poses_of_a_camera_or_a_body_are_named(flight, turn, words, lever):
 
 def test_inverse_poses_are_named(flight):
     scans, poses = flight
-    found = verdict_on(scans, np.linalg.inv(poses))
+    found = mismatch_of(scans, np.linalg.inv(poses))
     assert found.is_inverse
     np.testing.assert_array_equal(found.turn, np.eye(3))
     text = advice(found, frame="os", source="poses.txt")
     assert text.startswith("poses (poses.txt) seem to be inverted, of the world in the sensor's")
     assert text.endswith("Cure: give the inverse of every matrix")
-    camera = verdict_on(scans, np.linalg.inv(poses @ pose_of(CAMERA.T)))
+    camera = mismatch_of(scans, np.linalg.inv(poses @ pose_of(CAMERA.T)))
     assert camera.is_inverse
     np.testing.assert_array_equal(camera.turn, CAMERA)
 
@@ -99,18 +99,18 @@ def test_inverse_poses_are_named(flight):
 )
 def test_right_poses_are_no_alarm(preset, seed, scans):
     scans, poses = simulated(seed, preset, scans=scans)
-    assert verdict_on(scans, poses) is None
+    assert mismatch_of(scans, poses) is None
     rng = np.random.default_rng(seed)
     noisy = [pose @ pose_of(None, rng.normal(0, 0.03, 3)) for pose in poses]
-    assert verdict_on(scans, noisy) is None
+    assert mismatch_of(scans, noisy) is None
 
 
 def test_a_sensor_that_stands_is_undecidable_and_silent(flight):
     scans, poses = flight
-    assert verdict_on(scans, np.tile(poses[:1] @ pose_of(CAMERA.T), (len(scans), 1, 1))) is None
-    assert verdict_on(scans[:3], poses[:3] @ pose_of(CAMERA.T)) is None
+    assert mismatch_of(scans, np.tile(poses[:1] @ pose_of(CAMERA.T), (len(scans), 1, 1))) is None
+    assert mismatch_of(scans[:3], poses[:3] @ pose_of(CAMERA.T)) is None
     empty = [Scan(0, np.empty((0, 3), np.float32))] * len(scans)
-    assert verdict_on(empty, poses @ pose_of(CAMERA.T)) is None
+    assert mismatch_of(empty, poses @ pose_of(CAMERA.T)) is None
 
 
 def written(tmp_path, flight, poses):
@@ -179,9 +179,9 @@ def test_a_real_street_with_its_poses_and_those_of_a_camera(recordings, tmp_path
     for name in names:
         with lc.io.open_recording(tmp_path / name) as recording:
             scans += [message for message in recording if isinstance(message, Scan)]
-    assert verdict_on(scans, known[:count]) is None
-    found = verdict_on(scans, known[:count] @ pose_of(CAMERA.T))
+    assert mismatch_of(scans, known[:count]) is None
+    found = mismatch_of(scans, known[:count] @ pose_of(CAMERA.T))
     assert found is not None
     np.testing.assert_array_equal(found.turn, CAMERA)
     if count == LONG_STREET:
-        assert verdict_on(scans, np.linalg.inv(known[:count])).is_inverse
+        assert mismatch_of(scans, np.linalg.inv(known[:count])).is_inverse

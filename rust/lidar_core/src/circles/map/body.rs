@@ -2,10 +2,10 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::circle_measurement::{CircleMeasurement, new_state};
 use super::element::{State, exceeds};
-use super::modes::{
-    CircleMeasurement, Distances, ElementModes, ElementMotion, ElementStep, halted, new_state,
-};
+use super::element_motion::{ElementMotion, ElementStep};
+use super::modes::{Distances, ElementModes, halted};
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::Patience;
 use super::rules::Rules;

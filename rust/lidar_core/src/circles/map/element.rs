@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::modes::ElementStep;
+use super::element_motion::ElementStep;
 use super::parameters::{Independent, Patience};
 use super::rules::Rules;
 use super::seconds;

@@ -2,11 +2,12 @@
 
 use super::body::RoundBody;
 use super::element::{Element, State};
+use super::element_motion::ElementMotion;
 use super::line::Line;
-use super::modes::{ElementMotion, halted};
+use super::modes::halted;
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
-use super::scan::{Placed, Seen, too_many};
+use super::scan::{MeasuredObjects, Placed, too_many};
 use super::view::viewpoint::Viewpoint;
 use super::{MapElement, MapShape, seconds};
 use crate::Error;
@@ -152,7 +153,7 @@ fn rename<S>(all: &mut [Element<S>], numbers: &[(i64, i64)]) {
 fn take_in<S: State>(
     rules: &Rules,
     all: &mut Vec<Element<S>>,
-    seen: &mut Seen<S::Measurement>,
+    seen: &mut MeasuredObjects<S::Measurement>,
     (from, dt): (&Viewpoint, f64),
     fresh: &mut impl FnMut(Option<i64>) -> i64,
 ) -> Result<(), Error> {

@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element::State;
-use super::modes::ElementStep;
+use super::element_motion::ElementStep;
 use super::parameters::{LineRules, Patience};
 use super::rules::Rules;
 use super::view::viewpoint::Viewpoint;

@@ -5,7 +5,9 @@
 //! motion: see [`Independent`].
 
 mod body;
+mod circle_measurement;
 mod element;
+mod element_motion;
 mod history;
 mod independent;
 mod joint;
@@ -27,7 +29,7 @@ pub use parameters::{
     Looking, MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MotionMode, Patience, Standing,
 };
 pub use scan::{CircleScan, PoseCovariance};
-pub use view::visibility::{CircleVisibility, SortedView, View};
+pub use view::visibility::{CircleVisibility, ScanWithLimits, SortedView};
 
 use super::shape::ShapeKind;
 use crate::Error;

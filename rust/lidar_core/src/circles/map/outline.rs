@@ -2,7 +2,9 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::modes::{ElementModes, ElementMotion, ElementStep, Measures, at_rest, centre_matrix};
+use super::circle_measurement::{Measures, at_rest, centre_matrix};
+use super::element_motion::{ElementMotion, ElementStep};
+use super::modes::ElementModes;
 use super::rules::Rules;
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;

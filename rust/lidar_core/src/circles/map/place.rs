@@ -3,8 +3,8 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;
-use super::modes::CircleMeasurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::view::level_pose::LevelPose;
 use crate::circles::fit::circle::{Circle, CircleEstimate};

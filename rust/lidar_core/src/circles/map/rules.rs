@@ -1,6 +1,6 @@
 //! Rules of the map with a filter per element: parameters, motion, gates.
 
-use super::modes::ElementMotion;
+use super::element_motion::ElementMotion;
 use super::parameters::{Independent, LineRules, Looking};
 use crate::Error;
 use crate::estimation::chi2;

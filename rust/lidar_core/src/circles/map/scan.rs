@@ -3,15 +3,15 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::body::BodyMeasurement;
+use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;
-use super::modes::CircleMeasurement;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::place::matrix_of;
 use super::view::earlier::Earlier;
 use super::view::level_pose::LevelPose;
 use super::view::viewpoint::Viewpoint;
-use super::view::visibility::{SortedView, View};
+use super::view::visibility::{ScanWithLimits, SortedView};
 use crate::Error;
 use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
@@ -55,18 +55,18 @@ pub struct CircleScan<'a> {
     /// Lines found in the scan. The filter of the paper ignores them.
     pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
-    pub view: Option<View<'a>>,
+    pub view: Option<ScanWithLimits<'a>>,
 }
 
 /// Objects of one kind in the world.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Seen<M> {
+pub(super) struct MeasuredObjects<M> {
     pub(super) measurements: Vec<M>,
     /// Element of each object, after the scan was processed.
     pub(super) elements: Vec<Option<i64>>,
 }
 
-impl<M> Seen<M> {
+impl<M> MeasuredObjects<M> {
     fn new(measurements: Vec<M>) -> Self {
         Self { elements: vec![None; measurements.len()], measurements }
     }
@@ -76,8 +76,8 @@ impl<M> Seen<M> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Placed {
     pub(super) from: Viewpoint,
-    pub(super) bodies: Seen<BodyMeasurement>,
-    pub(super) lines: Seen<LineMeasurement>,
+    pub(super) bodies: MeasuredObjects<BodyMeasurement>,
+    pub(super) lines: MeasuredObjects<LineMeasurement>,
 }
 
 impl Placed {
@@ -128,8 +128,8 @@ impl Placed {
                 pose,
                 view: scan.view.map(|view| view.sorted()).transpose()?,
             },
-            bodies: Seen::new(bodies),
-            lines: Seen::new(lines.flatten().collect()),
+            bodies: MeasuredObjects::new(bodies),
+            lines: MeasuredObjects::new(lines.flatten().collect()),
         })
     }
 

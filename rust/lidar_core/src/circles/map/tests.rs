@@ -91,7 +91,7 @@ fn hidden_elements_stay_and_absent_ones_go() -> Result<(), Error> {
             map.update(&scan(step, &[circle(distance, 0.0, 0.3)]))?;
         }
         let wall = wall();
-        let view = Some(View { scan: &wall, range_min: 0.1, range_max: 10.0 });
+        let view = Some(ScanWithLimits { scan: &wall, range_min: 0.1, range_max: 10.0 });
         for step in 20..60 {
             map.update(&CircleScan { view, ..scan(step, &[]) })?;
         }
@@ -270,7 +270,7 @@ fn blind() -> PolarScan {
 #[test]
 fn one_of_three_sensors_is_enough() -> Result<(), Error> {
     let (mut map, blind) = (map_of(ElementFilter::Independent(best()))?, blind());
-    let view = Some(View { scan: &blind, range_min: 0.1, range_max: 10.0 });
+    let view = Some(ScanWithLimits { scan: &blind, range_min: 0.1, range_max: 10.0 });
     for step in 0..60 {
         let (here, sensor) = ([circle(3.0, 0.0, 0.3)], (step % 3) as u32);
         let circles = if sensor == 0 { &here[..] } else { &[] };
@@ -289,7 +289,7 @@ fn one_of_three_sensors_is_enough() -> Result<(), Error> {
 #[test]
 fn what_no_sensor_sees_again_is_never_reported() -> Result<(), Error> {
     let (mut map, blind) = (map_of(ElementFilter::Independent(best()))?, blind());
-    let view = Some(View { scan: &blind, range_min: 0.1, range_max: 10.0 });
+    let view = Some(ScanWithLimits { scan: &blind, range_min: 0.1, range_max: 10.0 });
     map.update(&scan(0, &[circle(3.0, 0.0, 0.3)]))?;
     for step in 1..16 {
         map.update(&CircleScan { view, sensor: (step % 3) as u32, ..scan(step, &[]) })?;
@@ -388,14 +388,14 @@ fn a_line_grows_with_what_is_seen_of_it_and_waits_while_it_is_hidden() -> Result
     assert!((x - 6.0).abs() + (y + 1.0).abs() + (to_x - 6.0).abs() + (to_y - 1.8).abs() < 1e-9);
     assert!((now[0].state.mean[4] - 0.5 * PI).abs() < 1e-9 && map.map_at(0).is_empty());
     let wall = wall(); // 5 m away, before it
-    let view = Some(View { scan: &wall, range_min: 0.1, range_max: 10.0 });
+    let view = Some(ScanWithLimits { scan: &wall, range_min: 0.1, range_max: 10.0 });
     for step in 5..305 {
         map.update(&CircleScan { view, ..scan(step, &[]) })?;
     }
     let now = map.shapes_at(305 * STEP_NS);
     assert!(now.len() == 1 && !now[0].visible);
     let open = PolarScan { ranges: vec![f64::INFINITY; wall.len()], bearings: wall.bearings };
-    let view = Some(View { scan: &open, range_min: 0.1, range_max: 10.0 });
+    let view = Some(ScanWithLimits { scan: &open, range_min: 0.1, range_max: 10.0 });
     let gone = (305..315).map(|step| map.update(&CircleScan { view, ..scan(step, &[]) }));
     let gone = gone.map(|stats| stats.map(|stats| stats.removed));
     assert_eq!(gone.collect::<Result<Vec<_>, _>>()?.concat(), [0]);

@@ -222,21 +222,47 @@ impl Judge<'_> {
         group_extent: f64,
         radius: i32,
     ) -> Verdict {
-        let p = self.parameters;
-        let unknown = Verdict { class: UNKNOWN, ..Verdict::default() };
-        let gated = cluster.members.len() < p.min_points
-            || p.max_extent.is_some_and(|extent| group_extent > extent)
-            || p.upright_height.is_some_and(|height| is_upright(cluster.extent(), height))
-            || p.max_distance.is_some_and(|far| norm(minus(cluster.centroid, self.origin)) > far);
-        if gated {
-            return unknown;
+        let unknown = || Verdict { class: UNKNOWN, ..Verdict::default() };
+        if cluster.members.len() < self.parameters.min_points
+            || self.is_gated(cluster, group_extent)
+        {
+            return unknown();
         }
-        let lattice = self.map.lattice();
+        self.in_free_space(scratch, cluster, radius).unwrap_or_else(unknown)
+    }
+
+    /// True if free voxels surround a cluster, as they do a flying object, however few points it has.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a distance that cannot be searched.
+    pub(crate) fn is_in_free_space(&self, cluster: &Cluster<'_>) -> Result<bool, Error> {
+        let voxel_size = self.map.lattice().voxel_size();
+        let radius = search_radius(self.parameters.search_distance, voxel_size)?;
+        let found = || self.in_free_space(&mut Scratch::default(), cluster, radius);
+        Ok(!self.is_gated(cluster, cluster.diagonal()) && found().is_some())
+    }
+
+    /// True if a cluster has another size than a flying object, or is too far away.
+    fn is_gated(&self, cluster: &Cluster<'_>, group_extent: f64) -> bool {
+        let p = self.parameters;
+        p.max_extent.is_some_and(|extent| group_extent > extent)
+            || p.upright_height.is_some_and(|height| is_upright(cluster.extent(), height))
+            || p.max_distance.is_some_and(|far| norm(minus(cluster.centroid, self.origin)) > far)
+    }
+
+    /// Rule B: the verdict that a cluster flies, or None.
+    fn in_free_space(
+        &self,
+        scratch: &mut Scratch,
+        cluster: &Cluster<'_>,
+        radius: i32,
+    ) -> Option<Verdict> {
+        let (p, lattice) = (self.parameters, self.map.lattice());
         let points = cluster.members.iter().map(|&row| wide(self.points[row as usize]));
         scratch.take(points, lattice);
         let Scratch { flood, points, voxels, shell } = scratch;
         if !voxels.iter().all(|&voxel| self.map.admits(voxel)) {
-            return unknown; // nothing is known outside the operating volume
+            return None; // nothing is known outside the operating volume
         }
         let shadow = p.own_shadow.then(|| Shadow::of(points, self.origin, lattice));
         let explored = if p.search_adds_extent {
@@ -247,13 +273,9 @@ impl Judge<'_> {
         } else {
             let flood = Flood::new(self.map, radius, p.open_border, p.expand_own, flood);
             self.explored(flood, voxels, shadow.as_ref())
-        };
-        let Some(explored) = explored else { return unknown };
+        }?;
         let clearance = self.clearance(voxels, shell);
-        if clearance < p.min_clearance {
-            return unknown;
-        }
-        Verdict { class: FLYING, explored, clearance }
+        (clearance >= p.min_clearance).then_some(Verdict { class: FLYING, explored, clearance })
     }
 
     /// If there is no way out from `starts`, the uncertain voxels that were explored, where these are

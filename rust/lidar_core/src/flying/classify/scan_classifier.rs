@@ -1,7 +1,7 @@
 //! A scan in clusters, and their classes.
 
 use super::classifier::{Classifier, Judge, Verdict, judge_again};
-use super::clusters::Clusters;
+use super::clusters::{Cluster, Clusters};
 use super::occupied_nearby::Near;
 use crate::Error;
 use crate::flying::map::local_map::LocalMap;
@@ -12,12 +12,17 @@ use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
 use crate::geometry::lattice::{floor, wide};
+use crate::geometry::transform::{minus, norm};
 use crate::util::stopwatch::Clock;
 use rayon::ThreadPool;
 
 /// Things that are no higher than this and lie as low as the lowest returns are patches of ground
 /// [m].
 const FLAT: f64 = 0.1;
+/// Points this near to a small cluster may be of the same target, and up to the second distance none
+/// may be beside it [m].
+const OWN_RADIUS: f64 = 0.75;
+const ALONE_RADIUS: f64 = 2.0;
 /// Mirror images are this far from what they show, at most [m]: the floor is not quite flat.
 const MIRROR_ERROR: f64 = 0.75;
 
@@ -132,6 +137,26 @@ impl ScanClassifier {
         usize::try_from(self.labeller.labels()[row as usize]).ok()
     }
 
+    /// True if a point is of a cluster that only its number of points keeps from being a flying
+    /// object: free voxels surround it on the map of `input`, and nothing else is around it. The crown
+    /// of a tree that few rays hit has many such clusters.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a distance that cannot be searched.
+    pub(crate) fn is_hint(&self, input: &ScanToClassify<'_>, row: u32) -> Result<bool, Error> {
+        let Some(index) = self.cluster_of(row) else { return Ok(false) };
+        let (cluster, parameters) = (self.clusters.get(index), &input.parameters.classify);
+        let (map, scan) = (&input.local.map, input.scan);
+        let (origin, points) = (scan.pose.translation, scan.points.as_slice());
+        let is_small = cluster.members.len() < parameters.min_points;
+        let judge = Judge { map, points, origin, parameters };
+        Ok(self.verdicts[index].class == UNKNOWN
+            && is_small
+            && may_fly(map, scan, &cluster)
+            && is_alone(points, cluster.centroid)
+            && judge.is_in_free_space(&cluster)?)
+    }
+
     /// Number of clusters of a class.
     pub(crate) fn count_of(&self, class: u8) -> usize {
         self.verdicts.iter().filter(|verdict| verdict.class == class).count()
@@ -176,28 +201,37 @@ fn classify_clusters_of(
     classifier.classify(&judge, clusters, pool, verdicts)?;
     let ground_height = input.parameters.seed.ground_height;
     for (verdict, cluster) in verdicts.iter_mut().zip(clusters.iter()) {
-        let own = cluster
-            .members
-            .iter()
-            .filter(|&&row| scan.maybe_own.get(row as usize).copied().unwrap_or(false));
-        let may_be_own = !scan.maybe_own.is_empty() && 2 * own.count() > cluster.members.len();
         let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
-        let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
-        let is_at_floor =
-            scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);
-        let is_on_ground = is_flat || is_at_floor || cluster.low[2] < scan.ground;
         if ground_height.is_some_and(is_low) {
             *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
-        } else if verdict.class == FLYING
-            && (may_be_own
-                || is_on_ground
-                || !map.has_background()
-                || is_mirrored(map, scan, cluster.centroid))
-        {
+        } else if verdict.class == FLYING && !may_fly(map, scan, &cluster) {
             *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
         }
     }
     Ok(())
+}
+
+/// True if no point is beside a place, other than those that may be of the same target.
+fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
+    let is_beside = |point: &[f32; 3]| {
+        let distance = norm(minus(wide(*point), place));
+        distance > OWN_RADIUS && distance <= ALONE_RADIUS
+    };
+    !points.iter().any(is_beside)
+}
+
+/// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if there
+/// is no background yet to tell it from.
+fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+    let is_own = |row: &&u32| scan.maybe_own.get(**row as usize).copied().unwrap_or(false);
+    let may_be_own = || 2 * cluster.members.iter().filter(is_own).count() > cluster.members.len();
+    let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
+    let is_at_floor = scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);
+    let is_on_ground = is_flat || is_at_floor || cluster.low[2] < scan.ground;
+    !may_be_own()
+        && !is_on_ground
+        && map.has_background()
+        && !is_mirrored(map, scan, cluster.centroid)
 }
 
 /// True if a place lies below flat ground and its mirror image above is occupied: points there

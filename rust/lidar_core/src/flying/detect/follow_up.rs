@@ -3,33 +3,37 @@
 use super::detections::{ScanDetections, ScanToDetect, detect};
 use super::visibility::ScanView;
 use crate::Error;
-use crate::flying::classify::scan_classifier::ScanClassifier;
-use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use crate::flying::point_class::UNKNOWN;
-use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::{Detections, PointCloudTracker};
 use crate::geometry::transform::{minus, norm};
 use std::borrow::Cow;
 
-/// Give the scan and its detections to the tracker. Returns rows of points that confirmed tracks
-/// follow.
+/// Give the scan, its detections and its hints to the tracker. Returns rows of points that confirmed
+/// tracks follow.
 ///
 /// # Errors
 /// As [`PointCloudTracker::new_point_cloud`] and [`PointCloudTracker::new_detections`].
 pub(crate) fn update_tracks(
     tracker: &mut PointCloudTracker,
-    map: &VoxelMap,
+    input: &ScanToClassify<'_>,
+    classifier: &ScanClassifier,
     view: &ScanView<'_>,
-    scan: &Prepared,
     found: &ScanDetections,
     stamp_ns: i64,
 ) -> Result<Vec<u32>, Error> {
+    let (map, scan) = (&input.local.map, input.scan);
     let mut points = Cow::from(&scan.points);
     for &row in &found.hidden {
         points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
     }
     let delays = scan.delays.as_deref();
     let seen = tracker.new_point_cloud(&points, delays, map, Some(view), stamp_ns)?;
+    for (&id, &row) in seen.corrected.iter().zip(&seen.rows) {
+        if !tracker.is_confirmed(id) && classifier.is_hint(input, row)? {
+            tracker.hint(id);
+        }
+    }
     let positions: Vec<_> = found.detections.iter().map(|found| found.position).collect();
     let covariance: Vec<_> = found.detections.iter().map(|found| found.covariance).collect();
     let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();

@@ -6,8 +6,9 @@ use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::Visibility;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
+use crate::util::vector_unit::dispatch;
 use nalgebra::{Matrix3, Vector3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -188,7 +189,7 @@ impl ScanView<'_> {
         balls: &[TestedBall],
     ) -> impl Iterator<Item = usize> + use<> {
         let (first, lanes) = (rows.start, 0..LANES);
-        let near = Arch::new().dispatch(ComeNear { view: self, rows, balls });
+        let near = dispatch(ComeNear { view: self, rows, balls });
         let some = (first..).step_by(LANES).zip(near).filter(|(_, flags)| *flags != 0);
         some.flat_map(move |(first, flags)| {
             lanes.clone().filter(move |lane| flags >> lane & 1 == 1).map(move |lane| first + lane)

@@ -9,7 +9,8 @@ use super::ray_segments::{Bounds, Flags, Indices, LANES, Numbers, Ray, Source};
 use crate::Error;
 use crate::flying::point_class::INVALID;
 use crate::geometry::lattice::{Lattice, Voxel};
-use pulp::{Arch, Simd, WithSimd};
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -69,7 +70,7 @@ impl Plan {
         self.stats = IntegrateStats::default();
         self.rays.reserve(entries.len());
         self.points.reserve(entries.len());
-        self.error = Arch::new().dispatch(Fill { plan: self, source, entries }).err();
+        self.error = dispatch(Fill { plan: self, source, entries }).err();
         self.stats.rays = self.rays.len();
     }
 

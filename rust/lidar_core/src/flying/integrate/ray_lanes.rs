@@ -10,7 +10,8 @@ use super::bundle::Bundle;
 use super::cube_map::CubeMap;
 use super::ray_segments::{LANES, Lanes, Ray, Source};
 use super::stretches::Stretches;
-use pulp::{Arch, Simd, WithSimd};
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 
 /// Times `STEPS` steps of a bundle that are written down before their lengths are added to memory:
 /// they stay in the first cache.
@@ -32,7 +33,7 @@ pub(crate) fn cast(
     rays: &[Ray],
     stretches: &mut Stretches,
 ) {
-    Arch::new().dispatch(Cast { accumulator, task, rays, stretches });
+    dispatch(Cast { accumulator, task, rays, stretches });
 }
 
 struct Cast<'a> {
@@ -234,7 +235,7 @@ mod tests {
     use crate::Error;
     use crate::flying::integrate::ray_segments::tests::with_rays;
     use crate::flying::map::block_shape::VOLUME;
-    use pulp::Scalar;
+    use pulp::{Arch, Scalar};
 
     /// Marks of rays in all directions, cast by `run`.
     fn marks(run: impl Fn(Cast<'_>)) -> Result<Vec<u32>, Error> {

@@ -12,7 +12,8 @@ use crate::flying::map::filter::{Levels, filtered, two_to_minus};
 use crate::flying::map::parameters::RayUnit;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::Voxel;
-use pulp::{Arch, Simd, WithSimd};
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 
 /// Voxels that are updated at a time: those of a row of x.
 const ROW: usize = EDGE as usize;
@@ -51,13 +52,13 @@ impl Rule {
 
     /// Number of the voxels of `block` that the marks change.
     pub(crate) fn count(&self, block: &Block, marks: &[Mark; VOLUME], met: u64) -> usize {
-        Arch::new().dispatch(Count { rule: self, place: block.place, marks, met })
+        dispatch(Count { rule: self, place: block.place, marks, met })
     }
 
     /// Update a block that holds the rows `met`, on the vector unit of the machine. Returns the
     /// voxels whose groups have to be looked at, and the number of those whose value is another one.
     pub(crate) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME], met: u64) -> (Bits, u32) {
-        Arch::new().dispatch(Apply { rule: self, block, marks, met })
+        dispatch(Apply { rule: self, block, marks, met })
     }
 
     /// Marks of a row from the voxel `first` on, without those outside the operating volume.

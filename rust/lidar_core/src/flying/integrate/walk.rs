@@ -10,7 +10,8 @@ use super::ray_lanes::{CastTask, cast};
 use super::ray_segments::{LANES, Ray, Source, places};
 use super::stretches::Stretches;
 use crate::Error;
-use pulp::{Arch, Simd, WithSimd};
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::slice::Chunks;
@@ -34,7 +35,7 @@ pub(crate) fn merge_ends(
     most: usize,
 ) -> Result<(), Error> {
     accumulator.aim(window, most);
-    Arch::new().dispatch(Merge { accumulator, window: &window, source, rays });
+    dispatch(Merge { accumulator, window: &window, source, rays });
     accumulator.check()?;
     accumulator.clear(None);
     Ok(())

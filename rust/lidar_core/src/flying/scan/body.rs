@@ -7,7 +7,7 @@
 //! moves straight on, something that escorts it closely looks the same, so nothing is decided for
 //! good: a voxel without returns loses its place. After turns of more than 30 degrees it is decided.
 
-use crate::flying::map::saved_body::{EDGE, SIZE};
+use super::body_voxels::{GAP, VOLUME, WORDS, around, beside, center_of, has, voxel_of};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, minus, norm};
 use serde::{Deserialize, Serialize};
@@ -15,9 +15,6 @@ use std::f64::consts::PI;
 
 /// Returns nearer than this are placeholders of drivers for rays without return [m].
 const LEAST_RANGE: f64 = 0.2;
-const VOLUME: usize = EDGE * EDGE * EDGE;
-/// Words with a bit per voxel.
-const WORDS: usize = VOLUME / 64;
 /// Every part of the robot is joined to something as near as this [m].
 const NEAR_ZONE: f64 = 3.0;
 /// Largest extent of a robot: what reaches further is not one [m].
@@ -39,8 +36,6 @@ const KEPT_SHARE: f64 = 0.2;
 /// A robot that was known from an earlier run is still the same if this share of it is kept. After a
 /// short drive it may hold parts of the world that were not yet told apart, so that this is below half.
 const SAME_SHARE: f64 = 0.3;
-/// Parts of the robot may have gaps of a voxel.
-const GAP: i32 = 2;
 /// Returns this much above the lowest ones are on the ground [m].
 const GROUND: f64 = 0.35;
 /// Share of the returns below the ground that is assumed.
@@ -339,59 +334,11 @@ fn enough(share: f64, times: u32) -> u16 {
     (share * f64::from(times)).ceil() as u16
 }
 
-/// A bit per voxel, and per voxel beside one; nothing without voxels.
-fn beside(voxels: &[u32]) -> Vec<u64> {
-    let mut mask = if voxels.is_empty() { Vec::new() } else { vec![0; WORDS] };
-    for &voxel in voxels {
-        around(voxel as usize, GAP, |beside| mask[beside / 64] |= 1 << (beside % 64));
-    }
-    mask
-}
-
 /// Way [m] and turn [rad] between two poses.
 fn apart(one: &Transform, other: &Transform) -> (f64, f64) {
     let turn = one.inverse().after(other).rotation;
     let cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
     (norm(minus(one.translation, other.translation)), libm::acos(cosine.clamp(-1.0, 1.0)))
-}
-
-#[inline]
-fn voxel_of(point: [f64; 3]) -> Option<usize> {
-    let mut index = 0;
-    for value in point {
-        let place = (value / SIZE + 0.5 * EDGE as f64).floor();
-        if !(0.0..EDGE as f64).contains(&place) {
-            return None; // NaN, too
-        }
-        index = index * EDGE + place as usize;
-    }
-    Some(index)
-}
-
-fn center_of(voxel: usize) -> [f64; 3] {
-    let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
-    place.map(|index| (index as f64 + 0.5 - 0.5 * EDGE as f64) * SIZE)
-}
-
-/// Every voxel within `reach` of one along every axis, itself included.
-fn around(voxel: usize, reach: i32, mut visit: impl FnMut(usize)) {
-    let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
-    let span = |axis: usize| {
-        let index = place[axis] as i32;
-        (index - reach).max(0) as usize..=(index + reach).min(EDGE as i32 - 1) as usize
-    };
-    for x in span(0) {
-        for y in span(1) {
-            for z in span(2) {
-                visit((x * EDGE + y) * EDGE + z);
-            }
-        }
-    }
-}
-
-#[inline]
-fn has(mask: &[u64], voxel: usize) -> bool {
-    mask[voxel / 64] >> (voxel % 64) & 1 == 1
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! A raw scan, its sensor, and the points and rays of the scan in the frame of the map.
 
 pub(crate) mod body;
+mod body_voxels;
 pub(crate) mod point_poses;
 pub mod prepared;
 pub(crate) mod raw_scan;

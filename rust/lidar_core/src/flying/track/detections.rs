@@ -1,13 +1,14 @@
 //! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
 
 use super::buffer::Buffer;
-use super::measurement::{CloudScan, Measurement};
+use super::measurement::{CloudScan, Evidence, Measurement};
 use super::motion::{position, position_block, position_matrix};
-use super::parameters::{Association, MAX_TRACKS, MeasurementForm, TrackerParameters};
+use super::parameters::{Association, MAX_TRACKS, MeasurementForm, Motion, TrackerParameters};
 use super::state::PointTrack;
 use super::update::Updater;
 use super::visibility::occupancy::Occupancy;
 use crate::Error;
+use crate::estimation::kalman::{self, Gaussian};
 use nalgebra::{Matrix3, Vector3};
 
 /// No scan takes longer [s].
@@ -133,19 +134,95 @@ fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Mat
     }
 }
 
-/// What a detection tells of the existence of its track.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Evidence {
-    pub(super) is_sure: bool,
-    pub(super) is_joined: bool,
-}
-
 /// Which track every set of detections fed.
 #[derive(Debug, Default)]
 pub(super) struct Matches {
     /// Places in the list of tracks, in the order of the detections, and what these tell.
     pub(super) fed: Vec<(usize, Evidence)>,
     pub(super) rejected: usize,
+}
+
+/// A target that turned while it was not seen is this share of the way that it may have flown from
+/// where it was seen, as a standard deviation.
+const LOITER_SHARE: f64 = 0.5;
+
+/// A track as it waits for detections.
+struct Waiting {
+    track: PointTrack,
+    /// Detections further away are not its own [m].
+    reach: f64,
+    /// A target that is lost may have gone on as predicted, or it may have turned: then it is this
+    /// far from where it was seen, as a standard deviation [m].
+    strayed: Option<f64>,
+}
+
+impl Waiting {
+    /// Largest distance of its detections from where it is predicted [m].
+    fn furthest(&self) -> f64 {
+        let turned =
+            self.strayed.map_or(0.0, |_| (self.track.position() - self.track.seen_at).norm());
+        self.reach + turned
+    }
+
+    /// Difference to a detection and its covariance, of the more probable of the places where the
+    /// target may be; None if the detection is out of reach.
+    fn offset(&self, detection: &Gaussian<9>) -> Option<Offset> {
+        match (self.if_ahead(detection), self.if_turned(detection)) {
+            (Some(one), Some(other)) if cost(&other) < cost(&one) => Some(other),
+            (one, other) => one.or(other),
+        }
+    }
+
+    fn if_ahead(&self, detection: &Gaussian<9>) -> Option<Offset> {
+        let covariance = position_block(&self.track.estimate.covariance);
+        self.offset_to(self.track.position(), covariance, detection)
+    }
+
+    /// As if the target had turned since it was seen.
+    fn if_turned(&self, detection: &Gaussian<9>) -> Option<Offset> {
+        let std = self.strayed?;
+        self.offset_to(self.track.seen_at, Matrix3::identity() * (std * std), detection)
+    }
+
+    fn offset_to(
+        &self,
+        place: Vector3<f64>,
+        covariance: Matrix3<f64>,
+        detection: &Gaussian<9>,
+    ) -> Option<Offset> {
+        let y = position(detection) - place;
+        let known = position_block(&detection.covariance);
+        (y.norm() <= self.reach).then_some((y, known + covariance))
+    }
+
+    /// The track after a turn that led to a detection: its motion is not known any more. None if the
+    /// target went on as predicted.
+    fn turned_to(&self, found: &PointTrack, model: &Motion) -> Option<PointTrack> {
+        let mut found = found.clone();
+        found.predict(found.stamp_ns.max(self.track.stamp_ns), model);
+        let turned = cost(&self.if_turned(&found.estimate)?);
+        let is_turned = self.if_ahead(&found.estimate).is_none_or(|one| turned < cost(&one));
+        let PointTrack { estimate, aged, stamp_ns, seen_ns, seen_at, extent, .. } = found;
+        let known = self.track.clone();
+        is_turned.then_some(PointTrack {
+            estimate,
+            aged,
+            stamp_ns,
+            seen_ns,
+            seen_at,
+            extent,
+            ..known
+        })
+    }
+}
+
+/// A difference and its covariance.
+type Offset = (Vector3<f64>, Matrix3<f64>);
+
+/// -2 ln of the likelihood of a difference, without what all share.
+fn cost((y, covariance): &Offset) -> f64 {
+    kalman::mahalanobis(y, covariance)
+        .map_or(f64::INFINITY, |distance| distance.squared + distance.log_determinant)
 }
 
 impl Updater {
@@ -220,44 +297,38 @@ impl Updater {
         let Some(now_ns) = hypotheses.first().map(|hypothesis| hypothesis.stamp_ns) else {
             return Ok(Matches::default());
         };
-        let waiting: Vec<(PointTrack, f64)> =
+        let waiting: Vec<Waiting> =
             tracks.iter().map(|track| self.waiting(track, now_ns, scanned_ns)).collect();
         // Where a hypothesis is moved to the time of a track, it may go anywhere.
-        let is_ahead = waiting.iter().any(|(track, _)| track.stamp_ns > now_ns);
-        let furthest = waiting.iter().map(|&(_, reach)| reach).fold(0.0, f64::max);
+        let is_ahead = waiting.iter().any(|one| one.track.stamp_ns > now_ns);
+        let furthest = waiting.iter().map(Waiting::furthest).fold(0.0, f64::max);
         let reach = if is_ahead { f64::INFINITY } else { furthest };
         let rows = hypotheses.iter().map(PointTrack::position);
-        let columns = waiting.iter().map(|(track, _)| track.position());
+        let columns = waiting.iter().map(|one| one.track.position());
         let track_of = self.assign(rows, columns, reach, |row, column| {
-            let (hypothesis, (track, reach)) = (&hypotheses[row], &waiting[column]);
-            let reached = (track.stamp_ns > now_ns).then(|| hypothesis.at(track.stamp_ns, model));
-            let one = reached.as_ref().unwrap_or(&hypothesis.estimate);
-            let y = position(one) - track.position();
-            (y.norm() <= *reach).then(|| {
-                let other = position_block(&track.estimate.covariance);
-                (y, position_block(&one.covariance) + other)
-            })
+            let (hypothesis, waiting) = (&hypotheses[row], &waiting[column]);
+            let is_behind = waiting.track.stamp_ns > now_ns;
+            let reached = is_behind.then(|| hypothesis.at(waiting.track.stamp_ns, model));
+            waiting.offset(reached.as_ref().unwrap_or(&hypothesis.estimate))
         })?;
         Ok(self.feed(tracks, &waiting, hypotheses, &track_of))
     }
 
-    /// A track as it waits for detections of `now_ns`, and how far it looks for them [m]: further
-    /// if it was not found in the newest scan.
-    fn waiting(
-        &self,
-        track: &PointTrack,
-        now_ns: i64,
-        scanned_ns: Option<i64>,
-    ) -> (PointTrack, f64) {
+    /// A track as it waits for detections of `now_ns`: it looks further if it was not found in the
+    /// newest scan.
+    fn waiting(&self, track: &PointTrack, now_ns: i64, scanned_ns: Option<i64>) -> Waiting {
         let is_lost = scanned_ns.is_some_and(|scanned_ns| track.seen_ns < scanned_ns);
         let mut waiting = track.clone();
         waiting.predict(track.stamp_ns.max(now_ns), &self.parameters.motion);
         match self.parameters.rejoin_acceleration {
             Some(acceleration) if track.confirmed && is_lost => {
-                waiting.widen(acceleration, self.parameters.initial_std[0]);
-                (waiting, self.parameters.radius.max)
+                let std = self.parameters.initial_std[0];
+                waiting.widen(acceleration, std);
+                let strayed = std + LOITER_SHARE * waiting.distance_flown();
+                let reach = self.parameters.radius.max;
+                Waiting { track: waiting, reach, strayed: Some(strayed) }
             }
-            _ => (waiting, self.search_radius(track)),
+            _ => Waiting { track: waiting, reach: self.search_radius(track), strayed: None },
         }
     }
 
@@ -265,7 +336,7 @@ impl Updater {
     fn feed(
         &self,
         tracks: &mut Vec<PointTrack>,
-        waiting: &[(PointTrack, f64)],
+        waiting: &[Waiting],
         hypotheses: Vec<PointTrack>,
         track_of: &[Option<usize>],
     ) -> Matches {
@@ -281,8 +352,11 @@ impl Updater {
             matches.fed.push((index, hypothesis.evidence()));
             // What the track has not seen itself, it learns from the hypothesis.
             if tracks[index].seen_ns < hypothesis.born_ns {
-                tracks[index] = waiting[index].0.clone();
-                matches.rejected += usize::from(!self.learn(&mut tracks[index], hypothesis));
+                let turned = waiting[index].turned_to(&hypothesis, &self.parameters.motion);
+                let is_turned = turned.is_some();
+                tracks[index] = turned.unwrap_or_else(|| waiting[index].track.clone());
+                let is_known = is_turned || self.learn(&mut tracks[index], hypothesis);
+                matches.rejected += usize::from(!is_known);
             }
             let track = &mut tracks[index];
             track.n_detections = track.n_detections.saturating_add(1);

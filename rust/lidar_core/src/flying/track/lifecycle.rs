@@ -1,10 +1,11 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::detections::Evidence;
+use super::measurement::Evidence;
 use super::motion::{self, position_block};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED, seconds};
+use nalgebra::Vector3;
 
 /// Detections that seem to fly which one that seems joined to a surface outweighs.
 const JOINED_WEIGHT: u32 = 4;
@@ -40,6 +41,7 @@ pub(super) fn confirm(
     let mut confirmed = Vec::new();
     for track in &mut tracks[..born] {
         track.history <<= 1;
+        track.hints = track.hints << 1 | u64::from(std::mem::take(&mut track.hinted));
         track.sure <<= 1;
         track.joined <<= 1;
     }
@@ -71,8 +73,12 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     }
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
-    let has_moved = track.left && (track.position() - track.born_at).norm() > reach;
-    let counted = if has_moved { track.history } else { track.sure };
+    let is_far_from = |place: Vector3<f64>| (track.position() - place).norm() > reach;
+    let counted = match track.left && is_far_from(track.born_at) {
+        true if is_far_from(track.found_at) => track.history | track.hints,
+        true => track.history,
+        false => track.sure,
+    };
     enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
 }
 
@@ -143,11 +149,11 @@ fn has_twins(tracks: &[PointTrack], merging: &Merging) -> bool {
 fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
-    let sure = kept.sure | dropped.sure;
+    let (sure, hints) = (kept.sure | dropped.sure, kept.hints | dropped.hints);
     let joined = kept.joined | dropped.joined;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    PointTrack { id, born_ns, confirmed, n_detections, history, sure, joined, ..state }
+    PointTrack { id, born_ns, confirmed, n_detections, history, sure, hints, joined, ..state }
 }
 
 fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
@@ -157,7 +163,7 @@ fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
 }
 
 fn recent(track: &PointTrack, parameters: &TrackerParameters) -> u64 {
-    last(track.history, parameters.confirmation.window)
+    last(track.history | track.hints, parameters.confirmation.window)
 }
 
 /// The newest `window` of the sets of detections.

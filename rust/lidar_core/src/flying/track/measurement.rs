@@ -43,6 +43,13 @@ pub(super) struct Measurement {
     pub(super) row: Option<u32>,
 }
 
+/// What a detection tells of the existence of its track.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Evidence {
+    pub(super) is_sure: bool,
+    pub(super) is_joined: bool,
+}
+
 /// Search region of a track.
 pub(super) struct Seeker {
     pub(super) position: Vector3<f64>,

@@ -245,6 +245,14 @@ impl PointCloudTracker {
         self.tracks.iter().any(|track| track.id == id && track.confirmed)
     }
 
+    /// The cluster of track `id` in the newest cloud is in free space, though it has too few points
+    /// for a detection: it counts with the next set of detections once the track has moved.
+    pub(crate) fn hint(&mut self, id: i64) {
+        for track in self.tracks.iter_mut().filter(|track| track.id == id) {
+            track.hinted = true;
+        }
+    }
+
     /// Whether a cloud of this time would be taken.
     ///
     /// # Errors

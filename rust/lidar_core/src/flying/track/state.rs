@@ -1,7 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::detections::Evidence;
-use super::measurement::Measurement;
+use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;
@@ -11,6 +10,9 @@ use serde::{Deserialize, Serialize};
 
 /// Weight that the points of a track and around it keep from one scan to the next.
 const COMPANY_KEPT: f64 = 0.8;
+
+/// What is found again after this time may be something else near by [s].
+const LONG_UNSEEN: f64 = 0.3;
 
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
@@ -27,8 +29,13 @@ pub(super) struct PointTrack {
     pub(super) born_at: Vector3<f64>,
     /// When that was measured, after `born_ns` [s].
     pub(super) delay: f64,
-    /// Time of the last measurement.
+    /// Time of the last measurement, and the position then.
     pub(super) seen_ns: i64,
+    pub(super) seen_at: Vector3<f64>,
+    /// Where it was found again after it had been out of sight for long, or the first detection.
+    pub(super) found_at: Vector3<f64>,
+    /// Speed then [m/s].
+    pub(super) seen_speed: f64,
     pub(super) extent: [f64; 3],
     /// Usual extent of the target: an average over time [m].
     pub(super) size: [f64; 3],
@@ -37,6 +44,11 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
     pub(super) sure: u64,
+    /// The last sets of detections, as in `history`: 1 where there were too few points of it for a
+    /// detection, but in free space.
+    pub(super) hints: u64,
+    /// True if the newest cloud holds such points.
+    pub(super) hinted: bool,
     /// As in `history`: 1 where the detection may be a part of a surface beside it.
     pub(super) joined: u64,
     pub(super) confirmed: bool,
@@ -78,11 +90,16 @@ impl PointTrack {
             born_at: detection.position,
             delay,
             seen_ns: stamp_ns,
+            seen_at: detection.position,
+            found_at: detection.position,
+            seen_speed: 0.0,
             extent: detection.extent,
             size: detection.extent,
             n_detections: 1,
             history: 1,
             sure: 1,
+            hints: 0,
+            hinted: false,
             joined: 0,
             confirmed: false,
             own_points: 0.0,
@@ -136,6 +153,11 @@ impl PointTrack {
         }
     }
 
+    /// Length of the way since it was seen, at the speed that it had then [m].
+    pub(super) fn distance_flown(&self) -> f64 {
+        self.seen_speed * seconds(self.seen_ns, self.stamp_ns)
+    }
+
     /// What the detection that a fresh track began with tells.
     pub(super) fn evidence(&self) -> Evidence {
         Evidence { is_sure: self.sure & 1 == 1, is_joined: self.joined & 1 == 1 }
@@ -178,7 +200,11 @@ impl PointTrack {
         self.estimate = update(&self.estimate, &model)?.posterior;
         self.aged = self.estimate.covariance;
         self.extent = measurement.extent;
+        if seconds(self.seen_ns, self.stamp_ns) > LONG_UNSEEN {
+            self.found_at = measurement.position;
+        }
         self.seen_ns = self.stamp_ns;
+        (self.seen_at, self.seen_speed) = (self.position(), self.velocity().norm());
         Ok(())
     }
 }

@@ -88,6 +88,25 @@ pub trait Engine: Clone + Send + Sync + 'static {
         believe: Believe<'_>,
     ) -> Result<Option<Innovation>, Error>;
 
+    /// Visit the innovations that a measurement has for each part of the state; a state without
+    /// parts is one.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].
+    fn innovations(
+        &self,
+        state: &mut Self::State,
+        m: &Measurement,
+        platform: &Platform,
+        visit: &mut dyn FnMut(&Innovation),
+    ) -> Result<(), Error> {
+        let visited = self.update(state, m, platform, &mut |innovation| {
+            visit(innovation);
+            false
+        });
+        visited.map(|_| ())
+    }
+
     /// Multiply the covariance of the state by `factor`.
     fn loosen(&self, state: &mut Self::State, factor: f64);
 

@@ -217,6 +217,22 @@ impl Engine for Imm {
         Ok(Some(innovation))
     }
 
+    /// Every model is a part: which of them is the likeliest depends on the measurement.
+    fn innovations(
+        &self,
+        state: &mut Modes,
+        m: &Measurement,
+        platform: &Platform,
+        visit: &mut dyn FnMut(&Innovation),
+    ) -> Result<(), Error> {
+        for (_, mode) in &*state {
+            if let Some((_, innovation)) = mode.updated(m, platform)? {
+                visit(&innovation);
+            }
+        }
+        Ok(())
+    }
+
     /// Blend the states of each model, through the Cartesian form.
     fn blended(&self, parts: &[(f64, &Modes)]) -> Modes {
         let models = 0..self.modes.len();

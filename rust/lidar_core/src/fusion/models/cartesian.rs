@@ -28,8 +28,8 @@ fn first_cv(first: &First, prior: &Prior) -> Gaussian<4> {
     let [x, y] = first.position;
     // The variance of the speed belongs to both axes: zero across the line of sight is only the
     // mean of what is not measured.
-    let variances = Vector4::new(prior.position, prior.position, prior.speed, prior.speed);
-    Gaussian { mean: Vector4::new(x, y, vx, vy), covariance: SMatrix::from_diagonal(&variances) }
+    let covariance = first.covariance(prior, [first.spread(prior); 2]);
+    Gaussian { mean: Vector4::new(x, y, vx, vy), covariance }
 }
 
 /// Velocity (vx, vy) in states 2 and 3, and its Jacobian.

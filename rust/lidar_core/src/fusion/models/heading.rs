@@ -70,11 +70,8 @@ pub(super) fn polar_first(first: &First, prior: &Prior) -> Gaussian<4> {
     let [x, y] = first.position;
     // Without a measured speed the line of sight does not show where the target is heading.
     let heading = if first.speed == 0.0 { 0.0 } else { first.heading };
-    let variances = Vector4::new(prior.position, prior.position, prior.speed, prior.heading);
-    Gaussian {
-        mean: Vector4::new(x, y, first.speed, heading),
-        covariance: SMatrix::from_diagonal(&variances),
-    }
+    let covariance = first.covariance(prior, [first.spread(prior), prior.heading]);
+    Gaussian { mean: Vector4::new(x, y, first.speed, heading), covariance }
 }
 
 /// Velocity of the speed and heading in states 2 and 3, and its Jacobian.

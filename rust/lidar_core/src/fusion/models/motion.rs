@@ -4,7 +4,7 @@
 
 use super::platform::Platform;
 use crate::estimation::kalman::{Gaussian, add_scaled};
-use nalgebra::{SMatrix, SVector, Vector2};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 
 /// Independent noises that may drive a model.
 pub const INPUTS: usize = 3;
@@ -50,6 +50,32 @@ pub struct First {
     pub speed: f64,
     /// Direction of that speed, counter-clockwise from x [rad].
     pub heading: f64,
+    /// Covariance of the position [m^2]; None for the variances of the prior.
+    pub noise: Option<[[f64; 2]; 2]>,
+    /// Variance of the speed [m^2/s^2]; None for that of the prior.
+    pub speed_variance: Option<f64>,
+}
+
+impl First {
+    /// Variance of a speed that is not measured [m^2/s^2].
+    #[must_use]
+    pub fn spread(&self, prior: &Prior) -> f64 {
+        self.speed_variance.unwrap_or(prior.speed)
+    }
+
+    /// Covariance of position and of two more states with the given variances.
+    #[must_use]
+    pub fn covariance(&self, prior: &Prior, variances: [f64; 2]) -> Matrix4<f64> {
+        let [u, v] = variances;
+        let mut covariance =
+            Matrix4::from_diagonal(&Vector4::new(prior.position, prior.position, u, v));
+        if let Some(noise) = self.noise {
+            for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                covariance[(row, column)] = noise[row][column];
+            }
+        }
+        covariance
+    }
 }
 
 /// A motion model with N states; the first two are the position.

@@ -234,6 +234,17 @@ impl Sensing {
         m.matrix3().or_else(|| known.then(|| Matrix3::from_diagonal(&self.pose.into())))
     }
 
+    /// Variances of the values of a LiDAR or radar measurement, as many as the sensor has.
+    #[must_use]
+    pub fn variances(&self, m: &Measurement) -> [f64; 3] {
+        let configured = match m.sensor() {
+            Sensor::Lidar => [self.lidar[0], self.lidar[1], 0.0],
+            Sensor::Radar => self.radar,
+            Sensor::Gyro | Sensor::Pose => [0.0; 3],
+        };
+        m.covariance().map_or(configured, |rows| [rows[0][0], rows[1][1], rows[2][2]])
+    }
+
     fn lidar_noise(&self, m: &Measurement) -> Matrix2<f64> {
         m.matrix2().unwrap_or_else(|| Matrix2::from_diagonal(&self.lidar.into()))
     }
@@ -261,15 +272,43 @@ pub fn polar_difference(z: &Vector3<f64>, expected: &Vector3<f64>) -> Vector3<f6
     Vector3::new(y[0], wrapped(y[1]), y[2])
 }
 
+/// Covariance of the position of a LiDAR or radar measurement, in the axes of the world if the
+/// sensor has a pose there; None for a measurement of the platform.
+#[must_use]
+pub fn position_noise(
+    m: &Measurement,
+    sensing: &Sensing,
+    sensor: Option<&SensorPose>,
+) -> Option<[[f64; 2]; 2]> {
+    // A range of zero asks for a position whatever the sensor measures.
+    let Observation::Position { R, .. } = sensing.observation(m, 0.0)? else { return None };
+    let into = sensor.map_or_else(Matrix2::identity, into_sensor);
+    let R = into.transpose() * R * into;
+    let off = 0.5 * (R[(0, 1)] + R[(1, 0)]); // the two products round differently
+    Some([[R[(0, 0)], off], [off, R[(1, 1)]]])
+}
+
 /// First sight of a target by a measurement, in the world if the sensor has a pose there.
 #[must_use]
 pub fn first_sight(m: &Measurement, sensor: Option<&SensorPose>) -> Option<First> {
     let v = m.values();
     let mut first = match m.sensor() {
-        Sensor::Lidar => First { position: [v[0], v[1]], speed: 0.0, heading: 0.0 },
+        Sensor::Lidar => First {
+            position: [v[0], v[1]],
+            speed: 0.0,
+            heading: 0.0,
+            noise: None,
+            speed_variance: None,
+        },
         Sensor::Radar => {
             let [cosine, sine] = direction(v[1]);
-            First { position: [v[0] * cosine, v[0] * sine], speed: v[2], heading: v[1] }
+            First {
+                position: [v[0] * cosine, v[0] * sine],
+                speed: v[2],
+                heading: v[1],
+                noise: None,
+                speed_variance: None,
+            }
         }
         Sensor::Gyro | Sensor::Pose => return None,
     };
@@ -369,7 +408,13 @@ mod tests {
         let platform = Platform { pose: Some(pose), ..Platform::still() };
         let sensor = platform.sensor_at(0);
         let m = Measurement::new(0, Sensor::Radar, &[3.0, 0.4, 1.5], None)?;
-        let unknown = First { position: [0.0; 2], speed: 0.0, heading: 0.0 };
+        let unknown = First {
+            position: [0.0; 2],
+            speed: 0.0,
+            heading: 0.0,
+            noise: None,
+            speed_variance: None,
+        };
         let first = first_sight(&m, sensor.as_ref()).unwrap_or(unknown);
         let [x, y] = first.position;
         let s = Vector5::new(x, y, first.speed, first.heading, 0.0);

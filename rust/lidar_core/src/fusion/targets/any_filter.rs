@@ -6,7 +6,7 @@ use super::target::{FilterStep, SavedTarget, Taken, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::unscented::SigmaRule;
-use crate::fusion::filter::engine::{Engine, Link, Output, Single};
+use crate::fusion::filter::engine::{Engine, Innovation, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
 use crate::fusion::filter::paper::Paper;
 use crate::fusion::filter::sigma_points::Sigma;
@@ -45,6 +45,9 @@ pub enum Method {
         models: [bool; MIXABLE.len()],
         /// Mean time for which a target follows one model [s].
         sojourn: f64,
+        /// Share of the process noise that a second copy of each model has, for targets that move
+        /// evenly or stand; none: no such copies.
+        quiet: Option<f64>,
     },
 }
 
@@ -92,11 +95,15 @@ trait Tracked: Send + Sync {
     fn step(&mut self, m: &Measurement) -> FilterStep;
     fn take(&mut self, m: &Measurement) -> Taken;
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
+    fn foresee(&mut self, stamp_ns: i64) -> bool;
+    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool;
+    fn score(&mut self, m: &Measurement) -> Option<Innovation>;
     fn stamp_ns(&self) -> i64;
     fn output(&self) -> Option<Output>;
     fn output_at(&self, stamp_ns: i64) -> Option<Output>;
     fn link(&self, stamp_ns: i64) -> Option<Link>;
     fn looseness(&self) -> f64;
+    fn expect_speed(&mut self, variance: f64);
     fn errors(&self) -> SensorErrors;
     fn boxed(&self) -> Box<dyn Tracked>;
     fn saved(&self) -> SavedTarget;
@@ -114,6 +121,18 @@ impl<E: Engine> Tracked for Target<E> {
 
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
         Target::absorb(self, stamp_ns, weighted);
+    }
+
+    fn foresee(&mut self, stamp_ns: i64) -> bool {
+        Target::foresee(self, stamp_ns)
+    }
+
+    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool {
+        Target::innovations(self, m, visit)
+    }
+
+    fn score(&mut self, m: &Measurement) -> Option<Innovation> {
+        Target::score(self, m)
     }
 
     fn stamp_ns(&self) -> i64 {
@@ -134,6 +153,10 @@ impl<E: Engine> Tracked for Target<E> {
 
     fn looseness(&self) -> f64 {
         Target::looseness(self)
+    }
+
+    fn expect_speed(&mut self, variance: f64) {
+        Target::expect_speed(self, variance);
     }
 
     fn errors(&self) -> SensorErrors {
@@ -174,10 +197,14 @@ impl Filter {
             "\"kf\" with model \"cv\" or \"ca\" only",
             format!("{:?}", p.model),
         )?;
-        if let Method::Interacting { models, sojourn } = p.method {
-            let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
-            let modes: Vec<Arc<dyn Mode>> =
-                named.filter_map(|(model, _)| model.with_mixable(ModeOf(p))).collect();
+        if let Method::Interacting { models, sojourn, quiet } = p.method {
+            let loud = std::iter::once(*p);
+            let shares = loud.chain(quiet.map(|share| p.with_noise(share)));
+            let modes = shares.flat_map(|p| {
+                let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
+                named.filter_map(move |(model, _)| model.with_mixable(ModeOf(&p)))
+            });
+            let modes: Vec<Arc<dyn Mode>> = modes.collect();
             require(!modes.is_empty(), "imm_models", "at least one model", "none")?;
             return Ok(Self(p.tracked(Imm::new(modes, sojourn))));
         }
@@ -229,6 +256,32 @@ impl Filter {
     /// come from the target. The probabilities sum to 1 at most; gate and loss are not applied.
     pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
         self.0.absorb(stamp_ns, weighted);
+    }
+
+    /// Predict the state to `stamp_ns` and keep the prediction until the state changes; returns
+    /// whether it had to be computed.
+    pub(super) fn foresee(&mut self, stamp_ns: i64) -> bool {
+        self.0.foresee(stamp_ns)
+    }
+
+    /// Visit the innovations of a measurement, of each part of the foreseen state; returns false if
+    /// one of them is not defined.
+    pub(super) fn innovations(
+        &mut self,
+        m: &Measurement,
+        visit: &mut dyn FnMut(&Innovation),
+    ) -> bool {
+        self.0.innovations(m, visit)
+    }
+
+    /// Innovation of a measurement for the foreseen state; None outside the gate.
+    pub(super) fn score(&mut self, m: &Measurement) -> Option<Innovation> {
+        self.0.score(m)
+    }
+
+    /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
+    pub(super) fn expect_speed(&mut self, variance: f64) {
+        self.0.expect_speed(variance);
     }
 
     /// Time of the state [ns]; the smallest integer before the first measurement.
@@ -300,6 +353,13 @@ impl FusionParameters {
     #[must_use]
     pub fn without_buffer(&self) -> Self {
         Self { life: Life { buffer_ns: 0, ..self.life }, ..*self }
+    }
+
+    /// The same with process noise of `share` times the strength.
+    fn with_noise(&self, share: f64) -> Self {
+        let Strengths { acceleration, jerk, turn, .. } = self.strengths;
+        let [acceleration, jerk, turn] = [acceleration, jerk, turn].map(|noise| share * noise);
+        Self { strengths: Strengths { acceleration, jerk, turn, ..self.strengths }, ..*self }
     }
 
     fn tracked<E: Engine>(&self, engine: E) -> Box<dyn Tracked> {

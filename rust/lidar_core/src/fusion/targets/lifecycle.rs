@@ -18,6 +18,8 @@ pub struct Life {
     pub loss: Option<Loss>,
     /// Use the range rate of a first radar measurement as the speed along the line of sight.
     pub radar_starts_speed: bool,
+    /// A target starts with the covariance of its first position instead of that of the prior.
+    pub starts_as_measured: bool,
     /// Use of the turn rate of a gyro.
     pub gyro: GyroUse,
     /// Time for which measurements are kept, so that late ones can be inserted [ns].

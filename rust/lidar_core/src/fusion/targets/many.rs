@@ -3,82 +3,30 @@
 
 use super::any_filter::FusionParameters;
 use super::lifecycle::Life;
-pub use super::tracks::{Assigned, Scan};
-use super::tracks::{Births, SavedTracks, Tracks, within};
+pub use super::many_parameters::{
+    ExistenceParameters, MAX_TARGETS, ManyParameters, TargetAssociation,
+};
+pub use super::tracks::{Assigned, Scan, TrackState, TrackingWork};
+use super::tracks::{Births, NewNumbers, SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
-use crate::fusion::filter::engine::Output;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::util::full_state::{impossible, opened, sealed};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Largest number of tracks at a time, and of measurements in a scan.
-pub const MAX_TARGETS: usize = 2_000;
 /// Largest number of scanners.
 pub const MAX_SOURCES: u8 = 64;
 /// Largest number of scans, and of tracks in them, kept for late scans.
 const MOST_KEPT: usize = 100_000;
 const KIND: &str = "fusion tracker";
 
-/// All parameters of a tracker of many targets.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ManyParameters {
-    /// Parameters of the filter of each track. Its gate decides which measurements may belong to a
-    /// track, its buffer how late a scan may come.
-    pub filter: FusionParameters,
-    /// A track is confirmed if this many of ...
-    pub confirm_hits: u32,
-    /// ... the last scans, this many and at most 64, measured it.
-    pub confirm_window: u32,
-    /// Longest time without a measurement after which a track is deleted [s].
-    pub max_coast: f64,
-    /// Largest standard deviation of the position in one axis before a track is deleted [m].
-    pub max_position_std: f64,
-    /// Least distance of a new track from a track measured by the same scan [m].
-    pub birth_distance: f64,
-    /// Association of measurements with tracks.
-    pub association: TargetAssociation,
-}
-
-/// Association of measurements with tracks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TargetAssociation {
-    /// Global nearest neighbour: each measurement belongs to one track or to none.
-    Nearest,
-    /// Joint probabilistic data association: see
-    /// [`probabilities`](super::joint_association::probabilities).
-    Joint {
-        /// Probability that a scan measures a target.
-        detection: f64,
-        /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
-        clutter: [f64; 2],
-    },
-}
-
-/// A track at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackState {
-    /// Number, never reused.
-    pub id: i64,
-    /// State, predicted to the requested time.
-    pub output: Output,
-    /// Time of the first measurement [ns].
-    pub born_ns: i64,
-    /// Time of the last measurement [ns].
-    pub seen_ns: i64,
-    /// Number of measurements.
-    pub hits: u32,
-    /// True if enough scans measured the track.
-    pub confirmed: bool,
-}
-
 /// A processed scan.
 #[derive(Clone)]
 struct Past {
     scan: Scan,
     assigned: Vec<Assigned>,
-    births: Vec<Option<i64>>,
+    births: NewNumbers,
     before: Tracks,
 }
 
@@ -87,7 +35,7 @@ struct Past {
 struct SavedPast {
     scan: Scan,
     assigned: Vec<Assigned>,
-    births: Vec<Option<i64>>,
+    births: NewNumbers,
     before: SavedTracks,
 }
 
@@ -110,6 +58,7 @@ pub struct ManyTargets {
     /// Scans of the last `buffer_ns`, ordered by time.
     history: VecDeque<Past>,
     next_id: i64,
+    work: TrackingWork,
     stamp_ns: Option<i64>,
     /// Time of the last scan dropped from `history`, or before all [ns].
     forgotten_ns: i64,
@@ -125,15 +74,19 @@ impl ManyTargets {
         let ManyParameters { confirm_hits: hits, confirm_window: window, .. } = *parameters;
         let fits = 1 <= hits && hits <= window && window <= u64::BITS;
         require(fits, "confirm_hits", "1 to confirm_window, at most 64", hits)?;
+        let starts_as_measured = matches!(parameters.association, TargetAssociation::Integrated(_));
         let filter = parameters.filter.without_buffer(); // tracks get scans in order
-        let filter =
-            FusionParameters { life: Life { memory: None, loss: None, ..filter.life }, ..filter };
+        let filter = FusionParameters {
+            life: Life { memory: None, loss: None, starts_as_measured, ..filter.life },
+            ..filter
+        };
         Ok(Self {
             parameters: ManyParameters { filter, ..*parameters },
             buffer_ns: parameters.filter.life.buffer_ns,
             tracks: Tracks::new(&filter)?,
             history: VecDeque::new(),
             next_id: 0,
+            work: TrackingWork::default(),
             stamp_ns: None,
             forgotten_ns: i64::MIN,
         })
@@ -196,7 +149,7 @@ impl ManyTargets {
         let key = (empty.parameters, empty.buffer_ns);
         let saved: SavedTargets = opened(KIND, &key, bytes)?;
         let past = |past: SavedPast| {
-            if past.births.len() != past.scan.measurements.len() {
+            if past.births.of_column.len() != past.scan.measurements.len() {
                 return Err(impossible("births and measurements differ in number"));
             }
             let before = empty.tracks.restored(&past.before)?;
@@ -215,21 +168,33 @@ impl ManyTargets {
     /// Insert a scan at its time, and process the later ones again.
     fn insert(&mut self, scan: Scan) -> Result<Vec<Assigned>, Error> {
         let place = self.history.partition_point(|past| past.scan.stamp_ns <= scan.stamp_ns);
-        let (stamp_ns, fresh) = (scan.stamp_ns, vec![None; scan.measurements.len()]);
-        let mut tracks = self.history.get(place).map_or(&self.tracks, |past| &past.before).clone();
-        let (mut redone, mut next_id) = (Vec::new(), self.next_id);
+        let (stamp_ns, fresh) = (scan.stamp_ns, NewNumbers::of_scan(scan.measurements.len()));
+        let is_last = place == self.history.len();
+        let mut tracks = match self.history.get(place) {
+            Some(past) => past.before.clone(),
+            None => self.tracks.moved_out(), // a scan in order needs one copy of the tracks, not two
+        };
+        let (mut redone, mut next_id, mut work) = (Vec::new(), self.next_id, self.work);
         let later = self.history.range(place..).map(|past| (&past.scan, &past.births));
         for (scan, ids) in std::iter::once((&scan, &fresh)).chain(later) {
             let before = tracks.clone();
             let mut births = Births { next_id, ids: ids.clone() };
-            let assigned = tracks.take(&self.parameters, scan, &mut births)?;
+            let assigned = match tracks.take(&self.parameters, scan, &mut births, &mut work) {
+                Ok(assigned) => assigned,
+                Err(error) => {
+                    if is_last {
+                        self.tracks = before;
+                    }
+                    return Err(error);
+                }
+            };
             next_id = births.next_id;
             redone.push(Past { scan: scan.clone(), assigned, births: births.ids, before });
         }
         let assigned = redone.first().map_or(Vec::new(), |past| past.assigned.clone());
         self.history.truncate(place);
         self.history.extend(redone);
-        (self.tracks, self.next_id) = (tracks, next_id);
+        (self.tracks, self.next_id, self.work) = (tracks, next_id, work);
         self.stamp_ns = self.stamp_ns.max(Some(stamp_ns));
         self.forget();
         Ok(assigned)
@@ -252,6 +217,12 @@ impl ManyTargets {
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<TrackState> {
         self.tracks.at(stamp_ns)
+    }
+
+    /// What the scans have cost so far; a tracker from a saved state begins anew.
+    #[must_use]
+    pub fn work(&self) -> TrackingWork {
+        self.work
     }
 
     fn check(&self, stamp_ns: i64, source: u8, scan: &[Measurement]) -> Result<(), Error> {
@@ -305,6 +276,7 @@ mod tests {
             confirm_hits: 2,
             confirm_window: 3,
             max_position_std: 20.0,
+            association: TargetAssociation::Nearest,
             ..ManyParameters::default()
         })
     }

@@ -1,9 +1,11 @@
 //! Targets over time: one or many, whole recordings, maximum likelihood noise.
 
 pub mod any_filter;
-pub mod joint_association;
+pub mod integrated;
 pub mod lifecycle;
 pub mod many;
+pub mod many_parameters;
+pub mod near_pairs;
 pub mod noise_search;
 pub mod record;
 pub mod sensor_errors;

@@ -8,7 +8,7 @@ use crate::fusion::filter::engine::{Believe, Engine, Innovation, Link, Output, S
 use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::platform::{Platform, Pose};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::first_sight;
+use crate::fusion::sensors::observation::{first_sight, position_noise};
 use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -64,11 +64,21 @@ struct FilterRules<E> {
     life: Life,
 }
 
+/// The state predicted to a later time, kept until the state changes.
+#[derive(Clone, Debug)]
+struct Ahead<S> {
+    stamp_ns: i64,
+    phase: Phase<S>,
+}
+
 /// A filter of one target.
 #[derive(Clone, Debug)]
 pub struct Target<E: Engine> {
     rules: FilterRules<E>,
     now: Now<E::State>,
+    ahead: Option<Ahead<E::State>>,
+    /// Variance of the speed of a target seen first [m^2/s^2]; None for that of the prior.
+    first_speed: Option<f64>,
     /// Recent measurements, each with the state after it.
     history: VecDeque<(Measurement, Now<E::State>)>,
 }
@@ -205,7 +215,8 @@ impl<E: Engine> Target<E> {
             errors: SensorErrors::default(),
             looseness: 1.0,
         };
-        Self { rules: FilterRules { engine, starter, life }, now, history: VecDeque::new() }
+        let rules = FilterRules { engine, starter, life };
+        Self { rules, now, ahead: None, first_speed: None, history: VecDeque::new() }
     }
 
     /// State that changes with measurements.
@@ -224,7 +235,7 @@ impl<E: Engine> Target<E> {
         let history = history.collect::<Option<VecDeque<_>>>();
         let restored = history.zip(self.rules.restored(&saved.now));
         let (history, now) = restored.ok_or_else(|| impossible("a filter of another model"))?;
-        (self.now, self.history) = (now, history);
+        (self.now, self.history, self.ahead) = (now, history, None);
         Ok(())
     }
 
@@ -272,9 +283,8 @@ impl<E: Engine> Target<E> {
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
     /// 2001, sec. 11: the update of probabilistic data association, as a mixture of its cases.
     pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
+        self.predict_to(stamp_ns);
         let Self { rules, now, .. } = self;
-        let dt = stamp_ns.saturating_sub(now.stamp_ns) as f64 * 1e-9;
-        rules.predict(&mut now.phase, dt, &now.platform);
         now.stamp_ns = stamp_ns;
         match &mut now.phase {
             Phase::Unseen => {}
@@ -297,7 +307,7 @@ impl<E: Engine> Target<E> {
         let Some((_, now)) = before.checked_sub(1).and_then(|index| self.history.get(index)) else {
             return (Outcome::Late, None);
         };
-        self.now = now.clone();
+        (self.now, self.ahead) = (now.clone(), None);
         let after: Vec<Measurement> = self.history.drain(before..).map(|(m, _)| m).collect();
         let taken = self.advance(m);
         self.remember(m);
@@ -310,10 +320,7 @@ impl<E: Engine> Target<E> {
 
     /// Process a usable measurement that is not older than the state.
     fn advance(&mut self, m: &Measurement) -> Taken {
-        let dt = m.stamp_ns().saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
-        let before = self.now.phase.clone();
-        let Now { phase, platform, .. } = &mut self.now;
-        self.rules.predict(phase, dt, platform);
+        let before = self.predict_to(m.stamp_ns());
         self.now.looseness = 1.0;
         let taken = if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
             self.told(m)
@@ -324,6 +331,61 @@ impl<E: Engine> Target<E> {
             self.now.phase = before;
         }
         taken
+    }
+
+    /// Replace the state by its prediction; returns the state before.
+    fn predict_to(&mut self, stamp_ns: i64) -> Phase<E::State> {
+        if let Some(ahead) = self.ahead.take().filter(|ahead| ahead.stamp_ns == stamp_ns) {
+            return std::mem::replace(&mut self.now.phase, ahead.phase);
+        }
+        let before = self.now.phase.clone();
+        let dt = stamp_ns.saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
+        self.rules.predict(&mut self.now.phase, dt, &self.now.platform);
+        before
+    }
+
+    /// Predict the state to `stamp_ns`, and keep the prediction for [`Self::score`],
+    /// [`Self::take`], [`Self::absorb`] and [`Self::output_at`]. Returns whether it had to be
+    /// computed.
+    pub fn foresee(&mut self, stamp_ns: i64) -> bool {
+        if self.ahead.as_ref().is_some_and(|ahead| ahead.stamp_ns == stamp_ns) {
+            return false;
+        }
+        let mut phase = self.now.phase.clone();
+        let dt = stamp_ns.saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
+        self.rules.predict(&mut phase, dt, &self.now.platform);
+        self.ahead = Some(Ahead { stamp_ns, phase });
+        true
+    }
+
+    /// Visit the innovations of a measurement, of each part of the foreseen state; returns false if
+    /// one of them is not defined.
+    pub fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool {
+        let Self { rules, now, ahead, .. } = self;
+        let Some(ahead) = ahead else { return false };
+        match &mut ahead.phase {
+            Phase::Unseen => false,
+            Phase::Starting(cv, _) => {
+                rules.starter.innovations(cv, m, &now.platform, visit).is_ok()
+            }
+            Phase::Running(state) => {
+                rules.engine.innovations(state, m, &now.platform, visit).is_ok()
+            }
+        }
+    }
+
+    /// Innovation of a measurement for the foreseen state; None outside the gate. The target does
+    /// not change.
+    pub fn score(&mut self, m: &Measurement) -> Option<Innovation> {
+        let Self { rules, now, ahead, .. } = self;
+        let (phase, mut ignored) = (&mut ahead.as_mut()?.phase, |_: &Innovation| false);
+        let innovation = match phase {
+            Phase::Unseen => return None,
+            Phase::Starting(cv, _) => rules.starter.update(cv, m, &now.platform, &mut ignored),
+            Phase::Running(state) => rules.engine.update(state, m, &now.platform, &mut ignored),
+        };
+        let innovation = innovation.ok().flatten()?;
+        (innovation.nis <= rules.life.gate[innovation.count - 1]).then_some(innovation)
     }
 
     /// Correct the predicted state by a measurement of the target.
@@ -400,6 +462,11 @@ impl<E: Engine> Target<E> {
         self.now.looseness
     }
 
+    /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
+    pub fn expect_speed(&mut self, variance: f64) {
+        self.first_speed = Some(variance);
+    }
+
     /// Noise of the sensors as the measurements show it.
     pub fn errors(&self) -> SensorErrors {
         self.now.errors
@@ -413,6 +480,10 @@ impl<E: Engine> Target<E> {
         if !self.rules.life.radar_starts_speed {
             (first.speed, first.heading) = (0.0, 0.0);
         }
+        if self.rules.life.starts_as_measured {
+            first.noise = position_noise(m, &self.rules.starter.sensing, sensor.as_ref());
+        }
+        first.speed_variance = self.first_speed;
         let state = self.rules.engine.first(&first);
         let cv = self.rules.starter.first(&first);
         self.now.phase =
@@ -465,6 +536,9 @@ impl<E: Engine> Target<E> {
     /// State predicted to `stamp_ns`, without changing the target. For a time before the last
     /// measurement it is the state at that measurement.
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
+        if let Some(ahead) = self.ahead.as_ref().filter(|ahead| ahead.stamp_ns == stamp_ns) {
+            return self.output_of(&ahead.phase);
+        }
         let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
         let mut phase = self.now.phase.clone();
         self.rules.predict(&mut phase, dt, &self.now.platform);

@@ -1,15 +1,20 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
-use super::joint_association::probabilities;
+use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
-use super::many::{MAX_TARGETS, ManyParameters, TargetAssociation, TrackState};
+use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
+use super::near_pairs::ScanIndex;
 use super::target::SavedTarget;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
-use crate::fusion::filter::engine::Innovation;
+use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::tracking::joint_association::probabilities;
+use crate::tracking::near::NearIndex;
+use crate::tracking::surroundings::{Population, Surroundings};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
 /// pair, so that as many tracks as possible get one.
@@ -36,19 +41,59 @@ pub struct Assigned {
     pub innovation: Option<Innovation>,
 }
 
-/// Numbers of the tracks that a scan starts.
+/// Numbers of the tracks that a scan starts; they are kept when the scan is processed again.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct NewNumbers {
+    /// Of tracks that a measurement starts alone, by measurement.
+    pub of_column: Vec<Option<i64>>,
+    /// Of tracks through an older one's place and a measurement, by number and measurement.
+    pub of_pair: BTreeMap<(i64, usize), i64>,
+}
+
+/// Next unused number, and those of the tracks that a scan starts.
 #[derive(Clone, Debug)]
 pub struct Births {
     /// Next unused number.
     pub next_id: i64,
-    /// Numbers by measurement; they are kept when the scan is processed again.
-    pub ids: Vec<Option<i64>>,
+    /// Numbers that the scan has given.
+    pub ids: NewNumbers,
 }
 
-/// A measurement within the gate of a track.
-struct Candidate {
-    updated: Filter,
-    innovation: Innovation,
+/// A track at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackState {
+    /// Number, never reused.
+    pub id: i64,
+    /// State, predicted to the requested time.
+    pub output: Output,
+    /// Time of the first measurement [ns].
+    pub born_ns: i64,
+    /// Time of the last measurement [ns].
+    pub seen_ns: i64,
+    /// Number of measurements.
+    pub hits: u32,
+    /// True if enough scans measured the track, or if its probability of existence says so.
+    pub confirmed: bool,
+    /// Probability that there is a target; None where the association does not estimate it.
+    pub existence: Option<f64>,
+}
+
+/// What scans have cost so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrackingWork {
+    /// Scans processed; a late scan counts those after it again.
+    pub scans: u64,
+    /// Predictions of a track to the time of a scan.
+    pub predictions: u64,
+    /// Pairs of a track and a measurement that were compared.
+    pub pairs: u64,
+}
+
+/// Possible pairs of tracks and measurements, each with its innovation.
+#[derive(Default)]
+pub(super) struct Candidates {
+    pub(super) pairs: Vec<Pair>,
+    pub(super) innovations: Vec<Innovation>,
 }
 
 /// Saved form of a track.
@@ -63,6 +108,7 @@ struct SavedTrack {
     seen_ns: i64,
     hits: u32,
     confirmed: bool,
+    belief: Belief,
 }
 
 /// Saved form of all tracks.
@@ -70,29 +116,36 @@ struct SavedTrack {
 pub struct SavedTracks {
     unseen: SavedTarget,
     all: Vec<SavedTrack>,
+    scanners: BTreeMap<u8, [Surroundings; 2]>,
+    population: Population,
 }
 
 #[derive(Clone)]
-struct TargetTrack {
-    id: i64,
-    filter: Filter,
+pub(super) struct TargetTrack {
+    pub(super) id: i64,
+    pub(super) filter: Filter,
     /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
     /// measured.
     history: u64,
     looks: u32,
-    sources: u64,
-    born_ns: i64,
+    pub(super) sources: u64,
+    pub(super) born_ns: i64,
     seen_ns: i64,
-    hits: u32,
-    confirmed: bool,
+    pub(super) hits: u32,
+    pub(super) confirmed: bool,
+    pub(super) belief: Belief,
 }
 
 /// All tracks at one time.
 #[derive(Clone)]
 pub struct Tracks {
     /// Filter without a target that holds the motion of the platform.
-    unseen: Filter,
-    all: Vec<TargetTrack>,
+    pub(super) unseen: Filter,
+    pub(super) all: Vec<TargetTrack>,
+    /// What is known about every scanner, of its LiDAR and its radar measurements.
+    pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
+    /// How long targets stay.
+    pub(super) population: Population,
 }
 
 impl TargetAssociation {
@@ -100,7 +153,7 @@ impl TargetAssociation {
     fn cost(&self, m: &Measurement, innovation: &Innovation) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
         match self {
-            Self::Nearest => distance,
+            Self::Nearest | Self::Integrated(_) => distance,
             Self::Joint { detection, clutter } => {
                 let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
                 let density = clutter[usize::from(m.sensor() == Sensor::Radar)];
@@ -112,11 +165,27 @@ impl TargetAssociation {
 
 impl Births {
     /// Number of the track started by measurement `column`.
-    fn of(&mut self, column: usize) -> i64 {
-        let id = self.ids[column].unwrap_or(self.next_id);
+    pub(super) fn of(&mut self, column: usize) -> i64 {
+        let id = self.ids.of_column[column].unwrap_or(self.next_id);
         self.next_id = self.next_id.max(id + 1);
-        self.ids[column] = Some(id);
+        self.ids.of_column[column] = Some(id);
         id
+    }
+
+    /// Number of the track through the place of track `id` and measurement `column`.
+    pub(super) fn of_pair(&mut self, id: i64, column: usize) -> i64 {
+        let next = self.next_id;
+        let new = *self.ids.of_pair.entry((id, column)).or_insert(next);
+        self.next_id = self.next_id.max(new + 1);
+        new
+    }
+}
+
+impl NewNumbers {
+    /// No number has been given yet, in a scan of `count` measurements.
+    #[must_use]
+    pub fn of_scan(count: usize) -> Self {
+        Self { of_column: vec![None; count], of_pair: BTreeMap::new() }
     }
 }
 
@@ -126,19 +195,52 @@ impl Tracks {
     /// # Errors
     /// Errors of [`Filter::new`].
     pub fn new(filter: &FusionParameters) -> Result<Self, Error> {
-        Ok(Self { unseen: Filter::new(filter)?, all: Vec::new() })
+        Ok(Self {
+            unseen: Filter::new(filter)?,
+            all: Vec::new(),
+            scanners: BTreeMap::new(),
+            population: Population::default(),
+        })
+    }
+
+    /// The tracks, of which none stay here.
+    #[must_use]
+    pub fn moved_out(&mut self) -> Self {
+        let (all, scanners) = (std::mem::take(&mut self.all), self.scanners.clone());
+        Self { unseen: self.unseen.clone(), all, scanners, population: self.population }
     }
 
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &TargetTrack| {
             let TargetTrack {
-                id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
+                id,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                belief,
+                ..
             } = *track;
             let filter = track.filter.saved();
-            SavedTrack { id, filter, history, looks, sources, born_ns, seen_ns, hits, confirmed }
+            SavedTrack {
+                id,
+                filter,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                belief,
+            }
         };
-        SavedTracks { unseen: self.unseen.saved(), all: self.all.iter().map(one).collect() }
+        let (all, scanners) = (self.all.iter().map(one).collect(), self.scanners.clone());
+        SavedTracks { unseen: self.unseen.saved(), all, scanners, population: self.population }
     }
 
     /// Saved tracks, with filters of the parameters of `self`.
@@ -152,7 +254,16 @@ impl Tracks {
         };
         let one = |track: &SavedTrack| {
             let SavedTrack {
-                id, history, looks, sources, born_ns, seen_ns, hits, confirmed, ..
+                id,
+                history,
+                looks,
+                sources,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                belief,
+                ..
             } = *track;
             let filter = with(&track.filter)?;
             Ok(TargetTrack {
@@ -165,10 +276,16 @@ impl Tracks {
                 seen_ns,
                 hits,
                 confirmed,
+                belief,
             })
         };
         let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
-        Ok(Self { unseen: with(&saved.unseen)?, all })
+        Ok(Self {
+            unseen: with(&saved.unseen)?,
+            all,
+            scanners: saved.scanners.clone(),
+            population: saved.population,
+        })
     }
 
     /// Number of tracks.
@@ -188,8 +305,9 @@ impl Tracks {
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
             let output = track.filter.output_at(stamp_ns)?;
-            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, .. } = *track;
-            Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed })
+            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, belief, .. } = *track;
+            let existence = Some(belief.existence).filter(|p| !p.is_nan());
+            Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed, existence })
         });
         let mut states: Vec<TrackState> = states.collect();
         states.sort_by_key(|state| state.id);
@@ -205,7 +323,9 @@ impl Tracks {
         parameters: &ManyParameters,
         scan: &Scan,
         births: &mut Births,
+        work: &mut TrackingWork,
     ) -> Result<Vec<Assigned>, Error> {
+        work.scans += 1;
         let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
         let mut assigned = vec![Assigned::default(); scan.measurements.len()];
         for m in scan.measurements.iter().filter(|m| is_of_platform(m)) {
@@ -220,8 +340,20 @@ impl Tracks {
                 track.looks += 1;
             }
         }
+        let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
+        work.predictions += foreseen.sum::<u64>();
+        let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
+        if let TargetAssociation::Integrated(existence) = &parameters.association {
+            let candidates = self.candidates(parameters, scan, &index, |_| true, &assigned, work);
+            let space = IntegratedScan { parameters, existence, scan };
+            self.integrate(&space, &candidates, births, &mut assigned);
+            within("tracks", self.all.len())?;
+            return Ok(assigned);
+        }
         for confirmed in [true, false] {
-            self.associate(parameters, scan, confirmed, &mut assigned)?;
+            let wanted = |track: &TargetTrack| track.confirmed == confirmed;
+            let candidates = self.candidates(parameters, scan, &index, wanted, &assigned, work);
+            self.associate(parameters, scan, &candidates, &mut assigned)?;
         }
         let measured = self.measured_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
@@ -231,8 +363,8 @@ impl Tracks {
         Ok(assigned)
     }
 
-    /// Assign measurements without a track to `tracks`. The global nearest neighbour uses the
-    /// likelihood of the innovations.
+    /// Assign measurements to tracks. The global nearest neighbour uses the likelihood of the
+    /// innovations.
     ///
     /// # Source
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
@@ -241,51 +373,53 @@ impl Tracks {
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        confirmed: bool,
+        candidates: &Candidates,
         assigned: &mut [Assigned],
     ) -> Result<(), Error> {
-        let (pairs, candidates) = self.candidates(parameters, scan, confirmed, assigned);
         if let TargetAssociation::Joint { .. } = parameters.association {
-            self.associate_jointly(scan, assigned, &pairs, &candidates);
+            self.associate_jointly(scan, assigned, candidates);
             return Ok(());
         }
-        let column_of = assign(self.all.len(), scan.measurements.len(), &pairs, UNASSIGNED)?;
-        for (Pair { row, column, .. }, candidate) in pairs.iter().zip(candidates) {
+        let Candidates { pairs, innovations } = candidates;
+        let column_of = assign(self.all.len(), scan.measurements.len(), pairs, UNASSIGNED)?;
+        for (Pair { row, column, .. }, innovation) in pairs.iter().zip(innovations) {
             if column_of[*row] == Some(*column) {
                 let track = &mut self.all[*row];
-                track.filter = candidate.updated;
+                track.filter.take(&scan.measurements[*column]);
                 track.see(scan);
-                let innovation = Some(candidate.innovation);
-                assigned[*column] = Assigned { id: Some(track.id), innovation };
+                assigned[*column] = Assigned { id: Some(track.id), innovation: Some(*innovation) };
             }
         }
         Ok(())
     }
 
-    /// Tracks, confirmed or not, with those measurements in their gates that have no track yet.
+    /// The `wanted` tracks with those measurements in their gates that have no track yet.
     fn candidates(
-        &self,
+        &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        confirmed: bool,
+        index: &ScanIndex,
+        wanted: impl Fn(&TargetTrack) -> bool,
         assigned: &[Assigned],
-    ) -> (Vec<Pair>, Vec<Candidate>) {
-        let (mut pairs, mut candidates) = (Vec::new(), Vec::new());
-        let rows = self.all.iter().enumerate().filter(|(_, track)| track.confirmed == confirmed);
-        for (row, track) in rows {
-            for (column, m) in scan.measurements.iter().enumerate() {
-                if assigned[column].id.is_some() || is_of_platform(m) {
-                    continue;
-                }
-                let Some(candidate) = track.candidate(m) else { continue };
-                let cost = parameters.association.cost(m, &candidate.innovation);
+        work: &mut TrackingWork,
+    ) -> Candidates {
+        let (mut found, mut near) = (Candidates::default(), Vec::new());
+        let rows = self.all.iter_mut().enumerate();
+        for (row, track) in rows.filter(|(_, track)| wanted(track)) {
+            index.near(&mut track.filter, &parameters.filter.life.gate, &mut near);
+            near.retain(|column| assigned[*column].id.is_none());
+            work.pairs += near.len() as u64;
+            for column in &near {
+                let m = &scan.measurements[*column];
+                let Some(innovation) = track.filter.score(m) else { continue };
+                let cost = parameters.association.cost(m, &innovation);
                 if cost.is_finite() {
-                    pairs.push(Pair { row, column, cost });
-                    candidates.push(candidate);
+                    found.pairs.push(Pair { row, column: *column, cost });
+                    found.innovations.push(innovation);
                 }
             }
         }
-        (pairs, candidates)
+        found
     }
 
     /// Joint probabilistic data association of measurements without a track. A measurement that
@@ -294,20 +428,20 @@ impl Tracks {
         &mut self,
         scan: &Scan,
         assigned: &mut [Assigned],
-        pairs: &[Pair],
-        candidates: &[Candidate],
+        candidates: &Candidates,
     ) {
+        let Candidates { pairs, innovations } = candidates;
         let weights = probabilities(self.all.len(), scan.measurements.len(), pairs);
         let mut of_track = vec![Vec::new(); self.all.len()];
         let mut of_any = vec![(0.0, 0.0, Assigned::default()); assigned.len()]; // sum, largest
-        for ((Pair { row, column, .. }, candidate), weight) in
-            pairs.iter().zip(candidates).zip(weights)
+        for ((Pair { row, column, .. }, innovation), weight) in
+            pairs.iter().zip(innovations).zip(weights)
         {
             of_track[*row].push((weight, scan.measurements[*column]));
             let (sum, most, best) = &mut of_any[*column];
             *sum += weight;
             if weight > *most {
-                let innovation = Some(candidate.innovation);
+                let innovation = Some(*innovation);
                 (*most, *best) = (weight, Assigned { id: Some(self.all[*row].id), innovation });
             }
         }
@@ -322,10 +456,12 @@ impl Tracks {
     }
 
     /// Positions of the tracks that were measured at `stamp_ns`.
-    fn measured_at(&self, stamp_ns: i64) -> Vec<[f64; 2]> {
+    fn measured_at(&self, stamp_ns: i64) -> NearIndex {
         let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
         let outputs = measured.filter_map(|track| track.filter.output_at(stamp_ns));
-        outputs.map(|output| [output.mean[0], output.mean[1]]).collect()
+        let places = outputs.map(|output| [output.mean[0], output.mean[1]]);
+        let finite = places.filter(|place| place.iter().all(|value| value.is_finite()));
+        NearIndex::new(finite.zip(0..).collect())
     }
 
     /// New track for every measurement without one that is far enough from the `measured` tracks.
@@ -333,7 +469,7 @@ impl Tracks {
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        measured: &[[f64; 2]],
+        measured: &NearIndex,
         births: &mut Births,
         assigned: &mut [Assigned],
     ) {
@@ -346,9 +482,8 @@ impl Tracks {
             let Some(output) = step.output.filter(|_| step.outcome == Outcome::Started) else {
                 continue;
             };
-            let [x, y] = [output.mean[0], output.mean[1]];
-            let reach = parameters.birth_distance;
-            if measured.iter().any(|at| libm::hypot(at[0] - x, at[1] - y) < reach) {
+            let place = [output.mean[0], output.mean[1]];
+            if measured.is_near(place, parameters.birth_distance) {
                 continue;
             }
             let mut track = TargetTrack::new(births.of(column), filter, scan);
@@ -360,7 +495,7 @@ impl Tracks {
 }
 
 impl TargetTrack {
-    fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
+    pub(super) fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
         Self {
             id,
             filter,
@@ -371,18 +506,11 @@ impl TargetTrack {
             seen_ns: scan.stamp_ns,
             hits: 1,
             confirmed: false,
+            belief: Belief::default(),
         }
     }
 
-    /// Filter after a measurement, if that is within its gate.
-    fn candidate(&self, m: &Measurement) -> Option<Candidate> {
-        let mut updated = self.filter.clone();
-        let (outcome, innovation) = updated.take(m);
-        let innovation = innovation.filter(|_| outcome == Outcome::Updated)?;
-        Some(Candidate { updated, innovation })
-    }
-
-    fn see(&mut self, scan: &Scan) {
+    pub(super) fn see(&mut self, scan: &Scan) {
         let seen = 1 << scan.source;
         if self.sources & seen == 0 {
             self.history <<= 1; // the first scan of this scanner that counts
@@ -428,7 +556,7 @@ impl TargetTrack {
     }
 }
 
-fn is_of_platform(m: &Measurement) -> bool {
+pub(super) fn is_of_platform(m: &Measurement) -> bool {
     matches!(m.sensor(), Sensor::Gyro | Sensor::Pose)
 }
 

@@ -8,6 +8,7 @@ mod octree_link;
 use crate::Error;
 use crate::error::{require, require_positive};
 use crate::util::budget::check_points;
+use crate::util::vector_unit;
 use octree_link::{Fixed, Linker};
 
 /// Label of points that belong to no cluster.
@@ -72,6 +73,7 @@ impl Labeller {
 }
 
 pub(crate) fn check(clustering: &Clustering) -> Result<(), Error> {
+    vector_unit::used()?;
     require_positive("max_distance", clustering.max_distance)?;
     require(clustering.min_points >= 1, "min_points", ">= 1", clustering.min_points)
 }

@@ -5,7 +5,8 @@ use super::keys::{Key, OCTANT_BITS, OctantGrid, is_finite};
 use super::{NO_GROUP, Sets};
 use crate::Error;
 use crate::geometry::lattice::wide;
-use pulp::{Arch, Simd, WithSimd};
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 const RADIX_BITS: u32 = 11;
@@ -122,7 +123,7 @@ impl<K: Key> Groups<K> {
         self.divide(points, grid);
         let mut sets = std::mem::take(&mut self.sets);
         sets.restart(self.len());
-        Arch::new().dispatch(CubeLinker { groups: self, grid, reach, sets: &mut sets });
+        dispatch(CubeLinker { groups: self, grid, reach, sets: &mut sets });
         for (group, &root) in sets.roots().iter().enumerate() {
             let stands_for = grid.row(self.order[self.starts[root as usize] as usize]) as u32;
             for &entry in &self.order[self.range(group)] {

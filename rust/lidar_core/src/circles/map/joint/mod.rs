@@ -8,7 +8,7 @@
 mod covariance;
 
 use super::element::exceeds;
-use super::modes::{Matrix5, transition};
+use super::element_motion::{Matrix5, transition};
 use super::parameters::{Joint, MAX_ELEMENTS};
 use super::place::matrix_of;
 use super::scan::{CircleScan, Found, check, too_many};

@@ -93,7 +93,7 @@ mod tests {
     use super::*;
     use crate::Error;
     use crate::circles::map::view::level_pose::LevelPose;
-    use crate::circles::map::view::visibility::View;
+    use crate::circles::map::view::visibility::ScanWithLimits;
     use crate::circles::preprocess::polar_scan::PolarScan;
     use crate::geometry::transform::Transform;
 
@@ -104,7 +104,7 @@ mod tests {
         let scan = PolarScan { ranges, bearings };
         let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let pose = LevelPose::of(&Transform { rotation, translation: [1.0, 0.0, 0.0] });
-        let view = Some(View { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted()?);
+        let view = Some(ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted()?);
         Ok(Viewpoint { stamp_ns, sensor: 0, pose, view })
     }
 

@@ -13,7 +13,7 @@ const GRAZING: f64 = 0.2;
 
 /// A scan in the level frame, with its range limits.
 #[derive(Clone, Copy, Debug)]
-pub struct View<'a> {
+pub struct ScanWithLimits<'a> {
     /// Scan after range limits and projection; a ray without return means free up to `range_max`.
     pub scan: &'a PolarScan,
     /// Smallest range that is measured [m].
@@ -44,7 +44,7 @@ pub struct SortedView {
     range_max: f64,
 }
 
-impl View<'_> {
+impl ScanWithLimits<'_> {
     /// Sort the rays for queries.
     ///
     /// # Errors
@@ -250,7 +250,7 @@ mod tests {
     }
 
     fn seen(scan: &PolarScan, x: f64, y: f64, radius: f64) -> Result<CircleVisibility, Error> {
-        let view = View { scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
+        let view = ScanWithLimits { scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
         Ok(view.of(&Circle { center: [x, y], radius }, &LOOKING))
     }
 
@@ -292,10 +292,10 @@ mod tests {
     #[test]
     fn views_that_are_none_are_refused() {
         let scan = PolarScan { ranges: vec![1.0], bearings: vec![f64::NAN] };
-        assert!(View { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted().is_err());
+        assert!(ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted().is_err());
         let scan = PolarScan { ranges: vec![1.0], bearings: vec![0.0] };
-        assert!(View { scan: &scan, range_min: 0.1, range_max: 0.1 }.sorted().is_err());
+        assert!(ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 0.1 }.sorted().is_err());
         let scan = PolarScan { ranges: vec![1.0], bearings: vec![] };
-        assert!(View { scan: &scan, range_min: 0.1, range_max: 1.0 }.sorted().is_err());
+        assert!(ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 1.0 }.sorted().is_err());
     }
 }

@@ -2,7 +2,8 @@
 
 use super::mark::{MAX_COUNT, Mark};
 use crate::flying::map::block_shape::{EDGE, VOLUME};
-use pulp::{Arch, Simd, WithSimd};
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -68,7 +69,7 @@ impl DenseBlocks {
 
     /// Hold the sums of rays in `slots` down to the largest, and note the rows that they met.
     pub(crate) fn settle(&mut self, slots: impl Iterator<Item = usize>) {
-        Arch::new().dispatch(Settle { dense: self, slots });
+        dispatch(Settle { dense: self, slots });
     }
 
     /// Add the marks that `other` holds in `sources`, by slot. Both are settled.

@@ -1,33 +1,46 @@
 //! Joint probabilistic data association: probability of each measurement for each track.
 
 use crate::estimation::assignment::Pair;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Most joint events that are enumerated for targets with common measurements.
-pub const MOST_EVENTS: usize = 100_000;
+pub const MOST_EVENTS: usize = 10_000;
+/// Most rounds of messages of belief propagation.
+const MOST_ROUNDS: usize = 100;
+/// Largest change of a message at which they have converged.
+const SETTLED: f64 = 1e-9;
+/// Largest logarithm of a weight: sums of weights stay finite.
+const LARGEST: f64 = 600.0;
 
 /// Association probability of every pair.
 ///
 /// The cost of a pair is minus the logarithm of a likelihood ratio: the track was measured so, over
 /// the track was missed and the measurement is clutter. Tracks with common measurements form a
 /// group, whose joint events are enumerated: a measurement belongs to one track at most, and a
-/// track has one measurement at most. Groups with more than [`MOST_EVENTS`] use Fitzgerald's
-/// approximation.
+/// track has one measurement at most. Groups with more than [`MOST_EVENTS`] use belief
+/// propagation instead, whose marginal probabilities are approximate where measurements and tracks
+/// form loops.
 ///
 /// # Source
 /// Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
-/// data association", 1983; Fitzgerald, "Development of practical PDA logic for multitarget
-/// tracking by microprocessor", 1986.
+/// data association", 1983; Williams & Lau, "Approximate evaluation of marginal association
+/// probabilities with belief propagation", 2014.
 #[must_use]
 pub fn probabilities(tracks: usize, measurements: usize, pairs: &[Pair]) -> Vec<f64> {
     let mut found = vec![0.0; pairs.len()];
     let links = Links::new(tracks, measurements, pairs);
+    // One table for all groups: a table per group would cost groups times measurements.
+    let mut is_taken = vec![false; measurements];
     for group in links.groups(pairs) {
-        let mut events = Events::new(&group, pairs, measurements);
+        let mut events = Events::new(&group, pairs, &mut is_taken);
         events.follow(0, 1.0);
-        let is_whole = events.count <= MOST_EVENTS;
-        let (total, sums) = (events.total, events.sums);
-        for (index, sum) in sums {
-            found[index] = if is_whole { sum / total } else { links.approximate(index, pairs) };
+        if events.count > MOST_EVENTS {
+            let marginals = links.approximate(&group, pairs);
+            group.iter().flatten().zip(marginals).for_each(|(index, share)| found[*index] = share);
+            continue;
+        }
+        for (index, sum) in &events.sums {
+            found[*index] = sum / events.total;
         }
     }
     found
@@ -78,13 +91,82 @@ impl Links {
         found
     }
 
-    /// Probability of a pair from its competing pairs, as if these had no further competitors.
-    fn approximate(&self, index: usize, pairs: &[Pair]) -> f64 {
-        let pair = &pairs[index];
-        let against = |other: &usize| libm::exp(pair.cost - pairs[*other].cost);
-        let of_track: f64 = self.of_track[pair.row].iter().map(against).sum();
-        let of_measurement: f64 = self.of_measurement[pair.column].iter().map(against).sum();
-        1.0 / (of_track + of_measurement - 1.0 + libm::exp(pair.cost))
+    /// Marginal probabilities of a group by belief propagation, in the order of its pairs.
+    ///
+    /// Tracks and measurements tell each other in turn how much of a pair is left for the other;
+    /// the messages converge for every group.
+    fn approximate(&self, group: &TrackOptions, pairs: &[Pair]) -> Vec<f64> {
+        let own: Vec<usize> = group.iter().flatten().copied().collect();
+        let weights = own.iter().map(|index| libm::exp((-pairs[*index].cost).min(LARGEST)));
+        let weights: Vec<f64> = weights.collect();
+        let place_of: BTreeMap<usize, usize> = own.iter().copied().zip(0..).collect();
+        let columns: BTreeSet<usize> = own.iter().map(|index| pairs[*index].column).collect();
+        let linked = |column: &usize| {
+            self.of_measurement[*column].iter().map(|index| place_of[index]).collect()
+        };
+        let linked: Vec<Vec<usize>> = columns.iter().map(linked).collect();
+        let starts = group.iter().scan(0, |next, options| {
+            *next += options.len();
+            Some(*next - options.len()..*next)
+        });
+        let rows: Vec<_> = starts.collect();
+        let (mut to_measurement, mut to_track) = (vec![0.0; own.len()], vec![1.0; own.len()]);
+        let mut others = Others::default();
+        for _ in 0..MOST_ROUNDS {
+            for row in &rows {
+                others.fill(row.clone().map(|place| weights[place] * to_track[place]));
+                for (place, rest) in row.clone().zip(&others.sums) {
+                    to_measurement[place] = weights[place] / (1.0 + rest);
+                }
+            }
+            let mut change = 0.0_f64;
+            for places in &linked {
+                others.fill(places.iter().map(|place| to_measurement[*place]));
+                for (place, rest) in places.iter().zip(&others.sums) {
+                    let told = 1.0 / (1.0 + rest);
+                    change = change.max((told - to_track[*place]).abs());
+                    to_track[*place] = told;
+                }
+            }
+            if change < SETTLED {
+                break;
+            }
+        }
+        let mut found = vec![0.0; own.len()];
+        for row in rows {
+            let total: f64 = row.clone().map(|place| weights[place] * to_track[place]).sum();
+            row.for_each(|place| found[place] = weights[place] * to_track[place] / (1.0 + total));
+        }
+        found
+    }
+}
+
+/// Sums of all values but one, of each.
+#[derive(Default)]
+struct Others {
+    sums: Vec<f64>,
+    values: Vec<f64>,
+}
+
+impl Others {
+    /// From the sums before and after each value, not from the total less the value: values differ
+    /// by more than a double holds.
+    fn fill(&mut self, values: impl Iterator<Item = f64>) {
+        let Self { sums, values: kept } = self;
+        kept.clear();
+        kept.extend(values);
+        let before = kept.iter().scan(0.0, |sum, value| {
+            let before = *sum;
+            *sum += value;
+            Some(before)
+        });
+        sums.clear();
+        sums.extend(before);
+        let mut after = 0.0;
+        for (sum, value) in sums.iter_mut().zip(&*kept).rev() {
+            *sum += after;
+            after += value;
+        }
     }
 }
 
@@ -94,7 +176,7 @@ struct Events<'a> {
     pairs: &'a [Pair],
     /// Weights of the pairs of each track and of no pair, the largest of which is 1.
     weights: Vec<(Vec<f64>, f64)>,
-    is_taken: Vec<bool>,
+    is_taken: &'a mut [bool],
     chosen: Vec<usize>,
     count: usize,
     total: f64,
@@ -105,7 +187,7 @@ struct Events<'a> {
 }
 
 impl<'a> Events<'a> {
-    fn new(group: &'a TrackOptions, pairs: &'a [Pair], measurements: usize) -> Self {
+    fn new(group: &'a TrackOptions, pairs: &'a [Pair], is_taken: &'a mut [bool]) -> Self {
         let weights = group.iter().map(|options| {
             let least = options.iter().map(|index| pairs[*index].cost).fold(0.0, f64::min);
             let weigh = |cost: f64| libm::exp(least - cost);
@@ -120,7 +202,7 @@ impl<'a> Events<'a> {
             group,
             pairs,
             weights: weights.collect(),
-            is_taken: vec![false; measurements],
+            is_taken,
             chosen: Vec::with_capacity(group.len()),
             count: 0,
             total: 0.0,
@@ -179,6 +261,31 @@ mod tests {
         let both = probabilities(3, 3, &[near[0], far, near[1], near[2]]);
         assert_eq!([both[0], both[2], both[3]], [alone[0], alone[1], alone[2]]);
         assert_eq!(both[1], 1.0);
+    }
+
+    /// Propagation against enumeration: equal without loops, near with them.
+    #[test]
+    fn messages_tell_what_events_do() {
+        let chain = [(0, 0, 3.0), (0, 1, 0.4), (1, 1, 7.0), (1, 2, 1.0), (2, 2, 0.2)];
+        let mut state = 1_u64;
+        let mut weight = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            libm::exp(8.0 * ((state >> 40) as f64 / 16_777_216.0) - 4.0)
+        };
+        let full: Vec<_> = (0..9).map(|k| (k / 3, k % 3, weight())).collect();
+        for (tuples, near) in [(&chain[..], 1e-8), (&full[..], 0.15)] {
+            let pairs: Vec<Pair> = tuples.iter().map(|(r, c, w)| pair(*r, *c, *w)).collect();
+            let exact = probabilities(3, 3, &pairs);
+            let links = Links::new(3, 3, &pairs);
+            let mut told = vec![0.0; pairs.len()];
+            for group in links.groups(&pairs) {
+                let marginals = links.approximate(&group, &pairs);
+                group.iter().flatten().zip(marginals).for_each(|(k, share)| told[*k] = share);
+            }
+            for (one, other) in exact.iter().zip(&told) {
+                assert!((one - other).abs() < near, "{one} {other}");
+            }
+        }
     }
 
     /// Ten tracks over ten measurements have 234 million events.

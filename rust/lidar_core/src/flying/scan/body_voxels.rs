@@ -1,0 +1,58 @@
+//! Voxels of the frame of a sensor, in which its robot is looked for.
+
+use crate::flying::map::saved_body::{EDGE, SIZE};
+
+/// Voxels of the frame.
+pub(super) const VOLUME: usize = EDGE * EDGE * EDGE;
+/// Words with a bit per voxel.
+pub(super) const WORDS: usize = VOLUME / 64;
+/// Parts of the robot may have gaps of a voxel.
+pub(super) const GAP: i32 = 2;
+
+/// A bit per voxel, and per voxel beside one; nothing without voxels.
+pub(super) fn beside(voxels: &[u32]) -> Vec<u64> {
+    let mut mask = if voxels.is_empty() { Vec::new() } else { vec![0; WORDS] };
+    for &voxel in voxels {
+        around(voxel as usize, GAP, |beside| mask[beside / 64] |= 1 << (beside % 64));
+    }
+    mask
+}
+
+#[inline]
+pub(super) fn voxel_of(point: [f64; 3]) -> Option<usize> {
+    let mut index = 0;
+    for value in point {
+        let place = (value / SIZE + 0.5 * EDGE as f64).floor();
+        if !(0.0..EDGE as f64).contains(&place) {
+            return None; // NaN, too
+        }
+        index = index * EDGE + place as usize;
+    }
+    Some(index)
+}
+
+pub(super) fn center_of(voxel: usize) -> [f64; 3] {
+    let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
+    place.map(|index| (index as f64 + 0.5 - 0.5 * EDGE as f64) * SIZE)
+}
+
+/// Every voxel within `reach` of one along every axis, itself included.
+pub(super) fn around(voxel: usize, reach: i32, mut visit: impl FnMut(usize)) {
+    let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
+    let span = |axis: usize| {
+        let index = place[axis] as i32;
+        (index - reach).max(0) as usize..=(index + reach).min(EDGE as i32 - 1) as usize
+    };
+    for x in span(0) {
+        for y in span(1) {
+            for z in span(2) {
+                visit((x * EDGE + y) * EDGE + z);
+            }
+        }
+    }
+}
+
+#[inline]
+pub(super) fn has(mask: &[u64], voxel: usize) -> bool {
+    mask[voxel / 64] >> (voxel % 64) & 1 == 1
+}

@@ -1,0 +1,437 @@
+//! Tracks with probabilities of existence: their update by a scan, birth by one and by two
+//! measurements, report and end.
+
+use super::lifecycle::Outcome;
+use super::many_parameters::{ExistenceParameters, MAX_TARGETS, ManyParameters};
+use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_of_platform};
+use crate::fusion::filter::engine::Innovation;
+use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::tracking::existence::{
+    GatedPair, JointEvidence, MOST_CERTAIN, Prospect, associate, survived,
+};
+use crate::tracking::near::NearIndex;
+use crate::tracking::surroundings::{ScannerPrior, Surroundings};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Measurements up to which a track is divided: each further one starts a track of its own, so that
+/// its speed comes from the places of measurements and not from the mean of several.
+const DIVIDED: u32 = 2;
+/// Probability that a measurement which no track explains is of a new target, before scans show it.
+const SHARE: f64 = 0.05;
+/// Mean time for which a target stays, before tracks show it [s].
+const LIFETIME: f64 = 30.0;
+/// Probability of existence below which a track ends.
+const DELETED: f64 = 1e-3;
+/// Probability of existence from which on looks at a track tell about the scanner.
+const CERTAIN: f64 = 0.9;
+/// Probability of existence below which a track that was certain counts as ended.
+const DOUBTFUL: f64 = 0.5;
+/// Share of `report` below which a reported track is not reported any more.
+const KEPT: f64 = 0.5;
+
+/// A measurement of a scan: stamp [ns], scanner and index.
+pub type Sighting = (i64, u8, usize);
+
+/// Existence of the target of a track.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Belief {
+    /// Probability that there is a target.
+    pub existence: f64,
+    /// Time of that probability [ns].
+    pub stamp_ns: i64,
+    /// The last two measurements that were most likely of the track.
+    pub last: [Option<Sighting>; 2],
+    /// Position at the first measurement [m].
+    pub start: [f64; 2],
+    /// True once the track was certain.
+    pub was_certain: bool,
+    /// True while a track that was certain counts as ended.
+    pub is_doubtful: bool,
+    /// True while the track, once certain, will count as an arrival: not for targets that were
+    /// there before the first scans.
+    pub will_arrive: bool,
+}
+
+impl Default for Belief {
+    /// Nothing is known.
+    fn default() -> Self {
+        Self {
+            existence: f64::NAN,
+            stamp_ns: 0,
+            last: [None; 2],
+            start: [f64::NAN; 2],
+            was_certain: false,
+            is_doubtful: false,
+            will_arrive: false,
+        }
+    }
+}
+
+/// A scan, and how it is processed.
+pub(super) struct IntegratedScan<'a> {
+    pub parameters: &'a ManyParameters,
+    pub existence: &'a ExistenceParameters,
+    pub scan: &'a Scan,
+}
+
+/// The pairs of one track: measurement, probability, innovation.
+type OwnPairs = Vec<(usize, f64, Innovation)>;
+
+impl Tracks {
+    /// Process the measurements of a scan whose near pairs are known.
+    pub(super) fn integrate(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        candidates: &Candidates,
+        births: &mut Births,
+        assigned: &mut [Assigned],
+    ) {
+        let scan = space.scan;
+        let targets = || scan.measurements.iter().filter(|m| !is_of_platform(m) && m.is_usable());
+        let scanner = self.scanners.entry(scan.source).or_default();
+        targets().for_each(|m| scanner[kind(m)].widen(m.values()));
+        let scanner = *scanner;
+        let found = self.associated(space, candidates, &scanner);
+        self.learn(space, candidates, &found);
+        let measured = self.updated(space, candidates, &found, births, assigned);
+        self.born(space, &scanner, &found, &measured, births, assigned);
+        self.unite();
+        self.judge_existence(space);
+    }
+
+    /// Probabilities of existence and association.
+    fn associated(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        candidates: &Candidates,
+        scanner: &[Surroundings; 2],
+    ) -> JointEvidence {
+        let (scan, existence) = (space.scan, space.existence);
+        let sensor = scan.measurements.iter().find(|m| !is_of_platform(m)).map(Measurement::sensor);
+        // An empty scan: of what its scanner has measured before.
+        let sensor = sensor.unwrap_or(if scanner[0] == Surroundings::default() {
+            Sensor::Radar
+        } else {
+            Sensor::Lidar
+        });
+        let prior = prior_of(existence, sensor);
+        let detection = scanner[usize::from(sensor == Sensor::Radar)].detection(&prior);
+        let lifetime = self.population.lifetime(LIFETIME);
+        let population = &mut self.population;
+        let prospects = self.all.iter_mut().map(|track| {
+            let belief = &mut track.belief;
+            let dt = scan.stamp_ns.saturating_sub(belief.stamp_ns) as f64 * 1e-9;
+            if belief.was_certain {
+                population.count_stay(belief.existence, dt);
+            }
+            belief.existence = survived(belief.existence, dt, lifetime);
+            belief.stamp_ns = scan.stamp_ns;
+            let is_in_view = track.sources & (1 << scan.source) != 0;
+            Prospect { existence: belief.existence, detection, is_in_view }
+        });
+        let prospects: Vec<Prospect> = prospects.collect();
+        let pairs = candidates.pairs.iter().zip(&candidates.innovations);
+        let pairs = pairs.map(|(pair, innovation)| {
+            let m = &scan.measurements[pair.column];
+            let axes = innovation.count;
+            let density = scanner[kind(m)].clutter(&prior_of(existence, m.sensor()), axes);
+            let constant = axes as f64 * libm::log(std::f64::consts::TAU);
+            let far = innovation.nis + innovation.log_determinant + constant;
+            let log_ratio = -0.5 * far - libm::log(density);
+            GatedPair { track: pair.row, measurement: pair.column, log_ratio }
+        });
+        associate(&prospects, scan.measurements.len(), &pairs.collect::<Vec<_>>())
+    }
+
+    /// Learn what the scanner does.
+    fn learn(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        candidates: &Candidates,
+        found: &JointEvidence,
+    ) {
+        let scan = space.scan;
+        let mut seen = vec![0.0; self.all.len()];
+        for (pair, probability) in candidates.pairs.iter().zip(&found.pair) {
+            seen[pair.row] += probability;
+        }
+        let Some(scanner) = self.scanners.get_mut(&scan.source) else { return };
+        let mut unexplained = [0.0; 2];
+        for (m, left) in scan.measurements.iter().zip(&found.unexplained) {
+            if !is_of_platform(m) && m.is_usable() {
+                unexplained[kind(m)] += left;
+            }
+        }
+        let used: [bool; 2] = std::array::from_fn(|k| scanner[k] != Surroundings::default());
+        for (k, of) in scanner.iter_mut().enumerate().filter(|(k, _)| used[*k]) {
+            of.count_scan(unexplained[k]);
+            for ((track, existence), hit) in self.all.iter().zip(&found.existence).zip(&seen) {
+                let is_seen = track.sources & (1 << scan.source) != 0;
+                if is_seen && track.belief.existence > CERTAIN {
+                    of.count_look(*existence, *hit);
+                }
+            }
+        }
+    }
+
+    /// Correct every track by its measurements, and divide the young ones. Returns the places of
+    /// measured tracks.
+    fn updated(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        candidates: &Candidates,
+        found: &JointEvidence,
+        births: &mut Births,
+        assigned: &mut [Assigned],
+    ) -> NearIndex {
+        let scan = space.scan;
+        let mut of_track: Vec<OwnPairs> = vec![Vec::new(); self.all.len()];
+        for ((pair, innovation), probability) in
+            candidates.pairs.iter().zip(&candidates.innovations).zip(&found.pair)
+        {
+            of_track[pair.row].push((pair.column, *probability, *innovation));
+        }
+        let mut best = vec![0.0; assigned.len()];
+        let (mut divided, mut measured) = (Vec::new(), Vec::new());
+        for ((track, own), existence) in self.all.iter_mut().zip(of_track).zip(&found.existence) {
+            let parts = if track.hits < DIVIDED {
+                track.divided(space, &own, *existence, births)
+            } else {
+                track.corrected(scan, &own, *existence);
+                Vec::new()
+            };
+            for (option, (column, probability, innovation)) in own.iter().enumerate() {
+                if found.unexplained[*column] < 0.5 && *probability > best[*column] {
+                    best[*column] = *probability;
+                    let id = parts.get(option).map_or(track.id, |part| part.id);
+                    assigned[*column] = Assigned { id: Some(id), innovation: Some(*innovation) };
+                }
+            }
+            let seen: f64 = own.iter().map(|(_, probability, _)| probability).sum();
+            if space.parameters.birth_distance > 0.0 && seen > 0.5 {
+                let likelier = |a: &&TargetTrack, b: &&TargetTrack| {
+                    a.belief.existence.total_cmp(&b.belief.existence)
+                };
+                let seen_so = parts.iter().max_by(likelier).unwrap_or(track);
+                let output = seen_so.filter.output_at(scan.stamp_ns);
+                let place = output.map(|output| [output.mean[0], output.mean[1]]);
+                measured.extend(place.filter(|at| at.iter().all(|value| value.is_finite())));
+            }
+            divided.extend(parts);
+        }
+        self.all.extend(divided);
+        NearIndex::new(measured.into_iter().zip(0..).collect())
+    }
+
+    /// A track for every measurement that may be of a new target.
+    fn born(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        scanner: &[Surroundings; 2],
+        found: &JointEvidence,
+        measured: &NearIndex,
+        births: &mut Births,
+        assigned: &mut [Assigned],
+    ) {
+        let (scan, existence) = (space.scan, space.existence);
+        let mut unseen = self.unseen.clone();
+        unseen.expect_speed(self.population.speed(space.parameters.filter.prior.speed));
+        for (column, m) in scan.measurements.iter().enumerate() {
+            if is_of_platform(m) {
+                continue;
+            }
+            let share = scanner[kind(m)].share(&prior_of(existence, m.sensor()));
+            let probability = found.unexplained[column] * share;
+            if probability < DELETED {
+                continue;
+            }
+            let mut filter = unseen.clone();
+            let step = filter.step(m);
+            let output = step.output.filter(|_| step.outcome == Outcome::Started);
+            let Some(start) = output.map(|output| [output.mean[0], output.mean[1]]) else {
+                continue;
+            };
+            if measured.is_near(start, space.parameters.birth_distance) {
+                continue;
+            }
+            let mut track = TargetTrack::new(births.of(column), filter, scan);
+            track.belief = Belief {
+                existence: probability,
+                stamp_ns: scan.stamp_ns,
+                last: [Some((scan.stamp_ns, scan.source, column)), None],
+                start,
+                was_certain: false,
+                is_doubtful: false,
+                will_arrive: scanner[kind(m)].is_settled(),
+            };
+            assigned[column].id = assigned[column].id.or(Some(track.id));
+            self.all.push(track);
+        }
+    }
+
+    /// Unite tracks whose last two measurements were the same, unless both are certain: they are
+    /// two histories of one target. The probabilities of histories that exclude each other add up.
+    fn unite(&mut self) {
+        let mut first: BTreeMap<[Option<Sighting>; 2], usize> = BTreeMap::new();
+        let mut is_gone = vec![false; self.all.len()];
+        for row in 0..self.all.len() {
+            let belief = self.all[row].belief;
+            if belief.last[1].is_none() {
+                continue;
+            }
+            let Some(other) = first.get(&belief.last).copied() else {
+                first.insert(belief.last, row);
+                continue;
+            };
+            let [a, b] = [other, row].map(|row| self.all[row].belief.existence);
+            if a.min(b) > 0.5 {
+                continue;
+            }
+            let (kept, gone) = if b > a { (row, other) } else { (other, row) };
+            self.all[kept].belief.existence = (a + b).min(MOST_CERTAIN);
+            is_gone[gone] = true;
+            first.insert(belief.last, kept);
+        }
+        let mut rows = is_gone.into_iter();
+        self.all.retain(|_| !rows.next().unwrap_or(false));
+    }
+
+    /// Report and end tracks by their probabilities.
+    fn judge_existence(&mut self, space: &IntegratedScan<'_>) {
+        let existence = space.existence;
+        let widest = space.parameters.max_position_std * space.parameters.max_position_std;
+        let stamp_ns = space.scan.stamp_ns;
+        self.all.retain(|track| {
+            let is_placed = || {
+                let output = track.filter.output_at(stamp_ns);
+                output.is_some_and(|o| o.covariance[0][0].max(o.covariance[1][1]) <= widest)
+            };
+            // One measurement leaves the speed open: a slow scanner finds the target far away.
+            let is_young = track.hits < DIVIDED;
+            track.belief.existence >= DELETED && (is_young || is_placed())
+        });
+        if self.all.len() > MAX_TARGETS {
+            let mut sorted: Vec<f64> =
+                self.all.iter().map(|track| track.belief.existence).collect();
+            sorted.sort_by(|a, b| b.total_cmp(a));
+            let least = sorted[MAX_TARGETS - 1];
+            let mut left = MAX_TARGETS;
+            self.all.retain(|track| {
+                let stays = track.belief.existence >= least && left > 0;
+                left -= usize::from(stays);
+                stays
+            });
+        }
+        let mut arrived = 0;
+        for track in &mut self.all {
+            let probability = track.belief.existence;
+            if probability > CERTAIN
+                && !track.belief.was_certain
+                && let Some(velocity) = track.mean_velocity(stamp_ns)
+            {
+                self.population.count_speed(velocity);
+            }
+            let is_kept = track.confirmed && probability >= KEPT * existence.report;
+            track.confirmed = is_kept || probability >= existence.report;
+            let Belief { was_certain, is_doubtful, .. } = &mut track.belief;
+            *was_certain |= probability > CERTAIN;
+            let doubts = if *is_doubtful { probability < CERTAIN } else { probability < DOUBTFUL };
+            if *was_certain && doubts != *is_doubtful {
+                self.population.count_end(doubts);
+                *is_doubtful = doubts;
+            }
+            if probability > CERTAIN && std::mem::take(&mut track.belief.will_arrive) {
+                arrived += 1;
+            }
+        }
+        if let Some(scanner) = self.scanners.get_mut(&space.scan.source) {
+            for of in scanner.iter_mut().filter(|of| **of != Surroundings::default()) {
+                (0..arrived).for_each(|_| of.count_arrival());
+            }
+        }
+    }
+}
+
+impl TargetTrack {
+    /// Velocity [vx, vy] from the first measurement to a time [m/s].
+    fn mean_velocity(&self, stamp_ns: i64) -> Option<[f64; 2]> {
+        let dt = stamp_ns.saturating_sub(self.born_ns) as f64 * 1e-9;
+        let now = self.filter.output_at(stamp_ns)?.mean;
+        let start = self.belief.start;
+        (dt > 0.0).then(|| [0, 1].map(|axis| (now[axis] - start[axis]) / dt))
+    }
+
+    /// Correct by measurements with their probabilities, given that the target exists.
+    fn corrected(&mut self, scan: &Scan, own: &OwnPairs, existence: f64) {
+        self.belief.existence = existence;
+        if own.is_empty() || existence <= 0.0 {
+            return;
+        }
+        let given = |(column, probability, _): &(usize, f64, Innovation)| {
+            (probability / existence, scan.measurements[*column])
+        };
+        let weighted: Vec<(f64, Measurement)> = own.iter().map(given).collect();
+        self.filter.absorb(scan.stamp_ns, &weighted);
+        if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
+            self.see(scan);
+        }
+        self.remember(scan, own);
+    }
+
+    /// Note the measurement that is most likely of the track.
+    fn remember(&mut self, scan: &Scan, own: &OwnPairs) {
+        let likelier = |a: &&(usize, f64, Innovation), b: &&(usize, f64, Innovation)| {
+            let cost = |pair: &Innovation| pair.nis + pair.log_determinant;
+            cost(&b.2).total_cmp(&cost(&a.2)).then(b.0.cmp(&a.0))
+        };
+        if let Some((column, ..)) = own.iter().max_by(likelier) {
+            let [last, _] = self.belief.last;
+            self.belief.last = [Some((scan.stamp_ns, scan.source, *column)), last];
+        }
+    }
+
+    /// A track for each measurement, and self for the case that none is of it. The likeliest of
+    /// them keeps the number.
+    fn divided(
+        &mut self,
+        space: &IntegratedScan<'_>,
+        own: &OwnPairs,
+        existence: f64,
+        births: &mut Births,
+    ) -> Vec<Self> {
+        let scan = space.scan;
+        let seen: f64 = own.iter().map(|(_, probability, _)| probability).sum();
+        let part = |(column, probability, innovation): &(usize, f64, Innovation)| {
+            let mut part = self.clone();
+            part.filter.take(&scan.measurements[*column]);
+            part.id = births.of_pair(self.id, *column);
+            part.belief.existence = *probability;
+            part.see(scan);
+            part.remember(scan, &vec![(*column, *probability, *innovation)]);
+            part
+        };
+        let mut parts: Vec<Self> = own.iter().map(part).collect();
+        self.belief.existence = (existence - seen).max(0.0);
+        let left = self.belief.existence;
+        let likelier = |a: &&mut Self, b: &&mut Self| {
+            a.belief.existence.total_cmp(&b.belief.existence).then(b.id.cmp(&a.id))
+        };
+        if let Some(best) = parts.iter_mut().max_by(likelier)
+            && best.belief.existence > left
+        {
+            std::mem::swap(&mut best.id, &mut self.id);
+        }
+        parts
+    }
+}
+
+/// What a scanner is thought to do before its scans show it.
+fn prior_of(existence: &ExistenceParameters, sensor: Sensor) -> ScannerPrior {
+    let clutter = existence.clutter[usize::from(sensor == Sensor::Radar)];
+    ScannerPrior { detection: existence.detection, clutter, share: SHARE }
+}
+
+fn kind(m: &Measurement) -> usize {
+    usize::from(m.sensor() == Sensor::Radar)
+}

@@ -1,0 +1,57 @@
+//! Parameters of a tracker of many targets.
+
+use super::any_filter::FusionParameters;
+
+/// Largest number of tracks at a time, and of measurements in a scan.
+pub const MAX_TARGETS: usize = 2_000;
+
+/// All parameters of a tracker of many targets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ManyParameters {
+    /// Parameters of the filter of each track. Its gate decides which measurements may belong to a
+    /// track, its buffer how late a scan may come.
+    pub filter: FusionParameters,
+    /// A track is confirmed if this many of ...
+    pub confirm_hits: u32,
+    /// ... the last scans, this many and at most 64, measured it.
+    pub confirm_window: u32,
+    /// Longest time without a measurement after which a track is deleted [s].
+    pub max_coast: f64,
+    /// Largest standard deviation of the position in one axis before a track is deleted [m].
+    pub max_position_std: f64,
+    /// Least distance of a new track from a track measured by the same scan [m].
+    pub birth_distance: f64,
+    /// Association of measurements with tracks.
+    pub association: TargetAssociation,
+}
+
+/// Association of measurements with tracks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TargetAssociation {
+    /// Global nearest neighbour: each measurement belongs to one track or to none.
+    Nearest,
+    /// Joint probabilistic data association: see
+    /// [`probabilities`](crate::tracking::joint_association::probabilities).
+    Joint {
+        /// Probability that a scan measures a target.
+        detection: f64,
+        /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
+        clutter: [f64; 2],
+    },
+    /// Joint integrated probabilistic data association: see
+    /// [`associate`](crate::tracking::existence::associate). Every track has a probability of
+    /// existence, on which report and end depend instead of counts and ages.
+    Integrated(ExistenceParameters),
+}
+
+/// Parameters of probabilities of existence. What a scanner does is learnt; the values given here
+/// are those it starts with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExistenceParameters {
+    /// Probability that a scan measures a target.
+    pub detection: f64,
+    /// Density of clutter of LiDAR [1/m^2] and of radar [1/(m rad m/s)].
+    pub clutter: [f64; 2],
+    /// Probability of existence from which on a track is reported.
+    pub report: f64,
+}

@@ -1,0 +1,271 @@
+"""Probabilities of existence: oracle, calibration in clutter, life of tracks."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_core.estimation import chi2_quantile
+from lidar_core.fusion import FusionConfig, Measurement, MultiTargetConfig, MultiTargetTracker
+from lidar_core.reproduce.tracking.arena import Arena
+from lidar_core.reproduce.tracking.clutter import scored
+from lidar_core.reproduce.tracking.existence import ARENAS, Hypotheses, hypotheses, told
+from reference.fusion_existence import IntegratedTargets, joint_events
+
+GATE = 0.99
+ORACLE = 1e-8
+"""Inverses instead of factors, and other orders of sums, over tens of scans."""
+SMALL = MultiTargetConfig(
+    target=FusionConfig(
+        model="cv",
+        method="kf",
+        lidar_std=(0.5, 0.4),
+        acceleration_noise=0.7,
+        initial_speed=2.0,
+        gate_probability=GATE,
+    ),
+    detection_probability=0.8,
+    clutter=(0.005, 0.005),
+)
+STEP_NS = 200_000_000
+
+
+def lidar(stamp_ns, places):
+    return [Measurement(stamp_ns, "lidar", place) for place in places]
+
+
+def feed(tracker, scans, source="lidar", start=0):
+    return [
+        tracker.process(k * STEP_NS, lidar(k * STEP_NS, scan), source=source)
+        for k, scan in enumerate(scans, start)
+    ]
+
+
+def scenes(seed, count):
+    """Targets that come near each other, missed now and then, and stray measurements."""
+    rng = np.random.default_rng(seed)
+    place, speed = rng.uniform(-6, 6, (2, 2)), rng.normal(0, 1.5, (2, 2))
+    stamp = 0
+    for _ in range(count):
+        stamp += int(rng.integers(1, 5)) * 100_000_000
+        seen = (place + speed * stamp * 1e-9)[rng.random(2) < 0.8]
+        seen = seen + rng.normal(0, 0.45, seen.shape)
+        stray = rng.uniform(-25, 25, (int(rng.random() < 0.2), 2))
+        yield stamp, np.vstack([seen, stray]), str(rng.choice(["left", "right"]))
+
+
+def agrees(tracker, oracle, stamp):
+    """Compare every hypothesis of the two."""
+    tracks = tracker.tracks_at(stamp, confirmed=False)
+    expected = sorted(oracle.tracks, key=lambda track: track["id"])
+    assert tracks.id.tolist() == [track["id"] for track in expected]
+    assert tracks.hits.tolist() == [track["hits"] for track in expected]
+    assert tracks.confirmed.tolist() == [track["confirmed"] for track in expected]
+    for row, track in enumerate(expected):
+        np.testing.assert_allclose(tracks.existence[row], track["p"], atol=ORACLE)
+        np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)
+        np.testing.assert_allclose(tracks.covariances[row], track["cov"], atol=ORACLE)
+
+
+@pytest.mark.parametrize("birth_distance", [0.0, 1.5])
+@given(seed=st.integers(8000, 8499))
+def test_the_tracker_agrees_with_the_oracle(birth_distance, seed):
+    config = SMALL.model_copy(update={"birth_distance": birth_distance})
+    tracker, oracle = (
+        MultiTargetTracker(config),
+        IntegratedTargets(config, gate=chi2_quantile(GATE, degrees=2)),
+    )
+    for stamp, seen, source in scenes(seed, 12):
+        got = tracker.process(stamp, lidar(stamp, seen), source=source)
+        assert got.id.tolist() == oracle.process(stamp, list(seen), source)
+        agrees(tracker, oracle, stamp)
+
+
+@given(seed=st.integers(8500, 8799))
+def test_scans_in_any_order_give_what_the_oracle_gets_in_order(seed):
+    """What is learnt of clutter and detection included; up to the numbers, which are of arrival."""
+    config = SMALL.model_copy(
+        update={"target": SMALL.target.model_copy(update={"buffer_time": 4.0})}
+    )
+    oracle = IntegratedTargets(config, gate=chi2_quantile(GATE, degrees=2))
+    tracker, made = MultiTargetTracker(config), list(scenes(seed, 10))
+    for stamp, seen, source in made:
+        oracle.process(stamp, list(seen), source)
+    late = np.argsort(np.arange(10) + np.random.default_rng(seed).uniform(0, 5, 10))
+    for stamp, seen, source in (made[k] for k in late):
+        tracker.process(stamp, lidar(stamp, seen), source=source)
+    tracks = tracker.tracks_at(made[-1][0], confirmed=False)
+    assert len(set(tracks.id.tolist())) == len(oracle.tracks)
+    found = np.column_stack([tracks.existence, tracks.states])
+    for track in oracle.tracks:
+        expected = np.array([track["p"], *track["mean"]])
+        assert np.abs(found - expected).max(axis=1).min() < ORACLE
+
+
+def test_joint_events_by_hand():
+    """Two tracks of p = 0.5, detected with 0.8, one measurement of ratio 2 for both.
+
+    Events by weight: none of them measured 0.6^2, either of them 0.6 * 0.5 * 0.8 * 2.
+    """
+    exists, pair = joint_events(np.array([0.5, 0.5]), 0.8, np.array([[2.0], [2.0]]))
+    total = 0.36 + 2 * 0.48
+    np.testing.assert_allclose(pair[:, 0], 0.48 / total)
+    np.testing.assert_allclose(exists, (0.48 + (total - 0.48) * 0.1 / 0.6) / total)
+
+
+# Calibration
+
+FACTORS = {"as it is": 1.0, "told half": 0.5, "told twice": 2.0}
+
+
+@pytest.fixture(scope="module")
+def crowds():
+    """Hypotheses of targets that come and go among clutter, by what the tracker was told."""
+    return {
+        name: Hypotheses.joined(
+            [
+                hypotheses(arena, told(factor), np.random.default_rng([8900, number, run]))
+                for number, arena in enumerate(ARENAS.values())
+                for run in range(10)
+            ]
+        )
+        for name, factor in FACTORS.items()
+    }
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_what_exists_with_a_probability_does_so_as_often(crowds, name):
+    """Thrice a binomial deviation of the middle rows, with tens of scans per track, is 0.03."""
+    some = crowds[name]
+    assert some.tracks >= 1000
+    assert len(some.middle.existence) >= 500
+    wrong = name != "as it is"
+    assert some.calibration_error() <= (0.10 if wrong else 0.03)
+    assert some.middle.calibration_error() <= (0.12 if wrong else 0.08)
+    assert some.brier <= 0.5
+
+
+def test_calibration_errors_see_probabilities_that_are_too_sure(crowds):
+    """The tests above would fail for odds three times as large or as small."""
+    some = crowds["as it is"]
+    for factor in (1 / 3, 3):
+        odds = factor * some.existence / (1 - some.existence)
+        sure = Hypotheses(odds / (1 + odds), some.is_true, some.tracks)
+        assert sure.middle.calibration_error() > 0.12
+
+
+def test_reports_hold_targets_and_no_clutter():
+    """By the default configuration; counts and ages report tens of false tracks there."""
+    config, scores = MultiTargetConfig(), {}
+    for association in ("integrated", "nearest"):
+        config = MultiTargetConfig.load({"association": association})
+        runs = [
+            scored(Arena(10.0, 0.7), config, np.random.default_rng([8901, run])) for run in range(6)
+        ]
+        scores[association] = [
+            np.mean([run.false for run in runs]),
+            np.mean([run.missed for run in runs]),
+        ]
+    assert scores["integrated"][0] < 0.2
+    assert scores["integrated"][1] < 0.6
+    assert scores["nearest"][0] > 5
+
+
+# Life of tracks
+
+
+def test_a_track_is_reported_carried_on_and_ends():
+    tracker = MultiTargetTracker(SMALL)
+    numbers = [result.id.tolist() for result in feed(tracker, [[[0.1 * k, 0]] for k in range(8)])]
+    assert numbers == [[0]] * 8
+    (track,) = tracker.tracks_at(7 * STEP_NS).existence
+    assert track > SMALL.report_existence
+    rows, reported = [], []
+    for k in range(8, 40):
+        tracker.process(k * STEP_NS, [], source="lidar")
+        tracks = tracker.tracks_at(k * STEP_NS, confirmed=False)
+        rows.append(float(tracks.existence[tracks.id == 0].sum()))
+        reported.append(0 in tracks.id[tracks.confirmed])
+    assert all(later < earlier or later == 0 for earlier, later in pairwise(rows))
+    assert reported[0]
+    assert not reported[-1]
+    assert rows[-1] == 0
+
+
+def test_a_scanner_that_never_saw_a_track_does_not_count_against_it():
+    left = {}
+    for other in ("radar", "lidar"):
+        tracker = MultiTargetTracker(SMALL)
+        feed(tracker, [[[0.0, 0.0]] for _ in range(8)])
+        for k in range(8, 12):
+            tracker.process(k * STEP_NS, [], source=other)
+        left[other] = tracker.tracks_at(11 * STEP_NS, confirmed=False).existence.max()
+    assert left["radar"] > 0.9
+    assert left["lidar"] < 0.6 * left["radar"]
+
+
+def test_existence_is_not_a_number_where_it_is_not_estimated():
+    for association in ("nearest", "joint"):
+        tracker = MultiTargetTracker(SMALL.model_copy(update={"association": association}))
+        feed(tracker, [[[0.0, 0.0]]] * 6)
+        assert np.isnan(tracker.tracks_at(5 * STEP_NS).existence).all()
+
+
+@pytest.mark.parametrize("model", ["cv", "ctrv", "ctra"])
+@pytest.mark.parametrize("method", ["ekf", "ukf", "imm"])
+def test_a_single_target_in_clutter_is_followed_by_any_model(model, method):
+    rng = np.random.default_rng(8902)
+    target = FusionConfig.load({"model": model, "method": method, "lidar_std": (0.2, 0.2)})
+    tracker = MultiTargetTracker(MultiTargetConfig(target=target))
+    for k in range(80):
+        stamp, place = k * 100_000_000, np.array([2.0 + 0.3 * k, 1.0 + 0.1 * k])
+        seen = [place + rng.normal(0, 0.2, 2)] if rng.random() < 0.9 else []
+        seen += list(place + rng.uniform(-10, 10, (4, 2)))
+        tracker.process(stamp, lidar(stamp, seen), source="lidar")
+    tracks = tracker.tracks_at(stamp)
+    away = np.linalg.norm(tracks.position - place, axis=1)
+    assert away.min() < 0.6
+    assert len(away) <= 2
+
+
+@pytest.mark.parametrize(("step", "scans"), [(0.1, 3), (0.5, 4)])
+@pytest.mark.parametrize("speed", [5.0, 20.0, 30.0])
+def test_targets_that_pass_straight_are_found_at_once(speed, step, scans):
+    """By the third scan; by the fourth of slow scanners, which see it many metres further on."""
+    rng = np.random.default_rng([8903, int(speed)])
+    late, recall = [], []
+    for _ in range(10):
+        tracker, heading = MultiTargetTracker(), rng.uniform(-np.pi, np.pi)
+        way = speed * np.array([np.cos(heading), np.sin(heading)])
+        found = []
+        for k in range(12):
+            stamp, place = round(k * step * 1e9), way * step * (k - 6)
+            stray = rng.uniform(-40, 40, (rng.poisson(1), 2))
+            seen = np.vstack([place + rng.normal(0, 0.15, 2), stray])
+            tracker.process(stamp, lidar(stamp, seen), source="lidar")
+            tracks = tracker.tracks_at(stamp)
+            found.append(bool((np.linalg.norm(tracks.position - place, axis=1) < 1).any()))
+        late.append(found.index(True))
+        recall.append(np.mean(found[3:]))
+    assert np.median(late) < scans
+    assert np.mean(recall) >= 0.95
+
+
+def test_speeds_of_new_targets_are_learnt():
+    """After many slow targets, what appears 3 m from where another was is rather another one."""
+    taught, fresh = MultiTargetTracker(), MultiTargetTracker()
+    rng = np.random.default_rng(8904)
+    places = 10.0 * np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2)
+    for k in range(12):
+        stamp = k * STEP_NS
+        taught.process(stamp, lidar(stamp, places + rng.normal(0, 0.15, places.shape)), source="s")
+        fresh.process(stamp, [], source="s")
+    after, grown = 12 * STEP_NS, []
+    for tracker in (taught, fresh):
+        tracker.process(after, lidar(after, [[100.0, 0.0]]), source="s")
+        alone = tracker.tracks_at(after + STEP_NS, confirmed=False)
+        row = np.argmin(np.linalg.norm(alone.position - [100.0, 0.0], axis=1))
+        grown.append(alone.covariances[row, 0, 0])
+    assert grown[0] < 0.2 * grown[1]
