@@ -2,6 +2,8 @@
 
 from lidar_core import _core
 
+__all__ = ["chi2_quantile"]
+
 
 def chi2_quantile(probability: float, *, degrees: int) -> float:
     """Value that a chi-square variable stays below with a given probability.
@@ -32,3 +34,7 @@ def chi2_quantile(probability: float, *, degrees: int) -> float:
     7.815
     """
     return _core.chi2_quantile(probability, degrees=degrees)
+
+
+def __dir__() -> list[str]:
+    return __all__

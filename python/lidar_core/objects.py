@@ -10,6 +10,19 @@ from numpy.typing import NDArray
 from lidar_core.errors import MissingExtraError
 from lidar_core.extras import require
 
+__all__ = [
+    "Boxes",
+    "CircleElements",
+    "FlyingDetections",
+    "ObjectTable",
+    "ObjectTruth",
+    "Objects",
+    "ShapeElements",
+    "TargetTracks",
+    "TargetTruth",
+    "Tracks",
+]
+
 CORNERS = 36  # of the outline of a circle
 _AXES = {
     "position": ("x", "y", "z"),
@@ -429,3 +442,7 @@ class Objects(ObjectTable):
             around = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]], float)
         line: NDArray[np.float64] = self.position[row] + around * self.size[row] / 2
         return line
+
+
+def __dir__() -> list[str]:
+    return __all__

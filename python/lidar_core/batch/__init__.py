@@ -15,3 +15,7 @@ __all__ = [
     "jobs_of",
     "write_results",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

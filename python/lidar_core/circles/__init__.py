@@ -53,3 +53,7 @@ __all__ = [
     "segment",
     "trust_model",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -73,3 +73,7 @@ __all__ = [
     "score_tracks",
     "truth_of",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

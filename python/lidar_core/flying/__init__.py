@@ -46,3 +46,7 @@ __all__ = [
     "point_covariance",
     "target_center",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -54,3 +54,7 @@ __all__ = [
     "target_coverage",
     "write_overflight",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -62,3 +62,7 @@ __all__ = [
     "write_tracks_table",
     "write_tum",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

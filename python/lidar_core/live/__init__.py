@@ -8,3 +8,7 @@ from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.source import Source
 
 __all__ = ["Inbox", "LiveConfig", "LiveLoop", "Output", "Source", "Update"]
+
+
+def __dir__() -> list[str]:
+    return __all__

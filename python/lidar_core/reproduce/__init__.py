@@ -11,3 +11,7 @@ from lidar_core.reproduce.registry import item_named, items
 from lidar_core.reproduce.types import COLUMNS, Item, Measured, Request, Result, Row
 
 __all__ = ["COLUMNS", "Item", "Measured", "Request", "Result", "Row", "item_named", "items"]
+
+
+def __dir__() -> list[str]:
+    return __all__

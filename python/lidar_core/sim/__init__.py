@@ -106,3 +106,7 @@ __all__ = [
     "with_moving_target",
     "with_target",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

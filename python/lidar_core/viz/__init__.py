@@ -26,3 +26,7 @@ __all__ = [
     "draw_moment",
     "write_report",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -197,14 +197,23 @@ def test_folders_of_tests_stay_small_and_have_the_names_of_the_package():
 # Public names
 
 
+PUBLIC_MODULES = ["lidar_core", *(f"lidar_core.{name}" for name in lidar_core._LAZY)]
+
+
 def public_names():
     """Dotted names of everything that a public module exports."""
-    modules = ["lidar_core", *(f"lidar_core.{name}" for name in lidar_core._LAZY)]
     return sorted(
         f"{module}.{name}"
-        for module in modules
-        for name in getattr(importlib.import_module(module), "__all__", [])
+        for module in PUBLIC_MODULES
+        for name in importlib.import_module(module).__all__
     )
+
+
+@pytest.mark.parametrize("module", PUBLIC_MODULES)
+def test_dir_shows_the_public_names_alone(module):
+    found = importlib.import_module(module)
+    assert dir(found) == sorted(found.__all__)
+    assert all(hasattr(found, name) for name in dir(found))
 
 
 def test_the_public_names_are_the_listed_ones():
