@@ -81,16 +81,34 @@ def events_of_group(observable, detection, ratios):
     return pair
 
 
+def last_places(kept, scan):
+    """The last 128 places, at most 32 of each scan."""
+    taken = min(len(scan), 32)
+    return (kept + [scan[k * len(scan) // taken] for k in range(taken)])[-128:]
+
+
+def robust_box(places):
+    """Least and largest coordinates without the outer tenths, stretched by what is left out."""
+    outer = max(len(places) // 10, 1)
+    inner = np.sort(places, axis=0)[outer:-outer] if places else []
+    if not len(inner):
+        return None
+    center, half = (inner[0] + inner[-1]) / 2, (inner[-1] - inner[0]) / 2 * len(places) / len(inner)
+    return center - half, center + half
+
+
 class Learnt:
     """What a scanner does: exponentially fading counts beside the configured values."""
 
     def __init__(self, config):
         self.config = config
-        self.low, self.high = np.full(2, np.inf), np.full(2, -np.inf)
+        self.all, self.strays = [], []
         self.scans = self.clutter = self.looks = self.hits = self.arrivals = 0.0
 
     def density(self):
-        area = np.prod(np.maximum(self.high - self.low, 0)) if self.low[0] < np.inf else 0.0
+        boxes = [robust_box(kept) for kept in (self.all, self.strays)]
+        boxes = np.array([box for box in boxes if box is not None]).reshape(-1, 2, 2)
+        area = np.prod(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)) if len(boxes) else 0.0
         exposure = PRIORS["clutter"] / self.config.clutter[0]
         return (PRIORS["clutter"] + self.clutter) / (exposure + self.scans * area)
 
@@ -117,9 +135,7 @@ class IntegratedTargets:
     def process(self, stamp, places, source):
         self.stamp, self.places, self.source = stamp, places, source
         scanner = self.scanners.setdefault(source, Learnt(self.config))
-        for place in places:
-            scanner.low = np.minimum(scanner.low, place)
-            scanner.high = np.maximum(scanner.high, place)
+        scanner.all = last_places(scanner.all, places)
         density, detection, share = scanner.density(), scanner.detection(), scanner.share()
         is_settled = scanner.scans >= FIRST_SCANS
         self.age()
@@ -183,12 +199,14 @@ class IntegratedTargets:
         return np.where(ratios > 0, nis, np.inf), ratios
 
     def learn(self, scanner, before, after, pair, left):
-        if scanner.low[0] == np.inf:
+        if not scanner.all:
             return
         for name in ("scans", "clutter", "looks", "hits", "arrivals"):
             setattr(scanner, name, getattr(scanner, name) * (1 - 1 / MEMORY))
         scanner.scans += 1
         scanner.clutter += left.sum()
+        strays = [place for place, own in zip(self.places, left, strict=True) if own > 0.5]
+        scanner.strays = last_places(scanner.strays, strays)
         for row, track in enumerate(self.tracks):
             if self.source in track["sources"] and before[row] > CERTAIN:
                 scanner.looks += after[row] - track["hidden"]

@@ -168,12 +168,39 @@ def test_what_exists_with_a_probability_does_so_as_often(crowds, name):
 
 
 def test_calibration_errors_see_probabilities_that_are_too_sure(crowds):
-    """The tests above would fail for odds three times as large or as small."""
+    """The tests above would fail for odds four times as large or as small."""
     some = crowds["as it is"]
-    for factor in (1 / 3, 3):
+    for factor in (1 / 4, 4):
         odds = factor * some.existence / (1 - some.existence)
         sure = Hypotheses(odds / (1 + odds), some.is_true, some.tracks)
         assert sure.middle.calibration_error() > 0.12
+
+
+def false_per_scan(rng, outlier, *, scans=120):
+    """Three targets among ten false measurements per scan, and an outlier in the fifth scan."""
+    tracker, reported = MultiTargetTracker(), []
+    start = np.array([[20.0, 20.0], [50.0, 60.0], [80.0, 30.0]])
+    speed = np.array([[1.0, 0.5], [0.0, 0.0], [-1.0, 1.0]])
+    for number in range(scans):
+        stamp = number * 100_000_000
+        truth = start + speed * 0.1 * number
+        seen = truth[rng.random(3) < 0.95]
+        scan = [seen + rng.normal(0, 0.1, seen.shape), rng.uniform(0, 100, (rng.poisson(10), 2))]
+        if number == 5 and outlier is not None:
+            scan.append([[outlier, 0.3 * outlier]])
+        tracker.process(stamp, lidar(stamp, np.vstack(scan)), source="lidar")
+        if number > 10:
+            found = tracker.tracks_at(stamp).states[:, None, :2]
+            away = np.linalg.norm(found - truth, axis=2)
+            assert (away.min(axis=0) < 1.0).all()
+            reported.append((away.min(axis=1) > 2.0).sum())
+    return np.mean(reported)
+
+
+@pytest.mark.parametrize("outlier", [None, 3e3, 1e150])
+def test_one_far_measurement_does_not_make_false_tracks(outlier):
+    """The space that the scanner sees, and with it the density of clutter, stays as it is."""
+    assert false_per_scan(np.random.default_rng(8903), outlier) < 0.05
 
 
 def test_reports_hold_targets_and_no_clutter():

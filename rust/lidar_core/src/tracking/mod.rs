@@ -2,6 +2,7 @@
 //! probable each is its own, how noisy a sensor really is.
 
 pub mod existence;
+pub mod extent;
 pub mod joint_association;
 pub mod near;
 pub mod sensor_noise;

@@ -2,6 +2,7 @@
 //! is, and how often a measurement that no track explains is of a new target.
 
 use super::existence::Presence;
+use super::extent::{AXES, Recent};
 use serde::{Deserialize, Serialize};
 
 /// Weight of the configured density of clutter [measurements].
@@ -25,8 +26,8 @@ const FIRST_SCANS: f64 = 5.0;
 /// Limits of the probability of detection.
 const DETECTION: [f64; 2] = [0.05, 0.99];
 
-/// Most dimensions of a measurement.
-const AXES: usize = 3;
+/// Probability from which on a measurement that no track explains counts as clutter where it lies.
+const UNEXPLAINED: f64 = 0.5;
 
 /// Configured values with which a scanner starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,11 +41,13 @@ pub struct ScannerPrior {
 }
 
 /// Running sums over the scans of one scanner.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Surroundings {
-    /// Least and largest value seen, by axis.
-    low: [f64; AXES],
-    high: [f64; AXES],
+    /// The last measurements, and the last ones of clutter: where targets are dense, few of all.
+    all: Recent,
+    strays: Recent,
+    /// Width of the space that they take, by axis.
+    widths: [f64; AXES],
     scans: f64,
     clutter: f64,
     looks: f64,
@@ -52,24 +55,22 @@ pub struct Surroundings {
     arrivals: f64,
 }
 
-impl Default for Surroundings {
-    fn default() -> Self {
-        let (low, high) = ([f64::INFINITY; AXES], [f64::NEG_INFINITY; AXES]);
-        Self { low, high, scans: 0.0, clutter: 0.0, looks: 0.0, hits: 0.0, arrivals: 0.0 }
-    }
-}
-
 impl Surroundings {
-    /// Widen the space that the scanner is known to see by a measurement.
-    pub fn widen(&mut self, values: &[f64]) {
-        for (axis, value) in values.iter().take(AXES).enumerate() {
-            self.low[axis] = self.low[axis].min(*value);
-            self.high[axis] = self.high[axis].max(*value);
-        }
+    /// Take in the measurements of a scan: the space that the scanner is known to see.
+    pub fn see<'a>(&mut self, scan: impl Iterator<Item = &'a [f64]>) {
+        self.all.take(&scan.map(padded).collect::<Vec<_>>());
+        let boxes = [self.all.bounds(), self.strays.bounds()].into_iter().flatten();
+        let joined = |a: [[f64; 2]; AXES], b: [[f64; 2]; AXES]| {
+            std::array::from_fn(|k| [a[k][0].min(b[k][0]), a[k][1].max(b[k][1])])
+        };
+        self.widths = boxes.reduce(joined).map_or([0.0; AXES], |b| b.map(|[low, high]| high - low));
     }
 
-    /// Take in a scan: the sum of the probabilities that its measurements are clutter.
-    pub fn count_scan(&mut self, clutter: f64) {
+    /// Take in a scan: its measurements, each with the probability that no track explains it.
+    pub fn count_scan(&mut self, scan: &[(&[f64], f64)]) {
+        let strays = scan.iter().filter(|(_, unexplained)| *unexplained > UNEXPLAINED);
+        self.strays.take(&strays.map(|(values, _)| padded(values)).collect::<Vec<_>>());
+        let clutter: f64 = scan.iter().map(|(_, unexplained)| unexplained).sum();
         let kept = 1.0 - 1.0 / MEMORY;
         for sum in [
             &mut self.scans,
@@ -104,8 +105,7 @@ impl Surroundings {
 
     /// Volume of the space that the scanner is known to see, in the units of its measurements.
     fn volume(&self, axes: usize) -> f64 {
-        let spans = self.low.iter().zip(&self.high).take(axes);
-        spans.map(|(low, high)| (high - low).max(0.0)).product()
+        self.widths.iter().take(axes).product()
     }
 
     /// Density of clutter: mean of its posterior, which has a gamma distribution.
@@ -127,6 +127,10 @@ impl Surroundings {
     pub fn share(&self, prior: &ScannerPrior) -> f64 {
         (prior.share * SHARE_PRIOR + self.arrivals) / (SHARE_PRIOR + self.clutter + self.arrivals)
     }
+}
+
+fn padded(values: &[f64]) -> [f64; AXES] {
+    std::array::from_fn(|axis| values.get(axis).copied().unwrap_or(0.0))
 }
 
 /// How long targets stay and how fast they are, learnt from tracks that were certain.
@@ -208,10 +212,11 @@ mod tests {
         for told in [0.5, 1.0, 2.0] {
             let prior = ScannerPrior { detection: 0.45 * told, clutter: 5e-3 * told, share: 0.05 };
             let mut seen = Surroundings::default();
-            seen.widen(&[-20.0, -20.0]);
-            seen.widen(&[20.0, 20.0]);
-            for _ in 0..100 {
-                seen.count_scan(10.0);
+            let place = |k: usize| [0.618_034, 0.414_214].map(|s| 40.0 * ((k as f64 * s) % 1.0));
+            let places: Vec<[f64; 2]> = (0..1000).map(place).collect();
+            for scan in places.chunks(10) {
+                seen.see(scan.iter().map(<[f64; 2]>::as_slice));
+                seen.count_scan(&scan.iter().map(|at| (at.as_slice(), 1.0)).collect::<Vec<_>>());
                 (0..8).for_each(|_| seen.count_look(1.0, 0.7));
             }
             assert!((seen.clutter(&prior, 2) / (10.0 / 1600.0) - 1.0).abs() < 0.05);
@@ -250,8 +255,8 @@ mod tests {
     fn a_space_without_volume_says_nothing() {
         let mut seen = Surroundings::default();
         (0..20).for_each(|_| {
-            seen.widen(&[1.0, 1.0]);
-            seen.count_scan(0.0);
+            seen.see([[1.0, 1.0].as_slice()].into_iter());
+            seen.count_scan(&[(&[1.0, 1.0], 0.0)]);
         });
         assert_eq!(seen.clutter(&PRIOR, 2), 1e-3);
     }

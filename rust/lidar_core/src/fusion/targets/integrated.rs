@@ -101,8 +101,10 @@ impl Tracks {
         let scan = space.scan;
         let targets = || scan.measurements.iter().filter(|m| !is_of_platform(m) && m.is_usable());
         let scanner = self.scanners.entry(scan.source).or_default();
-        targets().for_each(|m| scanner[kind(m)].widen(m.values()));
-        let scanner = *scanner;
+        for (k, of) in scanner.iter_mut().enumerate() {
+            of.see(targets().filter(|m| kind(m) == k).map(Measurement::values));
+        }
+        let scanner = scanner.clone();
         let found = self.associated(space, candidates, &scanner);
         self.learn(space, candidates, &found);
         let measured = self.updated(space, candidates, &found, births, assigned);
@@ -177,15 +179,15 @@ impl Tracks {
             }
         }
         let Some(scanner) = self.scanners.get_mut(&scan.source) else { return };
-        let mut unexplained = [0.0; 2];
+        let mut unexplained = [Vec::new(), Vec::new()];
         for (m, left) in scan.measurements.iter().zip(&found.unexplained) {
             if !is_of_platform(m) && m.is_usable() {
-                unexplained[kind(m)] += left;
+                unexplained[kind(m)].push((m.values(), *left));
             }
         }
         let used: [bool; 2] = std::array::from_fn(|k| scanner[k] != Surroundings::default());
         for (k, of) in scanner.iter_mut().enumerate().filter(|(k, _)| used[*k]) {
-            of.count_scan(unexplained[k]);
+            of.count_scan(&unexplained[k]);
             for ((track, presence), hit) in self.all.iter().zip(&found.presence).zip(&seen) {
                 let is_seen = track.sources & (1 << scan.source) != 0;
                 if is_seen && track.belief.presence.existence > CERTAIN {
