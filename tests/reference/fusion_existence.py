@@ -105,11 +105,11 @@ class Learnt:
         self.all, self.strays = [], []
         self.scans = self.clutter = self.looks = self.hits = self.arrivals = 0.0
 
-    def density(self):
+    def density(self, told):
         boxes = [robust_box(kept) for kept in (self.all, self.strays)]
         boxes = np.array([box for box in boxes if box is not None]).reshape(-1, 2, 2)
         area = np.prod(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)) if len(boxes) else 0.0
-        exposure = PRIORS["clutter"] / self.config.clutter[0]
+        exposure = PRIORS["clutter"] / told
         return (PRIORS["clutter"] + self.clutter) / (exposure + self.scans * area)
 
     def detection(self):
@@ -136,14 +136,14 @@ class IntegratedTargets:
         self.stamp, self.places, self.source = stamp, places, source
         scanner = self.scanners.setdefault(source, Learnt(self.config))
         scanner.all = last_places(scanner.all, places)
-        density, detection, share = scanner.density(), scanner.detection(), scanner.share()
+        detection, share = scanner.detection(), scanner.share()
         is_settled = scanner.scans >= FIRST_SCANS
         self.age()
         existence, hidden, returned = (
             np.array([track[name] for track in self.tracks]) for name in ("p", "hidden", "returned")
         )
         observable = existence - hidden
-        nis, ratios = self.compared(density)
+        nis, ratios = self.compared(scanner)
         after, pair, hidden_after = joint_events(existence, detection, ratios, hidden)
         measured = pair.sum(axis=1)
         for row, track in enumerate(self.tracks):
@@ -185,9 +185,9 @@ class IntegratedTargets:
             track["p"], track["returned"], track["hidden"] = state.sum(), state[1], state[2]
             track["stamp"] = self.stamp
 
-    def compared(self, density):
+    def compared(self, scanner):
         nis = np.full((len(self.tracks), len(self.places)), np.inf)
-        ratios = np.zeros(nis.shape)
+        ratios, gates = np.zeros(nis.shape), []
         for row, track in enumerate(self.tracks):
             spread = track["cov"][:2, :2] + self.noise
             for column, place in enumerate(self.places):
@@ -195,7 +195,12 @@ class IntegratedTargets:
                 nis[row, column] = error @ np.linalg.inv(spread) @ error
                 if nis[row, column] <= self.gate:
                     peak = 1 / np.sqrt(np.linalg.det(2 * np.pi * spread))
-                    ratios[row, column] = peak * np.exp(-nis[row, column] / 2) / density
+                    ratios[row, column] = peak * np.exp(-nis[row, column] / 2)
+                    if track["hits"] < 2:
+                        gates.append(np.pi * self.gate * np.sqrt(np.linalg.det(spread)))
+        # No denser than all measurements in the smallest gate of a young track.
+        most = len(self.places) / min(gates) if gates else np.inf
+        ratios /= scanner.density(min(self.config.clutter[0], most))
         return np.where(ratios > 0, nis, np.inf), ratios
 
     def learn(self, scanner, before, after, pair, left):
@@ -336,7 +341,7 @@ class IntegratedTargets:
             track
             for track in self.tracks
             if track["p"] >= DELETED
-            and (track["hits"] < 2 or np.diag(track["cov"])[:2].max() <= widest)
+            and (not track["was_certain"] or np.diag(track["cov"])[:2].max() <= widest)
         ]
         for track in self.tracks:
             kept = track["confirmed"] and track["p"] >= config.report_existence / 2

@@ -103,6 +103,20 @@ def test_hidden_targets_agree_with_the_oracle(seed):
             tracker = MultiTargetTracker.from_bytes(tracker.to_bytes())
 
 
+@given(seed=st.integers(8900, 8949))
+def test_slow_scans_agree_with_the_oracle(seed):
+    """The gate of a new target is larger than the space of one expected false measurement."""
+    config = SMALL.model_copy(update={"max_position_std": 1.0})
+    tracker, oracle = (
+        MultiTargetTracker(config),
+        IntegratedTargets(config, gate=chi2_quantile(GATE, degrees=2)),
+    )
+    for stamp, seen, source in scenes(seed, 4):  # below 10,000 joint events
+        tracker.process(20 * stamp, lidar(20 * stamp, seen), source=source)
+        oracle.process(20 * stamp, list(seen), source)
+        agrees(tracker, oracle, 20 * stamp)
+
+
 @given(seed=st.integers(8500, 8799))
 def test_scans_in_any_order_give_what_the_oracle_gets_in_order(seed):
     """What is learnt of clutter and detection included; up to the numbers, which are of arrival."""
@@ -201,6 +215,38 @@ def false_per_scan(rng, outlier, *, scans=120):
 def test_one_far_measurement_does_not_make_false_tracks(outlier):
     """The space that the scanner sees, and with it the density of clutter, stays as it is."""
     assert false_per_scan(np.random.default_rng(8903), outlier) < 0.05
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0, 2.0, 3.0, 5.0])
+def test_slow_scanners_find_targets(step):
+    """One target of 0.2 m/s: it is reported in nearly all scans, and keeps its number."""
+    tracker, reported = MultiTargetTracker(), []
+    for number in range(60):
+        stamp = int(number * step * 1e9)
+        tracker.process(stamp, lidar(stamp, [[10 + 0.2 * step * number, 5.0]]), source="lidar")
+        reported.append(tracker.tracks_at(stamp).id.tolist())
+    assert all(len(found) <= 1 for found in reported)
+    assert sum(map(bool, reported)) >= 54
+    assert len({number for found in reported for number in found}) == 1
+
+
+@pytest.mark.parametrize(
+    ("step", "count", "limit"),
+    [(0.5, 1, 0.02), (1.0, 1, 0.02), (1.0, 10, 0.02), (3.0, 1, 0.2), (3.0, 10, 0.02)],
+)
+def test_slow_scans_of_clutter_report_little(step, count, limit):
+    """The opposite: false measurements in a room of 10 m are no target that comes back.
+
+    Within 3 s a target crosses the room, and one measurement per scan may well be of one.
+    """
+    tracker, rng, reported = MultiTargetTracker(), np.random.default_rng([8904, count]), 0
+    for number in range(100):
+        stamp = int(number * step * 1e9)
+        tracker.process(
+            stamp, lidar(stamp, rng.uniform(0, 10, (rng.poisson(count), 2))), source="lidar"
+        )
+        reported += len(tracker.tracks_at(stamp).id)
+    assert reported <= 100 * limit
 
 
 def test_reports_hold_targets_and_no_clutter():

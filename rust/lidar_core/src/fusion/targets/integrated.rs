@@ -9,10 +9,12 @@ use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
     GatedPair, JointEvidence, Presence, Prospect, Sojourn, associate,
 };
+use crate::tracking::extent::AXES;
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
 /// Measurements up to which a track is divided: each further one starts a track of its own, so that
 /// its speed comes from the places of measurements and not from the mean of several.
@@ -25,6 +27,8 @@ const LIFETIME: f64 = 30.0;
 const VISIBLE: f64 = 100.0;
 /// Mean time for which a target is hidden [s].
 const HIDDEN: f64 = 1.5;
+/// Volume of the unit ball of 1 to 3 dimensions.
+const BALLS: [f64; AXES] = [2.0, PI, 4.0 / 3.0 * PI];
 /// Probability of existence below which a track ends.
 const DELETED: f64 = 1e-3;
 /// Probability of existence from which on looks at a track tell about the scanner.
@@ -148,17 +152,50 @@ impl Tracks {
             Prospect { presence: belief.presence, detection, is_in_view }
         });
         let prospects: Vec<Prospect> = prospects.collect();
+        let told = self.told(space, candidates);
         let pairs = candidates.pairs.iter().zip(&candidates.innovations);
         let pairs = pairs.map(|(pair, innovation)| {
             let m = &scan.measurements[pair.column];
             let axes = innovation.count;
-            let density = scanner[kind(m)].clutter(&prior_of(existence, m.sensor()), axes);
-            let constant = axes as f64 * libm::log(std::f64::consts::TAU);
-            let far = innovation.nis + innovation.log_determinant + constant;
-            let log_ratio = -0.5 * far - libm::log(density);
+            let prior = prior_of(existence, m.sensor());
+            let clutter = prior.clutter.min(told[kind(m)][axes - 1]);
+            let prior = ScannerPrior { clutter, ..prior };
+            let density = scanner[kind(m)].clutter(&prior, axes);
+            let log_ratio = -0.5 * (innovation.nis + spread(innovation)) - libm::log(density);
             GatedPair { track: pair.row, measurement: pair.column, log_ratio }
         });
         associate(&prospects, scan.measurements.len(), &pairs.collect::<Vec<_>>())
+    }
+
+    /// Largest density of clutter before scans show more, by sensor and number of axes: all
+    /// measurements of this scan in the smallest gate of a young track.
+    ///
+    /// After a long time between scans that gate is large. With a density for which false
+    /// measurements are expected in it that nobody has seen, no second one would be of the target.
+    fn told(&self, space: &IntegratedScan<'_>, candidates: &Candidates) -> [[f64; AXES]; 2] {
+        let scan = &space.scan.measurements;
+        let mut told = [[f64::INFINITY; AXES]; 2];
+        let mut smallest = [[f64::INFINITY; AXES]; 2];
+        for (pair, innovation) in candidates.pairs.iter().zip(&candidates.innovations) {
+            if self.all[pair.row].hits < DIVIDED {
+                let own = &mut smallest[kind(&scan[pair.column])][innovation.count - 1];
+                *own = own.min(innovation.log_determinant);
+            }
+        }
+        for (sensor, smallest) in smallest.iter().enumerate() {
+            let own = scan.iter().filter(|m| !is_of_platform(m) && kind(m) == sensor);
+            let count = own.filter(|m| m.is_usable()).count() as f64;
+            for (k, log_determinant) in smallest.iter().enumerate() {
+                let axes = (k + 1) as f64;
+                let log_ball = libm::log(BALLS[k])
+                    + 0.5 * axes * libm::log(space.parameters.filter.life.gate[k]);
+                let log_volume = log_ball + 0.5 * log_determinant;
+                if log_volume.is_finite() {
+                    told[sensor][k] = count * libm::exp(-log_volume);
+                }
+            }
+        }
+        told
     }
 
     /// Learn what the scanner does.
@@ -334,9 +371,9 @@ impl Tracks {
                 let output = track.filter.output_at(stamp_ns);
                 output.is_some_and(|o| o.covariance[0][0].max(o.covariance[1][1]) <= widest)
             };
-            // One measurement leaves the speed open: a slow scanner finds the target far away.
-            let is_young = track.hits < DIVIDED;
-            track.existence() >= DELETED && (is_young || is_placed())
+            // Before a track is certain, its probability alone ends it: a slow scanner leaves the
+            // speed open, and its next measurement shares the track with the case of a miss.
+            track.existence() >= DELETED && (!track.belief.was_certain || is_placed())
         });
         if self.all.len() > MAX_TARGETS {
             let mut sorted: Vec<f64> = self.all.iter().map(TargetTrack::existence).collect();
@@ -455,6 +492,11 @@ impl TargetTrack {
         }
         parts
     }
+}
+
+/// Twice the logarithm of the volume over which a predicted measurement spreads.
+fn spread(innovation: &Innovation) -> f64 {
+    innovation.log_determinant + innovation.count as f64 * libm::log(std::f64::consts::TAU)
 }
 
 /// What a scanner is thought to do before its scans show it.
