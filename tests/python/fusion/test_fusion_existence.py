@@ -249,6 +249,21 @@ def test_slow_scans_of_clutter_report_little(step, count, limit):
     assert reported <= 100 * limit
 
 
+def test_a_crowd_makes_a_bounded_number_of_hypotheses():
+    """300 targets on 10 x 10 m: every gate of a new target holds nearly all of the others."""
+    rng, tracker = np.random.default_rng(8905), MultiTargetTracker()
+    truth = rng.uniform(0, 10, (300, 2))
+    for number in range(2):
+        stamp = number * 100_000_000
+        seen = truth + rng.normal(0, 0.1, truth.shape)
+        tracker.process(stamp, lidar(stamp, seen), source="lidar")
+    tracks = tracker.tracks_at(stamp, confirmed=False)
+    assert len(tracks.id) == 2000
+    assert tracks.id.max() < 2 * 300 + 20_000
+    assert np.isfinite(tracks.states).all()
+    assert np.isfinite(tracks.existence).all()
+
+
 def test_reports_hold_targets_and_no_clutter():
     """By the default configuration; counts and ages report tens of false tracks there."""
     config, scores = MultiTargetConfig(), {}

@@ -29,6 +29,11 @@ const VISIBLE: f64 = 100.0;
 const HIDDEN: f64 = 1.5;
 /// Volume of the unit ball of 1 to 3 dimensions.
 const BALLS: [f64; AXES] = [2.0, PI, 4.0 / 3.0 * PI];
+/// Most pairs of tracks and measurements of a scan that are weighed; beyond, each track keeps its
+/// likeliest ones ...
+const MOST_PAIRS: usize = 20_000;
+/// ... but this many.
+const LEAST_PAIRS: usize = 8;
 /// Probability of existence below which a track ends.
 const DELETED: f64 = 1e-3;
 /// Probability of existence from which on looks at a track tell about the scanner.
@@ -93,6 +98,37 @@ struct OwnPair {
     is_likely: bool,
 }
 
+impl Candidates {
+    /// The likeliest pairs of each track if there are more than [`MOST_PAIRS`] of `tracks`, in the
+    /// same order; None if these are all.
+    fn limited(&self, tracks: usize) -> Option<Self> {
+        if self.pairs.len() <= MOST_PAIRS {
+            return None;
+        }
+        let mut of_track = vec![Vec::new(); tracks];
+        for (index, pair) in self.pairs.iter().enumerate() {
+            of_track[pair.row].push(index);
+        }
+        let spread = |index: usize| self.innovations[index].nis + spread(&self.innovations[index]);
+        let cost: Vec<f64> = (0..self.pairs.len()).map(spread).collect();
+        for own in &mut of_track {
+            own.sort_by(|a, b| cost[*a].total_cmp(&cost[*b]).then(a.cmp(b)));
+        }
+        // As many for each track as fit; tracks with few leave room for the others.
+        let kept = |most: usize| of_track.iter().map(|own| own.len().min(most)).sum::<usize>();
+        let most = (LEAST_PAIRS..).take_while(|most| kept(*most) <= MOST_PAIRS).last();
+        let most = most.unwrap_or(LEAST_PAIRS);
+        let mut left: Vec<usize> =
+            of_track.iter().flat_map(|own| own.iter().take(most)).copied().collect();
+        left.sort_unstable();
+        let pairs = left.iter().map(|index| self.pairs[*index]).collect();
+        Some(Self {
+            pairs,
+            innovations: left.iter().map(|index| self.innovations[*index]).collect(),
+        })
+    }
+}
+
 impl Tracks {
     /// Process the measurements of a scan whose near pairs are known.
     pub(super) fn integrate(
@@ -109,6 +145,8 @@ impl Tracks {
             of.see(targets().filter(|m| kind(m) == k).map(Measurement::values));
         }
         let scanner = scanner.clone();
+        let fewer = candidates.limited(self.all.len());
+        let candidates = fewer.as_ref().unwrap_or(candidates);
         let found = self.associated(space, candidates, &scanner);
         self.learn(space, candidates, &found);
         let measured = self.updated(space, candidates, &found, births, assigned);
