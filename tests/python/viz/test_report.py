@@ -296,3 +296,16 @@ def test_the_view_moves_in_a_browser_that_asks_nobody(demo, tmp_path):
         assert blue.sum() > 20  # number, box and trail of a track
         hosts = {urlsplit(one).hostname for one in browser.addresses() if "://" in one}
     assert not {host for host in hosts if host} - {"127.0.0.1"}
+
+
+def test_a_report_replaces_an_earlier_one_and_nothing_else(circles, tmp_path):
+    page = tmp_path / "page.html"
+    assert write_report(circles, page) == write_report(circles, page) == page
+    kept = (circles / "summary.json").read_bytes()
+    for place in (circles / "summary.json", tmp_path / "notes.txt"):
+        if not place.exists():
+            place.write_text("mine")
+        with pytest.raises(FileExistsError, match="is no report"):
+            write_report(circles, place)
+    assert (circles / "summary.json").read_bytes() == kept
+    assert (tmp_path / "notes.txt").read_text() == "mine"

@@ -21,7 +21,7 @@ from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, r
 from lidar_core.evaluation.score_rows import all_rows, consistency_warnings, counted_caption
 from lidar_core.evaluation.types import Truth
 from lidar_core.files import read_whole
-from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.files.atomic import check_place, written_whole
 from lidar_core.run_folder import table_in
 from lidar_core.util.rows import Row
 from lidar_core.viz.playback import Playback
@@ -39,6 +39,7 @@ from lidar_core.viz.report.tables import (
 )
 
 NAME = "report.html"
+DOCTYPE = b"<!doctype html>"
 
 
 def write_report(
@@ -68,6 +69,8 @@ def write_report(
     ------
     FileNotFoundError
         No such folder.
+    FileExistsError
+        `output` is a file that is no report.
     FormatError
         No run of these commands, or one of its files cannot be read.
     MissingExtraError
@@ -76,6 +79,7 @@ def write_report(
     played = Playback(run)
     folder = played.folder
     place = folder / NAME if output is None else Path(output)
+    _check_replaceable(place)
     summary, (note, made_by) = read_summary(folder), read_note(folder)
     first = next(iter(played.steps()), None)
     if first is None:
@@ -107,6 +111,15 @@ def write_report(
     with written_whole(place) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return place
+
+
+def _check_replaceable(place: Path) -> None:
+    """Refuse, before any work, to replace a file that is no report."""
+    if place.exists():
+        check_place(place)
+        with place.open("rb") as file:
+            if file.read(len(DOCTYPE)) != DOCTYPE:
+                raise FileExistsError(f"{place}: exists and is no report; name another file")
 
 
 @dataclass(frozen=True, slots=True)
