@@ -2,16 +2,16 @@
 
 use super::detect::detection::Detection;
 use super::detect::detections::ScanDetections;
-use super::gate::Gate;
 use super::integrate::classified_scan::IntegrateStats;
 use super::point_class::{FLYING, UNKNOWN, replace};
+use super::reporting_gate::ReportingGate;
 use super::scan::prepared::Prepared;
 use super::scan::sensors::OwnBody;
 use super::sky::source::SkySource;
 use super::track::Track;
 use crate::geometry::transform::Transform;
 
-/// Milliseconds spent per stage. Several threads cast rays while clusters are sought and judged:
+/// Milliseconds spent per stage. Several threads cast rays while clusters are found and classified:
 /// `integrate` is what is left of the map update then.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
@@ -42,8 +42,8 @@ pub struct Frame {
     pub teammates: Vec<(i64, Detection)>,
     /// Confirmed tracks at the time of the scan.
     pub tracks: Vec<Track>,
-    /// True if detections are reported.
-    pub gate: Gate,
+    /// Whether detections are reported, or why not.
+    pub gate: ReportingGate,
     /// Source of the rays without return.
     pub sky: SkySource,
     /// Share of the rays that go into the sky.
@@ -72,7 +72,7 @@ impl Frame {
             detections: Vec::new(),
             teammates: Vec::new(),
             tracks: Vec::new(),
-            gate: Gate::Open,
+            gate: ReportingGate::Open,
             sky: scan.sky,
             sky_share: scan.sky_share,
             sky_rays: scan.rebuilt,
@@ -100,7 +100,7 @@ impl Frame {
         found: &ScanDetections,
         world_from_map: &Transform,
     ) -> Self {
-        if self.gate != Gate::Open {
+        if self.gate != ReportingGate::Open {
             replace(&mut self.point_class, FLYING, UNKNOWN);
             return self;
         }

@@ -8,7 +8,7 @@ use super::parameters::Separation;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
 use crate::util::full_state::impossible;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
@@ -32,7 +32,7 @@ pub(crate) struct Changes {
     /// Neighbours for the parameters of the last removal.
     pub(super) neighbours: Option<Neighbours>,
     /// Voxels whose groups are never separate: what stands still from the beginning.
-    pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
+    pub(crate) kept: HashSet<Place, BuildHasherDefault<KeyHasher>>,
 }
 
 impl Changes {

@@ -6,7 +6,7 @@ use super::block_shape::{Bits, has};
 use super::blocks::{Block, Blocks, Place};
 use super::layers::{Layer, Neighbours};
 use crate::geometry::lattice::Voxel;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
@@ -88,7 +88,7 @@ impl<'a> Lately<'a> {
 pub(crate) struct Search<'a> {
     blocks: Lately<'a>,
     neighbours: &'a Neighbours,
-    kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
+    kept: &'a HashSet<Place, BuildHasherDefault<KeyHasher>>,
     min_confident: usize,
     marks: Marks,
     /// True once anchors of the last removal count.
@@ -100,7 +100,7 @@ impl<'a> Search<'a> {
     pub(crate) fn new(
         blocks: &'a Blocks,
         neighbours: &'a Neighbours,
-        kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
+        kept: &'a HashSet<Place, BuildHasherDefault<KeyHasher>>,
         min_confident: usize,
         mut marks: Marks,
     ) -> Self {

@@ -14,7 +14,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::{chi2, kalman};
 use crate::geometry::cluster::Labeller;
-use crate::util::object_pool::Shelf;
+use crate::util::object_pool::ObjectPool;
 use nalgebra::{Matrix3, Vector3};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -36,7 +36,7 @@ pub(super) struct Updater {
     gate: f64,
     /// Cost of a track without a measurement.
     unassigned: f64,
-    labellers: Shelf<Labeller>,
+    labellers: ObjectPool<Labeller>,
     pool: ThreadPool,
 }
 
@@ -51,7 +51,7 @@ impl Updater {
                 -2.0 * libm::log(clutter_density) - 3.0 * libm::log(TAU),
             ),
         };
-        let (labellers, pool) = (Shelf::default(), crate::util::threads::pool(threads)?);
+        let (labellers, pool) = (ObjectPool::default(), crate::util::threads::pool(threads)?);
         Ok(Self { parameters, gate, unassigned, labellers, pool })
     }
 
@@ -185,7 +185,7 @@ impl Updater {
                 .par_iter()
                 .zip(seekers)
                 .map(|(rows, seeker)| {
-                    let mut labeller = self.labellers.lend();
+                    let mut labeller = self.labellers.acquire();
                     let points = scan.points_of(rows);
                     let labels = labeller.label(&points, &self.parameters.clustering)?;
                     let distance = |one: &Measurement| (one.position - seeker.position).norm();
@@ -208,7 +208,7 @@ impl Updater {
             .collect();
         chosen.dedup();
         let points = scan.points_of(&chosen);
-        let mut labeller = self.labellers.lend();
+        let mut labeller = self.labellers.acquire();
         let mut labels = labeller.label(&points, &self.parameters.clustering)?.to_vec();
         if let Some(distance) = self.parameters.split_distance {
             let min_points = self.parameters.clustering.min_points;
