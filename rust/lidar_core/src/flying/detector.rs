@@ -17,7 +17,7 @@ use super::integrate::pose_weights::PoseNoise;
 use super::map::local_map::LocalMap;
 use super::map::voxel_map::VoxelMap;
 use super::parameters::FlyingParameters;
-use super::point_class::{BACKGROUND, FLYING};
+use super::point_class::PointClass;
 use super::reporting_gate::ReportingGate;
 use super::scan::prepared::{Prepared, RawScan};
 use super::scan::sensors::Sensors;
@@ -126,7 +126,7 @@ impl FlyingObjectDetector {
         if !keep_going() {
             return Err(Error::Interrupted);
         }
-        self.tracker.check_room(self.classifier.count_of(FLYING))?;
+        self.tracker.check_room(self.classifier.count_of(PointClass::Flying))?;
 
         // The last stage that may refuse the scan.
         let stats = self.update_map(&noise, cast)?;
@@ -214,7 +214,7 @@ impl FlyingObjectDetector {
             None => {
                 for point in ground.into_iter().flatten() {
                     scan.append_known(point);
-                    classifier.add_row(BACKGROUND);
+                    classifier.add_row(PointClass::Background);
                 }
                 integrator.cast(&local.map, &ClassifiedScan::before_classes(scan, noise))?;
             }

@@ -3,7 +3,7 @@
 use super::detect::detection::Detection;
 use super::detect::detections::ScanDetections;
 use super::integrate::classified_scan::IntegrateStats;
-use super::point_class::{FLYING, UNKNOWN, replace};
+use super::point_class::{PointClass, replace};
 use super::reporting_gate::ReportingGate;
 use super::scan::prepared::Prepared;
 use super::scan::sensors::OwnBody;
@@ -35,7 +35,7 @@ pub struct Frame {
     /// Time of the scan [ns].
     pub stamp_ns: i64,
     /// Class of every point of the input.
-    pub point_class: Vec<u8>,
+    pub point_class: Vec<PointClass>,
     /// Flying objects in this scan.
     pub detections: Vec<Detection>,
     /// Known teammates that were seen: id and measured position.
@@ -65,7 +65,7 @@ pub struct Frame {
 
 impl Frame {
     /// A frame without objects; `class` is that of every row of `scan`.
-    pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[u8]) -> Self {
+    pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[PointClass]) -> Self {
         Self {
             stamp_ns,
             point_class: class[..scan.rows].to_vec(),
@@ -87,7 +87,7 @@ impl Frame {
     /// Take over the points on the robot itself: they were measured, so they are unknown, not invalid.
     pub(super) fn with_own_body(mut self, own: OwnBody) -> Self {
         for &row in &own.rows {
-            self.point_class[row as usize] = UNKNOWN;
+            self.point_class[row as usize] = PointClass::Unknown;
         }
         (self.own_rows, self.own_body) = (own.rows, own.share);
         self.own_body_is_decided = own.is_decided;
@@ -101,7 +101,7 @@ impl Frame {
         world_from_map: &Transform,
     ) -> Self {
         if self.gate != ReportingGate::Open {
-            replace(&mut self.point_class, FLYING, UNKNOWN);
+            replace(&mut self.point_class, PointClass::Flying, PointClass::Unknown);
             return self;
         }
         let teammates = found.teammates.iter();

@@ -8,6 +8,7 @@ use crate::guard::{Guarded, detached, keep_going};
 use lidar_core::flying::detect::detection::{Detection, Teammate};
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::frame::Frame;
+use lidar_core::flying::point_class::numbers_from_classes;
 use lidar_core::flying::reporting_gate::ReportingGate;
 use lidar_core::flying::scan::prepared::RawScan;
 use numpy::{
@@ -193,7 +194,7 @@ impl PyFlyingObjectDetector {
 
 fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderError> {
     let values = PyDict::new(py);
-    values.set_item("point_class", frame.point_class.into_pyarray(py))?;
+    values.set_item("point_class", numbers_from_classes(frame.point_class).into_pyarray(py))?;
     values.set_item("detections", detection_arrays(py, &frame.detections)?)?;
     let (ids, mates): (Vec<i64>, Vec<Detection>) = frame.teammates.into_iter().unzip();
     values.set_item("teammate_ids", ids.into_pyarray(py))?;

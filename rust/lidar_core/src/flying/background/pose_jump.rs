@@ -69,7 +69,7 @@ mod tests {
     use crate::flying::integrate::classified_scan::{ClassifiedScan, Origins};
     use crate::flying::integrate::integrator::Integrator;
     use crate::flying::map::parameters::{MapParameters, Separation};
-    use crate::flying::point_class::BACKGROUND;
+    use crate::flying::point_class::PointClass;
 
     /// A wall across x.
     fn wall(x: f32) -> Vec<[f32; 3]> {
@@ -86,7 +86,7 @@ mod tests {
         for _ in 0..30 {
             let scan = ClassifiedScan {
                 points: &seen,
-                class: &[BACKGROUND; 1024],
+                class: &[PointClass::Background; 1024],
                 origins: Origins::One([0.1; 3]),
                 directions: None,
                 no_return: None,

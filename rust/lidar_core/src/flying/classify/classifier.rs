@@ -8,7 +8,7 @@ use super::shadow::Shadow;
 use crate::Error;
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};
+use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::object_pool::{ObjectPool, PooledObject};
@@ -61,15 +61,15 @@ pub struct ClassifyParameters {
 /// Class of one cluster and the evidence for it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Classification {
-    pub(crate) class: u8,
+    pub(crate) class: PointClass,
     /// Uncertain voxels that a flying cluster's searches explored, where they are to be free.
     pub(crate) explored: Vec<Voxel>,
     /// Share of free voxels in the shell around a flying cluster.
     pub(crate) clearance: f64,
 }
 
-/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`: 1
-/// background, 2 flying, 3 unknown. The map stays as it is.
+/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`:
+/// background, flying or unknown. The map stays as it is.
 ///
 /// # Errors
 /// [`Error::Length`], [`Error::Parameter`].
@@ -80,7 +80,7 @@ pub fn classify_clusters(
     origin: [f64; 3],
     parameters: &ClassifyParameters,
     workers: &Workers,
-) -> Result<Vec<u8>, Error> {
+) -> Result<Vec<PointClass>, Error> {
     if labels.len() != points.len() {
         let (expected, got) = (points.len(), labels.len());
         return Err(Error::Length { name: "labels", expected, got });
@@ -128,7 +128,10 @@ impl Classifier {
         let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
         let classification = |scratch: &mut PooledObject<'_, Scratch>, index: usize| {
             if background[index] || groups[index].with_background {
-                return Classification { class: BACKGROUND, ..Classification::default() };
+                return Classification {
+                    class: PointClass::Background,
+                    ..Classification::default()
+                };
             }
             let cluster = clusters.get(index);
             rules.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
@@ -167,10 +170,16 @@ fn each<T: Send, S>(
 
 /// Take over the result of rule B on a later map; clusters that are background by rule A stay so.
 pub(crate) fn reclassify(classifications: &mut [Classification], later: &mut [Classification]) {
-    for (classification, later) in
-        classifications.iter_mut().zip(later).filter(|(before, _)| before.class != BACKGROUND)
+    for (classification, later) in classifications
+        .iter_mut()
+        .zip(later)
+        .filter(|(before, _)| before.class != PointClass::Background)
     {
-        let class = if later.class == FLYING { FLYING } else { UNKNOWN };
+        let class = if later.class == PointClass::Flying {
+            PointClass::Flying
+        } else {
+            PointClass::Unknown
+        };
         *classification = Classification { class, ..std::mem::take(later) };
     }
 }
@@ -224,7 +233,7 @@ impl ClusterRules<'_> {
         group_extent: f64,
         radius: i32,
     ) -> Classification {
-        let unknown = || Classification { class: UNKNOWN, ..Classification::default() };
+        let unknown = || Classification { class: PointClass::Unknown, ..Classification::default() };
         if cluster.members.len() < self.parameters.min_points
             || self.is_gated(cluster, group_extent)
         {
@@ -278,7 +287,7 @@ impl ClusterRules<'_> {
         }?;
         let clearance = self.clearance(voxels, shell);
         (clearance >= p.min_clearance).then_some(Classification {
-            class: FLYING,
+            class: PointClass::Flying,
             explored,
             clearance,
         })

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::flying::map::local_map::LocalMap;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
-use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN, replace};
+use crate::flying::point_class::{PointClass, replace};
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
@@ -52,7 +52,7 @@ pub(crate) struct ScanClassifier {
     /// Class of each cluster on a later map.
     later: Vec<Classification>,
     /// Class of every row.
-    class: Vec<u8>,
+    class: Vec<PointClass>,
 }
 
 impl ScanClassifier {
@@ -73,7 +73,7 @@ impl ScanClassifier {
         classify_clusters_of(input, clusters, classifier, classifications)?;
         self.class_rows(input.scan);
         if input.parameters.classify.after_update {
-            replace(&mut self.class, FLYING, UNKNOWN); // rule B follows after the map update
+            replace(&mut self.class, PointClass::Flying, PointClass::Unknown); // rule B follows after the map update
         }
         Ok([cluster_ms, clock.lap()])
     }
@@ -97,13 +97,13 @@ impl ScanClassifier {
     }
 
     /// Class of a row that is added to the scan.
-    pub(crate) fn add_row(&mut self, class: u8) {
+    pub(crate) fn add_row(&mut self, class: PointClass) {
         self.class.push(class);
     }
 
     /// Make the cluster `index` one of a flying object.
     pub(crate) fn make_flying(&mut self, index: usize) {
-        self.classifications[index].class = FLYING;
+        self.classifications[index].class = PointClass::Flying;
     }
 
     /// Set the class of every row: that of its cluster; unknown for points in no cluster.
@@ -118,7 +118,7 @@ impl ScanClassifier {
     }
 
     /// Class of every row.
-    pub(crate) fn class(&self) -> &[u8] {
+    pub(crate) fn class(&self) -> &[PointClass] {
         &self.class
     }
 
@@ -150,7 +150,7 @@ impl ScanClassifier {
         let (origin, points) = (scan.pose.translation, scan.points.as_slice());
         let is_small = cluster.members.len() < parameters.min_points;
         let rules = ClusterRules { map, points, origin, parameters };
-        Ok(self.classifications[index].class == UNKNOWN
+        Ok(self.classifications[index].class == PointClass::Unknown
             && is_small
             && may_fly(map, scan, &cluster)
             && is_alone(points, cluster.centroid)
@@ -158,7 +158,7 @@ impl ScanClassifier {
     }
 
     /// Number of clusters of a class.
-    pub(crate) fn count_of(&self, class: u8) -> usize {
+    pub(crate) fn count_of(&self, class: PointClass) -> usize {
         self.classifications.iter().filter(|classification| classification.class == class).count()
     }
 
@@ -182,8 +182,12 @@ impl ScanClassifier {
 }
 
 /// Class of a point of which only its place is known.
-fn class_without_cluster(point: &[f32; 3]) -> u8 {
-    if point.iter().all(|value| value.is_finite()) { UNKNOWN } else { INVALID }
+fn class_without_cluster(point: &[f32; 3]) -> PointClass {
+    if point.iter().all(|value| value.is_finite()) {
+        PointClass::Unknown
+    } else {
+        PointClass::Invalid
+    }
 }
 
 fn classify_clusters_of(
@@ -203,9 +207,11 @@ fn classify_clusters_of(
     for (classification, cluster) in classifications.iter_mut().zip(clusters.iter()) {
         let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
         if ground_height.is_some_and(is_low) {
-            *classification = Classification { class: BACKGROUND, ..Classification::default() };
-        } else if classification.class == FLYING && !may_fly(map, scan, &cluster) {
-            *classification = Classification { class: UNKNOWN, ..Classification::default() };
+            *classification =
+                Classification { class: PointClass::Background, ..Classification::default() };
+        } else if classification.class == PointClass::Flying && !may_fly(map, scan, &cluster) {
+            *classification =
+                Classification { class: PointClass::Unknown, ..Classification::default() };
         }
     }
     Ok(())

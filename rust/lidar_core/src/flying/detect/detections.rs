@@ -7,7 +7,7 @@ use super::visibility::ScanView;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::parameters::FlyingParameters;
-use crate::flying::point_class::{BACKGROUND, FLYING};
+use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::transform::{Transform, minus, norm};
 
@@ -47,12 +47,13 @@ pub(crate) fn detect<'c>(
     let is_flying = flying_rows(scan, clusters, classifications.clone());
     for (index, classification) in classifications {
         let cluster = clusters.get(index);
-        let mate =
-            input.teammate_at(cluster.centroid).filter(|_| classification.class != BACKGROUND);
+        let mate = input
+            .teammate_at(cluster.centroid)
+            .filter(|_| classification.class != PointClass::Background);
         if mate.is_some() {
             found.hidden.extend(cluster.members);
         }
-        if classification.class != FLYING {
+        if classification.class != PointClass::Flying {
             continue;
         }
         let mut detection =
@@ -80,7 +81,7 @@ fn centers<'c>(
     classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> Vec<Center> {
     let flies = |classification: &Classification| {
-        input.parameters.centers && classification.class == FLYING
+        input.parameters.centers && classification.class == PointClass::Flying
     };
     let flying = classifications.filter(|(_, classification)| flies(classification));
     let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
@@ -98,7 +99,9 @@ fn flying_rows<'c>(
         return Vec::new();
     }
     let mut is_flying = vec![false; scan.points.len()];
-    for (index, _) in classifications.filter(|(_, classification)| classification.class == FLYING) {
+    for (index, _) in
+        classifications.filter(|(_, classification)| classification.class == PointClass::Flying)
+    {
         clusters.get(index).members.iter().for_each(|&row| is_flying[row as usize] = true);
     }
     is_flying

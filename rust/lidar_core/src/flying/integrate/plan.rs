@@ -7,7 +7,7 @@ use super::accumulate::mark::Content;
 use super::classified_scan::{IntegrateStats, check_lengths, content_of};
 use super::ray_segments::{Bounds, Flags, Indices, LANES, Numbers, Ray, Source};
 use crate::Error;
-use crate::flying::point_class::INVALID;
+use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel};
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
@@ -96,8 +96,11 @@ impl Plan {
         self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
     }
 
-    /// Points with what the classes of the rows say that they are.
-    pub(crate) fn classified(&self, class: &[u8]) -> impl Iterator<Item = (Voxel, Content)> {
+    /// Voxels of the points with their contents by the classes of the rows.
+    pub(crate) fn classified(
+        &self,
+        class: &[PointClass],
+    ) -> impl Iterator<Item = (Voxel, Content)> {
         let content = |row: u32| content_of(class[row as usize]);
         self.points.iter().filter_map(move |&(voxel, row)| Some((voxel, content(row)?)))
     }
@@ -187,7 +190,7 @@ impl Wishes {
     #[inline(always)]
     fn of(source: &Source<'_>, entries: &Range<usize>, [x, y, z]: &[Numbers; 3]) -> Self {
         let scan = source.scan;
-        let class = padded(scan.class, entries, INVALID);
+        let class = padded(scan.class, entries, PointClass::Invalid);
         let flags = |flags: Option<&[bool]>| {
             flags.map_or([false; LANES], |flags| padded(flags, entries, false))
         };
@@ -200,7 +203,7 @@ impl Wishes {
         for lane in 0..LANES {
             let is_finite = x[lane].is_finite() & y[lane].is_finite() & z[lane].is_finite();
             // `&` and `|` evaluate both sides: without branches the loop becomes vector code.
-            point[lane] = is_finite & (class[lane] != INVALID) & !no_return[lane];
+            point[lane] = is_finite & (class[lane] != PointClass::Invalid) & !no_return[lane];
             ray[lane] = away[lane] | (point[lane] & !no_ray[lane]);
         }
         Self { point, away, ray }

@@ -6,7 +6,7 @@ use super::pose_weights::{PoseError, PoseWeighting};
 use crate::Error;
 use crate::flying::map::parameters::{MapParameters, RayUnit, Rays, Separation, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN};
+use crate::flying::point_class::PointClass;
 use crate::geometry::transform::Transform;
 
 /// Half the size of a room with the sensor in it [m].
@@ -17,7 +17,7 @@ const RAYS: u32 = 2500;
 /// One scan that owns its arrays.
 struct Made {
     points: Vec<[f32; 3]>,
-    class: Vec<u8>,
+    class: Vec<PointClass>,
     directions: Vec<[f32; 3]>,
     no_return: Vec<bool>,
     origins: Vec<[f64; 3]>,
@@ -65,16 +65,16 @@ impl Made {
         let end = std::array::from_fn(|axis| (start[axis] + range * way[axis]) as f32);
         self.points.push(if is_away { [f32::NAN; 3] } else { end });
         self.class.push(match (is_away, hits_ball, noise % 50) {
-            (true, ..) => INVALID,
+            (true, ..) => PointClass::Invalid,
             (_, true, _) => {
                 if noise.is_multiple_of(2) {
-                    FLYING
+                    PointClass::Flying
                 } else {
-                    UNKNOWN
+                    PointClass::Unknown
                 }
             }
-            (.., 0) => UNKNOWN,
-            _ => BACKGROUND,
+            (.., 0) => PointClass::Unknown,
+            _ => PointClass::Background,
         });
         self.directions.push(way.map(|value| value as f32));
         self.no_return.push(is_away);

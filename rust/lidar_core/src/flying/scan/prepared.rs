@@ -5,7 +5,7 @@ pub use super::raw_scan::RawScan;
 use super::sensor::Sensor;
 use crate::Error;
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::UNKNOWN;
+use crate::flying::point_class::PointClass;
 use crate::flying::sky::source::SkySource;
 use crate::flying::sky::{Look, Moment};
 use crate::geometry::lattice::wide;
@@ -39,7 +39,7 @@ pub(crate) struct Prepared {
     pub(crate) pose: Transform,
     pub(crate) rebuilt: usize,
     /// Class of every row, while none is known.
-    pub(crate) unknown: Vec<u8>,
+    pub(crate) unknown: Vec<PointClass>,
     /// Rows whose points may be on the robot; none if no row is.
     pub(crate) maybe_own: Vec<bool>,
     /// Source of the rays without return, and the share of all rays that go into the sky.
@@ -104,7 +104,7 @@ impl Prepared {
         if raw.no_return.is_some() && (raw.directions.is_some() || sensor.sky.is_none()) {
             self.take_empty_rays(raw, sensor, poses);
         }
-        self.unknown.resize(self.points.len(), UNKNOWN);
+        self.unknown.resize(self.points.len(), PointClass::Unknown);
     }
 
     /// Find the rays without return that are not given: those into the sky, seen against `map`.
@@ -263,7 +263,7 @@ impl Prepared {
         });
         origins.push(wide(point)); // its ray has no length
         self.points.push(point);
-        self.unknown.push(UNKNOWN);
+        self.unknown.push(PointClass::Unknown);
         self.no_return.push(false);
         if let Some(directions) = &mut self.directions {
             directions.push([f32::NAN; 3]);
@@ -297,7 +297,7 @@ impl Prepared {
         if let Some(no_ray) = &mut self.no_ray {
             no_ray.resize(all, false);
         }
-        self.unknown.resize(all, UNKNOWN);
+        self.unknown.resize(all, PointClass::Unknown);
         self.rebuilt = rays.len();
     }
 }
