@@ -63,7 +63,7 @@ fn parameters() -> FlyingParameters {
         },
         tracker: TrackerParameters {
             max_extent: Some(1.5),
-            confirmation: Confirmation { hits: 2, window: 10, doubt: None },
+            confirmation: Confirmation { hits: 2, window: 10, weak_evidence: None },
             ..TrackerParameters::default()
         },
         pose: PoseParameters::paper(),

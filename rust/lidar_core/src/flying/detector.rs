@@ -234,7 +234,7 @@ impl FlyingObjectDetector {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
         if let Some(sensor) = sensors.get_mut(raw.sensor) {
-            sensor.learn_from(raw, &scan.pose, scan.look.as_deref_mut());
+            sensor.learn_from(raw, &scan.pose, scan.sky_observation.as_deref_mut());
         }
         // Scans of one sensor come in order, so that no detection is older than a cloud.
         tracker.keep_points(sensors.len().max(parameters.sensors.len()) > 1);

@@ -95,7 +95,7 @@ fn flying_rows<'c>(
     clusters: &Clusters,
     classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> Vec<bool> {
-    if scan.look.is_none() {
+    if scan.sky_observation.is_none() {
         return Vec::new();
     }
     let mut is_flying = vec![false; scan.points.len()];
@@ -110,8 +110,8 @@ fn flying_rows<'c>(
 /// Factor on the confidence: less than 1 where free space around a target is known from the sky only.
 fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
     let target = minus(cluster.centroid, scan.pose.translation);
-    let found = scan.look.as_ref().filter(|_| scan.rebuilt > 0);
-    let share = found.map_or(0.0, |look| look.share_around(target));
+    let found = scan.sky_observation.as_ref().filter(|_| scan.rebuilt > 0);
+    let share = found.map_or(0.0, |observation| observation.share_around(target));
     1.0 - (1.0 - ONLY_SKY) * share
 }
 

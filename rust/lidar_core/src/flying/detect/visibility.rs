@@ -189,7 +189,7 @@ impl ScanView<'_> {
         balls: &[TestedBall],
     ) -> impl Iterator<Item = usize> + use<> {
         let (first, lanes) = (rows.start, 0..LANES);
-        let near = dispatch(ComeNear { view: self, rows, balls });
+        let near = dispatch(FindNearRays { view: self, rows, balls });
         let some = (first..).step_by(LANES).zip(near).filter(|(_, flags)| *flags != 0);
         some.flat_map(move |(first, flags)| {
             lanes.clone().filter(move |lane| flags >> lane & 1 == 1).map(move |lane| first + lane)
@@ -212,7 +212,7 @@ impl ScanView<'_> {
 }
 
 /// Finds rays that come near any of some balls, on the vector unit of the machine.
-struct ComeNear<'a> {
+struct FindNearRays<'a> {
     view: &'a ScanView<'a>,
     rows: Range<usize>,
     balls: &'a [TestedBall],
@@ -221,7 +221,7 @@ struct ComeNear<'a> {
 /// A bit for every row of a chunk.
 type RowBits = [u32; ROWS_PER_CHUNK / LANES];
 
-impl WithSimd for ComeNear<'_> {
+impl WithSimd for FindNearRays<'_> {
     type Output = RowBits;
 
     #[inline(always)]

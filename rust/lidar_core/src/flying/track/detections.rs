@@ -70,8 +70,10 @@ impl Detections<'_> {
     }
 
     fn is_sure(&self, index: usize, parameters: &TrackerParameters) -> bool {
-        match (self.confidence, parameters.confirmation.doubt) {
-            (Some(confidence), Some(doubt)) => confidence[index] >= doubt.confidence,
+        match (self.confidence, parameters.confirmation.weak_evidence) {
+            (Some(confidence), Some(weak_evidence)) => {
+                confidence[index] >= weak_evidence.confidence
+            }
             _ => true,
         }
     }

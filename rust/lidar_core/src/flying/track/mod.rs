@@ -5,7 +5,7 @@
 
 mod buffer;
 mod candidates;
-mod company;
+mod cluster_assignment;
 mod detections;
 mod full_state;
 mod lifecycle;
@@ -24,8 +24,8 @@ mod tests;
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
 pub use parameters::{
-    Ageing, Association, Confirmation, Doubt, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm,
-    Merging, Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
+    Ageing, Association, Confirmation, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging,
+    Motion, NoiseForm, Radius, RadiusForm, TrackerParameters, WeakEvidence,
 };
 pub use visibility::occupancy::{Occupancy, OccupiedPoints, Visibility};
 pub use visibility::view::CloudView;
