@@ -3,7 +3,7 @@
 use crate::random::{self, Purpose};
 use crate::scene::{CastRay, RayHit, Scene, inverse, passes, within};
 use crate::sensors::{Beam, Lidar, SweepRays};
-use crate::surface::{Fate, Surface, USUAL_REFLECTIVITY, is_seen, signal};
+use crate::surface::{Surface, SurfaceInteraction, USUAL_REFLECTIVITY, is_seen, signal};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot};
@@ -204,8 +204,8 @@ impl Task<'_> {
             let (surface, normal) = hit.surface.unwrap_or((USUAL, ray.direction));
             let distance = way + hit.distance;
             let draws = [random::uniform(drawn[0]), random::uniform(drawn[1])];
-            let ahead = match surface.fate(ray.direction, normal, draws) {
-                Fate::Scattered => {
+            let ahead = match surface.interaction(ray.direction, normal, draws) {
+                SurfaceInteraction::Scattered => {
                     let cosine = dot(ray.direction, normal).abs();
                     let power = signal(
                         surface.reflectivity,
@@ -218,11 +218,11 @@ impl Task<'_> {
                     let label = if is_ghost { GHOST_LABEL } else { hit.label };
                     return is_seen(power, fading).then_some(RayHit { distance, label, ..hit });
                 }
-                Fate::Mirrored(direction) => {
+                SurfaceInteraction::Mirrored(direction) => {
                     is_ghost = true;
                     direction
                 }
-                Fate::Passed => ray.direction,
+                SurfaceInteraction::Passed => ray.direction,
             };
             way = distance + STEP;
             let start = |axis: usize| {

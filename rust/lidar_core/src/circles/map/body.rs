@@ -7,7 +7,7 @@ use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
 use super::modes::{Distances, ElementModes, halted};
 use super::outline::{Outline, OutlineMeasurement};
-use super::parameters::Patience;
+use super::parameters::MissLimits;
 use super::rules::Rules;
 use super::view::earlier::Trace;
 use super::view::viewpoint::Viewpoint;
@@ -312,7 +312,7 @@ impl State for RoundBody {
         let state = self.circle();
         let ask = |[x, y]: [f64; 2]| {
             let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
-            view.of(&circle, rules.looking())
+            view.of(&circle, rules.visibility_test())
         };
         let here = ask([0.0, 0.0]);
         if here != CircleVisibility::SeenThrough {
@@ -367,8 +367,8 @@ impl State for RoundBody {
         }
     }
 
-    fn patience(rules: &Rules) -> Patience {
-        rules.parameters().patience
+    fn miss_limits(rules: &Rules) -> MissLimits {
+        rules.parameters().miss_limits
     }
 }
 

@@ -26,7 +26,7 @@ mod tests;
 pub use outline::OutlineEstimate;
 pub use parameters::{
     CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
-    Looking, MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MotionMode, Patience, Standing,
+    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MissLimits, MotionMode, Standing, VisibilityTest,
 };
 pub use scan::{CircleScan, PoseCovariance};
 pub use view::visibility::{CircleVisibility, ScanWithLimits, SortedView};

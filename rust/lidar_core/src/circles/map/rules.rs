@@ -1,7 +1,7 @@
 //! Rules of the map with a filter per element: parameters, motion, gates.
 
 use super::element_motion::ElementMotion;
-use super::parameters::{Independent, LineRules, Looking};
+use super::parameters::{Independent, LineRules, VisibilityTest};
 use crate::Error;
 use crate::estimation::chi2;
 
@@ -43,8 +43,8 @@ impl Rules {
         &self.parameters.lines
     }
 
-    pub(super) fn looking(&self) -> &Looking {
-        &self.parameters.looking
+    pub(super) fn visibility_test(&self) -> &VisibilityTest {
+        &self.parameters.visibility_test
     }
 
     pub(super) fn motion(&self) -> &ElementMotion {
