@@ -1,4 +1,7 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
+//!
+//! Longer than other files, so that the fields of the detector stay private to it: parts in other
+//! files would share its whole state.
 
 use super::background::burn_in::BurnIn;
 use super::background::pose_jump::{HeldScan, PoseCheck};
