@@ -33,8 +33,6 @@ const LIKELY: f64 = 0.2;
 const NEAR: f64 = 9.0;
 /// Standard deviation of the position up to which a body adopts what touches it [m].
 const KNOWN: f64 = 0.5;
-/// Span of usual radii [m].
-const RADII: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
 const TRUST: f64 = 4.0;
 
@@ -279,7 +277,7 @@ impl State for RoundBody {
     ) -> Result<Vec<Option<usize>>, Error> {
         let whole = wholes.iter().enumerate().filter(|&(one, &whole)| one == whole).count();
         // Costs are -2 log likelihoods, so that of a new body is that of the density of births.
-        let unassigned = -2.0 * libm::log(density(whole, from, rules));
+        let unassigned = -2.0 * libm::log(rules.density(whole, from.view.as_ref()));
         let count = all.len();
         let mut pairs = Vec::new();
         for (row, body) in all.clone().enumerate() {
@@ -369,18 +367,6 @@ impl State for RoundBody {
 
     fn miss_limits(rules: &Rules) -> MissLimits {
         rules.parameters().miss_limits
-    }
-}
-
-/// Density of circles without an element, per area and radius [1/m^3]: at least that of all circles
-/// of the scan in the area that it sees.
-fn density(count: usize, from: &Viewpoint, rules: &Rules) -> f64 {
-    let least = rules.parameters().birth_density;
-    match &from.view {
-        Some(view) if rules.has_standing() => {
-            least.max(count.max(1) as f64 / ((view.area() + 1.0) * RADII))
-        }
-        _ => least,
     }
 }
 
