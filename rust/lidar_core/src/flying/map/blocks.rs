@@ -26,7 +26,7 @@ pub(crate) struct Block {
     pub(crate) tentative: Bits,
     /// Confidently occupied.
     pub(crate) confident: Bits,
-    /// What rays cannot change. Not saved: bytes may be wrong, and a scan finds it again.
+    /// Voxels that rays cannot change. Not saved: bytes may be wrong, and a scan finds it again.
     #[serde(skip)]
     pub(crate) inert: Inert,
     /// A bit for every row that is held.

@@ -43,7 +43,7 @@ pub(super) struct Measurement {
     pub(super) row: Option<u32>,
 }
 
-/// What a detection tells of the existence of its track.
+/// Evidence of a detection for the existence of its track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Evidence {
     pub(super) is_sure: bool,

@@ -128,7 +128,7 @@ impl SortedView {
         votes.visibility(test)
     }
 
-    /// What the scan met at a point, in its own frame, up to `margin` [m].
+    /// Content of a place, in the frame of the scan: surface, free or unknown, up to `margin` [m].
     pub(in crate::circles::map) fn met(&self, [x, y]: [f64; 2], margin: f64) -> Met {
         let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
         let (Some(first), Some(last)) = (self.bearings.first(), self.bearings.last()) else {
@@ -153,7 +153,7 @@ impl SortedView {
         if is_free && distance < self.range_max { Met::Free } else { Met::Unknown }
     }
 
-    /// What rays met of which one ended nearer than `distance`.
+    /// Content of a place where a ray ended nearer than `distance`: surface if another ended there.
     fn surface_beside(&self, [low, high]: [usize; 2], distance: f64, margin: f64) -> Met {
         let is_there = |range: &f64| (range - distance).abs() < margin;
         if self.ranges[low..high].iter().any(is_there) { Met::Surface } else { Met::Unknown }

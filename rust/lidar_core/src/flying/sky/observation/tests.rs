@@ -1,4 +1,4 @@
-//! What a scan shows of the sky.
+//! Tests of the observation of the sky.
 
 use super::super::grid::PARTS;
 use super::super::{Beams, Sky};
