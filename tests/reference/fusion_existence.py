@@ -2,7 +2,8 @@
 
 It follows Musicki & Evans, "Joint integrated probabilistic data association: JIPDA", 2004, with
 joint events that are counted one by one: for every set of tracks that exist, and of those every
-assignment of measurements.
+assignment of measurements. A target that exists is observable or hidden: Markov chain two of
+Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994.
 """
 
 import numpy as np
@@ -12,19 +13,35 @@ from reference.fusion_many import gaussian_step
 CERTAIN, DOUBTFUL, MOST = 0.9, 0.5, 1 - 1e-9
 SHARE, LIFETIME, DELETED = 0.05, 30.0, 1e-3
 MEMORY, FIRST_SCANS, SPEEDS = 300, 5, 50
-PRIORS = {"clutter": 1.0, "detection": 5.0, "share": 20.0, "end": 0.5}
+VISIBLE, HIDDEN = 100.0, 1.5
+PRIORS = {"clutter": 1.0, "detection": 5.0, "share": 20.0, "end": 0.5, "hiding": 0.1}
 
 
-def joint_events(existence, detection, ratios):
+def chain(lifetime, visible, dt):
+    """Transitions within `dt` of what is always seen, came back, is hidden; columns sum to < 1.
+
+    By many short steps, as a check of closed forms.
+    """
+    leave, hide, show = 1 / lifetime, 1 / visible, 1 / HIDDEN
+    rates = np.array([[-hide, 0, 0], [0, -hide, show], [hide, hide, -show]]) - leave * np.eye(3)
+    step = rates * dt / 2**16
+    short = np.eye(3) + step + step @ step / 2
+    return np.linalg.matrix_power(short, 2**16)
+
+
+def joint_events(existence, detection, ratios, hidden=None):
     """Probability of existence of each track, and of each pair: it exists and was measured so.
 
-    `ratios` (T, M) are densities of measurements over that of clutter, 0 outside the gate. Tracks
-    without common measurements are independent.
+    Also that it exists and is `hidden`. `ratios` (T, M) are densities of measurements over that of
+    clutter, 0 outside the gate. Tracks without common measurements are independent.
     """
-    exists, pair = np.zeros(len(ratios)), np.zeros(ratios.shape)
+    hidden = np.zeros(len(ratios)) if hidden is None else hidden
+    observable, pair = existence - hidden, np.zeros(ratios.shape)
     for rows in groups(ratios > 0):
-        exists[rows], pair[rows] = events_of_group(existence[rows], detection, ratios[rows])
-    return exists, pair
+        pair[rows] = events_of_group(observable[rows], detection, ratios[rows])
+    unmeasured = (1 - pair.sum(axis=1)) / (1 - observable * detection)
+    missed = observable * (1 - detection) + hidden
+    return pair.sum(axis=1) + unmeasured * missed, pair, unmeasured * hidden
 
 
 def groups(linked):
@@ -43,12 +60,12 @@ def groups(linked):
     return found
 
 
-def events_of_group(existence, detection, ratios):
-    """The same for one group: every track was measured as something, or was not measured."""
-    unseen = 1 - existence * detection  # no target, or missed
+def events_of_group(observable, detection, ratios):
+    """Pairs of one group: every track was measured as something, or was not measured."""
+    unseen = 1 - observable * detection  # no target, hidden, or missed
     pair, events = np.zeros(ratios.shape), [((), 1.0)]
     for row in range(len(ratios)):
-        seen = existence[row] * detection * ratios[row]
+        seen = observable[row] * detection * ratios[row]
         options = [(-1, unseen[row]), *((column, seen[column]) for column in np.flatnonzero(seen))]
         events = [
             ((*event, column), weight * own)
@@ -61,8 +78,7 @@ def events_of_group(existence, detection, ratios):
         for row, column in enumerate(event):
             if column >= 0:
                 pair[row, column] += weight / total
-    missed = existence * (1 - detection) / unseen
-    return pair.sum(axis=1) + (1 - pair.sum(axis=1)) * missed, pair
+    return pair
 
 
 class Learnt:
@@ -96,6 +112,7 @@ class IntegratedTargets:
         self.noise = np.diag(np.square(config.target.lidar_std))
         self.tracks, self.next_id, self.scanners = [], 0, {}
         self.stayed = self.ends = self.squared = self.speeds = 0.0
+        self.visible = self.returns = 0.0
 
     def process(self, stamp, places, source):
         self.stamp, self.places, self.source = stamp, places, source
@@ -106,16 +123,29 @@ class IntegratedTargets:
         density, detection, share = scanner.density(), scanner.detection(), scanner.share()
         is_settled = scanner.scans >= FIRST_SCANS
         self.age()
-        existence = np.array([track["p"] for track in self.tracks])
+        existence, hidden, returned = (
+            np.array([track[name] for track in self.tracks]) for name in ("p", "hidden", "returned")
+        )
+        observable = existence - hidden
         nis, ratios = self.compared(density)
-        after, pair = joint_events(existence, detection, ratios)
+        after, pair, hidden_after = joint_events(existence, detection, ratios, hidden)
+        measured = pair.sum(axis=1)
         for row, track in enumerate(self.tracks):
+            miss = (1 - detection) / (1 - detection * observable[row])
             if source not in track["sources"]:  # this scanner may not see the place
-                after[row] = pair[row].sum() + (1 - pair[row].sum()) * existence[row]
+                miss = 1.0
+                after[row] = measured[row] + (1 - measured[row]) * existence[row]
+                hidden_after[row] = (1 - measured[row]) * hidden[row]
+            if track["was_certain"]:
+                self.returns += measured[row] * returned[row] / observable[row]
+            track["hidden"] = hidden_after[row]
+            track["returned"] = (1 - measured[row]) * miss * returned[row]
         after = np.minimum(after, MOST)
+        alone = detection * observable[:, None] * ratios
+        likely = alone > (1 - detection * observable)[:, None]
         left = 1 - pair.sum(axis=0)
         self.learn(scanner, existence, after, pair, left)
-        numbers, measured = self.update(nis, after, pair, left)
+        numbers, measured = self.update(nis, after, pair, left, likely)
         self.start(left * share, measured, numbers, is_settled)
         self.unite()
         self.judge(scanner)
@@ -124,13 +154,19 @@ class IntegratedTargets:
     def age(self):
         lifetime = PRIORS["end"] * LIFETIME + self.stayed
         lifetime /= PRIORS["end"] + self.ends
+        visible = PRIORS["hiding"] * VISIBLE + self.visible
+        visible /= PRIORS["hiding"] + self.returns
         for track in self.tracks:
             dt = (self.stamp - track["stamp"]) * 1e-9
             density = self.config.target.acceleration_noise**2
             track["mean"], track["cov"] = gaussian_step(track["mean"], track["cov"], dt, density)
             if track["was_certain"]:
                 self.stayed += track["p"] * dt
-            track["p"] *= np.exp(-dt / lifetime)
+                self.visible += (track["p"] - track["hidden"]) * dt
+            always = track["p"] - track["hidden"] - track["returned"]
+            state = np.array([always, track["returned"], track["hidden"]])
+            state = chain(lifetime, visible, dt) @ state
+            track["p"], track["returned"], track["hidden"] = state.sum(), state[1], state[2]
             track["stamp"] = self.stamp
 
     def compared(self, density):
@@ -155,10 +191,10 @@ class IntegratedTargets:
         scanner.clutter += left.sum()
         for row, track in enumerate(self.tracks):
             if self.source in track["sources"] and before[row] > CERTAIN:
-                scanner.looks += after[row]
+                scanner.looks += after[row] - track["hidden"]
                 scanner.hits += pair[row].sum()
 
-    def update(self, nis, after, pair, left):
+    def update(self, nis, after, pair, left, likely):
         """A young track is divided by its measurements; an older one is blended."""
         numbers, best = [-1] * len(self.places), np.zeros(len(self.places))
         divided, measured = [], []
@@ -168,7 +204,9 @@ class IntegratedTargets:
                 parts = self.divide(track, own, pair[row], after[row])
             else:
                 parts = []
-                self.blend(track, own, nis[row], pair[row], after[row])
+                self.blend(
+                    track, np.where(likely[row], nis[row], np.inf), own, pair[row], after[row]
+                )
             for option, column in enumerate(own):
                 if left[column] < 0.5 and pair[row, column] > best[column]:
                     best[column] = pair[row, column]
@@ -183,10 +221,11 @@ class IntegratedTargets:
     def divide(self, track, own, pair, after):
         parts = []
         for column in own:
-            part = {**track, "id": self.next_id, "p": pair[column]}
+            part = {**track, "id": self.next_id, "p": pair[column], "hidden": 0.0, "returned": 0.0}
             self.next_id += 1
             self.correct(part, np.eye(len(self.places))[column])
-            self.see(part, column)
+            self.see(part)
+            self.remember(part, column)
             parts.append(part)
         track["p"] = max(after - pair.sum(), 0.0)
         if parts:
@@ -195,15 +234,15 @@ class IntegratedTargets:
                 likeliest["id"], track["id"] = track["id"], likeliest["id"]
         return parts
 
-    def blend(self, track, own, nis, pair, after):
+    def blend(self, track, likely, own, pair, after):
         track["p"] = after
         if not len(own):
             return
         self.correct(track, pair / after)
         if pair.sum() / after > 0.5:
-            self.see(track, own[np.argmin(nis[own])])  # of one track: the least NIS
-        else:
-            self.remember(track, own[np.argmin(nis[own])])
+            self.see(track)
+        if np.isfinite(likely).any():
+            self.remember(track, np.argmin(likely))  # of one track: the least NIS
 
     def correct(self, track, shares):
         spread = track["cov"][:2, :2] + self.noise
@@ -214,10 +253,9 @@ class IntegratedTargets:
         track["mean"] = track["mean"] + gain @ mean
         track["cov"] = track["cov"] + gain @ (apart - shares.sum() * spread) @ gain.T
 
-    def see(self, track, column):
+    def see(self, track):
         track["sources"] = track["sources"] | {self.source}
         track["hits"] += 1
-        self.remember(track, column)
 
     def remember(self, track, column):
         track["last"] = ((self.stamp, self.source, int(column)), track["last"][0])
@@ -238,6 +276,8 @@ class IntegratedTargets:
                 "mean": np.array([*place, 0.0, 0.0]),
                 "cov": covariance,
                 "p": probability[column],
+                "hidden": 0.0,
+                "returned": 0.0,
                 "start": place,
                 "born": self.stamp,
                 "stamp": self.stamp,
@@ -264,7 +304,9 @@ class IntegratedTargets:
             if other is track or min(other["p"], track["p"]) > 0.5:
                 continue
             likelier, less = (track, other) if track["p"] > other["p"] else (other, track)
-            likelier["p"] = min(track["p"] + other["p"], MOST)
+            total = track["p"] + other["p"]
+            for name in ("p", "hidden", "returned"):
+                likelier[name] = (track[name] + other[name]) * min(1, MOST / total)
             gone.append(less["id"])
             of_last[track["last"]] = likelier
         self.tracks = [track for track in self.tracks if track["id"] not in gone]

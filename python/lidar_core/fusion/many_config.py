@@ -18,7 +18,8 @@ class MultiTargetConfig(Config):
     Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999;
     Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
     data association", 1983; Musicki & Evans, "Joint integrated probabilistic data association:
-    JIPDA", 2004.
+    JIPDA", 2004; Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994,
+    whose Markov chain two tells hidden targets from those that do not exist.
     """
 
     removed: ClassVar[Mapping[str, str]] = {

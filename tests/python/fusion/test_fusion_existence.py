@@ -43,14 +43,18 @@ def feed(tracker, scans, source="lidar", start=0):
     ]
 
 
-def scenes(seed, count):
-    """Targets that come near each other, missed now and then, and stray measurements."""
+def scenes(seed, count, gap=range(0)):
+    """Targets that come near each other, missed now and then, and stray measurements.
+
+    The first target is hidden in the scans `gap`.
+    """
     rng = np.random.default_rng(seed)
     place, speed = rng.uniform(-6, 6, (2, 2)), rng.normal(0, 1.5, (2, 2))
     stamp = 0
-    for _ in range(count):
+    for number in range(count):
         stamp += int(rng.integers(1, 5)) * 100_000_000
-        seen = (place + speed * stamp * 1e-9)[rng.random(2) < 0.8]
+        is_seen = (rng.random(2) < 0.8) & [number not in gap, True]
+        seen = (place + speed * stamp * 1e-9)[is_seen]
         seen = seen + rng.normal(0, 0.45, seen.shape)
         stray = rng.uniform(-25, 25, (int(rng.random() < 0.2), 2))
         yield stamp, np.vstack([seen, stray]), str(rng.choice(["left", "right"]))
@@ -83,6 +87,22 @@ def test_the_tracker_agrees_with_the_oracle(birth_distance, seed):
         agrees(tracker, oracle, stamp)
 
 
+@given(seed=st.integers(8800, 8899))
+def test_hidden_targets_agree_with_the_oracle(seed):
+    """Also what returns teach; a tracker from a saved state goes on with the same."""
+    config = MultiTargetConfig.load({**SMALL.model_dump(), "detection_probability": 0.95})
+    tracker, oracle = (
+        MultiTargetTracker(config),
+        IntegratedTargets(config, gate=chi2_quantile(GATE, degrees=2)),
+    )
+    for number, (stamp, seen, _) in enumerate(scenes(seed, 24, gap=range(12, 18))):
+        tracker.process(stamp, lidar(stamp, seen), source="left")
+        oracle.process(stamp, list(seen), "left")
+        agrees(tracker, oracle, stamp)
+        if number == 15:
+            tracker = MultiTargetTracker.from_bytes(tracker.to_bytes())
+
+
 @given(seed=st.integers(8500, 8799))
 def test_scans_in_any_order_give_what_the_oracle_gets_in_order(seed):
     """What is learnt of clutter and detection included; up to the numbers, which are of arrival."""
@@ -109,7 +129,7 @@ def test_joint_events_by_hand():
 
     Events by weight: none of them measured 0.6^2, either of them 0.6 * 0.5 * 0.8 * 2.
     """
-    exists, pair = joint_events(np.array([0.5, 0.5]), 0.8, np.array([[2.0], [2.0]]))
+    exists, pair, _ = joint_events(np.array([0.5, 0.5]), 0.8, np.array([[2.0], [2.0]]))
     total = 0.36 + 2 * 0.48
     np.testing.assert_allclose(pair[:, 0], 0.48 / total)
     np.testing.assert_allclose(exists, (0.48 + (total - 0.48) * 0.1 / 0.6) / total)
@@ -269,3 +289,93 @@ def test_speeds_of_new_targets_are_learnt():
         row = np.argmin(np.linalg.norm(alone.position - [100.0, 0.0], axis=1))
         grown.append(alone.covariances[row, 0, 0])
     assert grown[0] < 0.2 * grown[1]
+
+
+# Gaps
+
+
+def carried(rate, gap, run, clutter=0.0):
+    """Whether a target keeps its number that is always measured, hidden for `gap` [s], and back.
+
+    It moves with up to 3 m/s; `rate` is that of scans [1/s].
+    """
+    rng = np.random.default_rng([8905, run, round(rate), round(10 * gap)])
+    tracker, start = MultiTargetTracker(), rng.uniform(-5, 5, 2)
+    way, (first, hidden) = rng.uniform(-2, 2, 2), (round(5 * rate), round(gap * rate))
+    found = []
+    for k in range(first + hidden + round(rate) + 3):
+        stamp, place = round(k / rate * 1e9), start + way * k / rate
+        seen = rng.uniform(-20, 20, (rng.poisson(clutter), 2))
+        if not first <= k < first + hidden:
+            seen = np.vstack([place + rng.normal(0, 0.15, 2), seen])
+        tracker.process(stamp, lidar(stamp, seen), source="lidar")
+        tracks = tracker.tracks_at(stamp)
+        away = np.linalg.norm(tracks.position - place, axis=1)
+        found.append(int(tracks.id[away.argmin()]) if away.min(initial=9) < 1 else None)
+    return found[first - 1] is not None and found[first - 1] == found[-1]
+
+
+@pytest.mark.parametrize("clutter", [0.0, 3.0])
+@pytest.mark.parametrize("gap", [0.3, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("rate", [2.0, 10.0, 20.0])
+def test_a_hidden_target_comes_back_under_its_own_number(rate, gap, clutter):
+    assert np.mean([carried(rate, gap, run, clutter) for run in range(20)]) >= 0.95
+
+
+@pytest.mark.parametrize("rate", [2.0, 10.0, 20.0])
+@pytest.mark.parametrize("speed", [0.0, 1.5, 10.0])
+def test_a_target_that_is_gone_is_not_reported_for_long_and_forgotten(rate, speed):
+    """Reported for a second or three scans at most; forgotten within 6 s."""
+    tracker, step, rng = MultiTargetTracker(), 1 / rate, np.random.default_rng(8906)
+    last = round(5 * rate)
+    for k in range(last + round(6 * rate)):
+        stamp = round(k * step * 1e9)
+        seen = [np.array([speed * k * step, 0.0]) + rng.normal(0, 0.15, 2)] if k <= last else []
+        tracker.process(stamp, lidar(stamp, seen), source="lidar")
+        if k == last:
+            assert len(tracker.tracks_at(stamp).id) == 1
+        if (k - last) * step > max(1.0, 3 * step):
+            assert not len(tracker.tracks_at(stamp).id)
+    assert not len(tracker.tracks_at(stamp, confirmed=False).id)
+
+
+def test_what_appears_elsewhere_is_not_the_hidden_target():
+    """Ten predicted deviations away: the number is new."""
+    for run in range(10):
+        rng, tracker = np.random.default_rng([8907, run]), MultiTargetTracker()
+        for k in range(85):
+            stamp, place = k * 100_000_000, np.array([0.0 if k < 50 else 20.0, 0.0])
+            seen = [] if 50 <= k < 70 else [place + rng.normal(0, 0.15, 2)]
+            tracker.process(stamp, lidar(stamp, seen), source="lidar")
+            if k == 49:
+                (own,) = tracker.tracks_at(stamp).id
+        assert own not in tracker.tracks_at(stamp).id
+        assert len(tracker.tracks_at(stamp).id) == 1
+
+
+def test_where_targets_often_hide_it_is_expected():
+    """Existence after five misses: of targets that came back before, and of those never hidden."""
+    left = {}
+    for name, gaps in {"never": (), "often": (40, 80, 120)}.items():
+        tracker, rng = MultiTargetTracker(), np.random.default_rng(8909)
+        for k in range(160):
+            is_hidden = any(gap <= k < gap + 7 for gap in gaps) or k >= 155
+            places = np.array([[0.0, 0.0], [10.0, 5.0], [20.0, 0.0]])[int(is_hidden) :]
+            feed(tracker, [places + rng.normal(0, 0.15, places.shape)], start=k)
+        tracks = tracker.tracks_at(159 * STEP_NS, confirmed=False)
+        left[name] = tracks.existence[np.linalg.norm(tracks.position, axis=1) < 3].max(initial=0)
+    assert left["often"] > 2 * left["never"]
+
+
+def test_another_target_in_the_wide_gate_of_a_hidden_one_does_not_end_it():
+    """Measurements of one are not taken for proof that both are the same."""
+    tracker, rng = MultiTargetTracker(), np.random.default_rng(8908)
+    for k in range(40):
+        stamp = k * STEP_NS
+        places = np.array([[0.0, 0.0], [4.0, 0.0]])[20 <= k < 30 :]
+        seen = places + rng.normal(0, 0.15, places.shape)
+        tracker.process(stamp, lidar(stamp, seen), source="lidar")
+        if k == 19:
+            before = tracker.tracks_at(stamp).id.tolist()
+    assert tracker.tracks_at(stamp).id.tolist() == before
+    assert len(before) == 2

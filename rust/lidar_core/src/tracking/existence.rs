@@ -1,18 +1,85 @@
 //! Joint integrated probabilistic data association: how probable it is that a track follows a
-//! target at all, and which measurement is of it.
+//! target at all, whether that is hidden, and which measurement is of it.
 
 use super::joint_association::probabilities;
 use crate::estimation::assignment::Pair;
+use serde::{Deserialize, Serialize};
 
 /// Largest probability of existence, so that misses can always lower it.
 pub const MOST_CERTAIN: f64 = 1.0 - 1e-9;
 
+/// What is known of the target of a track: there is none, it can be measured, or it is hidden.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Presence {
+    /// Probability that there is a target.
+    pub existence: f64,
+    /// Probability that there is a target and that it is hidden.
+    pub hidden: f64,
+    /// Probability that there is a target which is not hidden, but was since its last measurement.
+    pub returned: f64,
+}
+
+/// Mean times of a target [s].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sojourn {
+    /// It stays.
+    pub lifetime: f64,
+    /// It can be measured, until something hides it.
+    pub visible: f64,
+    /// It is hidden, until it can be measured again.
+    pub hidden: f64,
+}
+
+impl Presence {
+    /// A target that a measurement shows with probability `existence`.
+    #[must_use]
+    pub fn measured(existence: f64) -> Self {
+        Self { existence, hidden: 0.0, returned: 0.0 }
+    }
+
+    /// Probability that there is a target and that it can be measured.
+    #[must_use]
+    pub fn observable(&self) -> f64 {
+        (self.existence - self.hidden).max(0.0)
+    }
+
+    /// The same after `dt` [s] without a scan.
+    ///
+    /// # Source
+    /// Markov chain two of Musicki, Evans & Stankovic, "Integrated probabilistic data
+    /// association", 1994, in continuous time.
+    #[must_use]
+    pub fn predicted(&self, dt: f64, mean: &Sojourn) -> Self {
+        let dt = dt.max(0.0);
+        let (hides, returns) = (1.0 / mean.visible, 1.0 / mean.hidden);
+        let share = hides / (hides + returns);
+        let kept = libm::exp(-dt / mean.lifetime);
+        let mixed = -libm::expm1(-dt * (hides + returns));
+        let hidden = self.hidden + mixed * (share * self.existence - self.hidden);
+        let always = (self.observable() - self.returned) * libm::exp(-dt * hides);
+        let returned = (self.existence - hidden - always).max(0.0);
+        Self { existence: kept * self.existence, hidden: kept * hidden, returned: kept * returned }
+    }
+
+    /// Of two histories that exclude each other.
+    #[must_use]
+    pub fn united(&self, other: &Self) -> Self {
+        let existence = self.existence + other.existence;
+        let kept = (MOST_CERTAIN / existence).min(1.0);
+        Self {
+            existence: kept * existence,
+            hidden: kept * (self.hidden + other.hidden),
+            returned: kept * (self.returned + other.returned),
+        }
+    }
+}
+
 /// A track before a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prospect {
-    /// Probability that the target exists, predicted to the time of the scan.
-    pub existence: f64,
-    /// Probability that the scan measures the target within its gate if it exists.
+    /// What is known of its target, predicted to the time of the scan.
+    pub presence: Presence,
+    /// Probability that the scan measures the target within its gate if it is observable.
     pub detection: f64,
     /// True if the scanner is known to see the place: then a scan without the target counts
     /// against it.
@@ -34,102 +101,169 @@ pub struct GatedPair {
 /// What a scan says about tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointEvidence {
-    /// Probability of existence of every track.
-    pub existence: Vec<f64>,
+    /// What is known of the target of every track.
+    pub presence: Vec<Presence>,
     /// Probability of every pair: the target exists, and the measurement is of it.
     pub pair: Vec<f64>,
+    /// True for a pair that would be likelier than a miss if there was no other.
+    pub is_likely: Vec<bool>,
     /// Probability of every measurement that it is of no track.
     pub unexplained: Vec<f64>,
-}
-
-/// Probability of existence after a time without a scan, for targets that stay `lifetime` [s] on
-/// average.
-#[must_use]
-pub fn survived(existence: f64, dt: f64, lifetime: f64) -> f64 {
-    existence * libm::exp(-dt.max(0.0) / lifetime)
+    /// Probability of every track that it was measured for the first time after it was hidden.
+    pub returns: Vec<f64>,
 }
 
 /// Probabilities of existence and association after a scan.
 ///
-/// The events of JPDA, in which a track without a measurement either does not exist or was missed:
-/// that has the weight 1 - `detection` * `existence`, a measurement of it has `detection` *
-/// `existence` times its ratio. Groups of tracks with common measurements are independent; they are
-/// enumerated up to [`MOST_EVENTS`](super::joint_association::MOST_EVENTS) events.
+/// The events of JPDA, in which a track without a measurement does not exist, is hidden, or was
+/// missed: together they have the weight 1 - `detection` times the probability of an observable
+/// target. A measurement of it has that product times its ratio. Groups of tracks with common
+/// measurements are independent; they are enumerated up to
+/// [`MOST_EVENTS`](super::joint_association::MOST_EVENTS) events.
 ///
 /// # Source
 /// Musicki & Evans, "Joint integrated probabilistic data association: JIPDA", 2004; for one track:
 /// Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994.
 #[must_use]
 pub fn associate(tracks: &[Prospect], measurements: usize, pairs: &[GatedPair]) -> JointEvidence {
-    let miss = |track: &Prospect| 1.0 - track.detection * track.existence;
+    let seen = |track: &Prospect| track.detection * track.presence.observable();
     let cost = |pair: &GatedPair| {
-        let track = &tracks[pair.track];
-        let seen = libm::log(track.detection * track.existence) + pair.log_ratio;
-        Pair { row: pair.track, column: pair.measurement, cost: libm::log(miss(track)) - seen }
+        let seen = seen(&tracks[pair.track]);
+        let cost = libm::log(1.0 - seen) - libm::log(seen) - pair.log_ratio;
+        Pair { row: pair.track, column: pair.measurement, cost }
     };
     let costs: Vec<Pair> = pairs.iter().map(cost).collect();
     let pair = probabilities(tracks.len(), measurements, &costs);
-    let (mut seen, mut unexplained) = (vec![0.0; tracks.len()], vec![1.0; measurements]);
+    let (mut measured, mut unexplained) = (vec![0.0; tracks.len()], vec![1.0; measurements]);
     for (gated, probability) in pairs.iter().zip(&pair) {
-        seen[gated.track] += probability;
+        measured[gated.track] += probability;
         unexplained[gated.measurement] -= probability;
     }
-    let existence = tracks.iter().zip(&seen).map(|(track, seen)| {
-        let kept = if track.is_in_view {
-            (1.0 - track.detection) * track.existence / miss(track)
-        } else {
-            track.existence
-        };
-        (seen + (1.0 - seen).max(0.0) * kept).min(MOST_CERTAIN)
-    });
-    let existence = existence.collect();
     unexplained.iter_mut().for_each(|left| *left = left.max(0.0));
-    JointEvidence { existence, pair, unexplained }
+    let presence = tracks.iter().zip(&measured).map(|(track, measured)| {
+        // Without a measurement: what could be measured was missed, what is hidden says nothing.
+        let (missed, miss) =
+            if track.is_in_view { (1.0 - track.detection, 1.0 - seen(track)) } else { (1.0, 1.0) };
+        let unmeasured = (1.0 - measured).max(0.0) / miss;
+        let Presence { hidden, returned, .. } = track.presence;
+        let kept = missed * track.presence.observable() + hidden;
+        let existence = (measured + unmeasured * kept).min(MOST_CERTAIN);
+        let hidden = (unmeasured * hidden).min(existence);
+        Presence { existence, hidden, returned: unmeasured * missed * returned }
+    });
+    let returns = tracks.iter().zip(&measured).map(|(track, measured)| {
+        let observable = track.presence.observable();
+        if observable > 0.0 { measured * track.presence.returned / observable } else { 0.0 }
+    });
+    let (presence, returns) = (presence.collect(), returns.collect());
+    let is_likely = costs.iter().map(|pair| pair.cost < 0.0).collect();
+    JointEvidence { presence, pair, is_likely, unexplained, returns }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const TRACK: Prospect = Prospect { existence: 0.5, detection: 0.8, is_in_view: true };
+    const TRACK: Prospect = Prospect { presence: SOME, detection: 0.8, is_in_view: true };
+    const SOME: Presence = Presence { existence: 0.5, hidden: 0.0, returned: 0.0 };
+    const MEAN: Sojourn = Sojourn { lifetime: 60.0, visible: 30.0, hidden: 1.5 };
 
     /// One track: r' = r (1 - d) / (1 - r d) without a measurement, and with the factor
     /// 1 - d + d L in place of 1 - d with one of likelihood ratio L.
     #[test]
     fn one_track_is_integrated_probabilistic_data_association() {
         let missed = associate(&[TRACK], 0, &[]);
-        assert!((missed.existence[0] - 0.5 * 0.2 / 0.6).abs() < 1e-15);
+        assert!((missed.presence[0].existence - 0.5 * 0.2 / 0.6).abs() < 1e-15);
         let pair = GatedPair { track: 0, measurement: 0, log_ratio: libm::log(30.0) };
         let seen = associate(&[TRACK], 1, &[pair]);
         let weight = 0.2 + 0.8 * 30.0;
-        assert!((seen.existence[0] - 0.5 * weight / (0.5 + 0.5 * weight)).abs() < 1e-12);
+        let expected = 0.5 * weight / (0.5 + 0.5 * weight);
+        assert!((seen.presence[0].existence - expected).abs() < 1e-12);
         assert!((seen.unexplained[0] + seen.pair[0] - 1.0).abs() < 1e-15);
+    }
+
+    /// No target .4, observable .5, hidden .1; events by hand with a ratio of 30.
+    #[test]
+    fn what_is_hidden_is_neither_measured_nor_missed() {
+        let presence = Presence { existence: 0.6, hidden: 0.1, returned: 0.05 };
+        let track = Prospect { presence, ..TRACK };
+        let missed = associate(&[track], 0, &[]);
+        assert!((missed.presence[0].existence - 0.2 / 0.6).abs() < 1e-15);
+        assert!((missed.presence[0].hidden - 0.1 / 0.6).abs() < 1e-15);
+        assert!((missed.presence[0].returned - 0.2 * 0.05 / 0.6).abs() < 1e-15);
+        assert_eq!(missed.returns, [0.0]);
+        let pair = GatedPair { track: 0, measurement: 0, log_ratio: libm::log(30.0) };
+        let seen = associate(&[track], 1, &[pair]);
+        let total = 0.6 + 0.4 * 30.0;
+        assert!((seen.pair[0] - 12.0 / total).abs() < 1e-12);
+        assert!((seen.presence[0].existence - 12.2 / total).abs() < 1e-12);
+        assert!((seen.presence[0].hidden - 0.1 / total).abs() < 1e-12);
+        assert!((seen.returns[0] - 0.1 * 12.0 / total).abs() < 1e-12);
     }
 
     #[test]
     fn a_scanner_that_may_not_see_the_place_takes_nothing_away() {
-        let hidden = Prospect { is_in_view: false, ..TRACK };
-        assert_eq!(associate(&[hidden], 0, &[]).existence, [0.5]);
+        let presence = Presence { existence: 0.5, hidden: 0.1, returned: 0.05 };
+        let unseen = Prospect { presence, is_in_view: false, ..TRACK };
+        assert_eq!(associate(&[unseen], 0, &[]).presence, [presence]);
         let pair = GatedPair { track: 0, measurement: 0, log_ratio: 4.0 };
-        assert!(associate(&[hidden], 1, &[pair]).existence[0] > 0.9);
+        assert!(associate(&[unseen], 1, &[pair]).presence[0].existence > 0.9);
     }
 
     /// Two tracks on one target: one measurement is not evidence for two targets.
     #[test]
     fn a_second_track_on_the_same_measurements_fades() {
-        let mut existence = [0.99, 0.9];
+        let mut presence = [0.99, 0.9].map(Presence::measured);
         for _ in 0..30 {
-            let tracks = existence.map(|existence| Prospect { existence, ..TRACK });
+            let tracks = presence.map(|presence| Prospect { presence, ..TRACK });
             let pair = |track| GatedPair { track, measurement: 0, log_ratio: 5.0 };
-            let found = associate(&tracks, 1, &[pair(0), pair(1)]).existence;
-            existence = [found[0], found[1]];
+            let found = associate(&tracks, 1, &[pair(0), pair(1)]).presence;
+            presence = [found[0], found[1]];
         }
-        assert!(existence[0] > 0.99 && existence[1] < 0.2, "{existence:?}");
+        let [first, second] = presence.map(|one| one.existence);
+        assert!(first > 0.99 && second < 0.2, "{presence:?}");
     }
 
     #[test]
     fn existence_fades_with_the_mean_lifetime() {
-        assert!((survived(0.8, 60.0, 60.0) - 0.8 / std::f64::consts::E).abs() < 1e-12);
-        assert_eq!(survived(0.8, -1.0, 60.0), 0.8);
+        let later = Presence::measured(0.8).predicted(60.0, &MEAN);
+        assert!((later.existence - 0.8 / std::f64::consts::E).abs() < 1e-12);
+        assert_eq!(Presence::measured(0.8).predicted(-1.0, &MEAN).existence, 0.8);
+    }
+
+    /// By Euler steps; and one step of a second is as good as ten of a tenth.
+    #[test]
+    fn targets_hide_and_return_at_their_rates() {
+        let start = Presence { existence: 0.9, hidden: 0.6, returned: 0.0 };
+        let ([mut seen, mut hidden], steps) = ([0.3, 0.6], 100_000);
+        for _ in 0..steps {
+            let flow = (seen / MEAN.visible - hidden / MEAN.hidden) / f64::from(steps);
+            let gone = 1.0 - 1.0 / MEAN.lifetime / f64::from(steps);
+            (seen, hidden) = ((seen - flow) * gone, (hidden + flow) * gone);
+        }
+        let once = start.predicted(1.0, &MEAN);
+        assert!((once.hidden - hidden).abs() < 1e-5 && (once.observable() - seen).abs() < 1e-5);
+        let often = (0..10).fold(start, |now, _| now.predicted(0.1, &MEAN));
+        assert!((once.hidden - often.hidden).abs() < 1e-12);
+        assert!((once.existence - often.existence).abs() < 1e-12);
+        assert!(once.returned > 0.2 && once.returned < once.observable());
+    }
+
+    /// Of what is always measured, at any rate of scans.
+    #[test]
+    fn a_gap_is_survived_and_an_end_is_not() {
+        for rate in [2.0, 10.0, 20.0] {
+            let mut presence = Presence::measured(1.0 - 1e-6);
+            let mut gap = |seconds: f64| {
+                for _ in 0..(seconds * rate) as usize {
+                    let next = presence.predicted(1.0 / rate, &MEAN);
+                    let track = Prospect { presence: next, detection: 0.99, is_in_view: true };
+                    presence = associate(&[track], 0, &[]).presence[0];
+                }
+                presence.existence
+            };
+            assert!(gap(2.0) > 0.2);
+            assert!(gap(10.0) < 0.01);
+        }
     }
 }

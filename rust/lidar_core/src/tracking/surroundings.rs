@@ -1,6 +1,7 @@
 //! What a scanner does, learnt from its scans: how often it measures a target, how dense its clutter
 //! is, and how often a measurement that no track explains is of a new target.
 
+use super::existence::Presence;
 use serde::{Deserialize, Serialize};
 
 /// Weight of the configured density of clutter [measurements].
@@ -13,6 +14,8 @@ const SHARE_PRIOR: f64 = 20.0;
 const MEMORY: f64 = 300.0;
 /// Weight of the configured lifetime [ends of tracks].
 const END_PRIOR: f64 = 0.5;
+/// Weight of the configured time until something hides a target [times].
+const HIDING_PRIOR: f64 = 0.1;
 /// Number of targets after which the speed of one counts 1/e.
 const SPEEDS: f64 = 50.0;
 /// Least variance of the speed, over that before any target.
@@ -81,10 +84,10 @@ impl Surroundings {
         self.clutter += clutter;
     }
 
-    /// Take in a look at a target that exists with probability `existence`, and was measured with
-    /// probability `hit`.
-    pub fn count_look(&mut self, existence: f64, hit: f64) {
-        self.looks += existence;
+    /// Take in a look at a target that is observable with probability `observable`, and was
+    /// measured with probability `hit`.
+    pub fn count_look(&mut self, observable: f64, hit: f64) {
+        self.looks += observable;
         self.hits += hit;
     }
 
@@ -132,15 +135,25 @@ pub struct Population {
     /// Sum of the times for which targets existed [s].
     stayed: f64,
     ends: f64,
+    /// Sum of the times for which they were observable [s], and how often they were hidden and came
+    /// back.
+    visible: f64,
+    returns: f64,
     /// Sum of the squared speeds of targets, per axis [m^2/s^2], and their number.
     squared: f64,
     speeds: f64,
 }
 
 impl Population {
-    /// Take in that a target existed for `dt` [s] with probability `existence`.
-    pub fn count_stay(&mut self, existence: f64, dt: f64) {
-        self.stayed += existence * dt;
+    /// Take in what a target did for `dt` [s].
+    pub fn count_stay(&mut self, presence: &Presence, dt: f64) {
+        self.stayed += presence.existence * dt;
+        self.visible += presence.observable() * dt;
+    }
+
+    /// Take in that a target was measured that had been hidden with probability `returned`.
+    pub fn count_return(&mut self, returned: f64) {
+        self.returns += returned;
     }
 
     /// Take in that a track which was certain has become doubtful, or the reverse.
@@ -167,6 +180,12 @@ impl Population {
     #[must_use]
     pub fn lifetime(&self, lifetime: f64) -> f64 {
         (END_PRIOR * lifetime + self.stayed) / (END_PRIOR + self.ends)
+    }
+
+    /// Mean time until something hides a target [s]; `visible` is that before any target.
+    #[must_use]
+    pub fn visible(&self, visible: f64) -> f64 {
+        (HIDING_PRIOR * visible + self.visible) / (HIDING_PRIOR + self.returns)
     }
 }
 
@@ -206,10 +225,24 @@ mod tests {
         let mut population = Population::default();
         assert_eq!(population.lifetime(60.0), 60.0);
         (0..100).for_each(|_| {
-            population.count_stay(1.0, 20.0);
+            population.count_stay(&Presence::measured(1.0), 20.0);
             population.count_end(true);
         });
         assert!((population.lifetime(60.0) - 20.2).abs() < 0.1);
+    }
+
+    /// What never was hidden is hardly expected to be; what is every 5 s, is.
+    #[test]
+    fn hiding_is_learnt_from_returns() {
+        let (mut open, mut crowded) = (Population::default(), Population::default());
+        assert!((open.visible(20.0) - 20.0).abs() < 1e-12);
+        for _ in 0..100 {
+            open.count_stay(&Presence::measured(1.0), 5.0);
+            crowded.count_stay(&Presence::measured(1.0), 5.0);
+            crowded.count_return(1.0);
+        }
+        assert!(open.visible(20.0) > 1000.0);
+        assert!((crowded.visible(20.0) - 5.0).abs() < 0.2);
     }
 
     /// Everything was seen at one place: no density can be derived, and the configured one stays.

@@ -7,7 +7,7 @@ use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
-    GatedPair, JointEvidence, MOST_CERTAIN, Prospect, associate, survived,
+    GatedPair, JointEvidence, Presence, Prospect, Sojourn, associate,
 };
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
@@ -21,6 +21,10 @@ const DIVIDED: u32 = 2;
 const SHARE: f64 = 0.05;
 /// Mean time for which a target stays, before tracks show it [s].
 const LIFETIME: f64 = 30.0;
+/// Mean time until something hides a target, before tracks show it [s].
+const VISIBLE: f64 = 100.0;
+/// Mean time for which a target is hidden [s].
+const HIDDEN: f64 = 1.5;
 /// Probability of existence below which a track ends.
 const DELETED: f64 = 1e-3;
 /// Probability of existence from which on looks at a track tell about the scanner.
@@ -36,9 +40,9 @@ pub type Sighting = (i64, u8, usize);
 /// Existence of the target of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Belief {
-    /// Probability that there is a target.
-    pub existence: f64,
-    /// Time of that probability [ns].
+    /// Whether there is a target.
+    pub presence: Presence,
+    /// Time of these probabilities [ns].
     pub stamp_ns: i64,
     /// The last two measurements that were most likely of the track.
     pub last: [Option<Sighting>; 2],
@@ -57,7 +61,7 @@ impl Default for Belief {
     /// Nothing is known.
     fn default() -> Self {
         Self {
-            existence: f64::NAN,
+            presence: Presence::measured(f64::NAN),
             stamp_ns: 0,
             last: [None; 2],
             start: [f64::NAN; 2],
@@ -75,8 +79,15 @@ pub(super) struct IntegratedScan<'a> {
     pub scan: &'a Scan,
 }
 
-/// The pairs of one track: measurement, probability, innovation.
-type OwnPairs = Vec<(usize, f64, Innovation)>;
+/// A pair of one track.
+#[derive(Clone, Copy)]
+struct OwnPair {
+    column: usize,
+    probability: f64,
+    innovation: Innovation,
+    /// True if it is likelier than a miss while no other pair is thought of.
+    is_likely: bool,
+}
 
 impl Tracks {
     /// Process the measurements of a scan whose near pairs are known.
@@ -117,18 +128,22 @@ impl Tracks {
         });
         let prior = prior_of(existence, sensor);
         let detection = scanner[usize::from(sensor == Sensor::Radar)].detection(&prior);
-        let lifetime = self.population.lifetime(LIFETIME);
+        let mean = Sojourn {
+            lifetime: self.population.lifetime(LIFETIME),
+            visible: self.population.visible(VISIBLE),
+            hidden: HIDDEN,
+        };
         let population = &mut self.population;
         let prospects = self.all.iter_mut().map(|track| {
             let belief = &mut track.belief;
             let dt = scan.stamp_ns.saturating_sub(belief.stamp_ns) as f64 * 1e-9;
             if belief.was_certain {
-                population.count_stay(belief.existence, dt);
+                population.count_stay(&belief.presence, dt);
             }
-            belief.existence = survived(belief.existence, dt, lifetime);
+            belief.presence = belief.presence.predicted(dt, &mean);
             belief.stamp_ns = scan.stamp_ns;
             let is_in_view = track.sources & (1 << scan.source) != 0;
-            Prospect { existence: belief.existence, detection, is_in_view }
+            Prospect { presence: belief.presence, detection, is_in_view }
         });
         let prospects: Vec<Prospect> = prospects.collect();
         let pairs = candidates.pairs.iter().zip(&candidates.innovations);
@@ -156,6 +171,11 @@ impl Tracks {
         for (pair, probability) in candidates.pairs.iter().zip(&found.pair) {
             seen[pair.row] += probability;
         }
+        for (track, returned) in self.all.iter().zip(&found.returns) {
+            if track.belief.was_certain {
+                self.population.count_return(*returned);
+            }
+        }
         let Some(scanner) = self.scanners.get_mut(&scan.source) else { return };
         let mut unexplained = [0.0; 2];
         for (m, left) in scan.measurements.iter().zip(&found.unexplained) {
@@ -166,10 +186,10 @@ impl Tracks {
         let used: [bool; 2] = std::array::from_fn(|k| scanner[k] != Surroundings::default());
         for (k, of) in scanner.iter_mut().enumerate().filter(|(k, _)| used[*k]) {
             of.count_scan(unexplained[k]);
-            for ((track, existence), hit) in self.all.iter().zip(&found.existence).zip(&seen) {
+            for ((track, presence), hit) in self.all.iter().zip(&found.presence).zip(&seen) {
                 let is_seen = track.sources & (1 << scan.source) != 0;
-                if is_seen && track.belief.existence > CERTAIN {
-                    of.count_look(*existence, *hit);
+                if is_seen && track.belief.presence.existence > CERTAIN {
+                    of.count_look(presence.observable(), *hit);
                 }
             }
         }
@@ -186,33 +206,37 @@ impl Tracks {
         assigned: &mut [Assigned],
     ) -> NearIndex {
         let scan = space.scan;
-        let mut of_track: Vec<OwnPairs> = vec![Vec::new(); self.all.len()];
-        for ((pair, innovation), probability) in
-            candidates.pairs.iter().zip(&candidates.innovations).zip(&found.pair)
-        {
-            of_track[pair.row].push((pair.column, *probability, *innovation));
+        let mut of_track: Vec<Vec<OwnPair>> = vec![Vec::new(); self.all.len()];
+        let pairs = candidates.pairs.iter().zip(&candidates.innovations);
+        for (index, (pair, innovation)) in pairs.enumerate() {
+            of_track[pair.row].push(OwnPair {
+                column: pair.column,
+                probability: found.pair[index],
+                innovation: *innovation,
+                is_likely: found.is_likely[index],
+            });
         }
         let mut best = vec![0.0; assigned.len()];
         let (mut divided, mut measured) = (Vec::new(), Vec::new());
-        for ((track, own), existence) in self.all.iter_mut().zip(of_track).zip(&found.existence) {
+        for ((track, own), presence) in self.all.iter_mut().zip(of_track).zip(&found.presence) {
             let parts = if track.hits < DIVIDED {
-                track.divided(space, &own, *existence, births)
+                track.divided(space, &own, *presence, births)
             } else {
-                track.corrected(scan, &own, *existence);
+                track.corrected(scan, &own, *presence);
                 Vec::new()
             };
-            for (option, (column, probability, innovation)) in own.iter().enumerate() {
+            for (option, OwnPair { column, probability, innovation, .. }) in own.iter().enumerate()
+            {
                 if found.unexplained[*column] < 0.5 && *probability > best[*column] {
                     best[*column] = *probability;
                     let id = parts.get(option).map_or(track.id, |part| part.id);
                     assigned[*column] = Assigned { id: Some(id), innovation: Some(*innovation) };
                 }
             }
-            let seen: f64 = own.iter().map(|(_, probability, _)| probability).sum();
+            let seen: f64 = own.iter().map(|pair| pair.probability).sum();
             if space.parameters.birth_distance > 0.0 && seen > 0.5 {
-                let likelier = |a: &&TargetTrack, b: &&TargetTrack| {
-                    a.belief.existence.total_cmp(&b.belief.existence)
-                };
+                let likelier =
+                    |a: &&TargetTrack, b: &&TargetTrack| a.existence().total_cmp(&b.existence());
                 let seen_so = parts.iter().max_by(likelier).unwrap_or(track);
                 let output = seen_so.filter.output_at(scan.stamp_ns);
                 let place = output.map(|output| [output.mean[0], output.mean[1]]);
@@ -257,7 +281,7 @@ impl Tracks {
             }
             let mut track = TargetTrack::new(births.of(column), filter, scan);
             track.belief = Belief {
-                existence: probability,
+                presence: Presence::measured(probability),
                 stamp_ns: scan.stamp_ns,
                 last: [Some((scan.stamp_ns, scan.source, column)), None],
                 start,
@@ -284,12 +308,13 @@ impl Tracks {
                 first.insert(belief.last, row);
                 continue;
             };
-            let [a, b] = [other, row].map(|row| self.all[row].belief.existence);
+            let [a, b] = [other, row].map(|row| self.all[row].existence());
             if a.min(b) > 0.5 {
                 continue;
             }
             let (kept, gone) = if b > a { (row, other) } else { (other, row) };
-            self.all[kept].belief.existence = (a + b).min(MOST_CERTAIN);
+            let [one, two] = [kept, gone].map(|row| self.all[row].belief.presence);
+            self.all[kept].belief.presence = one.united(&two);
             is_gone[gone] = true;
             first.insert(belief.last, kept);
         }
@@ -309,23 +334,22 @@ impl Tracks {
             };
             // One measurement leaves the speed open: a slow scanner finds the target far away.
             let is_young = track.hits < DIVIDED;
-            track.belief.existence >= DELETED && (is_young || is_placed())
+            track.existence() >= DELETED && (is_young || is_placed())
         });
         if self.all.len() > MAX_TARGETS {
-            let mut sorted: Vec<f64> =
-                self.all.iter().map(|track| track.belief.existence).collect();
+            let mut sorted: Vec<f64> = self.all.iter().map(TargetTrack::existence).collect();
             sorted.sort_by(|a, b| b.total_cmp(a));
             let least = sorted[MAX_TARGETS - 1];
             let mut left = MAX_TARGETS;
             self.all.retain(|track| {
-                let stays = track.belief.existence >= least && left > 0;
+                let stays = track.existence() >= least && left > 0;
                 left -= usize::from(stays);
                 stays
             });
         }
         let mut arrived = 0;
         for track in &mut self.all {
-            let probability = track.belief.existence;
+            let probability = track.existence();
             if probability > CERTAIN
                 && !track.belief.was_certain
                 && let Some(velocity) = track.mean_velocity(stamp_ns)
@@ -354,6 +378,11 @@ impl Tracks {
 }
 
 impl TargetTrack {
+    /// Probability that there is a target.
+    fn existence(&self) -> f64 {
+        self.belief.presence.existence
+    }
+
     /// Velocity [vx, vy] from the first measurement to a time [m/s].
     fn mean_velocity(&self, stamp_ns: i64) -> Option<[f64; 2]> {
         let dt = stamp_ns.saturating_sub(self.born_ns) as f64 * 1e-9;
@@ -363,14 +392,13 @@ impl TargetTrack {
     }
 
     /// Correct by measurements with their probabilities, given that the target exists.
-    fn corrected(&mut self, scan: &Scan, own: &OwnPairs, existence: f64) {
-        self.belief.existence = existence;
+    fn corrected(&mut self, scan: &Scan, own: &[OwnPair], presence: Presence) {
+        let existence = presence.existence;
+        self.belief.presence = presence;
         if own.is_empty() || existence <= 0.0 {
             return;
         }
-        let given = |(column, probability, _): &(usize, f64, Innovation)| {
-            (probability / existence, scan.measurements[*column])
-        };
+        let given = |pair: &OwnPair| (pair.probability / existence, scan.measurements[pair.column]);
         let weighted: Vec<(f64, Measurement)> = own.iter().map(given).collect();
         self.filter.absorb(scan.stamp_ns, &weighted);
         if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
@@ -379,15 +407,16 @@ impl TargetTrack {
         self.remember(scan, own);
     }
 
-    /// Note the measurement that is most likely of the track.
-    fn remember(&mut self, scan: &Scan, own: &OwnPairs) {
-        let likelier = |a: &&(usize, f64, Innovation), b: &&(usize, f64, Innovation)| {
-            let cost = |pair: &Innovation| pair.nis + pair.log_determinant;
-            cost(&b.2).total_cmp(&cost(&a.2)).then(b.0.cmp(&a.0))
+    /// Note the measurement that is most likely of the track. What hardly is of it does not count:
+    /// the wide gate of a hidden track holds measurements of other targets.
+    fn remember(&mut self, scan: &Scan, own: &[OwnPair]) {
+        let likelier = |a: &&OwnPair, b: &&OwnPair| {
+            let cost = |pair: &OwnPair| pair.innovation.nis + pair.innovation.log_determinant;
+            cost(b).total_cmp(&cost(a)).then(b.column.cmp(&a.column))
         };
-        if let Some((column, ..)) = own.iter().max_by(likelier) {
+        if let Some(pair) = own.iter().filter(|pair| pair.is_likely).max_by(likelier) {
             let [last, _] = self.belief.last;
-            self.belief.last = [Some((scan.stamp_ns, scan.source, *column)), last];
+            self.belief.last = [Some((scan.stamp_ns, scan.source, pair.column)), last];
         }
     }
 
@@ -396,29 +425,29 @@ impl TargetTrack {
     fn divided(
         &mut self,
         space: &IntegratedScan<'_>,
-        own: &OwnPairs,
-        existence: f64,
+        own: &[OwnPair],
+        presence: Presence,
         births: &mut Births,
     ) -> Vec<Self> {
         let scan = space.scan;
-        let seen: f64 = own.iter().map(|(_, probability, _)| probability).sum();
-        let part = |(column, probability, innovation): &(usize, f64, Innovation)| {
+        let seen: f64 = own.iter().map(|pair| pair.probability).sum();
+        let part = |pair: &OwnPair| {
             let mut part = self.clone();
-            part.filter.take(&scan.measurements[*column]);
-            part.id = births.of_pair(self.id, *column);
-            part.belief.existence = *probability;
+            part.filter.take(&scan.measurements[pair.column]);
+            part.id = births.of_pair(self.id, pair.column);
+            part.belief.presence = Presence::measured(pair.probability);
             part.see(scan);
-            part.remember(scan, &vec![(*column, *probability, *innovation)]);
+            part.remember(scan, &[OwnPair { is_likely: true, ..*pair }]);
             part
         };
         let mut parts: Vec<Self> = own.iter().map(part).collect();
-        self.belief.existence = (existence - seen).max(0.0);
-        let left = self.belief.existence;
+        let left = (presence.existence - seen).max(presence.hidden);
+        self.belief.presence = Presence { existence: left, ..presence };
         let likelier = |a: &&mut Self, b: &&mut Self| {
-            a.belief.existence.total_cmp(&b.belief.existence).then(b.id.cmp(&a.id))
+            a.existence().total_cmp(&b.existence()).then(b.id.cmp(&a.id))
         };
         if let Some(best) = parts.iter_mut().max_by(likelier)
-            && best.belief.existence > left
+            && best.existence() > left
         {
             std::mem::swap(&mut best.id, &mut self.id);
         }

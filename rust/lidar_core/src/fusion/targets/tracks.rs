@@ -306,7 +306,7 @@ impl Tracks {
         let states = self.all.iter().filter_map(|track| {
             let output = track.filter.output_at(stamp_ns)?;
             let TargetTrack { id, born_ns, seen_ns, hits, confirmed, belief, .. } = *track;
-            let existence = Some(belief.existence).filter(|p| !p.is_nan());
+            let existence = Some(belief.presence.existence).filter(|p| !p.is_nan());
             Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed, existence })
         });
         let mut states: Vec<TrackState> = states.collect();
