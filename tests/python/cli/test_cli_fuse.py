@@ -1,7 +1,10 @@
 """`lidar-core fuse`: measurements in, run folders out."""
 
 import csv
+import signal
+import subprocess
 import sys
+import time
 import tomllib
 from functools import partial
 
