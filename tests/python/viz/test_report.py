@@ -17,7 +17,8 @@ import lidar_core as lc
 from lidar_core.errors import FormatError
 from lidar_core.messages import ShownClass
 from lidar_core.viz import Moment, Objects, Playback, write_report
-from lidar_core.viz.report.scene import MOST_MOMENTS, _thinned
+from lidar_core.viz.report.charts import MOST_DRAWN
+from lidar_core.viz.report.scene import MOST_MOMENTS, MOST_PLACES, _thinned
 
 SCANS = 15
 needs_chromium = pytest.mark.skipif(
@@ -309,3 +310,22 @@ def test_a_report_replaces_an_earlier_one_and_nothing_else(circles, tmp_path):
             write_report(circles, place)
     assert (circles / "summary.json").read_bytes() == kept
     assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_long_run_of_fuse_gives_a_small_page(tmp_path):
+    """NIS of every measurement is in a picture, true places are thinned to their end."""
+    count = 4 * MOST_DRAWN
+    rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(count)]
+    (tmp_path / "long.txt").write_text("\n".join(rows) + "\n")
+    made("fuse", tmp_path / "long.txt", "-o", tmp_path / "run", "--no-picture", "--no-mcap")
+    path = write_report(tmp_path / "run")
+    assert path.stat().st_size < 1e6
+    page = Page(path)
+    (way,) = page.scene["truth"]
+    assert len(way) == MOST_PLACES
+    assert [tag for tag, _ in page.elements if tag == "image"]
+    times = [t for t, _ in _way(count)]
+    assert [way[0][0], way[-1][0]] == pytest.approx([0, times[-1] - times[0]], abs=1e-3)
+    (tmp_path / "short.txt").write_text("\n".join(rows[:100]) + "\n")
+    made("fuse", tmp_path / "short.txt", "-o", tmp_path / "few", "--no-picture", "--no-mcap")
+    assert "image" not in {tag for tag, _ in Page(write_report(tmp_path / "few")).elements}
