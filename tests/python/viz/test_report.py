@@ -299,6 +299,13 @@ def test_the_view_moves_in_a_browser_that_asks_nobody(demo, tmp_path):
     assert not {host for host in hosts if host} - {"127.0.0.1"}
 
 
+@pytest.mark.parametrize("wrong", [{"run": None}, {"run": 3}, {"output": 1.5}, {"truth": True}])
+def test_arguments_of_another_type_are_named(circles, wrong):
+    (name,) = wrong
+    with pytest.raises(lc.ConfigError, match=f"^{name}: expected"):
+        write_report(**{"run": circles, **wrong})
+
+
 def test_a_report_replaces_an_earlier_one_and_nothing_else(circles, tmp_path):
     page = tmp_path / "page.html"
     assert write_report(circles, page) == write_report(circles, page) == page

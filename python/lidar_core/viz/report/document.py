@@ -7,6 +7,7 @@ from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from json import dumps
+from os import PathLike
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core._core import __version__
+from lidar_core.config import checked
 from lidar_core.errors import FormatError
 from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
 from lidar_core.evaluation.score_rows import all_rows, consistency_warnings, counted_caption
@@ -42,8 +44,12 @@ NAME = "report.html"
 DOCTYPE = b"<!doctype html>"
 
 
+@checked
 def write_report(
-    run: str | Path, output: str | Path | None = None, *, truth: str | Path | None = None
+    run: str | PathLike[str],
+    output: str | PathLike[str] | None = None,
+    *,
+    truth: str | PathLike[str] | None = None,
 ) -> Path:
     """Write everything about a run into one HTML file.
 
@@ -67,6 +73,8 @@ def write_report(
 
     Raises
     ------
+    ConfigError
+        An argument of another type.
     FileNotFoundError
         No such folder.
     FileExistsError
@@ -76,7 +84,7 @@ def write_report(
     MissingExtraError
         matplotlib is not installed.
     """
-    played = Playback(run)
+    played = Playback(Path(run))
     folder = played.folder
     place = folder / NAME if output is None else Path(output)
     _check_replaceable(place)
@@ -161,7 +169,7 @@ class _HeldAgainst:
         }
 
 
-def _held_against(folder: Path, truth: str | Path | None) -> _HeldAgainst | None:
+def _held_against(folder: Path, truth: str | PathLike[str] | None) -> _HeldAgainst | None:
     """The truth that is given, else that of the folder; None where there is none."""
     place = Path(truth) if truth is not None else table_in(folder, "truth")
     if place is None:
