@@ -5,7 +5,7 @@ pub mod reference;
 
 use lidar_core::Error;
 use lidar_core::flying::integrate::classified_scan::{ClassifiedScan, Origins};
-use lidar_core::flying::point_class::{BACKGROUND, INVALID};
+use lidar_core::flying::point_class::PointClass;
 use lidar_core::flying::scan::prepared::RawScan;
 use lidar_core::util::threads;
 use lidar_sim::scenes::performance;
@@ -28,7 +28,7 @@ pub struct Scan {
     /// Rays that met nothing.
     pub no_return: Vec<bool>,
     /// Background where there is a point.
-    pub class: Vec<u8>,
+    pub class: Vec<PointClass>,
     /// `world_from_lidar`, row-major.
     pub pose: [f64; 16],
 }
@@ -46,7 +46,10 @@ impl Scan {
             origin,
             local: local.collect(),
             no_return: met.iter().map(|&met| !met).collect(),
-            class: met.iter().map(|&met| if met { BACKGROUND } else { INVALID }).collect(),
+            class: met
+                .iter()
+                .map(|&met| if met { PointClass::Background } else { PointClass::Invalid })
+                .collect(),
             pose: [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0],
             directions,
             world,

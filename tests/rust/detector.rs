@@ -5,10 +5,10 @@ use lidar_core::Error;
 use lidar_core::flying::background::parameters::SeedParameters;
 use lidar_core::flying::classify::classifier::ClassifyParameters;
 use lidar_core::flying::detector::FlyingObjectDetector;
-use lidar_core::flying::gate::Gate;
 use lidar_core::flying::integrate::pose_weights::PoseParameters;
 use lidar_core::flying::map::parameters::{MapParameters, Separation};
 use lidar_core::flying::parameters::FlyingParameters;
+use lidar_core::flying::reporting_gate::ReportingGate;
 use lidar_core::flying::scan::prepared::RawScan;
 use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::Beams;
@@ -63,7 +63,7 @@ fn parameters() -> FlyingParameters {
         },
         tracker: TrackerParameters {
             max_extent: Some(1.5),
-            confirmation: Confirmation { hits: 2, window: 10, doubt: None },
+            confirmation: Confirmation { hits: 2, window: 10, weak_evidence: None },
             ..TrackerParameters::default()
         },
         pose: PoseParameters::paper(),
@@ -235,14 +235,16 @@ fn a_jump_is_held_and_undone_by_its_own_lidar() -> Result<(), Error> {
     }
     let before = state(&detector);
     let frame = detector.process(&scan(&points, &up, 6 * STEP_NS))?;
-    assert!(matches!(frame.gate, Gate::PoseMismatch { .. }) && frame.detections.is_empty());
+    assert!(
+        matches!(frame.gate, ReportingGate::PoseMismatch { .. }) && frame.detections.is_empty()
+    );
     assert!(state(&detector) == before);
     assert!(detector.reanchor() && !detector.reanchor());
     let frame = detector.process(&scan(&points, &up, 7 * STEP_NS))?;
-    assert_eq!(frame.gate, Gate::Open);
+    assert_eq!(frame.gate, ReportingGate::Open);
     assert_eq!(detector.world_from_map().translation, [0.0, 0.0, 1.0]);
     let stranger = RawScan { sensor: "other", ..scan(&points, &higher, 8 * STEP_NS) };
-    assert!(matches!(detector.process(&stranger)?.gate, Gate::PoseMismatch { .. }));
+    assert!(matches!(detector.process(&stranger)?.gate, ReportingGate::PoseMismatch { .. }));
     assert!(!detector.reanchor()); // it had no scan before
     Ok(())
 }

@@ -6,6 +6,7 @@ use lidar_core::flying::integrate::classified_scan::{ClassifiedScan, Origins};
 use lidar_core::flying::integrate::integrator::Integrator;
 use lidar_core::flying::map::parameters::{MapParameters, Separation};
 use lidar_core::flying::map::voxel_map::VoxelMap;
+use lidar_core::flying::point_class::PointClass::{self, Background, Flying, Invalid, Unknown};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -23,7 +24,7 @@ fn parameters() -> MapParameters {
     MapParameters { max_range: 5.0, ray_gain: 0.1, max_voxels: 1 << 22, ..MapParameters::default() }
 }
 
-type Entry = ([f32; 3], u8, [f64; 3], [f32; 3], bool); // point, class, origin, direction, no return
+type Entry = ([f32; 3], PointClass, [f64; 3], [f32; 3], bool); // point, class, origin, direction, no return
 
 fn entry() -> impl Strategy<Value = Entry> {
     let point = prop_oneof![
@@ -35,7 +36,7 @@ fn entry() -> impl Strategy<Value = Entry> {
     let direction = prop::array::uniform3(-1.0..1.0_f32);
     (
         point,
-        prop::sample::select(vec![0, 1, 1, 1, 2, 3]),
+        prop::sample::select(vec![Invalid, Background, Background, Background, Flying, Unknown]),
         origin,
         direction,
         prop::bool::weighted(0.1),

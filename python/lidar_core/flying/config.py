@@ -60,10 +60,10 @@ class VoxelMapConfig(Config):
     )
     max_voxels: int = Field(
         200_000_000,
-        gt=0,
+        ge=512,
         le=10**12,
-        description="Budget of stored voxels, 4.3 bytes each (count, no unit). A full map forgets"
-        " what is farthest from the sensor.",
+        description="Budget of stored voxels, in whole blocks of 512, 4.3 bytes each (count, no"
+        " unit). A full map forgets what is farthest from the sensor.",
     )
 
     @model_validator(mode="after")

@@ -30,6 +30,8 @@ DEGREES = np.pi / 180
 TURN = 2 * np.pi
 HEAD = 5000
 """Measurements among which causes are looked for (count)."""
+WIDEST_BEARING = 0.5
+"""Noise of bearings above which they hardly tell a direction [rad]."""
 FAR = 3.0
 """Places so many times further apart than usual belong to different targets."""
 
@@ -120,6 +122,38 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     if geographic and min(ratio, _scatter(measurements, config)) < least:
         return Implausible(count, ratio, least, tuple(geographic), ())
     return None
+
+
+def mistaken_for_noise(
+    measurements: Sequence[Measurement], told: FusionConfig, fitted: FusionConfig
+) -> str | None:
+    """What mistake the noise of a fit explains; None where it seems to be noise.
+
+    A fit explains every mistake as noise. It is one if undoing it makes the measurements agree,
+    under the noise that was told before, or ten times better under the fitted one; or if the
+    bearings of the radar tell nothing any more.
+
+    Parameters
+    ----------
+    measurements : sequence of Measurement
+        In the order of their times.
+    told, fitted : FusionConfig
+        Where the fit began, and what it found.
+    """
+    before = implausible(measurements, told)
+    shown = before.shown if before is not None else ()
+    if not shown:
+        config = fitted.model_copy(update={"sensor_noise": "configured"})
+        found = _ratio(run(measurements, config))
+        head = measurements[:HEAD]
+        shown = () if found is None else tuple(_repairs(head, config, found[0], found[0]))
+    bearing = fitted.radar_std[1]
+    if not shown and bearing > WIDEST_BEARING and bearing > told.radar_std[1]:
+        likely = "; ".join(CAUSES[word] for word in ("degrees", "clockwise", "platform"))
+        shown = (
+            f"bearings with a noise of {bearing:.3g} rad tell nothing. Likely causes: {likely}",
+        )
+    return "; ".join(shown) or None
 
 
 def _ratio(result: Run) -> tuple[float, int, int] | None:
@@ -307,7 +341,7 @@ CAUSES: Mapping[str, str] = {
     "several targets": "several targets in one table",
     "latitude": "latitude and longitude taken as metres",
     "noise": "noise of the sensors, or of the target's motion, that is set much too small"
-    " (set lidar_std=..., fit_noise)",
+    " (set lidar_std=..., or find it with `config fit`)",
     "platform": "a platform that moves or turns, of which no pose or gyro tells",
 }
 """What is likely, by a word that says that the data shows it."""

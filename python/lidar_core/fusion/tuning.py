@@ -9,7 +9,7 @@ from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
 
 EVALUATIONS = 2000
-"""Most runs over all measurements of one fit."""
+"""Most runs over all measurements of the last search of a fit; the six before it have a tenth."""
 MAX_STD = 1e6
 """Largest deviation that may be asked for at least [m/s]."""
 
@@ -47,7 +47,8 @@ def fit_noise(
         Model paper, which has no likelihood.
     InputError
         Fewer than ten measurements per value that is sought, after the first ten of every
-        target; or a deviation that is negative or not finite.
+        target; measurements that no noise makes possible; or a deviation that is negative or not
+        finite.
 
     Notes
     -----

@@ -23,7 +23,7 @@ from lidar_core.fusion import (
 from lidar_core.fusion import (
     fit_noise as fit_noise_of,
 )
-from lidar_core.fusion.plausibility import implausible
+from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
 from lidar_core.fusion.recordings.table import TABLES
 from lidar_core.io import Span
 from lidar_core.io.options import NS
@@ -34,6 +34,8 @@ from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignmen
 from lidar_core.runs.targets.many import ManyRun
 from lidar_core.runs.targets.one import TargetRun
 
+SETTLED = 10
+"""Measurements of every recording that a fit of noise leaves out, since the filter starts."""
 BAGS = (".bag", ".db3", ".mcap")
 
 
@@ -143,6 +145,7 @@ def fit_config(
     time_unit: str | None = None,
     angle_unit: str | None = None,
     span: Span | None = None,
+    force: bool = False,
 ) -> FusionConfig:
     """Find the noise of motion and sensors from recordings, as `lidar-core config fit` does.
 
@@ -156,6 +159,8 @@ def fit_config(
         These values of the configuration instead of its own.
     columns, topics, time_unit, angle_unit, span
         As in `fuse`, for every recording.
+    force : bool
+        Take mistakes in the measurements, such as exchanged axes, for noise.
 
     Returns
     -------
@@ -167,7 +172,8 @@ def fit_config(
     ConfigError
         A recording of many targets; model paper; a value that cannot be used.
     InputError
-        Too few measurements.
+        Too few measurements, of one recording or of all; no noise makes them possible; or the
+        noise would have to explain a mistake, which the text names.
     FormatError
         A recording cannot be read.
 
@@ -180,9 +186,9 @@ def fit_config(
         raise InputError("recordings: expected at least one, got none")
     read = _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit)
     jobs = [_FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
-    targets = [_in_order(job.log()) for job in jobs]
+    logs = [(job.recording, job.log()) for job in jobs]
     chosen = _with(config, _given(model=model, method=method))
-    return fit_noise_of(targets, config_of_run(chosen, FusionConfig, "fusion"))
+    return _fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +271,7 @@ class _FuseJob:
                 " of the platform, which are here; ctrv takes them in"
             )
         if self.fit_noise:
-            chosen = fit_noise_of(_in_order(kept), chosen)
+            chosen = _fitted([(self.recording, kept)], chosen, force=self.force)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:
@@ -320,8 +326,38 @@ class _FuseJob:
                 raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
 
 
-def _in_order(log: MeasurementLog) -> Measurements:
-    return Measurements(sorted(log.measurements, key=lambda one: one.stamp_ns))
+def _fitted(
+    logs: Sequence[tuple[Path, MeasurementLog]], config: FusionConfig, *, force: bool
+) -> FusionConfig:
+    """`config` with the noise of recordings.
+
+    Raises
+    ------
+    InputError
+        As `fit_config`.
+    """
+    ordered = [
+        (place, sorted(log.measurements, key=lambda one: one.stamp_ns)) for place, log in logs
+    ]
+    for place, measurements in ordered:
+        if len(measurements) <= SETTLED:
+            raise InputError(
+                f"{place}: expected more than {SETTLED} measurements to find noise from,"
+                f" got {len(measurements)}"
+            )
+    try:
+        fitted = fit_noise_of([Measurements(rows) for _, rows in ordered], config)
+    except InputError as error:
+        places = ", ".join(str(place) for place, _ in ordered)
+        raise InputError(f"{places}: {error}") from error
+    for place, measurements in () if force else ordered:
+        mistake = mistaken_for_noise(measurements, config, fitted)
+        if mistake is not None:
+            raise InputError(
+                f"{place}: noise would have to explain a mistake. The data shows: {mistake}."
+                " force=True goes on nevertheless"
+            )
+    return fitted
 
 
 def _given(**values: Any) -> dict[str, Any]:

@@ -28,7 +28,7 @@ pub enum Error {
     Value {
         /// Name of the array.
         name: &'static str,
-        /// What its entries must be.
+        /// Condition that its entries must meet.
         expected: &'static str,
         /// Row of the first bad entry.
         index: usize,
@@ -42,7 +42,7 @@ pub enum Error {
     },
     /// An input exceeds a limit.
     Limit {
-        /// What was about to be made, and of what size.
+        /// The object that exceeds the limit, with its size.
         what: String,
         /// The limit.
         limit: u64,
@@ -56,12 +56,12 @@ pub enum Error {
     },
     /// A stamp lies before one that has been processed.
     Time {
-        /// What is late or duplicate, with both stamps and the cure.
+        /// The late or duplicate input, with both stamps and the cure.
         what: String,
     },
     /// A file breaks its format.
     Format {
-        /// What was found, and the cure.
+        /// The fault, and the cure.
         what: String,
         /// Byte offset of the fault.
         offset: u64,

@@ -130,11 +130,11 @@ pub fn make(
     numbers: Range<u64>,
 ) -> Result<Samples, Error> {
     beams.check()?;
-    let maker = Maker { beams, source, disturbance, seed };
+    let generator = SampleGenerator { beams, source, disturbance, seed };
     let starts: Vec<u64> = numbers.clone().step_by(SAMPLES_PER_CHUNK as usize).collect();
     let parts: Vec<Result<Samples, Error>> = pool.install(|| {
         let part =
-            |&start: &u64| maker.samples(start..(start + SAMPLES_PER_CHUNK).min(numbers.end));
+            |&start: &u64| generator.samples(start..(start + SAMPLES_PER_CHUNK).min(numbers.end));
         starts.par_iter().map(part).collect()
     });
     let mut samples = Samples::default();
@@ -144,15 +144,15 @@ pub fn make(
     Ok(samples)
 }
 
-/// Random numbers and parameters of one sample.
-struct Maker<'a> {
+/// Generator of samples: inputs that all of them share.
+struct SampleGenerator<'a> {
     beams: &'a Beams,
     source: Source<'a>,
     disturbance: &'a Disturbance,
     seed: u64,
 }
 
-impl Maker<'_> {
+impl SampleGenerator<'_> {
     fn samples(&self, numbers: Range<u64>) -> Result<Samples, Error> {
         let mut samples = Samples::default();
         for number in numbers {

@@ -3,7 +3,7 @@
 use crate::random::{self, Purpose};
 use crate::scene::{CastRay, RayHit, Scene, inverse, passes, within};
 use crate::sensors::{Beam, Lidar, SweepRays};
-use crate::surface::{Fate, Surface, USUAL_REFLECTIVITY, is_seen, signal};
+use crate::surface::{Surface, SurfaceInteraction, USUAL_REFLECTIVITY, is_seen, signal};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot};
@@ -62,7 +62,7 @@ pub struct SimulatedScan {
 }
 
 /// State of the world at one firing.
-struct Moment {
+struct WorldState {
     world_from_lidar: Transform,
     /// Time since time 0 [s].
     seconds: f64,
@@ -77,14 +77,14 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<SimulatedScan, Error> 
     task.lidar.check()?;
     let sweep = task.lidar.sweep(task.scan);
     let parts: Vec<ScanPart> = pool.install(|| {
-        let moments: Vec<Moment> = sweep
+        let worlds: Vec<WorldState> = sweep
             .offsets_ns
             .par_iter()
             .with_min_len(64)
-            .map(|&offset| task.moment(offset))
+            .map(|&offset| task.world_at(offset))
             .collect();
         let starts: Vec<usize> = (0..sweep.directions.len()).step_by(RAYS_PER_CHUNK).collect();
-        starts.par_iter().map(|&start| task.part(&sweep, &moments, start)).collect()
+        starts.par_iter().map(|&start| task.part(&sweep, &worlds, start)).collect()
     });
     let mut unoccluded = vec![0; task.objects()];
     let (mut ranges, mut labels) = (Vec::new(), Vec::new());
@@ -98,7 +98,7 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<SimulatedScan, Error> 
     Ok(SimulatedScan { sweep, ranges, labels, unoccluded })
 }
 
-impl Moment {
+impl WorldState {
     /// Ray in `direction` of the LiDAR's frame.
     fn ray(&self, direction: [f64; 3]) -> CastRay {
         CastRay {
@@ -119,10 +119,10 @@ impl Task<'_> {
         self.scene.objects().last().map_or(0, |last| last + 1)
     }
 
-    fn moment(&self, offset_ns: i64) -> Moment {
+    fn world_at(&self, offset_ns: i64) -> WorldState {
         let stamp_ns = self.start_ns.saturating_add(offset_ns);
         let movers = self.scene.movers().iter();
-        Moment {
+        WorldState {
             world_from_lidar: self.sensor.pose_at(stamp_ns),
             seconds: stamp_ns as f64 * 1e-9,
             shape_from_world: movers
@@ -131,7 +131,7 @@ impl Task<'_> {
         }
     }
 
-    fn part(&self, sweep: &SweepRays, moments: &[Moment], start: usize) -> ScanPart {
+    fn part(&self, sweep: &SweepRays, worlds: &[WorldState], start: usize) -> ScanPart {
         let end = (start + RAYS_PER_CHUNK).min(sweep.directions.len());
         let mut part = ScanPart {
             ranges: Vec::with_capacity(end - start),
@@ -141,18 +141,18 @@ impl Task<'_> {
         let turns = self.lidar.beam.as_ref().map(Beam::turns);
         let mut met = vec![false; part.unoccluded.len()];
         for index in start..end {
-            let moment = &moments[sweep.firings[index] as usize];
-            let ray = moment.ray(sweep.directions[index]);
+            let world = &worlds[sweep.firings[index] as usize];
+            let ray = world.ray(sweep.directions[index]);
             met.fill(false);
             let hit = match &turns {
-                None => self.seen(&ray, moment, &mut met, index as u32),
-                Some(turns) => self.echo(sweep.directions[index], turns, moment, &mut met),
+                None => self.seen(&ray, world, &mut met, index as u32),
+                Some(turns) => self.echo(sweep.directions[index], turns, world, &mut met),
             };
             for (count, &met) in part.unoccluded.iter_mut().zip(&met) {
                 *count += u32::from(met);
             }
             let hit = self.own(sweep.directions[index], hit);
-            let hit = self.in_air(&ray, moment, hit, index as u32);
+            let hit = self.in_air(&ray, world, hit, index as u32);
             let distance = hit.map_or(f64::INFINITY, |hit| hit.distance);
             let range = self.lidar.measured(distance, self.seed, self.scan, index as u32);
             part.ranges.push(range);
@@ -167,15 +167,15 @@ impl Task<'_> {
         &self,
         [x, y, z]: [f64; 3],
         turns: &[[f64; 2]],
-        moment: &Moment,
+        world: &WorldState,
         met: &mut [bool],
     ) -> Option<RayHit> {
         let line = |&[cosine, sine]: &[f64; 2]| {
-            moment.ray([cosine * x - sine * y, sine * x + cosine * y, z])
+            world.ray([cosine * x - sine * y, sine * x + cosine * y, z])
         };
         let limit = self.lidar.range_max;
         let hits: Vec<RayHit> =
-            turns.iter().filter_map(|turn| self.meet(&line(turn), moment, met, limit)).collect();
+            turns.iter().filter_map(|turn| self.meet(&line(turn), world, met, limit)).collect();
         let first = hits.iter().min_by(|a, b| a.distance.total_cmp(&b.distance))?;
         let last = first.distance + self.lidar.beam.map_or(0.0, |beam| beam.echo_length);
         let merged = hits.iter().map(|hit| hit.distance).filter(|&distance| distance <= last);
@@ -191,8 +191,14 @@ impl Task<'_> {
 
     /// Hit of a ray that may pass surfaces or be mirrored; None if the return is too weak. The
     /// length is that of the whole way.
-    fn seen(&self, ray: &CastRay, moment: &Moment, met: &mut [bool], index: u32) -> Option<RayHit> {
-        let mut hit = self.meet(ray, moment, met, self.lidar.range_max)?;
+    fn seen(
+        &self,
+        ray: &CastRay,
+        world: &WorldState,
+        met: &mut [bool],
+        index: u32,
+    ) -> Option<RayHit> {
+        let mut hit = self.meet(ray, world, met, self.lidar.range_max)?;
         let extinction = self.scene.extinction();
         if hit.surface.is_none() && extinction == 0.0 {
             return Some(hit); // the ideal: every surface returns
@@ -204,8 +210,8 @@ impl Task<'_> {
             let (surface, normal) = hit.surface.unwrap_or((USUAL, ray.direction));
             let distance = way + hit.distance;
             let draws = [random::uniform(drawn[0]), random::uniform(drawn[1])];
-            let ahead = match surface.fate(ray.direction, normal, draws) {
-                Fate::Scattered => {
+            let ahead = match surface.interaction(ray.direction, normal, draws) {
+                SurfaceInteraction::Scattered => {
                     let cosine = dot(ray.direction, normal).abs();
                     let power = signal(
                         surface.reflectivity,
@@ -218,18 +224,18 @@ impl Task<'_> {
                     let label = if is_ghost { GHOST_LABEL } else { hit.label };
                     return is_seen(power, fading).then_some(RayHit { distance, label, ..hit });
                 }
-                Fate::Mirrored(direction) => {
+                SurfaceInteraction::Mirrored(direction) => {
                     is_ghost = true;
                     direction
                 }
-                Fate::Passed => ray.direction,
+                SurfaceInteraction::Passed => ray.direction,
             };
             way = distance + STEP;
             let start = |axis: usize| {
                 ray.origin[axis] + hit.distance * ray.direction[axis] + STEP * ahead[axis]
             };
             ray = CastRay { origin: std::array::from_fn(start), direction: ahead };
-            hit = self.meet(&ray, moment, &mut unused, self.lidar.range_max - way)?;
+            hit = self.meet(&ray, world, &mut unused, self.lidar.range_max - way)?;
         }
         None
     }
@@ -241,10 +247,16 @@ impl Task<'_> {
     }
 
     /// First hit of `ray`; marks in `met` the objects that it meets or would meet.
-    fn meet(&self, ray: &CastRay, moment: &Moment, met: &mut [bool], limit: f64) -> Option<RayHit> {
-        let mut nearest = self.scene.meet(ray, limit, moment.seconds);
+    fn meet(
+        &self,
+        ray: &CastRay,
+        world: &WorldState,
+        met: &mut [bool],
+        limit: f64,
+    ) -> Option<RayHit> {
+        let mut nearest = self.scene.meet(ray, limit, world.seconds);
         for (index, mover) in self.scene.movers().iter().enumerate() {
-            let local = within(&moment.shape_from_world[index], ray);
+            let local = within(&world.shape_from_world[index], ray);
             if !passes(&local, [0.0; 3], mover.shape.radius()) {
                 continue;
             }
@@ -253,7 +265,7 @@ impl Task<'_> {
             if nearest.is_none_or(|hit| distance < hit.distance) {
                 let surface = mover.surface.map(|surface| {
                     let normal = mover.shape.normal(&local, distance);
-                    (surface, inverse(&moment.shape_from_world[index]).rotate(normal))
+                    (surface, inverse(&world.shape_from_world[index]).rotate(normal))
                 });
                 nearest = Some(RayHit { distance, label: mover.label, surface });
             }
@@ -265,7 +277,7 @@ impl Task<'_> {
     fn in_air(
         &self,
         ray: &CastRay,
-        moment: &Moment,
+        world: &WorldState,
         hit: Option<RayHit>,
         index: u32,
     ) -> Option<RayHit> {
@@ -275,7 +287,7 @@ impl Task<'_> {
             let drawn = random::words(self.seed, [ray_at, scan, scan_high, purpose | group << 8]);
             for (volume, word) in volumes.iter().zip(drawn) {
                 let depth = -libm::log(random::uniform(word));
-                let found = volume.meet(ray, self.lidar.range_min, moment.seconds, depth);
+                let found = volume.meet(ray, self.lidar.range_min, world.seconds, depth);
                 let limit = nearest.map_or(self.lidar.range_max, |hit| hit.distance);
                 if let Some(distance) = found.filter(|&distance| distance < limit) {
                     nearest = Some(RayHit { distance, label: AIR_LABEL, surface: None });

@@ -25,7 +25,7 @@ pub struct Surface {
 
 /// Result of a ray at a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Fate {
+pub enum SurfaceInteraction {
     /// The light is scattered and may return.
     Scattered,
     /// The ray continues in this direction.
@@ -65,17 +65,22 @@ impl Surface {
     /// Result of a ray in `direction` that meets the surface with `normal`; the two samples are
     /// uniform in (0, 1).
     #[must_use]
-    pub fn fate(&self, direction: [f64; 3], normal: [f64; 3], draws: [f64; 2]) -> Fate {
+    pub fn interaction(
+        &self,
+        direction: [f64; 3],
+        normal: [f64; 3],
+        draws: [f64; 2],
+    ) -> SurfaceInteraction {
         let along = dot(direction, normal);
         if draws[0] < self.mirrored(along.abs()) {
-            return Fate::Mirrored(std::array::from_fn(|axis| {
+            return SurfaceInteraction::Mirrored(std::array::from_fn(|axis| {
                 direction[axis] - 2.0 * along * normal[axis]
             }));
         }
         if draws[1] < self.clear {
-            return Fate::Passed;
+            return SurfaceInteraction::Passed;
         }
-        Fate::Scattered
+        SurfaceInteraction::Scattered
     }
 }
 
@@ -115,11 +120,23 @@ mod tests {
         let share = 0.08 + 0.92 * 0.2f64.powi(5);
         assert!((GLASS.mirrored(0.8) - share).abs() < 1e-15);
         assert_eq!(GLASS.mirrored(0.0), 1.0);
-        assert_eq!(GLASS.fate(ahead, normal, [share - 1e-9, 0.0]), Fate::Mirrored([0.6, 0.0, 0.8]));
-        assert_eq!(GLASS.fate(ahead, normal, [share + 1e-9, 0.89]), Fate::Passed);
-        assert_eq!(GLASS.fate(ahead, normal, [share + 1e-9, 0.91]), Fate::Scattered);
+        assert_eq!(
+            GLASS.interaction(ahead, normal, [share - 1e-9, 0.0]),
+            SurfaceInteraction::Mirrored([0.6, 0.0, 0.8])
+        );
+        assert_eq!(
+            GLASS.interaction(ahead, normal, [share + 1e-9, 0.89]),
+            SurfaceInteraction::Passed
+        );
+        assert_eq!(
+            GLASS.interaction(ahead, normal, [share + 1e-9, 0.91]),
+            SurfaceInteraction::Scattered
+        );
         let matt = Surface { reflectivity: 0.3, mirror: 0.0, clear: 0.0 };
-        assert_eq!(matt.fate([1.0, 0.0, 0.0], normal, [1e-9, 1e-9]), Fate::Scattered);
+        assert_eq!(
+            matt.interaction([1.0, 0.0, 0.0], normal, [1e-9, 1e-9]),
+            SurfaceInteraction::Scattered
+        );
     }
 
     #[test]

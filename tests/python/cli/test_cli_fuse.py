@@ -1,7 +1,10 @@
 """`lidar-core fuse`: measurements in, run folders out."""
 
 import csv
+import signal
+import subprocess
 import sys
+import time
 import tomllib
 from functools import partial
 
@@ -441,3 +444,77 @@ def test_the_noise_of_many_targets_is_not_sought(recordings, tmp_path):
     with pytest.raises(ConfigError, match="fit_noise"):
         lc.runs.fuse(boats, None, tmp_path / "run", fit_noise=True)
     assert not (tmp_path / "run").exists()
+
+
+def lines_of(recordings):
+    return (recordings / "fusion/sample-laser-radar-measurement-data-1.txt").read_text().split("\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "shown"),
+    [
+        (lambda w: [w[0], w[2], w[1], *w[3:]] if w[0] == "L" else w, "x and y of the LiDAR"),
+        (
+            lambda w: [w[0], w[1], str(np.rad2deg(float(w[2]))), *w[3:]] if w[0] == "R" else w,
+            "degrees",
+        ),
+        (lambda w: [w[0], w[1], str(-float(w[2])), *w[3:]] if w[0] == "R" else w, "clockwise"),
+    ],
+    ids=["exchanged", "degrees", "mirrored"],
+)
+def test_a_fit_does_not_take_a_mistake_for_noise(recordings, tmp_path, change, shown):
+    """Also where the noise was told wrong, so that the NIS is beyond reason for two reasons."""
+    words = [line.split() for line in lines_of(recordings) if line.strip()]
+    place = tmp_path / "wrong.txt"
+    place.write_text("\n".join("\t".join(change(one)) for one in words) + "\n")
+    with pytest.raises(InputError, match=rf"mistake\. The data shows: .*{shown}"):
+        lc.runs.fit_config(place)
+    with pytest.raises(InputError, match="mistake"):
+        lc.runs.fuse(place, None, tmp_path / "run", fit_noise=True)
+    assert not (tmp_path / "run").exists()
+    assert lc.runs.fit_config(place, force=True).lidar_std != FusionConfig().lidar_std
+
+
+def test_a_fit_needs_every_recording_to_be_long_and_possible(recordings, tmp_path):
+    short = tmp_path / "short.txt"
+    short.write_text("\n".join(lines_of(recordings)[:5]) + "\n")
+    good = noisy(tmp_path / "a.csv", 0.1, SEED)
+    with pytest.raises(InputError, match=r"short\.txt: expected more than 10 measurements"):
+        lc.runs.fit_config([good, short])
+    far = tmp_path / "far.csv"
+    far.write_text(good.read_text().replace("\n500000000,", "\n500000000,1e300,0\n500000001,"))
+    with pytest.raises(InputError, match=r"far\.csv: .*possible with some noise"):
+        lc.runs.fit_config(far)
+
+
+def test_a_fit_leaves_what_it_does_not_need(tmp_path):
+    """Values without influence on the likelihood, and noises that no mixed model has."""
+    begin = FusionConfig(method="imm", imm_models=("cv", "ctrv"))
+    fitted = lc.runs.fit_config(noisy(tmp_path / "a.csv", 0.1, SEED), begin)
+    assert fitted.jerk_noise == begin.jerk_noise
+    assert fitted.radar_std == begin.radar_std
+    assert fitted.acceleration_noise != begin.acceleration_noise
+
+
+def test_config_fit_does_not_replace_what_it_reads(tmp_path):
+    place = noisy(tmp_path / "a.csv", 0.1, SEED)
+    kept = place.read_text()
+    done = fit(place, "-o", place, "--overwrite")
+    assert isinstance(done.exception, ConfigError)
+    assert "is read" in str(done.exception)
+    assert place.read_text() == kept
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_ctrl_c_ends_a_fit_soon(tmp_path):
+    place = noisy(tmp_path / "long.csv", 0.5, SEED, count=60_000)
+    out = tmp_path / "fit.toml"
+    command = [sys.executable, "-m", "lidar_core", "config", "fit", str(place), "-o", str(out)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        time.sleep(6)
+        assert running.poll() is None, "the fit is too short for this test"
+        start = time.monotonic()
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+        assert time.monotonic() - start < 5
+    assert not out.exists()

@@ -27,7 +27,7 @@ DEFINED_TWICE = {"Measurement", "Motion", "NoiseForm", "Sensor", "State"}
 
 RUST_FLOORS = (
     {"error"},
-    {"budget", "clock", "threads", "shelf", "spread", "util"},
+    {"util"},
     {"geometry", "estimation", "probability"},
     {"tracking"},
     {"circles", "flying", "fusion"},

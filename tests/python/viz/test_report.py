@@ -17,7 +17,8 @@ import lidar_core as lc
 from lidar_core.errors import FormatError
 from lidar_core.messages import ShownClass
 from lidar_core.viz import Moment, Objects, Playback, write_report
-from lidar_core.viz.report.scene import MOST_MOMENTS, _thinned
+from lidar_core.viz.report.charts import MOST_DRAWN
+from lidar_core.viz.report.scene import MOST_MOMENTS, MOST_PLACES, _thinned
 
 SCANS = 15
 needs_chromium = pytest.mark.skipif(
@@ -296,3 +297,42 @@ def test_the_view_moves_in_a_browser_that_asks_nobody(demo, tmp_path):
         assert blue.sum() > 20  # number, box and trail of a track
         hosts = {urlsplit(one).hostname for one in browser.addresses() if "://" in one}
     assert not {host for host in hosts if host} - {"127.0.0.1"}
+
+
+@pytest.mark.parametrize("wrong", [{"run": None}, {"run": 3}, {"output": 1.5}, {"truth": True}])
+def test_arguments_of_another_type_are_named(circles, wrong):
+    (name,) = wrong
+    with pytest.raises(lc.ConfigError, match=f"^{name}: expected"):
+        write_report(**{"run": circles, **wrong})
+
+
+def test_a_report_replaces_an_earlier_one_and_nothing_else(circles, tmp_path):
+    page = tmp_path / "page.html"
+    assert write_report(circles, page) == write_report(circles, page) == page
+    kept = (circles / "summary.json").read_bytes()
+    for place in (circles / "summary.json", tmp_path / "notes.txt"):
+        if not place.exists():
+            place.write_text("mine")
+        with pytest.raises(FileExistsError, match="is no report"):
+            write_report(circles, place)
+    assert (circles / "summary.json").read_bytes() == kept
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_long_run_of_fuse_gives_a_small_page(tmp_path):
+    """NIS of every measurement is in a picture, true places are thinned to their end."""
+    count = 4 * MOST_DRAWN
+    rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(count)]
+    (tmp_path / "long.txt").write_text("\n".join(rows) + "\n")
+    made("fuse", tmp_path / "long.txt", "-o", tmp_path / "run", "--no-picture", "--no-mcap")
+    path = write_report(tmp_path / "run")
+    assert path.stat().st_size < 1e6
+    page = Page(path)
+    (way,) = page.scene["truth"]
+    assert len(way) == MOST_PLACES
+    assert [tag for tag, _ in page.elements if tag == "image"]
+    times = [t for t, _ in _way(count)]
+    assert [way[0][0], way[-1][0]] == pytest.approx([0, times[-1] - times[0]], abs=1e-3)
+    (tmp_path / "short.txt").write_text("\n".join(rows[:100]) + "\n")
+    made("fuse", tmp_path / "short.txt", "-o", tmp_path / "few", "--no-picture", "--no-mcap")
+    assert "image" not in {tag for tag, _ in Page(write_report(tmp_path / "few")).elements}

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from lidar_core.fusion import FusionConfig
     from lidar_core.util.rows import Row
 
+FORCE = "Take mistakes in the measurements for noise."
+FACTOR = 1000
+"""How far a fit may go from where it begins, up or down."""
 RECORDINGS = (
     "Measurements of one target each: L/R text, a table (CSV, Parquet, .npz), a ROS recording"
     " (.bag, .db3, .mcap, folder)."
@@ -45,22 +48,28 @@ def command(
     mode: Annotated[Mode, typer.Option(help="Whose defaults.")] = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
+    force: Annotated[bool, typer.Option("--force", help=FORCE)] = False,
     overwrite: OverwriteFile = False,
 ) -> None:
-    """Find the noise of motion and sensors under which RECORDINGs are most likely.
+    """Find the noise of motion and sensors that explains the recordings best.
 
-    No truth is needed. The file that is written is for `fuse --config`.
+    No truth is needed. The file that is written is for `fuse --config`. Measurements that
+    contradict one another by a mistake, such as exchanged axes, end the fit.
     """
     from lidar_core import runs
     from lidar_core.errors import ConfigError
     from lidar_core.fusion import FusionConfig
     from lidar_core.io import Span
-    from lidar_core.io.files.atomic import written_whole
+    from lidar_core.io.files.atomic import check_place, written_whole
     from lidar_core.parameters import commented_toml
     from lidar_core.runs.settings import config_of_run
 
-    if output is not None and output.exists() and not overwrite:
-        raise ConfigError(f"{output}: exists; --overwrite replaces it")
+    if output is not None:
+        if output.exists() and not overwrite:
+            raise ConfigError(f"{output}: exists; --overwrite replaces it")
+        check_place(output)
+        if any(output.exists() and one.exists() and output.samefile(one) for one in recordings):
+            raise ConfigError(f"{output}: is read; name another file to write")
     choice = runs.ConfigChoice(mode, config, tuple(values))
     fitted = runs.fit_config(
         recordings,
@@ -72,6 +81,7 @@ def command(
         time_unit=time_unit,
         angle_unit=angle_unit,
         span=Span.load(given({"start": start, "end": end})),
+        force=force,
     )
     text = commented_toml(fitted)
     if output is None:
@@ -81,8 +91,9 @@ def command(
         temporary.write_text(text, encoding="utf-8")
     from rich.console import Console
 
-    before = config_of_run(choice, FusionConfig, "fusion")
-    Console().print(result_table("Noise", _rows(before, fitted)))
+    rows = _rows(config_of_run(choice, FusionConfig, "fusion"), fitted)
+    if rows:
+        Console().print(result_table("Noise", rows))
     print(output)
 
 
@@ -90,14 +101,22 @@ def _rows(before: "FusionConfig", fitted: "FusionConfig") -> list["Row | None"]:
     """Values that the fit changed."""
     from lidar_core.util.rows import Row
 
-    noise = ("acceleration_noise", "jerk_noise", "turn_noise", "lidar_std", "radar_std")
-    return [
-        Row(name, _text(getattr(fitted, name)), f"{_text(getattr(before, name))} before")
-        for name in noise
-        if getattr(fitted, name) != getattr(before, name)
-    ]
+    rows: list[Row | None] = []
+    for name in ("acceleration_noise", "jerk_noise", "turn_noise", "lidar_std", "radar_std"):
+        old, new = (_numbers(getattr(config, name)) for config in (before, fitted))
+        if old == new:
+            continue
+        remark = f"{_text(old)} before"
+        factors = [b / a for a, b in zip(old, new, strict=True) if a > 0]
+        if any(one >= 0.999 * FACTOR or one <= 1.001 / FACTOR for one in factors):
+            remark += "; at the limit of the search"
+        rows.append(Row(name, _text(new), remark))
+    return rows
 
 
-def _text(value: float | tuple[float, ...]) -> str:
-    numbers = value if isinstance(value, tuple) else (value,)
+def _numbers(value: float | tuple[float, ...]) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _text(numbers: tuple[float, ...]) -> str:
     return ", ".join(f"{one:.4g}" for one in numbers)

@@ -21,6 +21,8 @@ COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4
 SHARE = 0.95
 GAP = 2.5
 """Steps of usual length without a value that interrupt a curve."""
+MOST_DRAWN = 5000
+"""Values of one chart that are drawn as lines; more become one picture, which stays small."""
 MOST_TARGETS = 20
 """Curves of one chart: more cannot be told apart."""
 
@@ -36,12 +38,14 @@ def error_chart(
     ours = pairing.estimate_of[rows]
     away: NDArray[np.float64] = np.linalg.norm(tracks.position[ours] - truth.position[rows], axis=1)
     seconds = (truth.stamp_ns[rows] - start_ns) * 1e-9
+    is_picture = len(rows) > MOST_DRAWN
 
     def draw(panel: Any) -> None:
         for number, colour in _coloured(np.unique(truth.id[rows]).tolist()).items():
             chosen = np.flatnonzero(truth.id[rows] == number)
             line = {"ms": 3, "lw": 1.0, "color": colour, "label": f"target {number}"}
-            panel.plot(*_with_gaps(seconds[chosen], away[chosen]), ".-", **line)
+            curve = _with_gaps(seconds[chosen], away[chosen])
+            panel.plot(*curve, ".-", rasterized=is_picture, **line)
         panel.set(ylabel="position error [m]", ylim=(0, None))
         panel.legend(loc="upper right", ncols=4, fontsize=8)
 
@@ -62,11 +66,13 @@ def nis_chart(folder: Path, start_ns: int) -> str | None:
     degrees = np.isfinite(parts).sum(axis=0) if parts else np.zeros(len(nis), int)
     seconds = (columns["t_ns"] - start_ns) * 1e-9
     sensors = np.asarray(columns["sensor"]).astype(str)
+    is_picture = len(nis) > MOST_DRAWN
 
     def draw(panel: Any) -> None:
         for sensor, colour in _coloured(np.unique(sensors[known]).tolist()).items():
             chosen = known & (sensors == sensor)
-            panel.plot(seconds[chosen], nis[chosen], ".", ms=2.5, color=colour, label=sensor)
+            dots = {"ms": 2.5, "color": colour, "label": sensor, "rasterized": is_picture}
+            panel.plot(seconds[chosen], nis[chosen], ".", **dots)
             for count in np.unique(degrees[chosen & (degrees > 0)]).tolist():
                 limit = float(chi2_quantile(SHARE, degrees=count))
                 name = f"95 % limit, {count} values"
@@ -85,6 +91,7 @@ def timing_chart(folder: Path, start_ns: int) -> str | None:
     if not stages or not len(columns["t_ns"]):
         return None
     seconds = (columns["t_ns"] - start_ns) * 1e-9
+    is_picture = len(seconds) * len(stages) > MOST_DRAWN
 
     def draw(panel: Any) -> None:
         named = _coloured([name.removesuffix("_ms") for name in stages])
@@ -95,6 +102,7 @@ def timing_chart(folder: Path, start_ns: int) -> str | None:
             colors=list(named.values()),
             alpha=0.85,
             lw=0,
+            rasterized=is_picture,
         )
         panel.set(ylabel="time per scan [ms]", ylim=(0, None))
         panel.legend(loc="upper right", ncols=6, fontsize=8)

@@ -7,6 +7,7 @@ from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from json import dumps
+from os import PathLike
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
@@ -16,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core._core import __version__
+from lidar_core.config import checked
 from lidar_core.errors import FormatError
 from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
 from lidar_core.evaluation.score_rows import all_rows, consistency_warnings, counted_caption
 from lidar_core.evaluation.types import Truth
 from lidar_core.files import read_whole
-from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.files.atomic import check_place, written_whole
 from lidar_core.run_folder import table_in
 from lidar_core.util.rows import Row
 from lidar_core.viz.playback import Playback
@@ -39,10 +41,15 @@ from lidar_core.viz.report.tables import (
 )
 
 NAME = "report.html"
+DOCTYPE = b"<!doctype html>"
 
 
+@checked
 def write_report(
-    run: str | Path, output: str | Path | None = None, *, truth: str | Path | None = None
+    run: str | PathLike[str],
+    output: str | PathLike[str] | None = None,
+    *,
+    truth: str | PathLike[str] | None = None,
 ) -> Path:
     """Write everything about a run into one HTML file.
 
@@ -66,16 +73,21 @@ def write_report(
 
     Raises
     ------
+    ConfigError
+        An argument of another type.
     FileNotFoundError
         No such folder.
+    FileExistsError
+        `output` is a file that is no report.
     FormatError
         No run of these commands, or one of its files cannot be read.
     MissingExtraError
         matplotlib is not installed.
     """
-    played = Playback(run)
+    played = Playback(Path(run))
     folder = played.folder
     place = folder / NAME if output is None else Path(output)
+    _check_replaceable(place)
     summary, (note, made_by) = read_summary(folder), read_note(folder)
     first = next(iter(played.steps()), None)
     if first is None:
@@ -107,6 +119,15 @@ def write_report(
     with written_whole(place) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return place
+
+
+def _check_replaceable(place: Path) -> None:
+    """Refuse, before any work, to replace a file that is no report."""
+    if place.exists():
+        check_place(place)
+        with place.open("rb") as file:
+            if file.read(len(DOCTYPE)) != DOCTYPE:
+                raise FileExistsError(f"{place}: exists and is no report; name another file")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +169,7 @@ class _HeldAgainst:
         }
 
 
-def _held_against(folder: Path, truth: str | Path | None) -> _HeldAgainst | None:
+def _held_against(folder: Path, truth: str | PathLike[str] | None) -> _HeldAgainst | None:
     """The truth that is given, else that of the folder; None where there is none."""
     place = Path(truth) if truth is not None else table_in(folder, "truth")
     if place is None:

@@ -16,6 +16,8 @@ MOST_MOMENTS = 300
 MOST_POINTS = 500_000
 """Points of all scans together. A point takes 9 characters of the page."""
 MOST_VOXELS = 40_000
+MOST_PLACES = 3000
+"""True places of each target."""
 STEPS = 65_000
 """Steps per axis of a stored position, which fits 16 bits: 8 mm in a scene of 500 m."""
 
@@ -62,19 +64,26 @@ def scene_of(
             ]
             for moment in moments
         ],
-        "truth": [np.round(way, 3).tolist() for way in truth.values()],
+        "truth": [
+            np.round(way[_rows(len(way), MOST_PLACES)], 3).tolist() for way in truth.values()
+        ],
     }
 
 
 def _picked(run: Playback) -> Iterator[Moment]:
     """Times with a scan, or all where the run kept none; thinned evenly, the last one included."""
-    with_scan = [moment.stamp_ns for moment in run.moments() if len(moment.points)]
-    stamps = with_scan or [moment.stamp_ns for moment in run.moments()]
-    rows = np.linspace(0, len(stamps) - 1, min(len(stamps), MOST_MOMENTS)).round().astype(int)
-    chosen = {stamps[row] for row in rows.tolist()}
+    found = [(moment.stamp_ns, len(moment.points) > 0) for moment in run.moments()]
+    with_scan = [stamp for stamp, has_scan in found if has_scan]
+    stamps = with_scan or [stamp for stamp, _ in found]
+    chosen = {stamps[row] for row in _rows(len(stamps), MOST_MOMENTS).tolist()}
     for moment in run.moments():
         if moment.stamp_ns in chosen:
             yield moment
+
+
+def _rows(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many of `count` rows, evenly, the first and the last one included."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
 
 
 def _thinned(moment: Moment, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -6,7 +6,7 @@
 use super::fit::{FitMethod, FitParameters};
 use super::map::{
     CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
-    Looking, MotionMode, Patience, Standing,
+    MissLimits, MotionMode, Standing, VisibilityTest,
 };
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
@@ -116,8 +116,8 @@ impl Default for Independent {
             merge_gap: 0.15,
             confirmation: ElementConfirmation { hits: 3, window: 5 },
             limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
-            patience: Patience { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
-            looking: Looking { margin: 0.15, min_rays: 4 },
+            miss_limits: MissLimits { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
+            visibility_test: VisibilityTest { margin: 0.15, min_rays: 4 },
             buffer_time: 0.25,
             lines: LineRules::default(),
         }

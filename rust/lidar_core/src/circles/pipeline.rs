@@ -11,7 +11,7 @@ use super::preprocess::projection;
 use super::preprocess::sweep_poses::SweepPoses;
 pub use super::raw_sweep::RawSweep;
 use super::raw_sweep::delays;
-use super::scanner::Channel;
+use super::scanner::Scanner;
 use super::segment::parameters::SegmentParameters;
 use super::segment::segmentation::segment;
 use super::selection::ShapeParameters;
@@ -33,7 +33,7 @@ pub struct CirclePipeline {
     parameters: PipelineParameters,
     map: CircleMap,
     /// Scanners in the order in which they were first used.
-    channels: Vec<(String, Channel)>,
+    scanners: Vec<(String, Scanner)>,
 }
 
 impl CirclePipeline {
@@ -45,13 +45,13 @@ impl CirclePipeline {
         let map = CircleMap::new(parameters.map.clone())?;
         projection::check_planes(&parameters.planes)?;
         parameters.shapes.iter().try_for_each(ShapeParameters::check)?;
-        Channel::new(&parameters.scanner, &parameters)?;
-        let channels = parameters
+        Scanner::new(&parameters.scanner, &parameters)?;
+        let scanners = parameters
             .scanners
             .iter()
-            .map(|(name, scanner)| Ok((name.clone(), Channel::new(scanner, &parameters)?)))
+            .map(|(name, scanner)| Ok((name.clone(), Scanner::new(scanner, &parameters)?)))
             .collect::<Result<_, Error>>()?;
-        Ok(Self { parameters, map, channels })
+        Ok(Self { parameters, map, scanners })
     }
 
     /// The whole state as bytes.
@@ -59,7 +59,7 @@ impl CirclePipeline {
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
     pub fn to_state(&self) -> Result<Vec<u8>, Error> {
-        let names: Vec<&str> = self.channels.iter().map(|(name, _)| name.as_str()).collect();
+        let names: Vec<&str> = self.scanners.iter().map(|(name, _)| name.as_str()).collect();
         sealed(KIND, &self.parameters, &(names, self.map.state()))
     }
 
@@ -75,9 +75,9 @@ impl CirclePipeline {
         for (place, name) in names.into_iter().enumerate() {
             match pipeline.number(&name) {
                 Some(known) if known == place => {}
-                None if pipeline.channels.len() == place => {
-                    let channel = pipeline.new_channel(&name)?;
-                    pipeline.channels.push((name, channel));
+                None if pipeline.scanners.len() == place => {
+                    let scanner = pipeline.new_scanner(&name)?;
+                    pipeline.scanners.push((name, scanner));
                 }
                 _ => return Err(impossible("scanners in another order")),
             }
@@ -93,7 +93,7 @@ impl CirclePipeline {
     /// [`Error::Limit`] for too many objects. After an error nothing has changed.
     pub fn process(&mut self, raw: &RawSweep<'_>) -> Result<CircleFrame, Error> {
         self.unless_refused(raw.scanner, |pipeline, number| {
-            let prepared = pipeline.prepare_in(raw, number, &pipeline.channels[number].1)?;
+            let prepared = pipeline.prepare_in(raw, number, &pipeline.scanners[number].1)?;
             pipeline.fit(prepared)
         })
     }
@@ -105,8 +105,8 @@ impl CirclePipeline {
     /// Errors of [`CirclePipeline::process`].
     pub fn prepare(&self, raw: &RawSweep<'_>) -> Result<PreparedSweep, Error> {
         match self.number(raw.scanner) {
-            Some(number) => self.prepare_in(raw, number, &self.channels[number].1),
-            None => self.prepare_in(raw, self.channels.len(), &self.new_channel(raw.scanner)?),
+            Some(number) => self.prepare_in(raw, number, &self.scanners[number].1),
+            None => self.prepare_in(raw, self.scanners.len(), &self.new_scanner(raw.scanner)?),
         }
     }
 
@@ -114,20 +114,20 @@ impl CirclePipeline {
         &self,
         raw: &RawSweep<'_>,
         number: usize,
-        channel: &Channel,
+        scanner: &Scanner,
     ) -> Result<PreparedSweep, Error> {
         let mut clock = Clock::start();
         let parameters = &self.parameters;
-        raw.check(channel.bearings.len())?;
+        raw.check(scanner.bearings.len())?;
         self.map
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;
         let motion = ScanPoses::new(raw.poses, raw.pose_stamps_ns)?;
         let sweep = SweepPoses::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
         let upright = upright(&sweep)?;
-        let (level, seen) = channel.level(raw, &sweep, parameters)?;
+        let (level, seen) = scanner.level(raw, &sweep, parameters)?;
         let prepare = clock.lap();
-        let [near, far] = channel.range_limits;
+        let [near, far] = scanner.range_limits;
         let range_limits = [near, (far * upright).max(2.0 * near)];
         let segmenting = SegmentParameters { range_limits, ..parameters.segment };
         let segments = segment(&level.scan, seen.as_deref(), &segmenting)?;
@@ -150,14 +150,14 @@ impl CirclePipeline {
         let mut clock = Clock::start();
         let mut circles = Vec::with_capacity(prepared.segments.len());
         let (scan, segments) = (&prepared.level.scan, &prepared.segments);
-        let (_, channel) = &mut self.channels[prepared.number];
+        let (_, scanner) = &mut self.scanners[prepared.number];
         let is_done =
             self.parameters.shapes.is_some() && self.parameters.fit.method == FitMethod::Expected;
         let mut shapes = Vec::new();
         if is_done {
-            channel.shaper.fit_both(scan, segments, &mut circles, &mut shapes)?;
+            scanner.shaper.fit_both(scan, segments, &mut circles, &mut shapes)?;
         } else {
-            channel.fitter.fit(scan, segments, &mut circles)?;
+            scanner.fitter.fit(scan, segments, &mut circles)?;
             self.find_shapes(&prepared, &mut shapes)?;
         }
         prepared.timing.fit = clock.lap();
@@ -170,9 +170,9 @@ impl CirclePipeline {
         prepared: &PreparedSweep,
         shapes: &mut Vec<ShapeEstimate>,
     ) -> Result<(), Error> {
-        let (_, channel) = &mut self.channels[prepared.number];
+        let (_, scanner) = &mut self.scanners[prepared.number];
         match self.parameters.shapes {
-            Some(_) => channel.shaper.fit(&prepared.level.scan, &prepared.segments, shapes),
+            Some(_) => scanner.shaper.fit(&prepared.level.scan, &prepared.segments, shapes),
             None => Ok(()),
         }
     }
@@ -281,19 +281,22 @@ impl CirclePipeline {
 
     /// Number of the scanner with this name, if it was used before.
     fn number(&self, name: &str) -> Option<usize> {
-        self.channels.iter().position(|(known, _)| known == name)
+        self.scanners.iter().position(|(known, _)| known == name)
     }
 
-    /// Check and make what a scanner with a new name needs.
-    fn new_channel(&self, name: &str) -> Result<Channel, Error> {
-        if self.channels.len() >= MAX_SCANNERS {
+    /// A scanner with a new name and the usual parameters.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for one more than [`MAX_SCANNERS`].
+    fn new_scanner(&self, name: &str) -> Result<Scanner, Error> {
+        if self.scanners.len() >= MAX_SCANNERS {
             return Err(Error::Limit {
                 what: format!("scanner {name:?}, one more"),
                 limit: MAX_SCANNERS as u64,
                 key: "use fewer names",
             });
         }
-        Channel::new(&self.parameters.scanner, &self.parameters)
+        Scanner::new(&self.parameters.scanner, &self.parameters)
     }
 
     /// Result of `take` for a sweep of this scanner; after an error a new scanner stays unknown.
@@ -302,14 +305,14 @@ impl CirclePipeline {
         scanner: &str,
         take: impl FnOnce(&mut Self, usize) -> Result<CircleFrame, Error>,
     ) -> Result<CircleFrame, Error> {
-        let known = self.channels.len();
+        let known = self.scanners.len();
         let number = self.number(scanner).unwrap_or(known);
         if number == known {
-            self.channels.push((scanner.into(), self.new_channel(scanner)?));
+            self.scanners.push((scanner.into(), self.new_scanner(scanner)?));
         }
         let frame = take(self, number);
         if frame.is_err() {
-            self.channels.truncate(known);
+            self.scanners.truncate(known);
         }
         frame
     }

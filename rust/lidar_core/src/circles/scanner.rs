@@ -9,8 +9,8 @@ use super::raw_sweep::RawSweep;
 use super::shape::ShapeFitter;
 use crate::Error;
 
-/// Rays, reach and estimators of one scanner.
-pub(super) struct Channel {
+/// One scanner: its rays, its range limits and its estimators.
+pub(super) struct Scanner {
     pub(super) bearings: Vec<f64>,
     pub(super) directions: Vec<[f64; 2]>,
     pub(super) range_limits: [f64; 2],
@@ -18,7 +18,7 @@ pub(super) struct Channel {
     pub(super) shaper: ShapeFitter,
 }
 
-impl Channel {
+impl Scanner {
     /// # Errors
     /// [`Error::Limit`] for too many rays, [`Error::Parameter`] for values that cannot work.
     pub(super) fn new(

@@ -12,8 +12,8 @@ use super::parameters::FlyingParameters;
 use super::scan::sensor::SensorParameters;
 use super::sky::Beams;
 use super::track::{
-    Ageing, Association, Confirmation, Doubt, Hiding, MeasurementForm, Merging, Motion, NoiseForm,
-    Radius, RadiusForm, TrackerParameters,
+    Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
+    RadiusForm, TrackerParameters, WeakEvidence,
 };
 use crate::geometry::cluster::Clustering;
 use std::collections::BTreeMap;
@@ -213,7 +213,7 @@ impl Default for Hiding {
 
 /// Half of the last 20 sets confirm what stands still: leaves and edges that come into view are
 /// seen for a shorter time.
-impl Default for Doubt {
+impl Default for WeakEvidence {
     fn default() -> Self {
         Self { confidence: 0.7, distance: 0.5, cleared: 0.3, hits: 10, window: 20 }
     }
@@ -243,7 +243,11 @@ impl Default for TrackerParameters {
             association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
             rejoin_acceleration: Some(2.0),
             split_distance: Some(0.8),
-            confirmation: Confirmation { hits: 3, window: 10, doubt: Some(Doubt::default()) },
+            confirmation: Confirmation {
+                hits: 3,
+                window: 10,
+                weak_evidence: Some(WeakEvidence::default()),
+            },
             merging: Some(Merging::default()),
             ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.3 },
         }
@@ -272,7 +276,7 @@ impl TrackerParameters {
             association: Association::Paper,
             rejoin_acceleration: None,
             split_distance: None,
-            confirmation: Confirmation { hits: 1, window: 1, doubt: None },
+            confirmation: Confirmation { hits: 1, window: 1, weak_evidence: None },
             merging: None,
             ageing: Ageing::Paper,
             ..Self::default()

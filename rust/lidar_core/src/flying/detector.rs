@@ -1,4 +1,7 @@
 //! The pipeline: raw scans in, point classes, detections and tracks out.
+//!
+//! Longer than other files, so that the fields of the detector stay private to it: parts in other
+//! files would share its whole state.
 
 use super::background::burn_in::BurnIn;
 use super::background::pose_jump::{HeldScan, PoseCheck};
@@ -11,14 +14,14 @@ use super::detect::follow_up::{add_followed, update_tracks};
 use super::detect::visibility::ScanView;
 use super::frame::{Frame, Timing};
 use super::full_state::{DetectorState, KIND, SavedDetector};
-use super::gate::Gate;
 use super::integrate::classified_scan::{ClassifiedScan, IntegrateStats};
 use super::integrate::integrator::Integrator;
 use super::integrate::pose_weights::PoseNoise;
 use super::map::local_map::LocalMap;
 use super::map::voxel_map::VoxelMap;
 use super::parameters::FlyingParameters;
-use super::point_class::{BACKGROUND, FLYING};
+use super::point_class::PointClass;
+use super::reporting_gate::ReportingGate;
 use super::scan::prepared::{Prepared, RawScan};
 use super::scan::sensors::Sensors;
 use super::track::{PointCloudTracker, Track};
@@ -126,7 +129,7 @@ impl FlyingObjectDetector {
         if !keep_going() {
             return Err(Error::Interrupted);
         }
-        self.tracker.check_room(self.classifier.count_of(FLYING))?;
+        self.tracker.check_room(self.classifier.count_of(PointClass::Flying))?;
 
         // The last stage that may refuse the scan.
         let stats = self.update_map(&noise, cast)?;
@@ -160,7 +163,7 @@ impl FlyingObjectDetector {
     }
 
     /// The burn-in with this scan, and whether detections of this scan are reported.
-    fn next_burn_in(&self, raw: &RawScan<'_>) -> (BurnIn, Gate) {
+    fn next_burn_in(&self, raw: &RawScan<'_>) -> (BurnIn, ReportingGate) {
         let FlyingParameters { seed, separation, .. } = &self.parameters;
         let sensor = self.sensors.get(raw.sensor);
         let step = sensor.and_then(|sensor| sensor.since_last(raw.stamp_ns));
@@ -200,7 +203,7 @@ impl FlyingObjectDetector {
         ground.filter(|_| self.scans == 0)
     }
 
-    /// Update the map with the scan, and judge again on it where that is asked for. `cast` is the
+    /// Update the map with the scan, and classify again on it where that is asked for. `cast` is the
     /// outcome of casting the rays, if that was done before.
     fn update_map(
         &mut self,
@@ -214,7 +217,7 @@ impl FlyingObjectDetector {
             None => {
                 for point in ground.into_iter().flatten() {
                     scan.append_known(point);
-                    classifier.add_row(BACKGROUND);
+                    classifier.add_row(PointClass::Background);
                 }
                 integrator.cast(&local.map, &ClassifiedScan::before_classes(scan, noise))?;
             }
@@ -224,29 +227,29 @@ impl FlyingObjectDetector {
             let background_extent = burn_in.background_extent(parameters);
             let pool = workers.pool();
             let input = ScanToClassify { scan, local, background_extent, parameters, pool };
-            classifier.classify_again(&input)?;
+            classifier.reclassify(&input)?;
         }
         Ok(stats)
     }
 
     /// Remember what the scan told: nothing refuses it any more.
-    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: Gate) {
+    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
         if let Some(sensor) = sensors.get_mut(raw.sensor) {
-            sensor.learn_from(raw, &scan.pose, scan.look.as_deref_mut());
+            sensor.learn_from(raw, &scan.pose, scan.sky_observation.as_deref_mut());
         }
         // Scans of one sensor come in order, so that no detection is older than a cloud.
         tracker.keep_points(sensors.len().max(parameters.sensors.len()) > 1);
         self.scans = self.scans.saturating_add(1);
-        (self.burn_in, self.is_reporting) = (burn_in, gate == Gate::Open);
+        (self.burn_in, self.is_reporting) = (burn_in, gate == ReportingGate::Open);
         self.pose_check.held = None;
         let FlyingParameters { forget_distance, classify, seed, .. } = parameters;
         if let Some(distance) = *forget_distance {
             local.map.forget(scan.pose.translation, distance);
         }
         if classify.fill_pockets {
-            free_pockets(&mut local.map, classifier.verdicts(), &scan.points);
+            free_pockets(&mut local.map, classifier.classifications(), &scan.points);
         }
         let distance = classify.close_distance;
         static_points.take(&scan.points, gate, seed, distance, &mut local.map, tracker);
@@ -265,8 +268,8 @@ impl FlyingObjectDetector {
         let view = ScanView::new(scan, target_radius, range_std, noise.spread, workers.pool());
         let map_from_world = local.map_from_world;
         let input = ScanToDetect { scan, view: &view, teammates, map_from_world, parameters };
-        let verdicts = classifier.verdicts().iter().enumerate();
-        let mut found = detect(&input, classifier.clusters(), verdicts);
+        let classifications = classifier.classifications().iter().enumerate();
+        let mut found = detect(&input, classifier.clusters(), classifications);
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
         let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
@@ -275,7 +278,7 @@ impl FlyingObjectDetector {
     }
 
     /// Use nothing of a scan, but remember where it was taken.
-    fn hold(&mut self, raw: &RawScan<'_>, gate: Gate, timing: Timing) -> Frame {
+    fn hold(&mut self, raw: &RawScan<'_>, gate: ReportingGate, timing: Timing) -> Frame {
         let world_from_lidar = self.local.world_from_map().after(&self.scan.pose);
         self.pose_check.held = Some(HeldScan { sensor: raw.sensor.to_owned(), world_from_lidar });
         self.classifier.leave_unknown(&self.scan);
@@ -287,7 +290,7 @@ impl FlyingObjectDetector {
         raw: &RawScan<'_>,
         found: ScanDetections,
         integrated: Option<IntegrateStats>,
-        gate: Gate,
+        gate: ReportingGate,
         timing: Timing,
     ) -> Frame {
         let (scan, class) = (&self.scan, self.classifier.class());

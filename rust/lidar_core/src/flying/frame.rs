@@ -2,16 +2,16 @@
 
 use super::detect::detection::Detection;
 use super::detect::detections::ScanDetections;
-use super::gate::Gate;
 use super::integrate::classified_scan::IntegrateStats;
-use super::point_class::{FLYING, UNKNOWN, replace};
+use super::point_class::{PointClass, replace};
+use super::reporting_gate::ReportingGate;
 use super::scan::prepared::Prepared;
 use super::scan::sensors::OwnBody;
 use super::sky::source::SkySource;
 use super::track::Track;
 use crate::geometry::transform::Transform;
 
-/// Milliseconds spent per stage. Several threads cast rays while clusters are sought and judged:
+/// Milliseconds spent per stage. Several threads cast rays while clusters are found and classified:
 /// `integrate` is what is left of the map update then.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
@@ -35,15 +35,15 @@ pub struct Frame {
     /// Time of the scan [ns].
     pub stamp_ns: i64,
     /// Class of every point of the input.
-    pub point_class: Vec<u8>,
+    pub point_class: Vec<PointClass>,
     /// Flying objects in this scan.
     pub detections: Vec<Detection>,
     /// Known teammates that were seen: id and measured position.
     pub teammates: Vec<(i64, Detection)>,
     /// Confirmed tracks at the time of the scan.
     pub tracks: Vec<Track>,
-    /// True if detections are reported.
-    pub gate: Gate,
+    /// Whether detections are reported, or why not.
+    pub gate: ReportingGate,
     /// Source of the rays without return.
     pub sky: SkySource,
     /// Share of the rays that go into the sky.
@@ -65,14 +65,14 @@ pub struct Frame {
 
 impl Frame {
     /// A frame without objects; `class` is that of every row of `scan`.
-    pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[u8]) -> Self {
+    pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[PointClass]) -> Self {
         Self {
             stamp_ns,
             point_class: class[..scan.rows].to_vec(),
             detections: Vec::new(),
             teammates: Vec::new(),
             tracks: Vec::new(),
-            gate: Gate::Open,
+            gate: ReportingGate::Open,
             sky: scan.sky,
             sky_share: scan.sky_share,
             sky_rays: scan.rebuilt,
@@ -87,7 +87,7 @@ impl Frame {
     /// Take over the points on the robot itself: they were measured, so they are unknown, not invalid.
     pub(super) fn with_own_body(mut self, own: OwnBody) -> Self {
         for &row in &own.rows {
-            self.point_class[row as usize] = UNKNOWN;
+            self.point_class[row as usize] = PointClass::Unknown;
         }
         (self.own_rows, self.own_body) = (own.rows, own.share);
         self.own_body_is_decided = own.is_decided;
@@ -100,8 +100,8 @@ impl Frame {
         found: &ScanDetections,
         world_from_map: &Transform,
     ) -> Self {
-        if self.gate != Gate::Open {
-            replace(&mut self.point_class, FLYING, UNKNOWN);
+        if self.gate != ReportingGate::Open {
+            replace(&mut self.point_class, PointClass::Flying, PointClass::Unknown);
             return self;
         }
         let teammates = found.teammates.iter();

@@ -1,15 +1,91 @@
-//! Classes of points: what the detector says of a point, and what the map takes it for.
+//! Classes of points: results of the detector, and inputs of the map.
 
-/// Class of a point that is ignored.
-pub const INVALID: u8 = 0;
-/// Class of a point on something that belongs to the environment.
-pub const BACKGROUND: u8 = 1;
-/// Class of a point on a flying object.
-pub const FLYING: u8 = 2;
-/// Class of a point that is neither background nor known to fly.
-pub const UNKNOWN: u8 = 3;
+use crate::Error;
+use crate::util::budget::check_points;
+
+/// Class of a point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum PointClass {
+    /// Ignored.
+    #[default]
+    Invalid = 0,
+    /// On something that belongs to the environment.
+    Background = 1,
+    /// On a flying object.
+    Flying = 2,
+    /// Neither background nor known to fly.
+    Unknown = 3,
+}
+
+impl From<PointClass> for u8 {
+    fn from(class: PointClass) -> Self {
+        class as Self
+    }
+}
+
+/// Classes of which an array of bytes holds the numbers.
+///
+/// A copy, not a view: whoever owns the bytes may write to them while the result is in use, and a
+/// class of another number must not exist.
+///
+/// # Errors
+/// [`Error::Limit`] for too many, [`Error::Value`] for the number of no class.
+pub fn classes_from_numbers(numbers: &[u8]) -> Result<Vec<PointClass>, Error> {
+    check_points(numbers.len())?;
+    if let Some(index) = numbers.iter().position(|&number| number > PointClass::Unknown.into()) {
+        return Err(Error::Value {
+            name: "point_class",
+            expected: "0 invalid, 1 background, 2 flying or 3 unknown",
+            index,
+            got: numbers[index].to_string(),
+        });
+    }
+    // Every number is known by now. Without a way to fail, the loop is one for vector units.
+    Ok(numbers.iter().map(|&number| class_from_number(number)).collect())
+}
+
+/// Numbers of classes, in the same memory.
+#[must_use]
+pub fn numbers_from_classes(classes: Vec<PointClass>) -> Vec<u8> {
+    classes.into_iter().map(u8::from).collect()
+}
+
+fn class_from_number(number: u8) -> PointClass {
+    match number {
+        1 => PointClass::Background,
+        2 => PointClass::Flying,
+        3 => PointClass::Unknown,
+        _ => PointClass::Invalid,
+    }
+}
 
 /// Replace one class by another.
-pub(crate) fn replace(classes: &mut [u8], old: u8, new: u8) {
+pub(crate) fn replace(classes: &mut [PointClass], old: PointClass, new: PointClass) {
     classes.iter_mut().filter(|class| **class == old).for_each(|class| *class = new);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_classes_are_those_of_the_interface() -> Result<(), Error> {
+        let classes = classes_from_numbers(&[0, 1, 2, 3])?;
+        use PointClass::{Background, Flying, Invalid, Unknown};
+        assert_eq!(classes, [Invalid, Background, Flying, Unknown]);
+        let memory = classes.as_ptr().cast::<u8>();
+        let numbers = numbers_from_classes(classes);
+        assert_eq!(numbers, [0, 1, 2, 3]);
+        assert_eq!(numbers.as_ptr(), memory); // nothing is copied on the way out
+        Ok(())
+    }
+
+    #[test]
+    fn the_first_number_of_no_class_is_refused() {
+        let refused = classes_from_numbers(&[0, 3, 4, 255]);
+        let is_named =
+            |error: &Error| matches!(error, Error::Value { index: 2, got, .. } if got == "4");
+        assert!(refused.as_ref().is_err_and(is_named), "{refused:?}");
+    }
 }

@@ -28,7 +28,7 @@ pub enum Model {
     Paper(Paper),
 }
 
-/// What a configuration and a table of results say about a model.
+/// Description of a model for configurations and tables of results.
 #[derive(Clone, Copy, Debug)]
 pub struct ModelEntry {
     /// Name in configurations.

@@ -104,9 +104,9 @@ impl Directions {
     /// Contribution of the uncovered arcs of the rim around a direction to the area.
     fn rim(&self, cap: Cap, others: &[Cap]) -> f64 {
         let frame = RimFrame::of(cap);
-        let mut cover = Cover::default();
+        let mut covered = CoveredArcs::default();
         for &other in others {
-            frame.add_covered(&mut cover, other, false);
+            frame.add_covered(&mut covered, other, false);
         }
         // The nearest caps cover most of a rim: further ones matter near what they leave, if at all.
         let mut gaps = vec![[0.0, 2.0 * PI]];
@@ -120,11 +120,11 @@ impl Directions {
                     norm(minus(center, *middle)) <= chord + reach
                 };
                 if center != cap.center && open.iter().any(meets) {
-                    frame.add_covered(&mut cover, Cap { center, ..cap }, false);
+                    frame.add_covered(&mut covered, Cap { center, ..cap }, false);
                 }
             }
-            cover.settle();
-            gaps = cover.gaps();
+            covered.settle();
+            gaps = covered.gaps();
             if gaps.is_empty() || cells.size >= 2.0 * cap.radius {
                 break;
             }
@@ -135,15 +135,15 @@ impl Directions {
     /// Contribution of the rim of one of the other caps to the area.
     fn rim_of_other(&self, index: usize, radius: f64, others: &[Cap]) -> f64 {
         let frame = RimFrame::of(others[index]);
-        let mut cover = Cover::default();
+        let mut covered = CoveredArcs::default();
         for (_, &other) in others.iter().enumerate().filter(|(other, _)| *other != index) {
-            frame.add_covered(&mut cover, other, false);
+            frame.add_covered(&mut covered, other, false);
         }
         for &center in &self.units {
-            frame.add_covered(&mut cover, Cap { center, radius }, true);
+            frame.add_covered(&mut covered, Cap { center, radius }, true);
         }
-        cover.settle();
-        frame.contribution(&cover.gaps())
+        covered.settle();
+        frame.contribution(&covered.gaps())
     }
 }
 
@@ -205,18 +205,18 @@ impl RimFrame {
     }
 
     /// Add the arc of this rim that `other` covers; `ties`: one equal to this cap covers all of it.
-    fn add_covered(&self, cover: &mut Cover, other: Cap, ties: bool) {
+    fn add_covered(&self, covered: &mut CoveredArcs, other: Cap, ties: bool) {
         let (x, y) = (dot(self.x, other.center), dot(self.y, other.center));
         let (beside, along) = (libm::hypot(x, y), dot(self.center, other.center));
         let (needed, sine) = (libm::cos(other.radius) - self.cosine * along, self.sine * beside);
         // The rims do not cross: this one is covered as a whole or not at all.
         if beside < SAME || needed.abs() >= sine {
             if needed < 0.0 || (needed == 0.0 && ties) {
-                cover.add(0.0, PI);
+                covered.add(0.0, PI);
             }
             return;
         }
-        cover.add(libm::atan2(y, x), libm::acos(needed / sine));
+        covered.add(libm::atan2(y, x), libm::acos(needed / sine));
     }
 
     /// Middle and radius of a ball that holds an arc of the rim.
@@ -264,11 +264,11 @@ fn triangle(a: [f64; 3], [b, c]: [[f64; 3]; 2]) -> f64 {
 
 /// Covered arcs of a rim, as angles from 0 to 2 pi.
 #[derive(Default)]
-struct Cover {
+struct CoveredArcs {
     arcs: Vec<[f64; 2]>,
 }
 
-impl Cover {
+impl CoveredArcs {
     /// Add the arc of half width `half` (0 to pi) around `middle` (-pi to pi).
     fn add(&mut self, middle: f64, half: f64) {
         let (start, end) = (middle - half, middle + half);

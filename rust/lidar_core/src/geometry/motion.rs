@@ -2,7 +2,7 @@
 
 use super::transform::Transform;
 use crate::Error;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
@@ -101,7 +101,7 @@ pub struct PointPoses {
     poses: Vec<Transform>,
     /// Place of every point's pose among them.
     places: Vec<u32>,
-    known: HashMap<i64, u32, BuildHasherDefault<Spread>>,
+    known: HashMap<i64, u32, BuildHasherDefault<KeyHasher>>,
 }
 
 impl PointPoses {

@@ -116,9 +116,10 @@ pub struct JointEvidence {
 /// Probabilities of existence and association after a scan.
 ///
 /// The events of JPDA, in which a track without a measurement does not exist, is hidden, or was
-/// missed: that has the weight 1 - `detection` * `observable`, a measurement of it has `detection`
-/// * `observable` times its ratio. Groups of tracks with common measurements are independent; they are
-/// enumerated up to [`MOST_EVENTS`](super::joint_association::MOST_EVENTS) events.
+/// missed: together they have the weight 1 - `detection` times the probability of an observable
+/// target. A measurement of it has that product times its ratio. Groups of tracks with common
+/// measurements are independent; they are enumerated up to
+/// [`MOST_EVENTS`](super::joint_association::MOST_EVENTS) events.
 ///
 /// # Source
 /// Musicki & Evans, "Joint integrated probabilistic data association: JIPDA", 2004; for one track:

@@ -2,11 +2,11 @@
 
 use std::hash::Hasher;
 
-/// Hasher that multiplies by the golden ratio: equal on every platform and in every run.
+/// Hasher that multiplies by the golden ratio (Fibonacci hashing): equal on every platform and in every run.
 #[derive(Default)]
-pub(crate) struct Spread(u64);
+pub(crate) struct KeyHasher(u64);
 
-impl Hasher for Spread {
+impl Hasher for KeyHasher {
     fn write(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.write_u64(u64::from(byte));

@@ -3,25 +3,25 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};
 
-/// Pool of working memory: it holds as many pieces as were ever lent at the same time.
+/// Pool of working memory: it holds as many pieces as were ever in use at the same time.
 #[derive(Default)]
-pub(crate) struct Shelf<T>(Mutex<Vec<T>>);
+pub(crate) struct ObjectPool<T>(Mutex<Vec<T>>);
 
 /// A borrowed piece of memory, returned to its pool when dropped.
-pub(crate) struct Lent<'a, T: Default> {
-    shelf: &'a Shelf<T>,
+pub(crate) struct PooledObject<'a, T: Default> {
+    pool: &'a ObjectPool<T>,
     piece: T,
 }
 
-impl<T: Default> Shelf<T> {
+impl<T: Default> ObjectPool<T> {
     /// A piece of memory, with whatever the last task left in it.
-    pub(crate) fn lend(&self) -> Lent<'_, T> {
+    pub(crate) fn acquire(&self) -> PooledObject<'_, T> {
         let mut pieces = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        Lent { shelf: self, piece: pieces.pop().unwrap_or_default() }
+        PooledObject { pool: self, piece: pieces.pop().unwrap_or_default() }
     }
 }
 
-impl<T: Default> Deref for Lent<'_, T> {
+impl<T: Default> Deref for PooledObject<'_, T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -29,15 +29,15 @@ impl<T: Default> Deref for Lent<'_, T> {
     }
 }
 
-impl<T: Default> DerefMut for Lent<'_, T> {
+impl<T: Default> DerefMut for PooledObject<'_, T> {
     fn deref_mut(&mut self) -> &mut T {
         &mut self.piece
     }
 }
 
-impl<T: Default> Drop for Lent<'_, T> {
+impl<T: Default> Drop for PooledObject<'_, T> {
     fn drop(&mut self) {
-        let mut pieces = self.shelf.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pieces = self.pool.0.lock().unwrap_or_else(PoisonError::into_inner);
         // A default `T` is left behind, since `drop` cannot move the piece out of itself.
         pieces.push(std::mem::take(&mut self.piece));
     }
@@ -48,12 +48,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_given_back_is_lent_again() {
-        let shelf = Shelf::<Vec<u8>>::default();
-        let (mut one, two) = (shelf.lend(), shelf.lend());
+    fn a_returned_object_is_acquired_again() {
+        let pool = ObjectPool::<Vec<u8>>::default();
+        let (mut one, two) = (pool.acquire(), pool.acquire());
         one.push(7);
         drop((two, one));
-        assert_eq!(*shelf.lend(), [7]);
-        assert_eq!(shelf.0.lock().map_or(0, |pieces| pieces.len()), 2);
+        assert_eq!(*pool.acquire(), [7]);
+        assert_eq!(pool.0.lock().map_or(0, |pieces| pieces.len()), 2);
     }
 }

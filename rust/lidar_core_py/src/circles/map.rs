@@ -8,8 +8,8 @@ use lidar_core::Error;
 use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
     CircleMap, CircleMapParameters, CircleScan, ElementConfirmation, ElementFilter, Independent,
-    Joint, Limits, LineRules, MapElement, MapShape, MapStats, MotionMode, Patience, PoseCovariance,
-    ScanWithLimits, Standing,
+    Joint, Limits, LineRules, MapElement, MapShape, MapStats, MissLimits, MotionMode,
+    PoseCovariance, ScanWithLimits, Standing,
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -77,7 +77,7 @@ impl CircleMapConfig {
                 window: self.confirm_window,
             },
             limits: Limits { position: self.max_position_std, ..own.limits },
-            patience: Patience { hidden: self.max_coast, ..own.patience },
+            miss_limits: MissLimits { hidden: self.max_coast, ..own.miss_limits },
             buffer_time: self.buffer_time,
             lines: LineRules { density: self.line_noise, std: self.line_std, ..own.lines },
             ..own

@@ -8,7 +8,8 @@ use crate::guard::{Guarded, detached, keep_going};
 use lidar_core::flying::detect::detection::{Detection, Teammate};
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::frame::Frame;
-use lidar_core::flying::gate::Gate;
+use lidar_core::flying::point_class::numbers_from_classes;
+use lidar_core::flying::reporting_gate::ReportingGate;
 use lidar_core::flying::scan::prepared::RawScan;
 use numpy::{
     IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -193,15 +194,16 @@ impl PyFlyingObjectDetector {
 
 fn frame_dict(py: Python<'_>, frame: Frame) -> Result<Bound<'_, PyDict>, BorderError> {
     let values = PyDict::new(py);
-    values.set_item("point_class", frame.point_class.into_pyarray(py))?;
+    values.set_item("point_class", numbers_from_classes(frame.point_class).into_pyarray(py))?;
     values.set_item("detections", detection_arrays(py, &frame.detections)?)?;
     let (ids, mates): (Vec<i64>, Vec<Detection>) = frame.teammates.into_iter().unzip();
     values.set_item("teammate_ids", ids.into_pyarray(py))?;
     values.set_item("teammates", detection_arrays(py, &mates)?)?;
     values.set_item("tracks", track_arrays(py, frame.tracks)?)?;
-    values.set_item("gate_open", frame.gate == Gate::Open)?;
+    values.set_item("gate_open", frame.gate == ReportingGate::Open)?;
     values.set_item("gate_reason", frame.gate.to_string())?;
-    values.set_item("map_pose_mismatch", matches!(frame.gate, Gate::PoseMismatch { .. }))?;
+    values
+        .set_item("map_pose_mismatch", matches!(frame.gate, ReportingGate::PoseMismatch { .. }))?;
     values.set_item("sky", frame.sky.name())?;
     values.set_item("sky_share", frame.sky_share)?;
     values.set_item("sky_rays", frame.sky_rays)?;

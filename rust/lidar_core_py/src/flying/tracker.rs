@@ -5,9 +5,9 @@ use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::flying::track::{
-    Ageing, Association, CloudView, Confirmation, Detections, Doubt, Hiding, MeasurementForm,
-    Merging, Motion, NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats,
-    Track, TrackerParameters, Visibility,
+    Ageing, Association, CloudView, Confirmation, Detections, Hiding, MeasurementForm, Merging,
+    Motion, NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats, Track,
+    TrackerParameters, Visibility, WeakEvidence,
 };
 use lidar_core::geometry::cluster::Clustering;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -76,9 +76,9 @@ impl TrackerConfig {
         Confirmation {
             hits: self.confirm_hits,
             window: self.confirm_window,
-            doubt: self
+            weak_evidence: self
                 .confirm_confidence
-                .map(|confidence| Doubt { confidence, ..Doubt::default() }),
+                .map(|confidence| WeakEvidence { confidence, ..WeakEvidence::default() }),
         }
     }
 

@@ -10,6 +10,7 @@ use lidar_core::flying::integrate::classified_scan::{ClassifiedScan, IntegrateSt
 use lidar_core::flying::integrate::integrator::Integrator;
 use lidar_core::flying::map::parameters::Separation;
 use lidar_core::flying::map::voxel_map::VoxelMap;
+use lidar_core::flying::point_class::{classes_from_numbers, numbers_from_classes};
 use lidar_core::util::threads::Workers;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -64,9 +65,10 @@ impl PyVoxelMap {
         no_return: Option<PyReadonlyArray1<'_, bool>>,
     ) -> Result<Stats, BorderError> {
         let origins = arrays::rows3("sensor_origin", &sensor_origin)?;
+        let numbers = arrays::flat("point_class", &point_class)?;
         let scan = ClassifiedScan {
             points: arrays::rows3("points", &points)?,
-            class: arrays::flat("point_class", &point_class)?,
+            class: &[],
             origins: if let [origin] = origins {
                 Origins::One(*origin)
             } else {
@@ -78,8 +80,10 @@ impl PyVoxelMap {
             reach: None,
             pose_error: None,
         };
-        let stats: IntegrateStats =
-            self.0.with(py, |this| this.integrator.integrate(&mut this.map, &scan))?;
+        let stats: IntegrateStats = self.0.with(py, |this| {
+            let classes = classes_from_numbers(numbers)?;
+            this.integrator.integrate(&mut this.map, &ClassifiedScan { class: &classes, ..scan })
+        })?;
         Ok((
             stats.points,
             [stats.skipped, stats.rays, stats.no_return_rays],
@@ -163,7 +167,7 @@ impl PyVoxelMap {
         let classes = self.0.with(py, |MapWithThreads { map, workers, .. }| {
             classify_clusters(map, points, labels, sensor_origin, &parameters, workers)
         })?;
-        Ok(classes.into_pyarray(py))
+        Ok(numbers_from_classes(classes).into_pyarray(py))
     }
 
     /// Centres of all voxels that are at least tentatively occupied, (N, 3) [m].

@@ -3,7 +3,7 @@
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::fusion::config::FusionConfig;
-use crate::guard::{Guarded, detached};
+use crate::guard::{Guarded, detached, keep_going};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::SimplexSearch;
 use lidar_core::fusion::filter::engine::Output;
@@ -312,7 +312,8 @@ pub(crate) fn fusion_fit_noise(
     let search = SimplexSearch { step: 0.5, tolerance: 1e-6, evaluations };
     let (best, likelihood) = detached(py, || {
         let start = config.parameters()?;
-        fit(&start, &targets, &quantities(&start, &targets, sensors), least_rate, &search)
+        let fitted = quantities(&start, &targets, sensors);
+        fit(&start, &targets, &fitted, least_rate, &search, &keep_going)
     })?;
     let (noise, sensing) = (best.strengths, best.sensing);
     Ok((

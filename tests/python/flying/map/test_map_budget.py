@@ -176,3 +176,10 @@ def test_the_summary_of_a_run_says_it_with_the_cure(tmp_path):
     )
     assert "the map reached its budget of 1,900,000 voxels" in " ".join(told.split())
     assert "--set voxel_map.max_voxels=" in told
+
+
+@pytest.mark.parametrize("budget", [0, 1, 511])
+def test_a_budget_below_one_block_is_refused(budget):
+    with pytest.raises(lc.ConfigError, match="max_voxels"):
+        lc.VoxelMapConfig(max_voxels=budget)
+    assert lc.VoxelMapConfig(max_voxels=512).max_voxels == 512

@@ -57,8 +57,8 @@ pub(in crate::circles) struct Arc {
     pub(in crate::circles) missed: Vec<f64>,
 }
 
-/// View from the end of a segment outwards.
-struct Outward<'a> {
+/// Rays beyond the end of a segment.
+struct OuterRays<'a> {
     scan: &'a PolarScan,
     /// Outermost ray.
     ray: usize,
@@ -68,7 +68,7 @@ struct Outward<'a> {
     wraps: bool,
 }
 
-impl Outward<'_> {
+impl OuterRays<'_> {
     /// Rays beyond the outermost one up to `reach` [rad], each with its angle from that one.
     fn rays(&self, reach: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
         let (count, origin) = (self.scan.len(), self.scan.bearings[self.ray]);
@@ -115,9 +115,9 @@ impl Arc {
         }
         let bearings = [self.hits[0].bearing, self.hits[self.hits.len() - 1].bearing];
         for side in 0..2 {
-            let outward = Outward { scan, ray: ends[side], up: (side == 1) == ascends, wraps };
+            let outer = OuterRays { scan, ray: ends[side], up: (side == 1) == ascends, wraps };
             self.edges[side].bearing = bearings[side];
-            self.read_edge(side, sides[side], &outward, parameters);
+            self.read_edge(side, sides[side], &outer, parameters);
         }
         self.missed.clear();
         if sides.contains(&Side::RangeCut) {
@@ -154,7 +154,7 @@ impl Arc {
     }
 
     /// Find the angle by which the object may extend on one side, and the rays that limit it.
-    fn read_edge(&mut self, side: usize, kind: Side, outward: &Outward<'_>, p: &FitParameters) {
+    fn read_edge(&mut self, side: usize, kind: Side, outer: &OuterRays<'_>, p: &FitParameters) {
         let most = p.radius[1];
         // The largest circle that is allowed, seen from tangent to tangent, since the outermost hit
         // may lie at the opposite one. A beam also returns from what it only grazes, on either
@@ -165,8 +165,8 @@ impl Arc {
         edge.missed.clear();
         edge.reach = widest;
         edge.next = [f64::NAN; 2];
-        let ranges = &outward.scan.ranges;
-        for (index, (ray, beyond)) in outward.rays(widest).enumerate() {
+        let ranges = &outer.scan.ranges;
+        for (index, (ray, beyond)) in outer.rays(widest).enumerate() {
             let range = ranges[ray];
             if index == 0 {
                 edge.next = [beyond, range];

@@ -37,7 +37,7 @@ const DENSITY: f64 = FRAC_2_SQRT_PI * 0.5 * FRAC_1_SQRT_2;
 
 /// Best circle with given tangents, and its likelihood.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Explained {
+pub(super) struct TangentCircle {
     /// Centre x, y, radius [m].
     pub(super) circle: [f64; 3],
     /// Derivative of the circle by its distance.
@@ -131,14 +131,14 @@ impl Likelihood<'_> {
     }
 
     /// Most likely circle, without weight; None if its radius is outside the bounds.
-    pub(super) fn peak(&self, roots: Roots) -> Option<Explained> {
+    pub(super) fn peak(&self, roots: Roots) -> Option<TangentCircle> {
         let found = self.at(roots, 0.0);
         let [smallest, largest] = self.radius(roots);
         let [least, most] = self.parameters.radius;
         (smallest <= most && largest >= least).then_some(found)
     }
 
-    pub(super) fn at(&self, roots: Roots, weight: f64) -> Explained {
+    pub(super) fn at(&self, roots: Roots, weight: f64) -> TangentCircle {
         let view = self.view(roots);
         let (free, [gg, gz]) = self.distance(&view);
         let [least, most] = self.parameters.radius.map(|radius| radius / view.half[0]);
@@ -155,7 +155,7 @@ impl Likelihood<'_> {
         // d(root^2) = 2 root d(root): the integral goes over roots, the prior over bearings.
         let measure = weight * rarity * prior * roots[0] * roots[1];
         let direction = [view.cosine, view.sine, view.half[0]];
-        Explained {
+        TangentCircle {
             circle: direction.map(|entry| distance * entry),
             direction,
             variance,

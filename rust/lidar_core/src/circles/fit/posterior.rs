@@ -1,7 +1,7 @@
 //! Average of the circles that an arc allows: integrals over the bearings of the two tangents.
 
 use super::FitMethod;
-use super::likelihood::{Explained, Likelihood, Roots};
+use super::likelihood::{Likelihood, Roots, TangentCircle};
 use super::mode::{LEAST_SHARE, MisfitMinimum, RootBounds, is_held, mode};
 
 /// A circle (x, y, radius) and its covariance.
@@ -68,7 +68,7 @@ fn gauss(span: Span) -> impl Iterator<Item = [f64; 2]> {
 /// Integrator; keeps its memory between arcs.
 #[derive(Debug, Default)]
 pub(in crate::circles) struct Posterior {
-    nodes: Vec<Explained>,
+    nodes: Vec<TangentCircle>,
 }
 
 impl Posterior {
@@ -156,7 +156,7 @@ impl Posterior {
     }
 
     /// Most likely node of the arc that was integrated last.
-    fn best(&self) -> Option<&Explained> {
+    fn best(&self) -> Option<&TangentCircle> {
         self.nodes.iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     }
 

@@ -7,7 +7,7 @@ use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
 use super::modes::{Distances, ElementModes, halted};
 use super::outline::{Outline, OutlineMeasurement};
-use super::parameters::Patience;
+use super::parameters::MissLimits;
 use super::rules::Rules;
 use super::view::earlier::Trace;
 use super::view::viewpoint::Viewpoint;
@@ -33,8 +33,6 @@ const LIKELY: f64 = 0.2;
 const NEAR: f64 = 9.0;
 /// Standard deviation of the position up to which a body adopts what touches it [m].
 const KNOWN: f64 = 0.5;
-/// Span of usual radii [m].
-const RADII: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
 const TRUST: f64 = 4.0;
 
@@ -279,7 +277,7 @@ impl State for RoundBody {
     ) -> Result<Vec<Option<usize>>, Error> {
         let whole = wholes.iter().enumerate().filter(|&(one, &whole)| one == whole).count();
         // Costs are -2 log likelihoods, so that of a new body is that of the density of births.
-        let unassigned = -2.0 * libm::log(density(whole, from, rules));
+        let unassigned = -2.0 * libm::log(rules.density(whole, from.view.as_ref()));
         let count = all.len();
         let mut pairs = Vec::new();
         for (row, body) in all.clone().enumerate() {
@@ -312,7 +310,7 @@ impl State for RoundBody {
         let state = self.circle();
         let ask = |[x, y]: [f64; 2]| {
             let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
-            view.of(&circle, rules.looking())
+            view.of(&circle, rules.visibility_test())
         };
         let here = ask([0.0, 0.0]);
         if here != CircleVisibility::SeenThrough {
@@ -367,20 +365,8 @@ impl State for RoundBody {
         }
     }
 
-    fn patience(rules: &Rules) -> Patience {
-        rules.parameters().patience
-    }
-}
-
-/// Density of circles without an element, per area and radius [1/m^3]: at least that of all circles
-/// of the scan in the area that it sees.
-fn density(count: usize, from: &Viewpoint, rules: &Rules) -> f64 {
-    let least = rules.parameters().birth_density;
-    match &from.view {
-        Some(view) if rules.has_standing() => {
-            least.max(count.max(1) as f64 / ((view.area() + 1.0) * RADII))
-        }
-        _ => least,
+    fn miss_limits(rules: &Rules) -> MissLimits {
+        rules.parameters().miss_limits
     }
 }
 

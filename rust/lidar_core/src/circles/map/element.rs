@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::element_motion::ElementStep;
-use super::parameters::{Independent, Patience};
+use super::parameters::{Independent, MissLimits};
 use super::rules::Rules;
 use super::seconds;
 use super::view::viewpoint::Viewpoint;
@@ -79,7 +79,7 @@ pub(super) trait State: Clone {
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
     /// Times for which an element stays without a measurement.
-    fn patience(rules: &Rules) -> Patience;
+    fn miss_limits(rules: &Rules) -> MissLimits;
 }
 
 /// Observation of an element by the last scan.
@@ -209,11 +209,11 @@ impl<S: State> Element<S> {
         if !self.confirmed && self.recent(rules.parameters().confirmation.window) == 0 {
             return true;
         }
-        let patience = S::patience(rules);
-        let is_long = |misses: Misses, most| misses.scans >= patience.scans && misses.time > most;
-        is_long(self.absent, patience.absent)
-            || is_long(self.unmatched, patience.unmatched)
-            || patience.hidden.is_some_and(|most| is_long(self.hidden, most))
+        let limits = S::miss_limits(rules);
+        let is_long = |misses: Misses, most| misses.scans >= limits.scans && misses.time > most;
+        is_long(self.absent, limits.absent)
+            || is_long(self.unmatched, limits.unmatched)
+            || limits.hidden.is_some_and(|most| is_long(self.hidden, most))
             // The covariance grows while an element is hidden, and comes back into view as it is;
             // only what was measured is judged by it.
             || self.seen == ScanEvidence::Measured && self.state.is_vague(rules)
@@ -222,7 +222,7 @@ impl<S: State> Element<S> {
     /// True if two elements are one object. Both must be visible, or must have been so a moment
     /// ago: an object inside another one is hidden by it.
     pub(super) fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
-        let (newest, moment) = (self.seen_ns.max(other.seen_ns), S::patience(rules).unmatched);
+        let (newest, moment) = (self.seen_ns.max(other.seen_ns), S::miss_limits(rules).unmatched);
         let is_known = |one: &Self| one.is_visible() || seconds(one.seen_ns, newest) <= moment;
         is_known(self) && is_known(other) && self.state.is_twin(&other.state, rules)
     }

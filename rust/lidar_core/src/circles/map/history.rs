@@ -2,7 +2,7 @@
 
 use super::independent::{Elements, new_number};
 use super::rules::Rules;
-use super::scan::Placed;
+use super::scan::KeptScan;
 use super::view::earlier::Earlier;
 use super::{MapOutcome, seconds};
 use crate::Error;
@@ -16,7 +16,7 @@ const MAX_SCANS: usize = 1_000;
 #[derive(Clone, Serialize, Deserialize)]
 struct Entry {
     before: Elements,
-    scan: Placed,
+    scan: KeptScan,
 }
 
 /// Elements, and the recent scans that led to them.
@@ -77,7 +77,7 @@ impl History {
     pub(super) fn push(
         &mut self,
         rules: &Rules,
-        mut scan: Placed,
+        mut scan: KeptScan,
         next_id: &mut i64,
     ) -> Result<MapOutcome, Error> {
         if self.is_late(scan.key())? {
@@ -100,7 +100,7 @@ impl History {
     fn insert(
         &mut self,
         rules: &Rules,
-        mut scan: Placed,
+        mut scan: KeptScan,
         next_id: &mut i64,
     ) -> Result<MapOutcome, Error> {
         let mut number = *next_id;

@@ -7,7 +7,7 @@ use super::line::Line;
 use super::modes::halted;
 use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
-use super::scan::{MeasuredObjects, Placed, too_many};
+use super::scan::{KeptScan, MeasuredObjects, too_many};
 use super::view::viewpoint::Viewpoint;
 use super::{MapElement, MapShape, seconds};
 use crate::Error;
@@ -56,10 +56,10 @@ impl Elements {
     pub(super) fn step(
         &mut self,
         rules: &Rules,
-        scan: &mut Placed,
+        scan: &mut KeptScan,
         next_id: &mut i64,
     ) -> Result<Vec<[i64; 2]>, Error> {
-        let Placed { from, bodies, lines } = scan;
+        let KeptScan { from, bodies, lines } = scan;
         let dt = self.stamp_ns.map_or(0.0, |stamp_ns| seconds(stamp_ns, from.stamp_ns));
         self.stamp_ns = Some(from.stamp_ns);
         // Elements created by this scan are included, so that one number is never given twice.

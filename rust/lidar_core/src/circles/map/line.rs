@@ -4,7 +4,7 @@
 
 use super::element::State;
 use super::element_motion::ElementStep;
-use super::parameters::{LineRules, Patience};
+use super::parameters::{LineRules, MissLimits};
 use super::rules::Rules;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::CircleVisibility;
@@ -185,7 +185,7 @@ impl Line {
         // After many scans the covariance is tighter than real walls are straight. Within the
         // margin of the rays a measurement belongs to the line in any case.
         let farthest = y[1].abs() + seen.half * libm::sin(y[0]).abs();
-        let is_same = squared <= rules.line_gate() || farthest <= rules.looking().margin;
+        let is_same = squared <= rules.line_gate() || farthest <= rules.visibility_test().margin;
         Ok(is_same.then_some(squared))
     }
 
@@ -252,7 +252,7 @@ impl State for Line {
     fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility {
         let Some(view) = &from.view else { return CircleVisibility::SeenThrough };
         let ends = self.ends().map(|end| from.pose.level(end, 0.0).center);
-        view.of_line(ends, rules.looking())
+        view.of_line(ends, rules.visibility_test())
     }
 
     fn is_vague(&self, rules: &Rules) -> bool {
@@ -277,8 +277,8 @@ impl State for Line {
     }
 
     /// Rays that end on a line show that it is there, so they never remove it.
-    fn patience(rules: &Rules) -> Patience {
-        let patience = rules.parameters().patience;
-        Patience { unmatched: f64::INFINITY, hidden: rules.lines().coast, ..patience }
+    fn miss_limits(rules: &Rules) -> MissLimits {
+        let limits = rules.parameters().miss_limits;
+        MissLimits { unmatched: f64::INFINITY, hidden: rules.lines().coast, ..limits }
     }
 }

@@ -26,7 +26,7 @@ mod tests;
 pub use outline::OutlineEstimate;
 pub use parameters::{
     CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
-    Looking, MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MotionMode, Patience, Standing,
+    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MissLimits, MotionMode, Standing, VisibilityTest,
 };
 pub use scan::{CircleScan, PoseCovariance};
 pub use view::visibility::{CircleVisibility, ScanWithLimits, SortedView};
@@ -38,7 +38,7 @@ use crate::util::full_state::{impossible, opened, sealed};
 use history::History;
 use joint::JointMap;
 use rules::Rules;
-use scan::{Found, Placed};
+use scan::{KeptScan, ScanElements};
 use serde::{Deserialize, Serialize};
 
 const KIND: &str = "circle map";
@@ -108,7 +108,7 @@ pub struct MapStats {
 /// Result of a scan that the elements do not show.
 struct MapOutcome {
     late: bool,
-    found: Found,
+    found: ScanElements,
     merged: Vec<[i64; 2]>,
 }
 
@@ -210,9 +210,9 @@ impl CircleMap {
             MapFilter::Independent(rules, history) => {
                 // Before the scan is transformed, which would be in vain for a refused stamp.
                 history.is_late((scan.stamp_ns, scan.sensor))?;
-                let mut placed = Placed::new(scan)?;
-                placed.compare(scan.points, &history.earlier);
-                history.push(rules, placed, &mut self.next_id)?
+                let mut kept = KeptScan::new(scan)?;
+                kept.compare(scan.points, &history.earlier);
+                history.push(rules, kept, &mut self.next_id)?
             }
         };
         let after = self.numbers();

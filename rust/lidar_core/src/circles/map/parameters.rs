@@ -52,9 +52,9 @@ pub struct Limits {
     pub radius: f64,
 }
 
-/// Times for which an element stays without a measurement.
+/// Limits on misses: an element ends after longer times without a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Patience {
+pub struct MissLimits {
     /// Least number of consecutive scans without it, whatever the time between them.
     pub scans: u32,
     /// Time while rays pass through its place [s].
@@ -65,9 +65,9 @@ pub struct Patience {
     pub hidden: Option<f64>,
 }
 
-/// Conditions under which an element counts as absent.
+/// Test of the visibility of an element by the rays around its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Looking {
+pub struct VisibilityTest {
     /// Largest difference from the expected range for a ray on the element [m].
     pub margin: f64,
     /// Least number of rays for a decision.
@@ -123,9 +123,9 @@ pub struct Independent {
     /// Limits above which elements are too uncertain.
     pub limits: Limits,
     /// Times after which elements without measurement are removed.
-    pub patience: Patience,
+    pub miss_limits: MissLimits,
     /// Rule for elements that should have been measured.
-    pub looking: Looking,
+    pub visibility_test: VisibilityTest,
     /// Largest delay of a scan [s].
     pub buffer_time: f64,
     /// Properties of lines.
@@ -207,10 +207,10 @@ impl Independent {
         require_positive("max_position_std", self.limits.position)?;
         require_positive("max_velocity_std", self.limits.velocity)?;
         require_positive("max_radius_std", self.limits.radius)?;
-        not_negative("absent_time", self.patience.absent)?;
-        not_negative("unmatched_time", self.patience.unmatched)?;
-        not_negative("max_coast", self.patience.hidden.unwrap_or(0.0))?;
-        not_negative("see_margin", self.looking.margin)?;
+        not_negative("absent_time", self.miss_limits.absent)?;
+        not_negative("unmatched_time", self.miss_limits.unmatched)?;
+        not_negative("max_coast", self.miss_limits.hidden.unwrap_or(0.0))?;
+        not_negative("see_margin", self.visibility_test.margin)?;
         not_negative("buffer_time", self.buffer_time)?;
         self.lines.check()
     }

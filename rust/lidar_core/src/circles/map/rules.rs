@@ -1,9 +1,13 @@
 //! Rules of the map with a filter per element: parameters, motion, gates.
 
 use super::element_motion::ElementMotion;
-use super::parameters::{Independent, LineRules, Looking};
+use super::parameters::{Independent, LineRules, VisibilityTest};
+use super::view::visibility::SortedView;
 use crate::Error;
 use crate::estimation::chi2;
+
+/// Span of usual radii [m].
+const RADII: f64 = 0.5;
 
 /// Rules for elements.
 pub(super) struct Rules {
@@ -43,12 +47,24 @@ impl Rules {
         &self.parameters.lines
     }
 
-    pub(super) fn looking(&self) -> &Looking {
-        &self.parameters.looking
+    pub(super) fn visibility_test(&self) -> &VisibilityTest {
+        &self.parameters.visibility_test
     }
 
     pub(super) fn motion(&self) -> &ElementMotion {
         &self.motion
+    }
+
+    /// Density of circles without an element, per area and radius [1/m^3]: at least that of all
+    /// `count` circles of a scan in the area that its `view` shows.
+    pub(super) fn density(&self, count: usize, view: Option<&SortedView>) -> f64 {
+        let least = self.parameters.birth_density;
+        match view {
+            Some(view) if self.has_standing() => {
+                least.max(count.max(1) as f64 / ((view.area() + 1.0) * RADII))
+            }
+            _ => least,
+        }
     }
 
     /// True if elements may stand.

@@ -74,13 +74,13 @@ impl<M> MeasuredObjects<M> {
 
 /// A scan in the form that the map keeps.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Placed {
+pub(super) struct KeptScan {
     pub(super) from: Viewpoint,
     pub(super) bodies: MeasuredObjects<BodyMeasurement>,
     pub(super) lines: MeasuredObjects<LineMeasurement>,
 }
 
-impl Placed {
+impl KeptScan {
     /// True if the parts of a restored state agree.
     pub(super) fn is_sound(&self) -> bool {
         self.bodies.measurements.len() == self.bodies.elements.len()
@@ -156,15 +156,15 @@ impl Placed {
     }
 
     /// Elements of all circles, and of the lines that have one.
-    pub(super) fn found(&self) -> Found {
+    pub(super) fn found(&self) -> ScanElements {
         let circles = self.bodies.elements.iter().flatten().copied().collect();
-        Found { circles, lines: self.lines.elements.clone() }
+        ScanElements { circles, lines: self.lines.elements.clone() }
     }
 }
 
-/// Elements of the objects of a scan.
+/// Elements that the objects of a scan belong to.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Found {
+pub(super) struct ScanElements {
     pub(super) circles: Vec<i64>,
     pub(super) lines: Vec<Option<i64>>,
 }
@@ -172,7 +172,7 @@ pub(super) struct Found {
 /// Check a scan and return its level pose.
 ///
 /// # Errors
-/// Errors of [`Placed::new`].
+/// Errors of [`KeptScan::new`].
 pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
     let pose = scan.world_from_lidar;
     let numbers = pose.rotation.iter().flatten().chain(&pose.translation);

@@ -13,7 +13,7 @@ fn best() -> Independent {
         modes: vec![mode(0.003, 0.5, 2.0), mode(0.5, 0.48, 2.0), mode(100.0, 0.02, 0.1)],
         birth_density: 0.1,
         merge_gap: 0.1,
-        looking: Looking { margin: 0.1, min_rays: 4 },
+        visibility_test: VisibilityTest { margin: 0.1, min_rays: 4 },
         buffer_time: 1.0,
         ..Independent::default()
     }

@@ -3,9 +3,9 @@
 //! Its length is one in time rather than scans, so that a slow sensor is ready as soon as a fast one.
 
 use super::parameters::SeedParameters;
-use crate::flying::gate::Gate;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
+use crate::flying::reporting_gate::ReportingGate;
 use serde::{Deserialize, Serialize};
 
 /// A pause between two scans counts as this at most [s], and as so many times the usual step: nothing
@@ -68,7 +68,7 @@ impl BurnIn {
         self.scans
     }
 
-    /// Number of scans that it takes, judged by those so far: never fewer than these.
+    /// Number of scans that it takes, estimated from those so far: never fewer than these.
     pub(crate) fn length(&self, seed: &SeedParameters) -> u32 {
         if self.is_over {
             return self.scans;
@@ -94,20 +94,20 @@ impl BurnIn {
         Some(otherwise.map_or(seed.burn_in_extent, |limit| limit.min(seed.burn_in_extent)))
     }
 
-    /// State of reporting of a scan; `with_it` is the burn-in after that scan.
+    /// Gate of reporting of a scan; `with_it` is the burn-in after that scan.
     pub(crate) fn gate(
         &self,
         with_it: &Self,
         seed: &SeedParameters,
         map: &VoxelMap,
         needed: usize,
-    ) -> Gate {
+    ) -> ReportingGate {
         if !self.is_over(seed) {
-            Gate::BurnIn { scans: with_it.scans(), of: with_it.length(seed) }
+            ReportingGate::BurnIn { scans: with_it.scans(), of: with_it.length(seed) }
         } else if map.has_background() {
-            Gate::Open
+            ReportingGate::Open
         } else {
-            Gate::NoBackground { needed }
+            ReportingGate::NoBackground { needed }
         }
     }
 

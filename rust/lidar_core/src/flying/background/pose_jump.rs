@@ -1,16 +1,16 @@
 //! Jumps of the pose (relocalisation, GNSS step): the scan is held until the caller decides.
 
-use crate::flying::classify::occupied_nearby::{Near, is_observed_free};
-use crate::flying::gate::Gate;
+use crate::flying::classify::occupied_nearby::{OccupiedNearby, is_observed_free};
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::reporting_gate::ReportingGate;
 use crate::geometry::lattice::{Voxel, floor, wide};
 use crate::geometry::transform::Transform;
 use serde::{Deserialize, Serialize};
 
 /// Returns that are looked at.
 const SAMPLES: usize = 2048;
-/// Observed voxels with returns that are enough to judge by: one target has far fewer.
+/// Observed voxels with returns that are enough for a decision: one target has far fewer.
 const ENOUGH: usize = 200;
 
 /// A scan that contradicts the map, and was not used.
@@ -39,7 +39,7 @@ impl PoseCheck {
         map: &VoxelMap,
         limit: Option<f64>,
         close_distance: f64,
-    ) -> Option<Gate> {
+    ) -> Option<ReportingGate> {
         let limit = limit.filter(|_| map.has_background())?;
         let returns = || points.iter().filter(|point| point[0].is_finite());
         let step = (returns().count() / SAMPLES).max(1);
@@ -51,13 +51,14 @@ impl PoseCheck {
         sampled.dedup_by_key(|(voxel, _)| *voxel);
         let mut cursor = Cursor::new(&map.blocks);
         sampled.retain(|&(voxel, _)| !cursor.stored(voxel).is_nan());
-        let mut near = Near::new(map, close_distance);
+        let mut near = OccupiedNearby::new(map, close_distance);
         let free = |&&(voxel, point): &&(Voxel, [f64; 3])| {
             is_observed_free(map, &mut cursor, voxel) && !near.is_close(point)
         };
         let (observed, free) = (sampled.len(), sampled.iter().filter(free).count());
         let contradicts = observed >= ENOUGH && free as f64 > limit * observed as f64;
-        contradicts.then(|| Gate::PoseMismatch { per_mille: (1000 * free / observed) as u32 })
+        contradicts
+            .then(|| ReportingGate::PoseMismatch { per_mille: (1000 * free / observed) as u32 })
     }
 }
 
@@ -68,7 +69,7 @@ mod tests {
     use crate::flying::integrate::classified_scan::{ClassifiedScan, Origins};
     use crate::flying::integrate::integrator::Integrator;
     use crate::flying::map::parameters::{MapParameters, Separation};
-    use crate::flying::point_class::BACKGROUND;
+    use crate::flying::point_class::PointClass;
 
     /// A wall across x.
     fn wall(x: f32) -> Vec<[f32; 3]> {
@@ -85,7 +86,7 @@ mod tests {
         for _ in 0..30 {
             let scan = ClassifiedScan {
                 points: &seen,
-                class: &[BACKGROUND; 1024],
+                class: &[PointClass::Background; 1024],
                 origins: Origins::One([0.1; 3]),
                 directions: None,
                 no_return: None,
@@ -98,7 +99,10 @@ mod tests {
         map.remove_separate(Separation::default())?;
         assert_eq!(check.check(&seen, &map, Some(0.5), 0.8), None);
         let jumped = check.check(&wall(6.1), &map, Some(0.5), 0.8);
-        assert!(matches!(jumped, Some(Gate::PoseMismatch { per_mille: 501.. })), "{jumped:?}");
+        assert!(
+            matches!(jumped, Some(ReportingGate::PoseMismatch { per_mille: 501.. })),
+            "{jumped:?}"
+        );
         assert_eq!(check.check(&wall(6.1), &map, None, 0.8), None);
         Ok(())
     }

@@ -2,13 +2,13 @@
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;
-use crate::flying::gate::Gate;
 use crate::flying::map::blocks::Place;
 use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::reporting_gate::ReportingGate;
 use crate::flying::track::PointCloudTracker;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
@@ -19,7 +19,7 @@ const UNITS_PER_METRE: f64 = 65_536.0;
 /// Stage that finds what stands still during the burn-in: the points of every voxel so far.
 #[derive(Clone, Default)]
 pub(crate) struct StaticPoints {
-    voxels: HashMap<Place, PointsOfVoxel, BuildHasherDefault<Spread>>,
+    voxels: HashMap<Place, PointsOfVoxel, BuildHasherDefault<KeyHasher>>,
 }
 
 /// Points in one voxel.
@@ -38,13 +38,13 @@ impl StaticPoints {
     pub(crate) fn take(
         &mut self,
         points: &[[f32; 3]],
-        gate: Gate,
+        gate: ReportingGate,
         seed: &SeedParameters,
         distance: f64,
         map: &mut VoxelMap,
         tracker: &mut PointCloudTracker,
     ) {
-        let Gate::BurnIn { scans, of } = gate else { return };
+        let ReportingGate::BurnIn { scans, of } = gate else { return };
         if seed.standing_scans == 0 {
             return;
         }

@@ -3,15 +3,15 @@
 use super::clusters::{Cluster, Clusters};
 use super::flood::{self, Flood, check_steps, neighbours, search_radius};
 use super::grouping::Grouper;
-use super::occupied_nearby::Near;
+use super::occupied_nearby::OccupiedNearby;
 use super::shadow::Shadow;
 use crate::Error;
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};
+use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
-use crate::util::object_pool::{Lent, Shelf};
+use crate::util::object_pool::{ObjectPool, PooledObject};
 use crate::util::threads::Workers;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -25,7 +25,7 @@ pub struct ClassifyParameters {
     pub search_distance: f64,
     /// The diagonal of a cluster's box is added to its search distance.
     pub search_adds_extent: bool,
-    /// Rule B is judged on the map after this scan's update, not before.
+    /// Rule B is evaluated on the map after this scan's update, not before.
     pub after_update: bool,
     /// A search that leaves a fixed operating volume: true finds a way out, false a wall.
     pub open_border: bool,
@@ -43,7 +43,7 @@ pub struct ClassifyParameters {
     pub min_points: usize,
     /// Clusters further from the sensor are no flying object [m].
     pub max_distance: Option<f64>,
-    /// Clusters with gaps up to this are judged together: by their common extent, and as
+    /// Clusters with gaps up to this are classified together: by their common extent, and as
     /// background if background of this scan is among them [m].
     pub group_distance: Option<f64>,
     /// A flying object has at least this share of free voxels among the neighbours of its own.
@@ -60,16 +60,16 @@ pub struct ClassifyParameters {
 
 /// Class of one cluster and the evidence for it.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Verdict {
-    pub(crate) class: u8,
+pub(crate) struct Classification {
+    pub(crate) class: PointClass,
     /// Uncertain voxels that a flying cluster's searches explored, where they are to be free.
     pub(crate) explored: Vec<Voxel>,
     /// Share of free voxels in the shell around a flying cluster.
     pub(crate) clearance: f64,
 }
 
-/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`: 1
-/// background, 2 flying, 3 unknown. The map stays as it is.
+/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`:
+/// background, flying or unknown. The map stays as it is.
 ///
 /// # Errors
 /// [`Error::Length`], [`Error::Parameter`].
@@ -80,7 +80,7 @@ pub fn classify_clusters(
     origin: [f64; 3],
     parameters: &ClassifyParameters,
     workers: &Workers,
-) -> Result<Vec<u8>, Error> {
+) -> Result<Vec<PointClass>, Error> {
     if labels.len() != points.len() {
         let (expected, got) = (points.len(), labels.len());
         return Err(Error::Length { name: "labels", expected, got });
@@ -95,45 +95,48 @@ pub fn classify_clusters(
             got: labels[index].to_string(),
         });
     }
-    let (mut clusters, mut verdicts) = (Clusters::default(), Vec::new());
+    let (mut clusters, mut classifications) = (Clusters::default(), Vec::new());
     clusters.fill(points, labels);
-    let judge = Judge { map, points, origin, parameters };
-    Classifier::default().classify(&judge, &clusters, workers.pool(), &mut verdicts)?;
-    Ok(verdicts.into_iter().map(|verdict| verdict.class).collect())
+    let rules = ClusterRules { map, points, origin, parameters };
+    Classifier::default().classify(&rules, &clusters, workers.pool(), &mut classifications)?;
+    Ok(classifications.into_iter().map(|classification| classification.class).collect())
 }
 
-/// Tells the clusters of one scan after another apart, in the same memory.
+/// Classifies the clusters of one scan after another, in the same memory.
 #[derive(Default)]
 pub(crate) struct Classifier {
     background: Vec<bool>,
     grouper: Grouper,
-    scratch: Shelf<Scratch>,
+    scratch: ObjectPool<Scratch>,
 }
 
 impl Classifier {
-    /// Verdict on every cluster, on the map as it is.
+    /// Classification of every cluster, on the map as it is.
     pub(crate) fn classify(
         &mut self,
-        judge: &Judge<'_>,
+        rules: &ClusterRules<'_>,
         clusters: &Clusters,
         pool: Option<&ThreadPool>,
-        verdicts: &mut Vec<Verdict>,
+        classifications: &mut Vec<Classification>,
     ) -> Result<(), Error> {
-        let Judge { map, points, parameters, .. } = *judge;
+        let ClusterRules { map, points, parameters, .. } = *rules;
         let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
         check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
         let Self { background, grouper, scratch } = self;
-        let near = |index: usize| judge.is_background(&clusters.get(index));
+        let near = |index: usize| rules.is_background(&clusters.get(index));
         each(pool, clusters.len(), || (), |(), index| near(index), background);
         let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
-        let verdict = |scratch: &mut Lent<'_, Scratch>, index: usize| {
+        let classification = |scratch: &mut PooledObject<'_, Scratch>, index: usize| {
             if background[index] || groups[index].with_background {
-                return Verdict { class: BACKGROUND, ..Verdict::default() };
+                return Classification {
+                    class: PointClass::Background,
+                    ..Classification::default()
+                };
             }
             let cluster = clusters.get(index);
-            judge.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
+            rules.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
         };
-        each(pool, clusters.len(), || scratch.lend(), verdict, verdicts);
+        each(pool, clusters.len(), || scratch.acquire(), classification, classifications);
         Ok(())
     }
 }
@@ -143,8 +146,8 @@ fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
     z >= height && libm::hypot(x, y) <= 0.4 * z
 }
 
-/// Put what `work` says of every index below `count` into `found`, on the threads of the pool. Every
-/// thread has something of its own.
+/// Put the result of `work` for every index below `count` into `found`, on the threads of the pool.
+/// Every thread has a value of its own.
 fn each<T: Send, S>(
     pool: Option<&ThreadPool>,
     count: usize,
@@ -165,11 +168,19 @@ fn each<T: Send, S>(
     }
 }
 
-/// Rule B judged on a later map; what rule A said stays.
-pub(crate) fn judge_again(verdicts: &mut [Verdict], later: &mut [Verdict]) {
-    for (verdict, later) in verdicts.iter_mut().zip(later).filter(|(v, _)| v.class != BACKGROUND) {
-        let class = if later.class == FLYING { FLYING } else { UNKNOWN };
-        *verdict = Verdict { class, ..std::mem::take(later) };
+/// Take over the result of rule B on a later map; clusters that are background by rule A stay so.
+pub(crate) fn reclassify(classifications: &mut [Classification], later: &mut [Classification]) {
+    for (classification, later) in classifications
+        .iter_mut()
+        .zip(later)
+        .filter(|(before, _)| before.class != PointClass::Background)
+    {
+        let class = if later.class == PointClass::Flying {
+            PointClass::Flying
+        } else {
+            PointClass::Unknown
+        };
+        *classification = Classification { class, ..std::mem::take(later) };
     }
 }
 
@@ -194,9 +205,9 @@ impl Scratch {
     }
 }
 
-/// Inputs of the classification of clusters.
+/// Rules A to C for the clusters of one scan, with the map, points and limits that they use.
 #[derive(Clone, Copy)]
-pub(crate) struct Judge<'a> {
+pub(crate) struct ClusterRules<'a> {
     pub(crate) map: &'a VoxelMap,
     pub(crate) points: &'a [[f32; 3]],
     /// Position of the sensor.
@@ -204,12 +215,12 @@ pub(crate) struct Judge<'a> {
     pub(crate) parameters: &'a ClassifyParameters,
 }
 
-impl Judge<'_> {
+impl ClusterRules<'_> {
     /// Rule A, or too large to be a target.
     fn is_background(&self, cluster: &Cluster<'_>) -> bool {
         let too_large =
             self.parameters.background_extent.is_some_and(|extent| cluster.diagonal() > extent);
-        let mut near = Near::new(self.map, self.parameters.close_distance);
+        let mut near = OccupiedNearby::new(self.map, self.parameters.close_distance);
         too_large
             || cluster.members.iter().any(|&row| near.is_close(wide(self.points[row as usize])))
     }
@@ -221,8 +232,8 @@ impl Judge<'_> {
         cluster: &Cluster<'_>,
         group_extent: f64,
         radius: i32,
-    ) -> Verdict {
-        let unknown = || Verdict { class: UNKNOWN, ..Verdict::default() };
+    ) -> Classification {
+        let unknown = || Classification { class: PointClass::Unknown, ..Classification::default() };
         if cluster.members.len() < self.parameters.min_points
             || self.is_gated(cluster, group_extent)
         {
@@ -250,13 +261,13 @@ impl Judge<'_> {
             || p.max_distance.is_some_and(|far| norm(minus(cluster.centroid, self.origin)) > far)
     }
 
-    /// Rule B: the verdict that a cluster flies, or None.
+    /// Rule B: the classification as flying, or None.
     fn in_free_space(
         &self,
         scratch: &mut Scratch,
         cluster: &Cluster<'_>,
         radius: i32,
-    ) -> Option<Verdict> {
+    ) -> Option<Classification> {
         let (p, lattice) = (self.parameters, self.map.lattice());
         let points = cluster.members.iter().map(|&row| wide(self.points[row as usize]));
         scratch.take(points, lattice);
@@ -275,7 +286,11 @@ impl Judge<'_> {
             self.explored(flood, voxels, shadow.as_ref())
         }?;
         let clearance = self.clearance(voxels, shell);
-        (clearance >= p.min_clearance).then_some(Verdict { class: FLYING, explored, clearance })
+        (clearance >= p.min_clearance).then_some(Classification {
+            class: PointClass::Flying,
+            explored,
+            clearance,
+        })
     }
 
     /// If there is no way out from `starts`, the uncertain voxels that were explored, where these are

@@ -1,4 +1,4 @@
-//! Groups of clusters: fragments of one larger thing are judged together.
+//! Groups of clusters: fragments of one larger thing are classified together.
 //!
 //! Crowns of trees, rows of a distant pole and walls seen at a grazing angle fall apart into
 //! clusters of a target's size. What lies close together is taken as one thing, and what lies

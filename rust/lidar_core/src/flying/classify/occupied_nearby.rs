@@ -7,7 +7,7 @@ use crate::geometry::lattice::{Voxel, floor};
 use crate::geometry::transform::minus;
 
 /// Rule A for single points: is a tentatively occupied voxel's centre closer than `distance`?
-pub(crate) struct Near<'a> {
+pub(crate) struct OccupiedNearby<'a> {
     cursor: Cursor<'a>,
     map: &'a VoxelMap,
     /// Squared distances below this are close [m^2].
@@ -15,7 +15,7 @@ pub(crate) struct Near<'a> {
     half: i32,
 }
 
-impl<'a> Near<'a> {
+impl<'a> OccupiedNearby<'a> {
     pub(crate) fn new(map: &'a VoxelMap, distance: f64) -> Self {
         // A centre that close lies at most this many voxels from the point's own.
         let half = (distance / map.lattice().voxel_size() + 0.5).floor() as i32;
@@ -71,7 +71,7 @@ fn row_bits(block: &Block, voxel: Voxel) -> u8 {
 
 impl Occupancy for VoxelMap {
     fn any_within(&self, point: [f64; 3], distance: f64) -> bool {
-        Near::up_to(self, distance).is_close(point)
+        OccupiedNearby::up_to(self, distance).is_close(point)
     }
 }
 

@@ -1,13 +1,13 @@
 //! A scan in clusters, and their classes.
 
-use super::classifier::{Classifier, Judge, Verdict, judge_again};
+use super::classifier::{Classification, Classifier, ClusterRules, reclassify};
 use super::clusters::{Cluster, Clusters};
-use super::occupied_nearby::Near;
+use super::occupied_nearby::OccupiedNearby;
 use crate::Error;
 use crate::flying::map::local_map::LocalMap;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
-use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN, replace};
+use crate::flying::point_class::{PointClass, replace};
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
@@ -48,11 +48,11 @@ pub(crate) struct ScanClassifier {
     classifier: Classifier,
     clusters: Clusters,
     /// Class of each cluster.
-    verdicts: Vec<Verdict>,
+    classifications: Vec<Classification>,
     /// Class of each cluster on a later map.
-    later: Vec<Verdict>,
+    later: Vec<Classification>,
     /// Class of every row.
-    class: Vec<u8>,
+    class: Vec<PointClass>,
 }
 
 impl ScanClassifier {
@@ -69,23 +69,23 @@ impl ScanClassifier {
         self.clusters.fill(&input.scan.points, self.labeller.labels());
         let cluster_ms = clock.lap();
 
-        let Self { clusters, classifier, verdicts, .. } = self;
-        classify_clusters_of(input, clusters, classifier, verdicts)?;
+        let Self { clusters, classifier, classifications, .. } = self;
+        classify_clusters_of(input, clusters, classifier, classifications)?;
         self.class_rows(input.scan);
         if input.parameters.classify.after_update {
-            replace(&mut self.class, FLYING, UNKNOWN); // rule B is judged after the map update
+            replace(&mut self.class, PointClass::Flying, PointClass::Unknown); // rule B follows after the map update
         }
         Ok([cluster_ms, clock.lap()])
     }
 
-    /// Judge rule B again, on the map after the scan.
+    /// Evaluate rule B again, on the map after the scan.
     ///
     /// # Errors
     /// As [`ScanClassifier::classify`].
-    pub(crate) fn classify_again(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
-        let Self { clusters, classifier, verdicts, later, .. } = self;
+    pub(crate) fn reclassify(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
+        let Self { clusters, classifier, classifications, later, .. } = self;
         classify_clusters_of(input, clusters, classifier, later)?;
-        judge_again(verdicts, later);
+        reclassify(classifications, later);
         self.class_rows(input.scan);
         Ok(())
     }
@@ -97,20 +97,20 @@ impl ScanClassifier {
     }
 
     /// Class of a row that is added to the scan.
-    pub(crate) fn add_row(&mut self, class: u8) {
+    pub(crate) fn add_row(&mut self, class: PointClass) {
         self.class.push(class);
     }
 
     /// Make the cluster `index` one of a flying object.
     pub(crate) fn make_flying(&mut self, index: usize) {
-        self.verdicts[index].class = FLYING;
+        self.classifications[index].class = PointClass::Flying;
     }
 
     /// Set the class of every row: that of its cluster; unknown for points in no cluster.
     pub(crate) fn class_rows(&mut self, scan: &Prepared) {
-        let Self { labeller, verdicts, class, .. } = self;
+        let Self { labeller, classifications, class, .. } = self;
         let of_row = |(point, &label): (&[f32; 3], &i32)| match usize::try_from(label) {
-            Ok(cluster) => verdicts[cluster].class,
+            Ok(cluster) => classifications[cluster].class,
             Err(_) => class_without_cluster(point),
         };
         class.clear();
@@ -118,7 +118,7 @@ impl ScanClassifier {
     }
 
     /// Class of every row.
-    pub(crate) fn class(&self) -> &[u8] {
+    pub(crate) fn class(&self) -> &[PointClass] {
         &self.class
     }
 
@@ -128,8 +128,8 @@ impl ScanClassifier {
     }
 
     /// Class of each cluster, with the evidence for it.
-    pub(crate) fn verdicts(&self) -> &[Verdict] {
-        &self.verdicts
+    pub(crate) fn classifications(&self) -> &[Classification] {
+        &self.classifications
     }
 
     /// Number of the cluster that holds a row.
@@ -149,17 +149,17 @@ impl ScanClassifier {
         let (map, scan) = (&input.local.map, input.scan);
         let (origin, points) = (scan.pose.translation, scan.points.as_slice());
         let is_small = cluster.members.len() < parameters.min_points;
-        let judge = Judge { map, points, origin, parameters };
-        Ok(self.verdicts[index].class == UNKNOWN
+        let rules = ClusterRules { map, points, origin, parameters };
+        Ok(self.classifications[index].class == PointClass::Unknown
             && is_small
             && may_fly(map, scan, &cluster)
             && is_alone(points, cluster.centroid)
-            && judge.is_in_free_space(&cluster)?)
+            && rules.is_in_free_space(&cluster)?)
     }
 
     /// Number of clusters of a class.
-    pub(crate) fn count_of(&self, class: u8) -> usize {
-        self.verdicts.iter().filter(|verdict| verdict.class == class).count()
+    pub(crate) fn count_of(&self, class: PointClass) -> usize {
+        self.classifications.iter().filter(|classification| classification.class == class).count()
     }
 
     fn label(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
@@ -182,30 +182,36 @@ impl ScanClassifier {
 }
 
 /// Class of a point of which only its place is known.
-fn class_without_cluster(point: &[f32; 3]) -> u8 {
-    if point.iter().all(|value| value.is_finite()) { UNKNOWN } else { INVALID }
+fn class_without_cluster(point: &[f32; 3]) -> PointClass {
+    if point.iter().all(|value| value.is_finite()) {
+        PointClass::Unknown
+    } else {
+        PointClass::Invalid
+    }
 }
 
 fn classify_clusters_of(
     input: &ScanToClassify<'_>,
     clusters: &Clusters,
     classifier: &mut Classifier,
-    verdicts: &mut Vec<Verdict>,
+    classifications: &mut Vec<Classification>,
 ) -> Result<(), Error> {
     let ScanToClassify { scan, background_extent, pool, .. } = *input;
     let (map, world_from_map) = (&input.local.map, input.local.world_from_map());
     let mut parameters = input.parameters.classify.clone();
     parameters.background_extent = background_extent;
     let origin = scan.pose.translation;
-    let judge = Judge { map, points: &scan.points, origin, parameters: &parameters };
-    classifier.classify(&judge, clusters, pool, verdicts)?;
+    let rules = ClusterRules { map, points: &scan.points, origin, parameters: &parameters };
+    classifier.classify(&rules, clusters, pool, classifications)?;
     let ground_height = input.parameters.seed.ground_height;
-    for (verdict, cluster) in verdicts.iter_mut().zip(clusters.iter()) {
+    for (classification, cluster) in classifications.iter_mut().zip(clusters.iter()) {
         let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
         if ground_height.is_some_and(is_low) {
-            *verdict = Verdict { class: BACKGROUND, ..Verdict::default() };
-        } else if verdict.class == FLYING && !may_fly(map, scan, &cluster) {
-            *verdict = Verdict { class: UNKNOWN, ..Verdict::default() };
+            *classification =
+                Classification { class: PointClass::Background, ..Classification::default() };
+        } else if classification.class == PointClass::Flying && !may_fly(map, scan, &cluster) {
+            *classification =
+                Classification { class: PointClass::Unknown, ..Classification::default() };
         }
     }
     Ok(())
@@ -237,7 +243,7 @@ fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
 /// True if a place lies below flat ground and its mirror image above is occupied: points there
 /// are reflections.
 fn is_mirrored(map: &VoxelMap, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
-    scan.floor
-        .filter(|floor| z < floor - ON_GROUND)
-        .is_some_and(|floor| Near::new(map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z]))
+    scan.floor.filter(|floor| z < floor - ON_GROUND).is_some_and(|floor| {
+        OccupiedNearby::new(map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z])
+    })
 }

@@ -2,7 +2,7 @@
 
 use super::center::Center;
 use crate::flying::analysis::PoseSpread;
-use crate::flying::classify::classifier::Verdict;
+use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
@@ -56,11 +56,11 @@ impl Detection {
     pub(crate) fn of(
         scan: &Prepared,
         cluster: &Cluster<'_>,
-        verdict: &Verdict,
+        classification: &Classification,
         range_std: f64,
     ) -> Self {
         let count = cluster.members.len() as f64;
-        let confidence = verdict.clearance * (1.0 - libm::exp2(-count / SURE_POINTS));
+        let confidence = classification.clearance * (1.0 - libm::exp2(-count / SURE_POINTS));
         Self {
             position: cluster.centroid,
             covariance: centroid_covariance(scan, cluster, range_std),

@@ -4,10 +4,10 @@ use super::center::Center;
 use super::detection::{Detection, Teammate};
 use super::hole::is_joined;
 use super::visibility::ScanView;
-use crate::flying::classify::classifier::Verdict;
+use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::parameters::FlyingParameters;
-use crate::flying::point_class::{BACKGROUND, FLYING};
+use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::transform::{Transform, minus, norm};
 
@@ -36,25 +36,28 @@ pub(crate) struct ScanDetections {
 
 /// Detections and teammates of a scan, in the frame of the map, given clusters by their number
 /// with their classes.
-pub(crate) fn detect<'v>(
+pub(crate) fn detect<'c>(
     input: &ScanToDetect<'_>,
     clusters: &Clusters,
-    verdicts: impl Iterator<Item = (usize, &'v Verdict)> + Clone,
+    classifications: impl Iterator<Item = (usize, &'c Classification)> + Clone,
 ) -> ScanDetections {
     let ScanToDetect { scan, view, .. } = *input;
     let mut found = ScanDetections::default();
-    let mut centers = centers(input, clusters, verdicts.clone()).into_iter();
-    let is_flying = flying_rows(scan, clusters, verdicts.clone());
-    for (index, verdict) in verdicts {
+    let mut centers = centers(input, clusters, classifications.clone()).into_iter();
+    let is_flying = flying_rows(scan, clusters, classifications.clone());
+    for (index, classification) in classifications {
         let cluster = clusters.get(index);
-        let mate = input.teammate_at(cluster.centroid).filter(|_| verdict.class != BACKGROUND);
+        let mate = input
+            .teammate_at(cluster.centroid)
+            .filter(|_| classification.class != PointClass::Background);
         if mate.is_some() {
             found.hidden.extend(cluster.members);
         }
-        if verdict.class != FLYING {
+        if classification.class != PointClass::Flying {
             continue;
         }
-        let mut detection = Detection::of(scan, &cluster, verdict, input.parameters.range_std);
+        let mut detection =
+            Detection::of(scan, &cluster, classification, input.parameters.range_std);
         detection.confidence *= trust(scan, &cluster);
         detection.is_joined = !is_flying.is_empty() && is_joined(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
@@ -72,29 +75,33 @@ pub(crate) fn detect<'v>(
 }
 
 /// For every flying cluster the centre behind its points, if centres are asked for.
-fn centers<'v>(
+fn centers<'c>(
     input: &ScanToDetect<'_>,
     clusters: &Clusters,
-    verdicts: impl Iterator<Item = (usize, &'v Verdict)>,
+    classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> Vec<Center> {
-    let flies = |verdict: &Verdict| input.parameters.centers && verdict.class == FLYING;
-    let flying = verdicts.filter(|(_, verdict)| flies(verdict));
+    let flies = |classification: &Classification| {
+        input.parameters.centers && classification.class == PointClass::Flying
+    };
+    let flying = classifications.filter(|(_, classification)| flies(classification));
     let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
     input.view.centers_of(&rows)
 }
 
 /// Whether each row of a scan is of a flying cluster; empty where rays without return are given, so
 /// that no hole has to be asked for.
-fn flying_rows<'v>(
+fn flying_rows<'c>(
     scan: &Prepared,
     clusters: &Clusters,
-    verdicts: impl Iterator<Item = (usize, &'v Verdict)>,
+    classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> Vec<bool> {
-    if scan.look.is_none() {
+    if scan.sky_observation.is_none() {
         return Vec::new();
     }
     let mut is_flying = vec![false; scan.points.len()];
-    for (index, _) in verdicts.filter(|(_, verdict)| verdict.class == FLYING) {
+    for (index, _) in
+        classifications.filter(|(_, classification)| classification.class == PointClass::Flying)
+    {
         clusters.get(index).members.iter().for_each(|&row| is_flying[row as usize] = true);
     }
     is_flying
@@ -103,8 +110,8 @@ fn flying_rows<'v>(
 /// Factor on the confidence: less than 1 where free space around a target is known from the sky only.
 fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
     let target = minus(cluster.centroid, scan.pose.translation);
-    let found = scan.look.as_ref().filter(|_| scan.rebuilt > 0);
-    let share = found.map_or(0.0, |look| look.share_around(target));
+    let found = scan.sky_observation.as_ref().filter(|_| scan.rebuilt > 0);
+    let share = found.map_or(0.0, |observation| observation.share_around(target));
     1.0 - (1.0 - ONLY_SKY) * share
 }
 

@@ -4,7 +4,7 @@ use super::detections::{ScanDetections, ScanToDetect, detect};
 use super::visibility::ScanView;
 use crate::Error;
 use crate::flying::classify::scan_classifier::{ScanClassifier, ScanToClassify};
-use crate::flying::point_class::UNKNOWN;
+use crate::flying::point_class::PointClass;
 use crate::flying::track::{Detections, PointCloudTracker};
 use crate::geometry::transform::{minus, norm};
 use std::borrow::Cow;
@@ -68,7 +68,7 @@ pub(crate) fn add_followed(
         let Some(index) = classifier.cluster_of(row) else { continue };
         let cluster = classifier.clusters().get(index);
         let distance = norm(minus(cluster.centroid, scan.pose.translation));
-        let is_target = classifier.verdicts()[index].class == UNKNOWN
+        let is_target = classifier.classifications()[index].class == PointClass::Unknown
             && cluster.members.len() >= p.min_points
             && p.max_distance.is_none_or(|far| distance <= far)
             && p.max_extent.is_none_or(|extent| cluster.diagonal() <= extent);
@@ -81,8 +81,9 @@ pub(crate) fn add_followed(
         return;
     }
     followed.sort_unstable();
-    let verdicts = followed.iter().map(|&index| (index, &classifier.verdicts()[index]));
-    let more = detect(input, classifier.clusters(), verdicts);
+    let classifications =
+        followed.iter().map(|&index| (index, &classifier.classifications()[index]));
+    let more = detect(input, classifier.clusters(), classifications);
     found.detections.extend(more.detections);
     classifier.class_rows(scan);
 }

@@ -63,7 +63,9 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
         let is_sky = |along: f64| {
             let mut place = [middle; 2];
             place[axis] = sign * (edge + 0.5 * along);
-            scan.look.as_ref().is_some_and(|look| look.is_sky_at(view.direction(place)))
+            scan.sky_observation
+                .as_ref()
+                .is_some_and(|observation| observation.is_sky_at(view.direction(place)))
         };
         has_hole(&seen, half, is_sky, |place| {
             [sign * place[axis] - edge, (place[across] - middle).abs()]

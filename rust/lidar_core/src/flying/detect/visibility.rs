@@ -1,6 +1,6 @@
 //! Visibility in one scan, for the tracker: is a target in the field of view and not hidden?
 
-use super::center::{Around, Center, Region, SightRay, SightSource, TargetHit};
+use super::center::{Center, PassingRays, RaySource, TargetHit, TargetRay, TargetRegion};
 use crate::flying::analysis::PoseSpread;
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::Visibility;
@@ -15,7 +15,7 @@ use std::ops::Range;
 
 /// Rays that must pass, so that a target in the ball should have given returns.
 const ENOUGH: usize = 3;
-/// Room for rounding where rays are turned away at first sight, relative: directions are unit vectors
+/// Room for rounding where rays are excluded early, relative: directions are unit vectors
 /// only to so many digits.
 const ROOM: f64 = 1e-6;
 /// Rays that are looked at side by side.
@@ -50,7 +50,10 @@ impl<'a> ScanView<'a> {
     /// Centres of targets, given the rows of their points, none of them empty; the pose counts as
     /// exact.
     pub(crate) fn centers_of(&self, targets: &[&[u32]]) -> Vec<Center> {
-        self.sights(targets).iter().map(|sight| Center::of(sight, self.range_std)).collect()
+        self.observations(targets)
+            .iter()
+            .map(|observation| Center::of(observation, self.range_std))
+            .collect()
     }
 
     /// Noise of the pose, if it is known.
@@ -126,14 +129,14 @@ impl Visibility for ScanView<'_> {
     }
 }
 
-impl SightSource for ScanView<'_> {
+impl RaySource for ScanView<'_> {
     fn hit(&self, row: usize) -> TargetHit {
         TargetHit::new(self.scan.origin(row), wide(self.scan.points[row]))
     }
 
-    fn around(&self, regions: &[Region]) -> Vec<Around> {
+    fn around(&self, regions: &[TargetRegion]) -> Vec<PassingRays> {
         let rows = self.scan.points.len();
-        let mut around = vec![Around::default(); regions.len()];
+        let mut around = vec![PassingRays::default(); regions.len()];
         if regions.is_empty() {
             return around;
         }
@@ -142,7 +145,7 @@ impl SightSource for ScanView<'_> {
             self.around_in(first..rows.min(first + ROWS_PER_CHUNK), regions)
         };
         let chunks = 0..rows.div_ceil(ROWS_PER_CHUNK);
-        let parts: Vec<Vec<Around>> = match self.pool {
+        let parts: Vec<Vec<PassingRays>> = match self.pool {
             Some(pool) => pool.install(|| chunks.into_par_iter().map(chunk).collect()),
             None => chunks.map(chunk).collect(),
         };
@@ -158,12 +161,14 @@ impl SightSource for ScanView<'_> {
 
 impl ScanView<'_> {
     /// For every region, the rays of some rows that come near it.
-    fn around_in(&self, rows: Range<usize>, regions: &[Region]) -> Vec<Around> {
+    fn around_in(&self, rows: Range<usize>, regions: &[TargetRegion]) -> Vec<PassingRays> {
         let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
-        let ball =
-            |region: &Region| TestedBall { middle: region.middle.into(), radius: region.reach() };
+        let ball = |region: &TargetRegion| TestedBall {
+            middle: region.middle.into(),
+            radius: region.reach(),
+        };
         let balls: Vec<TestedBall> = regions.iter().map(ball).collect();
-        let mut around = vec![Around::default(); regions.len()];
+        let mut around = vec![PassingRays::default(); regions.len()];
         for row in self.rows_near(rows, &balls) {
             let Some((way, squared)) = self.way(row) else { continue };
             let origin = self.scan.origin(row);
@@ -171,7 +176,7 @@ impl ScanView<'_> {
                 match ball.end(origin, way, squared) {
                     Some(End::Behind) if casts(row) => {
                         let (origin, way) = (Vector3::from(origin), Vector3::from(way));
-                        rays.passing.push(SightRay { origin, direction: way.normalize() });
+                        rays.passing.push(TargetRay { origin, direction: way.normalize() });
                     }
                     Some(End::InFront) if !self.scan.no_return[row] => rays.n_blocked += 1,
                     _ => {}
@@ -189,7 +194,7 @@ impl ScanView<'_> {
         balls: &[TestedBall],
     ) -> impl Iterator<Item = usize> + use<> {
         let (first, lanes) = (rows.start, 0..LANES);
-        let near = dispatch(ComeNear { view: self, rows, balls });
+        let near = dispatch(FindNearRays { view: self, rows, balls });
         let some = (first..).step_by(LANES).zip(near).filter(|(_, flags)| *flags != 0);
         some.flat_map(move |(first, flags)| {
             lanes.clone().filter(move |lane| flags >> lane & 1 == 1).map(move |lane| first + lane)
@@ -212,7 +217,7 @@ impl ScanView<'_> {
 }
 
 /// Finds rays that come near any of some balls, on the vector unit of the machine.
-struct ComeNear<'a> {
+struct FindNearRays<'a> {
     view: &'a ScanView<'a>,
     rows: Range<usize>,
     balls: &'a [TestedBall],
@@ -221,7 +226,7 @@ struct ComeNear<'a> {
 /// A bit for every row of a chunk.
 type RowBits = [u32; ROWS_PER_CHUNK / LANES];
 
-impl WithSimd for ComeNear<'_> {
+impl WithSimd for FindNearRays<'_> {
     type Output = RowBits;
 
     #[inline(always)]

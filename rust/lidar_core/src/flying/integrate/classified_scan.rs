@@ -3,7 +3,7 @@
 use super::accumulate::mark::Content;
 use super::pose_weights::{PoseError, PoseNoise};
 use crate::Error;
-use crate::flying::point_class::{BACKGROUND, FLYING, UNKNOWN};
+use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::util::budget::check_points;
 
@@ -33,9 +33,8 @@ impl Origins<'_> {
 pub struct ClassifiedScan<'a> {
     /// End of every ray [m].
     pub points: &'a [[f32; 3]],
-    /// [`INVALID`](crate::flying::point_class::INVALID), [`BACKGROUND`], [`FLYING`] or [`UNKNOWN`] per
-    /// point. Invalid entries cast no ray.
-    pub class: &'a [u8],
+    /// Class of every point. Invalid entries cast no ray.
+    pub class: &'a [PointClass],
     /// Start points of the rays.
     pub origins: Origins<'a>,
     /// Direction of every ray; needed where `no_return` is set.
@@ -104,27 +103,18 @@ impl IntegrateStats {
 }
 
 #[inline(always)]
-pub(super) fn content_of(class: u8) -> Option<Content> {
+pub(super) fn content_of(class: PointClass) -> Option<Content> {
     match class {
-        BACKGROUND => Some(Content::Background),
-        FLYING => Some(Content::Flying),
-        UNKNOWN => Some(Content::Unknown),
-        // `INVALID`: other numbers are refused by `check_classes` before.
-        _ => None,
+        PointClass::Background => Some(Content::Background),
+        PointClass::Flying => Some(Content::Flying),
+        PointClass::Unknown => Some(Content::Unknown),
+        PointClass::Invalid => None,
     }
 }
 
-pub(super) fn check_classes(class: &[u8], expected: usize) -> Result<(), Error> {
-    if class.len() != expected {
-        return Err(Error::Length { name: "point_class", expected, got: class.len() });
-    }
-    let Some(index) = class.iter().position(|&class| class > UNKNOWN) else { return Ok(()) };
-    Err(Error::Value {
-        name: "point_class",
-        expected: "0 invalid, 1 background, 2 flying or 3 unknown",
-        index,
-        got: class[index].to_string(),
-    })
+pub(super) fn check_classes(class: &[PointClass], expected: usize) -> Result<(), Error> {
+    let got = class.len();
+    if got == expected { Ok(()) } else { Err(Error::Length { name: "point_class", expected, got }) }
 }
 
 pub(crate) fn check_lengths(scan: &ClassifiedScan<'_>) -> Result<(), Error> {

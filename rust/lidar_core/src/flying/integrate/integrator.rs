@@ -20,6 +20,7 @@ use super::walk::{cast_all, merge_ends};
 use crate::Error;
 use crate::flying::map::parameters::{Rays, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::Voxel;
 use crate::util::threads::Workers;
 
@@ -76,7 +77,7 @@ impl Integrator {
     }
 
     /// Cast the rays of a scan. Of the classes only
-    /// [`INVALID`](crate::flying::point_class::INVALID) matters.
+    /// [`PointClass::Invalid`] matters.
     ///
     /// # Errors
     /// As [`Integrator::integrate`].
@@ -110,7 +111,7 @@ impl Integrator {
     pub(crate) fn apply(
         &mut self,
         map: &mut VoxelMap,
-        class: &[u8],
+        class: &[PointClass],
         pose_error: Option<&PoseError>,
     ) -> Result<IntegrateStats, Error> {
         let Self { workers, plan, accumulators, blocks, is_open, .. } = self;
@@ -137,9 +138,9 @@ pub(crate) mod tests {
     use crate::flying::integrate::classified_scan::Origins;
     use crate::flying::map::parameters::MapParameters;
     use crate::flying::map::parameters::tests::parameters;
-    use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN};
+    use crate::flying::point_class::PointClass;
 
-    pub(crate) fn scan<'a>(points: &'a [[f32; 3]], class: &'a [u8]) -> ClassifiedScan<'a> {
+    pub(crate) fn scan<'a>(points: &'a [[f32; 3]], class: &'a [PointClass]) -> ClassifiedScan<'a> {
         ClassifiedScan {
             points,
             class,
@@ -155,7 +156,7 @@ pub(crate) mod tests {
     #[test]
     fn a_ray_clears_up_to_the_voxel_of_its_point() -> Result<(), Error> {
         let mut map = VoxelMap::new(parameters())?;
-        let scan = scan(&[[1.1, 0.1, 0.1]], &[BACKGROUND]);
+        let scan = scan(&[[1.1, 0.1, 0.1]], &[PointClass::Background]);
         let stats = Integrator::new(1)?.integrate(&mut map, &scan)?;
         assert_eq!((stats.rays, stats.visits, stats.voxels), (1, 5, 5));
         let at = map.values_at(&[[0.3, 0.1, 0.1], [1.1, 0.1, 0.1], [1.3, 0.1, 0.1]]);
@@ -167,7 +168,8 @@ pub(crate) mod tests {
     fn a_ray_without_return_needs_a_direction() -> Result<(), Error> {
         let mut map = VoxelMap::new(parameters())?;
         let points = [[f32::NAN; 3]];
-        let empty = ClassifiedScan { no_return: Some(&[true]), ..scan(&points, &[INVALID]) };
+        let empty =
+            ClassifiedScan { no_return: Some(&[true]), ..scan(&points, &[PointClass::Invalid]) };
         let mut integrator = Integrator::new(1)?;
         let refused = integrator.integrate(&mut map, &empty);
         assert!(matches!(refused, Err(Error::Value { name: "ray_directions", .. })));
@@ -184,14 +186,13 @@ pub(crate) mod tests {
         let mut integrator = Integrator::new(2)?;
         let mut integrate = |scan| integrator.integrate(&mut map, &scan);
         assert!(matches!(
-            integrate(scan(&[[15.0, 9.0, 3.0]], &[UNKNOWN])),
+            integrate(scan(&[[15.0, 9.0, 3.0]], &[PointClass::Unknown])),
             Err(Error::Limit { .. })
         ));
         assert!(matches!(
-            integrate(scan(&[[1e30, 0.0, 0.0]], &[1])),
+            integrate(scan(&[[1e30, 0.0, 0.0]], &[PointClass::Background])),
             Err(Error::PointOutOfRange { .. })
         ));
-        assert!(matches!(integrate(scan(&[[1.0; 3]], &[4])), Err(Error::Value { .. })));
         assert!(matches!(integrate(scan(&[[1.0; 3]], &[])), Err(Error::Length { .. })));
         assert_eq!(map.stored_voxels(), 0);
         Ok(())
@@ -205,13 +206,17 @@ pub(crate) mod tests {
             let parameters = MapParameters { max_voxels, max_range: 5.0, ..parameters() };
             let mut map = VoxelMap::new(parameters.clone())?;
             let (mut integrator, mut fresh) = (Integrator::new(threads)?, Integrator::new(1)?);
-            let class = [UNKNOWN, BACKGROUND];
+            let class = [PointClass::Unknown, PointClass::Background];
             let refused = integrator.integrate(&mut map, &scan(&far, &class)).is_err();
             assert_eq!(refused, max_voxels == 3072);
             map.clear();
             let mut other = VoxelMap::new(parameters)?;
-            integrator.integrate(&mut map, &scan(&near, &[BACKGROUND, FLYING]))?;
-            fresh.integrate(&mut other, &scan(&near, &[BACKGROUND, FLYING]))?;
+            integrator
+                .integrate(&mut map, &scan(&near, &[PointClass::Background, PointClass::Flying]))?;
+            fresh.integrate(
+                &mut other,
+                &scan(&near, &[PointClass::Background, PointClass::Flying]),
+            )?;
             assert_eq!(map.to_bytes(), other.to_bytes());
         }
         Ok(())
@@ -221,7 +226,7 @@ pub(crate) mod tests {
     fn a_window_in_pieces_gives_what_a_whole_one_gives() -> Result<(), Error> {
         // The blocks that bound both rays are far too many to lie in memory as a whole.
         let ends = [[300.1, 0.2, 0.3], [0.1, 290.1, 250.3]];
-        let class = [BACKGROUND; 2];
+        let class = [PointClass::Background; 2];
         let long = MapParameters { max_range: 400.0, ..parameters() };
         for threads in [1, 2] {
             let mut map = VoxelMap::new(long.clone())?;
@@ -241,7 +246,7 @@ pub(crate) mod tests {
     #[test]
     fn a_scan_without_anything_fits_any_lattice() -> Result<(), Error> {
         let mut map = VoxelMap::new(MapParameters { voxel_size: 1e300, ..parameters() })?;
-        let scan = scan(&[[f32::NAN; 3]; 3], &[BACKGROUND; 3]);
+        let scan = scan(&[[f32::NAN; 3]; 3], &[PointClass::Background; 3]);
         let stats = Integrator::new(1)?.integrate(&mut map, &scan)?;
         assert_eq!((stats.skipped, stats.rays, stats.voxels), (3, 0, 0));
         Ok(())
@@ -252,7 +257,7 @@ pub(crate) mod tests {
         let mut map = VoxelMap::new(parameters())?;
         let (far, wrong, near) = ([1e30, 0.0, 0.0], [0.0, 1e30, 0.0], [1.0; 3]);
         let points = [near, far, near].map(|point| point.map(|value| value as f32));
-        let class = [BACKGROUND; 3];
+        let class = [PointClass::Background; 3];
         for (origins, first) in [([[0.0; 3], [0.0; 3], wrong], far), ([wrong, near, near], wrong)] {
             let scan = ClassifiedScan {
                 points: &points,
@@ -274,7 +279,8 @@ pub(crate) mod tests {
     fn nothing_outside_the_operating_volume_is_mapped() -> Result<(), Error> {
         let bounds = Some([[0.0; 3], [0.5, 1.0, 1.0]]);
         let mut map = VoxelMap::new(MapParameters { bounds, ..parameters() })?;
-        Integrator::new(1)?.integrate(&mut map, &scan(&[[5.1, 0.1, 0.1]], &[BACKGROUND]))?;
+        Integrator::new(1)?
+            .integrate(&mut map, &scan(&[[5.1, 0.1, 0.1]], &[PointClass::Background]))?;
         assert_eq!(
             map.values_at(&[[0.3, 0.1, 0.1], [1.3, 0.1, 0.1], [5.1, 0.1, 0.1]]),
             [-870.0, -740.0, -740.0]
@@ -285,12 +291,15 @@ pub(crate) mod tests {
     #[test]
     fn classes_may_come_after_the_rays() -> Result<(), Error> {
         let points = [[1.1, 0.1, 0.1], [-2.0, 5.0, 0.3], [f32::NAN; 3]];
-        let class = [BACKGROUND, FLYING, INVALID];
+        let class = [PointClass::Background, PointClass::Flying, PointClass::Invalid];
         for threads in [1, 2] {
             let mut map = VoxelMap::new(parameters())?;
             let mut integrator = Integrator::new(threads)?;
-            integrator.cast(&map, &scan(&[[9.0, 3.0, 2.0]], &[UNKNOWN]))?; // given up
-            integrator.cast(&map, &scan(&points, &[UNKNOWN, UNKNOWN, INVALID]))?;
+            integrator.cast(&map, &scan(&[[9.0, 3.0, 2.0]], &[PointClass::Unknown]))?; // given up
+            integrator.cast(
+                &map,
+                &scan(&points, &[PointClass::Unknown, PointClass::Unknown, PointClass::Invalid]),
+            )?;
             assert_eq!(map.stored_voxels(), 0);
             let stats = integrator.apply(&mut map, &class, None)?;
             let mut other = VoxelMap::new(parameters())?;

@@ -7,7 +7,7 @@ use super::accumulate::mark::Content;
 use super::classified_scan::{IntegrateStats, check_lengths, content_of};
 use super::ray_segments::{Bounds, Flags, Indices, LANES, Numbers, Ray, Source};
 use crate::Error;
-use crate::flying::point_class::INVALID;
+use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel};
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
@@ -96,8 +96,11 @@ impl Plan {
         self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
     }
 
-    /// Points with what the classes of the rows say that they are.
-    pub(crate) fn classified(&self, class: &[u8]) -> impl Iterator<Item = (Voxel, Content)> {
+    /// Voxels of the points with their contents by the classes of the rows.
+    pub(crate) fn classified(
+        &self,
+        class: &[PointClass],
+    ) -> impl Iterator<Item = (Voxel, Content)> {
         let content = |row: u32| content_of(class[row as usize]);
         self.points.iter().filter_map(move |&(voxel, row)| Some((voxel, content(row)?)))
     }
@@ -111,70 +114,70 @@ impl Plan {
         bounds: &mut Bounds,
     ) -> Result<(), Error> {
         let last = entries.end - 1;
-        // Lanes past the end repeat the last entry, to keep the bundle full; `Wishes` ignores them.
+        // Lanes past the end repeat the last entry, to fill the bundle; `EntryFlags` ignores them.
         let index: Indices = std::array::from_fn(|lane| (entries.start + lane).min(last));
         let points = source.points(&index);
-        let mut wishes = Wishes::of(source, &entries, &points);
+        let mut flags = EntryFlags::of(source, &entries, &points);
         let (mut voxels, sure) = source.lattice.voxels_at(&points);
         // The bulk conversion can be wrong only next to a face: only such lanes pay for the exact one.
         let mut in_doubt = [false; LANES];
         for lane in 0..LANES {
-            in_doubt[lane] = wishes.point[lane] & (sure[lane] <= 0.0);
+            in_doubt[lane] = flags.point[lane] & (sure[lane] <= 0.0);
         }
         let mut noted = Ok(());
         if in_doubt.contains(&true) {
-            noted = settle(source.lattice, &points, &in_doubt, &mut voxels, &mut wishes);
+            noted = exact_voxels(source.lattice, &points, &in_doubt, &mut voxels, &mut flags);
         }
         // Also after an error: an entry before it may have a ray that cannot be indexed, which comes first.
-        self.push(&wishes, &voxels, &index);
-        bounds.hold(&source.between(&index, &points), &wishes.ray);
-        self.stats.skipped += entries.len() - wishes.count();
+        self.push(&flags, &voxels, &index);
+        bounds.hold(&source.between(&index, &points), &flags.ray);
+        self.stats.skipped += entries.len() - flags.count();
         noted
     }
 
     /// Without branches: which entry asks for what cannot be foreseen.
     #[inline(always)]
-    fn push(&mut self, wishes: &Wishes, [x, y, z]: &[[i32; LANES]; 3], index: &Indices) {
+    fn push(&mut self, flags: &EntryFlags, [x, y, z]: &[[i32; LANES]; 3], index: &Indices) {
         let (mut points, mut rays) = ([([0; 3], 0); LANES], [Ray { index: 0, count: 1 }; LANES]);
         let (mut n_points, mut n_rays) = (0, 0);
         for lane in 0..LANES {
             // Every lane writes, and the count moves on only if the entry has a point: the next lane
             // overwrites the others. The count is at most `lane`, so the index is in range.
             points[n_points] = ([x[lane], y[lane], z[lane]], index[lane] as u32);
-            n_points += usize::from(wishes.point[lane]);
+            n_points += usize::from(flags.point[lane]);
             rays[n_rays].index = index[lane] as u32;
-            n_rays += usize::from(wishes.ray[lane]);
-            self.stats.no_return_rays += usize::from(wishes.away[lane]);
+            n_rays += usize::from(flags.ray[lane]);
+            self.stats.no_return_rays += usize::from(flags.away[lane]);
         }
         self.points.extend_from_slice(&points[..n_points]);
         self.rays.extend_from_slice(&rays[..n_rays]);
     }
 }
 
-/// Find the voxels of points that are in doubt.
+/// Find the exact voxels of points whose voxels rounding may have changed.
 ///
 /// # Errors
 /// [`Error::PointOutOfRange`] for the first that has none; nothing is left of what comes then.
 #[inline(never)]
-fn settle(
+fn exact_voxels(
     lattice: &Lattice,
     points: &[Numbers; 3],
     in_doubt: &Flags,
     voxels: &mut [[i32; LANES]; 3],
-    wishes: &mut Wishes,
+    flags: &mut EntryFlags,
 ) -> Result<(), Error> {
     for lane in 0..LANES {
         if in_doubt[lane] {
             let voxel = lattice.voxel_at(points.map(|axis| axis[lane]));
-            let voxel = voxel.inspect_err(|_| wishes.keep_before(lane))?;
+            let voxel = voxel.inspect_err(|_| flags.keep_before(lane))?;
             (0..3).for_each(|axis| voxels[axis][lane] = voxel[axis]);
         }
     }
     Ok(())
 }
 
-/// Points and rays that a bundle of entries adds; entries that only fill the bundle add none.
-struct Wishes {
+/// Which entries of a bundle add points and rays; entries that only fill the bundle add none.
+struct EntryFlags {
     /// A point in the map.
     point: Flags,
     /// A ray that met nothing.
@@ -183,11 +186,11 @@ struct Wishes {
     ray: Flags,
 }
 
-impl Wishes {
+impl EntryFlags {
     #[inline(always)]
     fn of(source: &Source<'_>, entries: &Range<usize>, [x, y, z]: &[Numbers; 3]) -> Self {
         let scan = source.scan;
-        let class = padded(scan.class, entries, INVALID);
+        let class = padded(scan.class, entries, PointClass::Invalid);
         let flags = |flags: Option<&[bool]>| {
             flags.map_or([false; LANES], |flags| padded(flags, entries, false))
         };
@@ -200,7 +203,7 @@ impl Wishes {
         for lane in 0..LANES {
             let is_finite = x[lane].is_finite() & y[lane].is_finite() & z[lane].is_finite();
             // `&` and `|` evaluate both sides: without branches the loop becomes vector code.
-            point[lane] = is_finite & (class[lane] != INVALID) & !no_return[lane];
+            point[lane] = is_finite & (class[lane] != PointClass::Invalid) & !no_return[lane];
             ray[lane] = away[lane] | (point[lane] & !no_ray[lane]);
         }
         Self { point, away, ray }

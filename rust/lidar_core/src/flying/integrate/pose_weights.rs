@@ -179,7 +179,7 @@ pub struct PoseParameters {
     pub end_sigmas: f64,
 }
 
-/// What the pose of a scan adds to the uncertainty of its points.
+/// Uncertainty of the points of a scan that comes from its pose.
 pub(crate) struct PoseNoise {
     /// For detections and tracks; None if nothing is known.
     pub(crate) spread: Option<PoseSpread>,

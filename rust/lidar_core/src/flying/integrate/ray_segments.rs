@@ -255,7 +255,7 @@ pub(crate) fn least(a: f64, b: f64) -> f64 {
 pub(crate) mod tests {
     use super::*;
     use crate::flying::map::parameters::tests::parameters;
-    use crate::flying::point_class::BACKGROUND;
+    use crate::flying::point_class::PointClass;
 
     /// Show `run` rays from starts to ends, in units of voxels.
     pub(in super::super) fn with_rays<T>(
@@ -265,7 +265,7 @@ pub(crate) mod tests {
         let (origins, points): (Vec<_>, Vec<_>) = segments.iter().copied().unzip();
         let scan = ClassifiedScan {
             points: &points,
-            class: &vec![BACKGROUND; points.len()],
+            class: &vec![PointClass::Background; points.len()],
             origins: Origins::Each(&origins),
             directions: None,
             no_return: None,

@@ -6,7 +6,7 @@ use super::pose_weights::{PoseError, PoseWeighting};
 use crate::Error;
 use crate::flying::map::parameters::{MapParameters, RayUnit, Rays, Separation, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::{BACKGROUND, FLYING, INVALID, UNKNOWN};
+use crate::flying::point_class::PointClass;
 use crate::geometry::transform::Transform;
 
 /// Half the size of a room with the sensor in it [m].
@@ -15,16 +15,16 @@ const ROOM: [f64; 3] = [6.0, 4.5, 2.5];
 const RAYS: u32 = 2500;
 
 /// One scan that owns its arrays.
-struct Made {
+struct OwnedScan {
     points: Vec<[f32; 3]>,
-    class: Vec<u8>,
+    class: Vec<PointClass>,
     directions: Vec<[f32; 3]>,
     no_return: Vec<bool>,
     origins: Vec<[f64; 3]>,
     error: Option<PoseError>,
 }
 
-impl Made {
+impl OwnedScan {
     /// Scan `step` of a sensor that moves through a room with a window, in which a ball flies.
     fn of(case: &Case, step: u32) -> Self {
         let time = f64::from(step);
@@ -65,16 +65,16 @@ impl Made {
         let end = std::array::from_fn(|axis| (start[axis] + range * way[axis]) as f32);
         self.points.push(if is_away { [f32::NAN; 3] } else { end });
         self.class.push(match (is_away, hits_ball, noise % 50) {
-            (true, ..) => INVALID,
+            (true, ..) => PointClass::Invalid,
             (_, true, _) => {
                 if noise.is_multiple_of(2) {
-                    FLYING
+                    PointClass::Flying
                 } else {
-                    UNKNOWN
+                    PointClass::Unknown
                 }
             }
-            (.., 0) => UNKNOWN,
-            _ => BACKGROUND,
+            (.., 0) => PointClass::Unknown,
+            _ => PointClass::Background,
         });
         self.directions.push(way.map(|value| value as f32));
         self.no_return.push(is_away);
@@ -113,7 +113,7 @@ fn error(weighting: PoseWeighting, translation: [f64; 3]) -> PoseError {
     }
 }
 
-/// What is told apart in the sequences.
+/// Differences between the sequences.
 #[derive(Clone)]
 struct Case {
     map: MapParameters,
@@ -124,7 +124,7 @@ struct Case {
     /// Way of the sensor during a scan [m].
     way_during_scan: f64,
     weighting: Option<PoseWeighting>,
-    /// What a user does to the map between scans.
+    /// Changes of the map by a user between scans.
     between: fn(&mut VoxelMap, u32) -> Result<(), Error>,
     scans: u32,
     /// Share of all visits that must have been passed, so that the test tests something.
@@ -242,7 +242,7 @@ fn compare(name: &str, case: &Case, threads: usize) -> Result<(), Error> {
     let (mut one, mut other) = (Integrator::new(1)?, Integrator::new(threads)?);
     let mut sums = [0, 0];
     for step in 0..case.scans {
-        let made = Made::of(case, step);
+        let made = OwnedScan::of(case, step);
         let expected = one.integrate(&mut plain, &made.scan(case))?;
         let stats = other.integrate(&mut passing, &made.scan(case))?;
         let all = IntegrateStats { visits_skipped: 0, voxels: expected.voxels, ..stats };
@@ -279,7 +279,7 @@ fn voxels_that_are_wrongly_held_inert_are_noticed() -> Result<(), Error> {
     let (mut plain, mut passing) = (make(Skip::Nothing)?, make(Skip::Saturated)?);
     let mut integrator = Integrator::new(1)?;
     for step in 0..3 {
-        let made = Made::of(&case, step);
+        let made = OwnedScan::of(&case, step);
         for map in [&mut plain, &mut passing] {
             integrator.integrate(map, &made.scan(&case))?;
         }

@@ -5,7 +5,7 @@ use super::inert::Inert;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
 use crate::util::full_state::impossible;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
@@ -26,7 +26,7 @@ pub(crate) struct Block {
     pub(crate) tentative: Bits,
     /// Confidently occupied.
     pub(crate) confident: Bits,
-    /// What rays cannot change. Not saved: bytes may be wrong, and a scan finds it again.
+    /// Voxels that rays cannot change. Not saved: bytes may be wrong, and a scan finds it again.
     #[serde(skip)]
     pub(crate) inert: Inert,
     /// A bit for every row that is held.
@@ -169,7 +169,7 @@ impl Hash for Place {
 /// All blocks, found by their place in constant time.
 #[derive(Clone)]
 pub(crate) struct Blocks {
-    slots: HashMap<Place, u32, BuildHasherDefault<Spread>>,
+    slots: HashMap<Place, u32, BuildHasherDefault<KeyHasher>>,
     /// None only while a block is being updated.
     pool: Vec<Option<Box<Block>>>,
     max_blocks: usize,

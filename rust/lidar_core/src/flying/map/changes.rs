@@ -2,13 +2,13 @@
 
 use super::block_shape::{Bits, EDGE};
 use super::blocks::Place;
-use super::islands::Marks;
+use super::islands::SearchMemory;
 use super::layers::{Layer, Neighbours};
 use super::parameters::Separation;
 use crate::Error;
 use crate::geometry::lattice::Voxel;
 use crate::util::full_state::impossible;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
@@ -28,11 +28,11 @@ pub(crate) struct Changes {
     /// A voxel of a component that had enough confident voxels.
     pub(super) anchor: Option<Voxel>,
     /// Memory that the searches use again.
-    pub(super) marks: Marks,
+    pub(super) search_memory: SearchMemory,
     /// Neighbours for the parameters of the last removal.
     pub(super) neighbours: Option<Neighbours>,
     /// Voxels whose groups are never separate: what stands still from the beginning.
-    pub(crate) kept: HashSet<Place, BuildHasherDefault<Spread>>,
+    pub(crate) kept: HashSet<Place, BuildHasherDefault<KeyHasher>>,
 }
 
 impl Changes {
@@ -58,7 +58,7 @@ impl Changes {
             lost: self.lost.clone(),
             settled_with: self.settled_with,
             anchor: self.anchor,
-            anchored: self.marks.anchored(),
+            anchored: self.search_memory.anchored(),
             kept,
         }
     }
@@ -73,8 +73,8 @@ impl Changes {
         if anchored.len() > blocks || !gained.iter().chain(&lost).all(is_layer) {
             return Err(impossible("changes of blocks that are not there"));
         }
-        let (marks, kept) = (Marks::restored(anchored), kept.into_iter().collect());
-        Ok(Self { gained, lost, settled_with, anchor, marks, neighbours: None, kept })
+        let (search_memory, kept) = (SearchMemory::restored(anchored), kept.into_iter().collect());
+        Ok(Self { gained, lost, settled_with, anchor, search_memory, neighbours: None, kept })
     }
 
     /// Forget the history: the next removal looks at every component.

@@ -6,7 +6,7 @@ use super::block_shape::{Bits, has};
 use super::blocks::{Block, Blocks, Place};
 use super::layers::{Layer, Neighbours};
 use crate::geometry::lattice::Voxel;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
@@ -19,10 +19,11 @@ struct SearchResults {
     anchored: Bits,
 }
 
-/// Marks per slot of the map's pool, and memory. Between removals no voxel is met.
+/// Results of searches per slot of the map's pool, and working memory. Between removals no voxel is
+/// met.
 #[derive(Clone, Default)]
-pub(crate) struct Marks {
-    marks: Vec<SearchResults>,
+pub(crate) struct SearchMemory {
+    results: Vec<SearchResults>,
     /// Slots of which voxels are met.
     touched: Vec<u32>,
     /// Members of the group that is searched.
@@ -31,43 +32,43 @@ pub(crate) struct Marks {
     pub(crate) separate: Vec<Layer>,
 }
 
-impl Marks {
+impl SearchMemory {
     /// Voxels whose group held enough confident ones at the last removal, by slot.
     pub(super) fn anchored(&self) -> Vec<Bits> {
-        self.marks.iter().map(|mark| mark.anchored).collect()
+        self.results.iter().map(|one| one.anchored).collect()
     }
 
-    /// Marks of a removal that has come to its end.
+    /// Memory after a removal.
     pub(super) fn restored(anchored: Vec<Bits>) -> Self {
-        let mark = |anchored| SearchResults { anchored, ..SearchResults::default() };
-        Self { marks: anchored.into_iter().map(mark).collect(), ..Self::default() }
+        let with_anchors = |anchored| SearchResults { anchored, ..SearchResults::default() };
+        Self { results: anchored.into_iter().map(with_anchors).collect(), ..Self::default() }
     }
 
     fn at(&mut self, slot: u32) -> &mut SearchResults {
-        let mark = &mut self.marks[slot as usize];
-        if mark.met.iter().all(|&bits| bits == 0) {
+        let results = &mut self.results[slot as usize];
+        if results.met.iter().all(|&bits| bits == 0) {
             // No bit is set yet, so the slot is not listed: each is listed once.
             self.touched.push(slot);
         }
-        mark
+        results
     }
 }
 
-/// Blocks that are known at a time: 16 x 16 x 8.
-const LATELY: usize = 1 << 11;
+/// Blocks in the cache: 16 x 16 x 8.
+const CACHED_BLOCKS: usize = 1 << 11;
 
 /// Slot of a block in the map's pool, and the block.
 type BlockInSlot<'a> = (u32, &'a Block);
 
-/// Blocks with occupied voxels found lately: a search goes from neighbour to neighbour.
-struct Lately<'a> {
+/// Cache of blocks with occupied voxels: a search goes from neighbour to neighbour.
+struct BlockCache<'a> {
     blocks: &'a Blocks,
-    known: [(Place, Option<BlockInSlot<'a>>); LATELY],
+    known: [(Place, Option<BlockInSlot<'a>>); CACHED_BLOCKS],
 }
 
-impl<'a> Lately<'a> {
+impl<'a> BlockCache<'a> {
     fn new(blocks: &'a Blocks) -> Self {
-        Self { blocks, known: [(Place([i32::MAX; 3]), None); LATELY] } // no voxel lies there
+        Self { blocks, known: [(Place([i32::MAX; 3]), None); CACHED_BLOCKS] } // no voxel lies there
     }
 
     #[inline]
@@ -86,11 +87,11 @@ impl<'a> Lately<'a> {
 
 /// Breadth-first searches of one removal; what one search learns, the others use.
 pub(crate) struct Search<'a> {
-    blocks: Lately<'a>,
+    blocks: BlockCache<'a>,
     neighbours: &'a Neighbours,
-    kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
+    kept: &'a HashSet<Place, BuildHasherDefault<KeyHasher>>,
     min_confident: usize,
-    marks: Marks,
+    memory: SearchMemory,
     /// True once anchors of the last removal count.
     trusts_last: bool,
     anchor: Option<Voxel>,
@@ -100,18 +101,18 @@ impl<'a> Search<'a> {
     pub(crate) fn new(
         blocks: &'a Blocks,
         neighbours: &'a Neighbours,
-        kept: &'a HashSet<Place, BuildHasherDefault<Spread>>,
+        kept: &'a HashSet<Place, BuildHasherDefault<KeyHasher>>,
         min_confident: usize,
-        mut marks: Marks,
+        mut memory: SearchMemory,
     ) -> Self {
-        marks.marks.resize(blocks.len(), SearchResults::default());
-        marks.separate.clear();
+        memory.results.resize(blocks.len(), SearchResults::default());
+        memory.separate.clear();
         Self {
-            blocks: Lately::new(blocks),
+            blocks: BlockCache::new(blocks),
             neighbours,
             kept,
             min_confident,
-            marks,
+            memory,
             trusts_last: false,
             anchor: None,
         }
@@ -128,14 +129,14 @@ impl<'a> Search<'a> {
         self.anchor
     }
 
-    /// The marks for the next removal, with the members of separate groups.
-    pub(crate) fn finish(mut self) -> Marks {
-        let Marks { marks, touched, .. } = &mut self.marks;
+    /// The memory for the next removal, with the members of separate groups.
+    pub(crate) fn finish(mut self) -> SearchMemory {
+        let SearchMemory { results, touched, .. } = &mut self.memory;
         for slot in touched.drain(..) {
             // `anchored` stays, for the next removal to rely on.
-            marks[slot as usize].met = Bits::default();
+            results[slot as usize].met = Bits::default();
         }
-        self.marks
+        self.memory
     }
 
     /// Look at the groups of voxels that changed; where one is no longer occupied, at the groups
@@ -150,7 +151,7 @@ impl<'a> Search<'a> {
             let gone = Layer { bits: layer.bits & !occupied, ..layer };
             if gone.bits != 0 {
                 if let Some(slot) = self.blocks.blocks.slot(gone.place) {
-                    self.marks.marks[slot as usize].anchored[gone.z as usize] &= !gone.bits;
+                    self.memory.results[slot as usize].anchored[gone.z as usize] &= !gone.bits;
                 }
                 self.each_around(&gone, |search, found, beside| {
                     search.each_unmet(found, beside);
@@ -163,7 +164,7 @@ impl<'a> Search<'a> {
     /// Search the groups of those voxels of an occupied layer that no search has met.
     fn each_unmet(&mut self, found: BlockInSlot<'a>, layer: Layer) {
         for offset in layer.offsets() {
-            if !has(&self.marks.marks[found.0 as usize].met, offset) {
+            if !has(&self.memory.results[found.0 as usize].met, offset) {
                 self.component(found, layer.place.voxel(offset));
             }
         }
@@ -192,7 +193,7 @@ impl<'a> Search<'a> {
 
     /// Search the group of `start` until it is anchored, or known whole and separate.
     fn component(&mut self, found: BlockInSlot<'a>, start: Voxel) {
-        let mut members = std::mem::take(&mut self.marks.members);
+        let mut members = std::mem::take(&mut self.memory.members);
         members.clear();
         let mut confident = 0;
         let mut anchored = self.meet(found, Layer::of(start), &mut members, &mut confident)
@@ -209,13 +210,13 @@ impl<'a> Search<'a> {
             self.anchor = self.anchor.or(Some(start));
             for layer in &members {
                 if let Some((slot, _)) = self.blocks.find(layer.place) {
-                    self.marks.at(slot).anchored[layer.z as usize] |= layer.bits;
+                    self.memory.at(slot).anchored[layer.z as usize] |= layer.bits;
                 }
             }
         } else if !members.iter().any(|layer| self.is_kept(layer)) {
-            self.marks.separate.extend(&members);
+            self.memory.separate.extend(&members);
         }
-        self.marks.members = members;
+        self.memory.members = members;
     }
 
     fn is_kept(&self, layer: &Layer) -> bool {
@@ -227,13 +228,13 @@ impl<'a> Search<'a> {
     #[inline]
     fn open(&self, (slot, block): BlockInSlot<'_>, z: usize) -> u64 {
         // Anchored voxels are open although they were met: to reach one ends a search.
-        block.tentative[z] & (!self.marks.marks[slot as usize].met[z] | self.anchored(slot, z))
+        block.tentative[z] & (!self.memory.results[slot as usize].met[z] | self.anchored(slot, z))
     }
 
     /// Voxels of a layer whose group is known to be anchored.
     #[inline]
     fn anchored(&self, slot: u32, z: usize) -> u64 {
-        let SearchResults { met, anchored } = &self.marks.marks[slot as usize];
+        let SearchResults { met, anchored } = &self.memory.results[slot as usize];
         // Before that only what this removal has met: a group that lost voxels may have come apart.
         if self.trusts_last { anchored[z] } else { anchored[z] & met[z] }
     }
@@ -250,7 +251,7 @@ impl<'a> Search<'a> {
     ) -> bool {
         let z = layer.z as usize;
         let anchored = layer.bits & self.anchored(slot, z) != 0;
-        let unmet = block.tentative[z] & !self.marks.marks[slot as usize].met[z];
+        let unmet = block.tentative[z] & !self.memory.results[slot as usize].met[z];
         let (mut bits, mut more) = (0, layer.bits & unmet);
         while more != 0 {
             bits |= more;
@@ -259,10 +260,10 @@ impl<'a> Search<'a> {
         }
         if bits != 0 {
             let trusts_last = self.trusts_last;
-            let mark = self.marks.at(slot);
-            mark.met[z] |= bits;
+            let results = self.memory.at(slot);
+            results.met[z] |= bits;
             // An older anchor is void until this search has found the group anchored again.
-            mark.anchored[z] &= if trusts_last { u64::MAX } else { !bits };
+            results.anchored[z] &= if trusts_last { u64::MAX } else { !bits };
             *confident += (bits & block.confident[z]).count_ones() as usize;
             members.push(Layer { bits, ..layer });
         }

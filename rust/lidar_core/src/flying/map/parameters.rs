@@ -1,5 +1,6 @@
 //! Parameters of the voxel map.
 
+use super::block_shape::VOLUME;
 use super::layers::Neighbours;
 use crate::Error;
 use crate::error::{require, require_positive};
@@ -89,6 +90,7 @@ impl MapParameters {
         let p = self;
         require_positive("max_range", p.max_range)?;
         require_positive("ray_gain", p.ray_gain)?;
+        require(p.max_voxels >= VOLUME as u64, "max_voxels", ">= 512", p.max_voxels)?;
         let margin = p.end_margin;
         require(margin.is_finite() && margin >= 0.0, "end_margin", "finite and >= 0", margin)?;
         require(

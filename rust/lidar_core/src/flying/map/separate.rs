@@ -8,7 +8,7 @@
 use super::blocks::{Block, Place};
 use super::changes::Changes;
 use super::filter::{filtered, two_to_minus};
-use super::islands::{Marks, Search};
+use super::islands::{Search, SearchMemory};
 use super::layers::Layer;
 use super::parameters::Separation;
 use super::voxel_map::VoxelMap;
@@ -53,16 +53,16 @@ impl VoxelMap {
     fn separate_voxels(&mut self, separation: Separation) -> Result<Vec<Layer>, Error> {
         let looks_at_all = self.changes.settled_with != Some(separation);
         if looks_at_all {
-            (self.changes.marks, self.changes.neighbours) = (Marks::default(), None);
+            (self.changes.search_memory, self.changes.neighbours) = (SearchMemory::default(), None);
         }
         let neighbours = match self.changes.neighbours.take() {
             Some(neighbours) => neighbours,
             None => separation.neighbours(self.lattice().voxel_size())?,
         };
-        let marks = std::mem::take(&mut self.changes.marks);
+        let memory = std::mem::take(&mut self.changes.search_memory);
         let Changes { anchor, gained, lost, kept, .. } = &self.changes;
         let min_confident = separation.min_confident;
-        let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, marks);
+        let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, memory);
         // The known background first: most other searches end where they reach it.
         search.look_around(anchor.map(Layer::of).as_slice());
         if looks_at_all {
@@ -79,9 +79,9 @@ impl VoxelMap {
             search.look_around(&self.occupied_layers());
         }
         let anchor = search.anchor();
-        let mut marks = search.finish();
-        let mut separate = std::mem::take(&mut marks.separate);
-        self.changes.marks = marks;
+        let mut memory = search.finish();
+        let mut separate = std::mem::take(&mut memory.separate);
+        self.changes.search_memory = memory;
         (self.changes.settled_with, self.changes.anchor) = (Some(separation), anchor);
         self.changes.gained.clear();
         self.changes.lost.clear();
@@ -112,7 +112,7 @@ impl VoxelMap {
             }
             self.changes.note(left, u64::MAX); // what is left of the group is looked at again
         }
-        self.changes.marks.separate = separate; // its memory is used again
+        self.changes.search_memory.separate = separate; // its memory is used again
         count
     }
 

@@ -5,9 +5,9 @@ pub use super::raw_scan::RawScan;
 use super::sensor::Sensor;
 use crate::Error;
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::UNKNOWN;
+use crate::flying::point_class::PointClass;
 use crate::flying::sky::source::SkySource;
-use crate::flying::sky::{Look, Moment};
+use crate::flying::sky::{ScanToObserve, SkyObservation};
 use crate::geometry::lattice::wide;
 use crate::geometry::motion::ScanPoses;
 use crate::geometry::transform::{Transform, norm};
@@ -39,7 +39,7 @@ pub(crate) struct Prepared {
     pub(crate) pose: Transform,
     pub(crate) rebuilt: usize,
     /// Class of every row, while none is known.
-    pub(crate) unknown: Vec<u8>,
+    pub(crate) unknown: Vec<PointClass>,
     /// Rows whose points may be on the robot; none if no row is.
     pub(crate) maybe_own: Vec<bool>,
     /// Source of the rays without return, and the share of all rays that go into the sky.
@@ -53,7 +53,7 @@ pub(crate) struct Prepared {
     /// Height of flat ground, if it is seen, frame of the map [m].
     pub(crate) floor: Option<f64>,
     /// Sky that the scan shows, if it had to be looked for.
-    pub(crate) look: Option<Box<Look>>,
+    pub(crate) sky_observation: Option<Box<SkyObservation>>,
     poses: Poses,
 }
 
@@ -104,7 +104,7 @@ impl Prepared {
         if raw.no_return.is_some() && (raw.directions.is_some() || sensor.sky.is_none()) {
             self.take_empty_rays(raw, sensor, poses);
         }
-        self.unknown.resize(self.points.len(), UNKNOWN);
+        self.unknown.resize(self.points.len(), PointClass::Unknown);
     }
 
     /// Find the rays without return that are not given: those into the sky, seen against `map`.
@@ -119,12 +119,12 @@ impl Prepared {
     ) -> Result<(), Error> {
         let is_given = raw.no_return.is_some() && raw.directions.is_some();
         let Some(sky) = sensor.sky.as_ref().filter(|_| !is_given) else {
-            self.look = None;
+            self.sky_observation = None;
             return Ok(());
         };
         sky.check(raw.points, &sensor.parameters.known_sensors)?;
-        let mut look = self.look.take().unwrap_or_default();
-        let moment = Moment {
+        let mut observation = self.sky_observation.take().unwrap_or_default();
+        let scan = ScanToObserve {
             points: raw.points,
             no_return: raw.no_return,
             map_from_lidar: &self.pose,
@@ -132,14 +132,14 @@ impl Prepared {
             is_masked: &|direction| sensor.is_masked(usize::MAX, direction),
             map,
         };
-        if sensor.look_at_sky(&moment, &mut look) {
-            (self.sky, self.sky_share) = (sensor.sky_source(raw.stamp_ns), look.share);
-            self.append_sky(&look.directions, &look.reach);
-            self.ground = self.pose.translation[2] + look.ground();
-            self.low = self.pose.translation[2] + look.low();
-            self.floor = look.floor().map(|height| self.pose.translation[2] + height);
+        if sensor.observe_sky(&scan, &mut observation) {
+            (self.sky, self.sky_share) = (sensor.sky_source(raw.stamp_ns), observation.share);
+            self.append_sky(&observation.directions, &observation.reach);
+            self.ground = self.pose.translation[2] + observation.ground();
+            self.low = self.pose.translation[2] + observation.low();
+            self.floor = observation.floor().map(|height| self.pose.translation[2] + height);
         }
-        self.look = Some(look);
+        self.sky_observation = Some(observation);
         Ok(())
     }
 
@@ -152,17 +152,17 @@ impl Prepared {
             rays.dedup();
         }
         // Drivers that leave rows out leave rays out: the search for the sky knows how many.
-        let known = self.look.as_ref().map_or(0.0, |look| look.rays);
+        let known = self.sky_observation.as_ref().map_or(0.0, |observation| observation.rays);
         rays.len() as f64 / (in_scan as f64).max(known).max(1.0)
     }
 
     /// Rays into the sky that were found: unit directions in the world, and how far they clear [m].
     pub(crate) fn sky_rays(&self, world_from_map: &Transform) -> Vec<([f64; 3], f32)> {
-        let Some(look) = self.look.as_ref().filter(|_| self.rebuilt > 0) else {
+        let Some(observation) = self.sky_observation.as_ref().filter(|_| self.rebuilt > 0) else {
             return Vec::new();
         };
         let turned = |&direction| world_from_map.rotate(wide(direction));
-        look.directions.iter().map(turned).zip(look.reach.iter().copied()).collect()
+        observation.directions.iter().map(turned).zip(observation.reach.iter().copied()).collect()
     }
 
     /// Note the rows that may be on the robot, before the sensor has moved.
@@ -263,7 +263,7 @@ impl Prepared {
         });
         origins.push(wide(point)); // its ray has no length
         self.points.push(point);
-        self.unknown.push(UNKNOWN);
+        self.unknown.push(PointClass::Unknown);
         self.no_return.push(false);
         if let Some(directions) = &mut self.directions {
             directions.push([f32::NAN; 3]);
@@ -297,7 +297,7 @@ impl Prepared {
         if let Some(no_ray) = &mut self.no_ray {
             no_ray.resize(all, false);
         }
-        self.unknown.resize(all, UNKNOWN);
+        self.unknown.resize(all, PointClass::Unknown);
         self.rebuilt = rays.len();
     }
 }
@@ -419,9 +419,9 @@ mod tests {
         let mut scan = Prepared { rows: 20, ..Prepared::default() };
         assert_eq!(scan.share_of_rays(&[0, 3, 13], 1), 0.15);
         assert_eq!(scan.share_of_rays(&[0, 3, 13], 2), 0.2);
-        let mut look = Look::default();
-        look.rays = 40.0;
-        scan.look = Some(Box::new(look));
+        let mut observation = SkyObservation::default();
+        observation.rays = 40.0;
+        scan.sky_observation = Some(Box::new(observation));
         assert_eq!(scan.share_of_rays(&[0, 3], 1), 0.05);
         assert_eq!(Prepared::default().share_of_rays(&[], 1), 0.0);
     }

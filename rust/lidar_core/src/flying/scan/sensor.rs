@@ -5,7 +5,7 @@ use super::raw_scan::RawScan;
 use crate::Error;
 use crate::flying::map::saved_body::SavedBody;
 use crate::flying::sky::source::SkySource;
-use crate::flying::sky::{Beams, Look, Moment, RayPattern, Sky};
+use crate::flying::sky::{Beams, RayPattern, ScanToObserve, Sky, SkyObservation};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, norm};
 use crate::util::full_state::impossible;
@@ -185,11 +185,15 @@ impl Sensor {
         self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
     }
 
-    /// Look for the sky in a scan, if it is to be found; false if it is not, or not known yet.
-    pub(crate) fn look_at_sky(&self, moment: &Moment<'_>, look: &mut Look) -> bool {
+    /// Find the sky in a scan, if it is to be found; false if it is not, or not known yet.
+    pub(crate) fn observe_sky(
+        &self,
+        scan: &ScanToObserve<'_>,
+        observation: &mut SkyObservation,
+    ) -> bool {
         let Some(sky) = &self.sky else { return false };
-        look.fill(sky, moment);
-        sky.is_known_at(moment.stamp_ns) && look.has_returns()
+        observation.fill(sky, scan);
+        sky.is_known_at(scan.stamp_ns) && observation.has_returns()
     }
 
     /// Source of the rays without return of a scan, if they are found and not given.
@@ -239,10 +243,10 @@ impl Sensor {
         &mut self,
         raw: &RawScan<'_>,
         pose: &Transform,
-        look: Option<&mut Look>,
+        observation: Option<&mut SkyObservation>,
     ) {
         let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
-        self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, look, needs_directions);
+        self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
     }
 
     /// Remember what an accepted scan told about the sensor.
@@ -252,13 +256,13 @@ impl Sensor {
         points: &[[f32; 3]],
         no_return: Option<&[bool]>,
         pose: &Transform,
-        look: Option<&mut Look>,
+        observation: Option<&mut SkyObservation>,
         needs_directions: bool,
     ) {
         self.last_stamp_ns = Some(stamp_ns);
         self.last_pose = Some(*pose);
-        if let (Some(sky), Some(look)) = (&mut self.sky, look) {
-            sky.take(look, points);
+        if let (Some(sky), Some(observation)) = (&mut self.sky, observation) {
+            sky.take(observation, points);
         }
         if let Some(body) = &mut self.body {
             body.learn(points, no_return, pose);

@@ -91,7 +91,7 @@ impl Sensors {
         self.known.get_mut(name)
     }
 
-    /// What is known of the robot, per sensor, those of an earlier run included.
+    /// Known voxels of the robot, per sensor, those of an earlier run included.
     pub(crate) fn bodies(&self) -> Vec<SavedBody> {
         let mut bodies = Vec::new();
         for (name, sensor) in &self.known {

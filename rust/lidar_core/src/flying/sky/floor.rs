@@ -53,8 +53,8 @@ impl FloorFinder {
         self.ranges.clear();
         let of_floor = samples.iter().filter(|[_, height]| inside.contains(height));
         self.ranges.extend(of_floor.map(|[range, _]| range));
-        let near = super::look::ranked(&mut self.ranges, 0.1);
-        let far = super::look::ranked(&mut self.ranges, 0.9);
+        let near = super::observation::ranked(&mut self.ranges, 0.1);
+        let far = super::observation::ranked(&mut self.ranges, 0.9);
         (far >= RATIO * near).then_some(inside.start + LAYER)
     }
 }

@@ -12,15 +12,15 @@
 
 mod emission;
 mod floor;
+mod free_path;
 mod grid;
-mod look;
+mod observation;
 pub mod source;
-mod way;
 
 pub use emission::RayPattern;
 use emission::{Elevations, Emission};
 use grid::CELLS;
-pub(crate) use look::{Look, Moment, ON_GROUND};
+pub(crate) use observation::{ON_GROUND, ScanToObserve, SkyObservation};
 
 use crate::Error;
 use crate::geometry::transform::{minus, norm};
@@ -168,13 +168,13 @@ impl Sky {
     }
 
     /// Remember what an accepted scan showed.
-    pub(crate) fn take(&mut self, look: &mut Look, points: &[[f32; 3]]) {
-        if !look.leave(self) {
+    pub(crate) fn take(&mut self, observation: &mut SkyObservation, points: &[[f32; 3]]) {
+        if !observation.leave(self) {
             return;
         }
         self.first_ns = self.first_ns.or(self.last_ns);
         if self.scans < LEARNING_SCANS || self.scans.is_multiple_of(LEARNING_STEP) {
-            self.emission.learn(look.seen_by_sensor());
+            self.emission.learn(observation.seen_by_sensor());
         }
         if self.checked < CHECKED_SCANS {
             let seen = Elevations::of(points);

@@ -70,8 +70,10 @@ impl Detections<'_> {
     }
 
     fn is_sure(&self, index: usize, parameters: &TrackerParameters) -> bool {
-        match (self.confidence, parameters.confirmation.doubt) {
-            (Some(confidence), Some(doubt)) => confidence[index] >= doubt.confidence,
+        match (self.confidence, parameters.confirmation.weak_evidence) {
+            (Some(confidence), Some(weak_evidence)) => {
+                confidence[index] >= weak_evidence.confidence
+            }
             _ => true,
         }
     }
@@ -146,8 +148,8 @@ pub(super) struct Matches {
 /// where it was seen, as a standard deviation.
 const LOITER_SHARE: f64 = 0.5;
 
-/// A track as it waits for detections.
-struct Waiting {
+/// A track to which detections can be assigned.
+struct PendingTrack {
     track: PointTrack,
     /// Detections further away are not its own [m].
     reach: f64,
@@ -156,7 +158,7 @@ struct Waiting {
     strayed: Option<f64>,
 }
 
-impl Waiting {
+impl PendingTrack {
     /// Largest distance of its detections from where it is predicted [m].
     fn furthest(&self) -> f64 {
         let turned =
@@ -297,11 +299,11 @@ impl Updater {
         let Some(now_ns) = hypotheses.first().map(|hypothesis| hypothesis.stamp_ns) else {
             return Ok(Matches::default());
         };
-        let waiting: Vec<Waiting> =
+        let waiting: Vec<PendingTrack> =
             tracks.iter().map(|track| self.waiting(track, now_ns, scanned_ns)).collect();
         // Where a hypothesis is moved to the time of a track, it may go anywhere.
         let is_ahead = waiting.iter().any(|one| one.track.stamp_ns > now_ns);
-        let furthest = waiting.iter().map(Waiting::furthest).fold(0.0, f64::max);
+        let furthest = waiting.iter().map(PendingTrack::furthest).fold(0.0, f64::max);
         let reach = if is_ahead { f64::INFINITY } else { furthest };
         let rows = hypotheses.iter().map(PointTrack::position);
         let columns = waiting.iter().map(|one| one.track.position());
@@ -316,7 +318,7 @@ impl Updater {
 
     /// A track as it waits for detections of `now_ns`: it looks further if it was not found in the
     /// newest scan.
-    fn waiting(&self, track: &PointTrack, now_ns: i64, scanned_ns: Option<i64>) -> Waiting {
+    fn waiting(&self, track: &PointTrack, now_ns: i64, scanned_ns: Option<i64>) -> PendingTrack {
         let is_lost = scanned_ns.is_some_and(|scanned_ns| track.seen_ns < scanned_ns);
         let mut waiting = track.clone();
         waiting.predict(track.stamp_ns.max(now_ns), &self.parameters.motion);
@@ -326,9 +328,9 @@ impl Updater {
                 waiting.widen(acceleration, std);
                 let strayed = std + LOITER_SHARE * waiting.distance_flown();
                 let reach = self.parameters.radius.max;
-                Waiting { track: waiting, reach, strayed: Some(strayed) }
+                PendingTrack { track: waiting, reach, strayed: Some(strayed) }
             }
-            _ => Waiting { track: waiting, reach: self.search_radius(track), strayed: None },
+            _ => PendingTrack { track: waiting, reach: self.search_radius(track), strayed: None },
         }
     }
 
@@ -336,7 +338,7 @@ impl Updater {
     fn feed(
         &self,
         tracks: &mut Vec<PointTrack>,
-        waiting: &[Waiting],
+        waiting: &[PendingTrack],
         hypotheses: Vec<PointTrack>,
         track_of: &[Option<usize>],
     ) -> Matches {

@@ -63,8 +63,8 @@ pub(super) fn confirm(
 /// True if enough sets of detections support a track.
 fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
     let enough = |sets: u64, hits: u32, window: u32| last(sets, window).count_ones() >= hits;
-    let Confirmation { hits, window, doubt } = *confirmation;
-    let Some(doubt) = doubt else { return enough(track.history, hits, window) };
+    let Confirmation { hits, window, weak_evidence } = *confirmation;
+    let Some(weak_evidence) = weak_evidence else { return enough(track.history, hits, window) };
     if track.stray_points > track.own_points {
         return false; // it is one of many returns that come and go
     }
@@ -72,14 +72,14 @@ fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
         return false; // it is probably a part of a surface
     }
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
-    let reach = doubt.distance + 2.0 * spread.max(0.0).sqrt();
+    let reach = weak_evidence.distance + 2.0 * spread.max(0.0).sqrt();
     let is_far_from = |place: Vector3<f64>| (track.position() - place).norm() > reach;
     let counted = match track.left && is_far_from(track.born_at) {
         true if is_far_from(track.found_at) => track.history | track.hints,
         true => track.history,
         false => track.sure,
     };
-    enough(counted, hits, window) || enough(track.history, doubt.hits, doubt.window)
+    enough(counted, hits, window) || enough(track.history, weak_evidence.hits, weak_evidence.window)
 }
 
 /// True if a track is more likely a part of a surface than a target: one in thirty detections of

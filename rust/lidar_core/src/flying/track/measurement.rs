@@ -43,7 +43,7 @@ pub(super) struct Measurement {
     pub(super) row: Option<u32>,
 }
 
-/// What a detection tells of the existence of its track.
+/// Evidence of a detection for the existence of its track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Evidence {
     pub(super) is_sure: bool,
@@ -51,7 +51,7 @@ pub(super) struct Evidence {
 }
 
 /// Search region of a track.
-pub(super) struct Seeker {
+pub(super) struct SearchRegion {
     pub(super) position: Vector3<f64>,
     pub(super) velocity: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
@@ -60,7 +60,7 @@ pub(super) struct Seeker {
     pub(super) confirmed: bool,
 }
 
-impl Seeker {
+impl SearchRegion {
     /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side
     /// may be missing on one end.
     pub(super) fn covariance_of(

@@ -5,7 +5,7 @@
 
 mod buffer;
 mod candidates;
-mod company;
+mod cluster_assignment;
 mod detections;
 mod full_state;
 mod lifecycle;
@@ -24,8 +24,8 @@ mod tests;
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
 pub use parameters::{
-    Ageing, Association, Confirmation, Doubt, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm,
-    Merging, Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
+    Ageing, Association, Confirmation, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging,
+    Motion, NoiseForm, Radius, RadiusForm, TrackerParameters, WeakEvidence,
 };
 pub use visibility::occupancy::{Occupancy, OccupiedPoints, Visibility};
 pub use visibility::view::CloudView;
@@ -63,7 +63,7 @@ pub struct Track {
     pub reported: bool,
 }
 
-/// What a call did to the tracks, by their numbers.
+/// Changes of the tracks by one call, by their numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
     /// The cloud was older than the newest one: kept for late detections, tracks untouched.
@@ -85,7 +85,7 @@ pub struct Stats {
 }
 
 impl Track {
-    /// The same track in another frame.
+    /// The track in another frame.
     #[must_use]
     pub fn moved(&self, target_from_source: &Transform) -> Self {
         let r = &target_from_source.rotation;
@@ -280,7 +280,7 @@ impl PointCloudTracker {
         self.buffer.clear();
     }
 
-    /// What the tracker was made with.
+    /// Parameters of the tracker.
     #[must_use]
     pub fn parameters(&self) -> &TrackerParameters {
         &self.updater.parameters

@@ -96,14 +96,15 @@ pub struct Confirmation {
     pub hits: u32,
     /// Sets looked back on, `hits` to [`MAX_WINDOW`].
     pub window: u32,
-    /// More is asked of tracks that nothing speaks for.
-    pub doubt: Option<Doubt>,
+    /// Stricter conditions for tracks of weak detections.
+    pub weak_evidence: Option<WeakEvidence>,
 }
 
-/// Weak detections of something that stands still may be a part of the background that has just
-/// come into view: only those that are sure count, or many of them, or a track that has moved.
+/// Stricter confirmation for tracks of weak detections. Weak detections of something that stands
+/// still may be a part of the background that has just come into view: only certain ones count, or
+/// many of them, or a track that has moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Doubt {
+pub struct WeakEvidence {
     /// Detections of less confidence are weak.
     pub confidence: f64,
     /// A track this far from where it began has moved, with two standard deviations on top [m].
@@ -127,7 +128,7 @@ impl Confirmation {
             "1 <= confirm_hits <= confirm_window <= 64",
             format_args!("{hits} of {window}"),
         )?;
-        let Some(Doubt { hits, window, .. }) = self.doubt else { return Ok(()) };
+        let Some(WeakEvidence { hits, window, .. }) = self.weak_evidence else { return Ok(()) };
         require(
             fits(hits, window),
             "confirm_still_hits",

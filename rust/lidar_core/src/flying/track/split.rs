@@ -1,6 +1,6 @@
 //! One cluster of several targets: every point goes to the track it is nearest to.
 
-use super::measurement::Seeker;
+use super::measurement::SearchRegion;
 use super::pairs::AlongX;
 use crate::estimation::kalman;
 use nalgebra::Vector3;
@@ -19,18 +19,19 @@ pub(super) struct Division {
 
 /// Confirmed tracks, in order.
 struct Confirmed<'a> {
-    seekers: Vec<&'a Seeker>,
+    regions: Vec<&'a SearchRegion>,
     along_x: AlongX,
     /// The highest of their speeds [m/s].
     fastest: f64,
 }
 
 impl<'a> Confirmed<'a> {
-    fn of(seekers: &'a [Seeker]) -> Self {
-        let seekers: Vec<&Seeker> = seekers.iter().filter(|seeker| seeker.confirmed).collect();
-        let along_x = AlongX::of(seekers.iter().map(|seeker| seeker.position));
-        let fastest = seekers.iter().map(|seeker| seeker.velocity.norm()).fold(0.0, f64::max);
-        Self { seekers, along_x, fastest }
+    fn of(regions: &'a [SearchRegion]) -> Self {
+        let regions: Vec<&SearchRegion> =
+            regions.iter().filter(|region| region.confirmed).collect();
+        let along_x = AlongX::of(regions.iter().map(|region| region.position));
+        let fastest = regions.iter().map(|region| region.velocity.norm()).fold(0.0, f64::max);
+        Self { regions, along_x, fastest }
     }
 }
 
@@ -41,8 +42,8 @@ struct TimedPoint {
 }
 
 impl TimedPoint {
-    fn distance(&self, seeker: &Seeker) -> f64 {
-        (self.at - seeker.position - seeker.velocity * self.delay).norm()
+    fn distance(&self, region: &SearchRegion) -> f64 {
+        (self.at - region.position - region.velocity * self.delay).norm()
     }
 }
 
@@ -55,10 +56,10 @@ impl Division {
         labels: &mut [i32],
         points: &[[f32; 3]],
         delays: &[f32],
-        seekers: &[Seeker],
+        regions: &[SearchRegion],
     ) {
-        let confirmed = Confirmed::of(seekers);
-        if confirmed.seekers.len() < 2 {
+        let confirmed = Confirmed::of(regions);
+        if confirmed.regions.len() < 2 {
             return;
         }
         let mut next = labels.iter().max().map_or(0, |&last| last + 1);
@@ -99,7 +100,11 @@ impl Division {
     }
 
     /// Tracks near the cluster, each surely apart from those before it.
-    fn owners<'a>(&self, places: &[TimedPoint], confirmed: &Confirmed<'a>) -> Vec<&'a Seeker> {
+    fn owners<'a>(
+        &self,
+        places: &[TimedPoint],
+        confirmed: &Confirmed<'a>,
+    ) -> Vec<&'a SearchRegion> {
         let Some(first) = places.first() else { return Vec::new() };
         let (mut low, mut high, mut latest) = (first.at, first.at, 0.0_f64);
         for place in places {
@@ -109,20 +114,20 @@ impl Division {
         let reach = self.distance + latest * confirmed.fastest;
         let mut near: Vec<usize> = confirmed.along_x.near(low.x, high.x, reach).collect();
         near.sort_unstable();
-        let mut owners: Vec<&Seeker> = Vec::new();
-        for seeker in near.into_iter().map(|index| confirmed.seekers[index]) {
-            let reach = self.distance + latest * seeker.velocity.norm();
-            let outside = (low - seeker.position).sup(&(seeker.position - high));
+        let mut owners: Vec<&SearchRegion> = Vec::new();
+        for region in near.into_iter().map(|index| confirmed.regions[index]) {
+            let reach = self.distance + latest * region.velocity.norm();
+            let outside = (low - region.position).sup(&(region.position - high));
             let is_near = outside.max() <= reach
-                && places.iter().any(|place| place.distance(seeker) <= self.distance);
-            if is_near && owners.iter().all(|owner| self.are_apart(owner, seeker)) {
-                owners.push(seeker);
+                && places.iter().any(|place| place.distance(region) <= self.distance);
+            if is_near && owners.iter().all(|owner| self.are_apart(owner, region)) {
+                owners.push(region);
             }
         }
         owners
     }
 
-    fn are_apart(&self, one: &Seeker, other: &Seeker) -> bool {
+    fn are_apart(&self, one: &SearchRegion, other: &SearchRegion) -> bool {
         let y = one.position - other.position;
         let covariance = one.covariance + other.covariance;
         y.norm() > self.distance
@@ -148,8 +153,8 @@ mod tests {
 
     const DIVISION: Division = Division { distance: 0.8, gate: 14.0, min_points: 1 };
 
-    fn seeker(x: f64, std: f64, confirmed: bool) -> Seeker {
-        Seeker {
+    fn region(x: f64, std: f64, confirmed: bool) -> SearchRegion {
+        SearchRegion {
             position: Vector3::new(x, 0.0, 0.0),
             velocity: Vector3::zeros(),
             covariance: Matrix3::identity() * (std * std),
@@ -159,42 +164,43 @@ mod tests {
         }
     }
 
-    fn divided(seekers: &[Seeker], division: Division) -> Vec<i32> {
+    fn divided(regions: &[SearchRegion], division: Division) -> Vec<i32> {
         let points = [0.0, 0.3, 0.7, 1.1].map(|x| [x, 0.0, 0.0]);
         let mut labels = vec![0; points.len()];
-        division.divide(&mut labels, &points, &[], seekers);
+        division.divide(&mut labels, &points, &[], regions);
         labels
     }
 
     #[test]
     fn points_go_to_the_nearest_track() {
-        let two = [seeker(0.0, 0.1, true), seeker(1.2, 0.1, true)];
+        let two = [region(0.0, 0.1, true), region(1.2, 0.1, true)];
         assert_eq!(divided(&two, DIVISION), [0, 0, 1, 1]);
     }
 
     #[test]
     fn a_cluster_stays_whole_where_division_is_not_certain() {
-        let certain = || seeker(0.0, 0.1, true);
+        let certain = || region(0.0, 0.1, true);
         for other in [
-            seeker(0.7, 0.1, true),  // may be the same target
-            seeker(1.2, 0.5, true),  // may be anywhere
-            seeker(1.2, 0.1, false), // may be nothing
-            seeker(2.0, 0.1, true),  // too far
+            region(0.7, 0.1, true),  // may be the same target
+            region(1.2, 0.5, true),  // may be anywhere
+            region(1.2, 0.1, false), // may be nothing
+            region(2.0, 0.1, true),  // too far
         ] {
             assert_eq!(divided(&[certain(), other], DIVISION), [0; 4]);
         }
-        let two = [certain(), seeker(1.2, 0.1, true)];
+        let two = [certain(), region(1.2, 0.1, true)];
         assert_eq!(divided(&two, Division { min_points: 3, ..DIVISION }), [0; 4]);
         assert_eq!(divided(&[], DIVISION), [0; 4]);
     }
 
     #[test]
     fn tracks_are_moved_to_the_time_of_every_point() {
-        let fast = Seeker { velocity: Vector3::new(10.0, 0.0, 0.0), ..seeker(0.1, 0.1, true) };
-        let seekers = [fast, seeker(1.6, 0.1, true)];
+        let fast =
+            SearchRegion { velocity: Vector3::new(10.0, 0.0, 0.0), ..region(0.1, 0.1, true) };
+        let regions = [fast, region(1.6, 0.1, true)];
         let points = [[1.1, 0.0, 0.0], [1.15, 0.0, 0.0]];
         let mut labels = vec![0, 0];
-        DIVISION.divide(&mut labels, &points, &[0.1, 0.0], &seekers);
+        DIVISION.divide(&mut labels, &points, &[0.1, 0.0], &regions);
         assert_eq!(labels, [0, 1]);
     }
 }

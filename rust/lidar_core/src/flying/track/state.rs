@@ -9,9 +9,9 @@ use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Weight that the points of a track and around it keep from one scan to the next.
-const COMPANY_KEPT: f64 = 0.8;
+const AROUND_KEPT: f64 = 0.8;
 
-/// What is found again after this time may be something else near by [s].
+/// A target that is found again after this time may be another one near by [s].
 const LONG_UNSEEN: f64 = 0.3;
 
 /// No number yet: it gets one when it joins the tracks.
@@ -158,7 +158,7 @@ impl PointTrack {
         self.seen_speed * seconds(self.seen_ns, self.stamp_ns)
     }
 
-    /// What the detection that a fresh track began with tells.
+    /// Evidence of the detection that a fresh track began with.
     pub(super) fn evidence(&self) -> Evidence {
         Evidence { is_sure: self.sure & 1 == 1, is_joined: self.joined & 1 == 1 }
     }
@@ -178,8 +178,8 @@ impl PointTrack {
 
     /// Count the points of its cluster in a scan, and those around it that belong to no track.
     pub(super) fn count_points(&mut self, own: usize, stray: usize) {
-        self.own_points = COMPANY_KEPT * self.own_points + own as f64;
-        self.stray_points = COMPANY_KEPT * self.stray_points + stray as f64;
+        self.own_points = AROUND_KEPT * self.own_points + own as f64;
+        self.stray_points = AROUND_KEPT * self.stray_points + stray as f64;
     }
 
     /// Position `delay` seconds after the state's time.

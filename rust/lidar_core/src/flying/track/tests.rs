@@ -10,7 +10,7 @@ fn best() -> TrackerParameters {
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
         ageing: Ageing::Visible { max_coast: 3.0, report_coast: 3.0 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
-        confirmation: Confirmation { hits: 2, window: 3, doubt: None },
+        confirmation: Confirmation { hits: 2, window: 3, weak_evidence: None },
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.1,
         ..TrackerParameters::paper()
@@ -96,8 +96,9 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
 /// The set, counted from 1, that confirms a target which is seen with `confidence` at `speed`,
 /// where points at `left` [m] stay.
 fn confirming_set(confidence: f64, speed: f64, left: &[f32]) -> Result<Option<i64>, Error> {
-    let doubt = Some(Doubt { confidence: 0.8, distance: 1.0, hits: 12, ..Doubt::default() });
-    let confirmation = Confirmation { hits: 3, window: 10, doubt };
+    let weak_evidence =
+        Some(WeakEvidence { confidence: 0.8, distance: 1.0, hits: 12, ..WeakEvidence::default() });
+    let confirmation = Confirmation { hits: 3, window: 10, weak_evidence };
     let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
     for set in 1..=30 {
         let at = speed * set as f64 * 0.1;
@@ -241,11 +242,11 @@ fn parameters_that_cannot_work_are_refused() {
     let bad = [
         TrackerParameters { buffer_size: 0, ..TrackerParameters::paper() },
         TrackerParameters {
-            confirmation: Confirmation { hits: 1, window: 65, doubt: None },
+            confirmation: Confirmation { hits: 1, window: 65, weak_evidence: None },
             ..TrackerParameters::paper()
         },
         TrackerParameters {
-            confirmation: Confirmation { hits: 3, window: 2, doubt: None },
+            confirmation: Confirmation { hits: 3, window: 2, weak_evidence: None },
             ..TrackerParameters::paper()
         },
         TrackerParameters {
@@ -275,8 +276,8 @@ fn parameters_that_cannot_work_are_refused() {
 /// Detections and points of ten scans, one of each for a track that leaps by 0.3 m, and `stray` points
 /// around it; the number of reported tracks.
 fn tracks_among(stray: usize, own: usize) -> Result<usize, Error> {
-    let doubt = TrackerParameters::default().confirmation;
-    let parameters = TrackerParameters { confirmation: doubt, ..best() };
+    let confirmation = TrackerParameters::default().confirmation;
+    let parameters = TrackerParameters { confirmation, ..best() };
     let mut tracker = PointCloudTracker::new(parameters, 1)?;
     for scan in 0..10 {
         let stamp_ns = scan * STEP_NS;

@@ -1,11 +1,11 @@
 //! updateTrack of Algorithm 2: prediction, association with clusters, correction.
 
 use super::candidates::candidates;
-use super::company::Company;
-use super::measurement::{CloudScan, Measurement, Seeker};
+use super::cluster_assignment::ClusterAssignment;
+use super::measurement::{CloudScan, Measurement, SearchRegion};
 use super::motion::position_block;
 use super::pairs::AlongX;
-use super::parameters::{Ageing, Association, Doubt, Motion, TrackerParameters};
+use super::parameters::{Ageing, Association, Motion, TrackerParameters, WeakEvidence};
 use super::split::Division;
 use super::state::{PointTrack, seconds};
 use super::visibility::occupancy::Visibility;
@@ -14,7 +14,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::{chi2, kalman};
 use crate::geometry::cluster::Labeller;
-use crate::util::object_pool::Shelf;
+use crate::util::object_pool::ObjectPool;
 use nalgebra::{Matrix3, Vector3};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -36,7 +36,7 @@ pub(super) struct Updater {
     gate: f64,
     /// Cost of a track without a measurement.
     unassigned: f64,
-    labellers: Shelf<Labeller>,
+    labellers: ObjectPool<Labeller>,
     pool: ThreadPool,
 }
 
@@ -51,7 +51,7 @@ impl Updater {
                 -2.0 * libm::log(clutter_density) - 3.0 * libm::log(TAU),
             ),
         };
-        let (labellers, pool) = (Shelf::default(), crate::util::threads::pool(threads)?);
+        let (labellers, pool) = (ObjectPool::default(), crate::util::threads::pool(threads)?);
         Ok(Self { parameters, gate, unassigned, labellers, pool })
     }
 
@@ -63,20 +63,21 @@ impl Updater {
     ) -> Result<UpdateOutcome, Error> {
         let model = &self.parameters.motion;
         let mut due = predicted(tracks, scan.stamp_ns, model);
-        let seekers: Vec<Seeker> = due.iter().map(|(_, track)| self.seeker(track)).collect();
+        let regions: Vec<SearchRegion> =
+            due.iter().map(|(_, track)| self.search_region(track)).collect();
         let found = match self.parameters.association {
-            Association::Paper => self.nearest(&seekers, scan)?,
+            Association::Paper => self.nearest(&regions, scan)?,
             Association::Global { .. } => {
-                let company = self.one_to_one(&seekers, scan)?;
-                company.count(due.iter_mut().map(|(_, track)| &mut **track));
-                company.measured(&seekers, self.parameters.hiding)
+                let assignment = self.one_to_one(&regions, scan)?;
+                assignment.count(due.iter_mut().map(|(_, track)| &mut **track));
+                assignment.measured(&regions, self.parameters.hiding)
             }
         };
         for (_, track) in &mut due {
             track.left = self.has_left(track, scan);
         }
         let mut outcome = UpdateOutcome::default();
-        for (((dt, track), seeker), measurement) in due.into_iter().zip(&seekers).zip(found) {
+        for (((dt, track), region), measurement) in due.into_iter().zip(&regions).zip(found) {
             let row = measurement.as_ref().and_then(|measurement| measurement.row);
             match measurement.map(|measurement| track.correct(&measurement)) {
                 Some(Ok(())) => {
@@ -90,7 +91,7 @@ impl Updater {
                 Some(Err(_)) => outcome.rejected += 1,
                 None => {}
             }
-            if self.should_be_seen(seeker, scan.visibility) {
+            if self.should_be_seen(region, scan.visibility) {
                 track.grow_old(dt, model);
             }
         }
@@ -134,8 +135,8 @@ impl Updater {
         assign(n_rows, n_columns, &pairs, self.unassigned)
     }
 
-    fn seeker(&self, track: &PointTrack) -> Seeker {
-        Seeker {
+    fn search_region(&self, track: &PointTrack) -> SearchRegion {
+        SearchRegion {
             position: track.position(),
             velocity: track.velocity(),
             covariance: position_block(&track.estimate.covariance),
@@ -149,7 +150,9 @@ impl Updater {
     /// left there. A track that leaps along the leaves of a tree leaves some behind, and one that
     /// follows a gap along what lies behind it leaves a place that nobody sees any more.
     fn has_left(&self, track: &PointTrack, scan: &CloudScan<'_>) -> bool {
-        let Some(Doubt { distance, cleared, .. }) = self.parameters.confirmation.doubt else {
+        let Some(WeakEvidence { distance, cleared, .. }) =
+            self.parameters.confirmation.weak_evidence
+        else {
             return false;
         };
         let holds = |point: &[f32; 3]| {
@@ -161,10 +164,10 @@ impl Updater {
             && scan.visibility.is_none_or(|view| view.expected(track.born_at.into(), cleared))
     }
 
-    fn should_be_seen(&self, seeker: &Seeker, visibility: Option<&dyn Visibility>) -> bool {
+    fn should_be_seen(&self, region: &SearchRegion, visibility: Option<&dyn Visibility>) -> bool {
         match (self.parameters.ageing, visibility) {
             (Ageing::Visible { .. }, Some(visibility)) => {
-                visibility.expected(seeker.position.into(), seeker.radius)
+                visibility.expected(region.position.into(), region.radius)
             }
             _ => true,
         }
@@ -173,22 +176,22 @@ impl Updater {
     /// Source: Vrba et al., Algorithm 2, lines 36-43.
     fn nearest(
         &self,
-        seekers: &[Seeker],
+        regions: &[SearchRegion],
         scan: &CloudScan<'_>,
     ) -> Result<Vec<Option<Measurement>>, Error> {
-        let mut regions = vec![Vec::new(); seekers.len()];
-        for (point, ball) in hits(&self.pool, scan.points, &balls(seekers, 0.0)) {
-            regions[ball as usize].push(point);
+        let mut rows_of = vec![Vec::new(); regions.len()];
+        for (point, ball) in hits(&self.pool, scan.points, &balls(regions, 0.0)) {
+            rows_of[ball as usize].push(point);
         }
         let found: Vec<Result<Option<Measurement>, Error>> = self.pool.install(|| {
-            regions
+            rows_of
                 .par_iter()
-                .zip(seekers)
-                .map(|(rows, seeker)| {
-                    let mut labeller = self.labellers.lend();
+                .zip(regions)
+                .map(|(rows, region)| {
+                    let mut labeller = self.labellers.acquire();
                     let points = scan.points_of(rows);
                     let labels = labeller.label(&points, &self.parameters.clustering)?;
-                    let distance = |one: &Measurement| (one.position - seeker.position).norm();
+                    let distance = |one: &Measurement| (one.position - region.position).norm();
                     Ok(candidates(rows, labels, scan, &self.parameters)
                         .into_iter()
                         .min_by(|one, other| distance(one).total_cmp(&distance(other))))
@@ -199,43 +202,47 @@ impl Updater {
     }
 
     /// Clusters of all regions together, each given to one track at most.
-    fn one_to_one(&self, seekers: &[Seeker], scan: &CloudScan<'_>) -> Result<Company, Error> {
+    fn one_to_one(
+        &self,
+        regions: &[SearchRegion],
+        scan: &CloudScan<'_>,
+    ) -> Result<ClusterAssignment, Error> {
         // Wide enough that no cluster with its centroid in the region is cut.
         let margin = self.parameters.max_extent.unwrap_or(0.0);
-        let mut chosen: Vec<u32> = hits(&self.pool, scan.points, &balls(seekers, margin))
+        let mut chosen: Vec<u32> = hits(&self.pool, scan.points, &balls(regions, margin))
             .iter()
             .map(|hit| hit.0)
             .collect();
         chosen.dedup();
         let points = scan.points_of(&chosen);
-        let mut labeller = self.labellers.lend();
+        let mut labeller = self.labellers.acquire();
         let mut labels = labeller.label(&points, &self.parameters.clustering)?.to_vec();
         if let Some(distance) = self.parameters.split_distance {
             let min_points = self.parameters.clustering.min_points;
             let division = Division { distance, gate: self.gate, min_points };
             let delays: Vec<f32> = chosen.iter().map(|&row| scan.delay(row)).collect();
-            division.divide(&mut labels, &points, &delays, seekers);
+            division.divide(&mut labels, &points, &delays, regions);
         }
         let clusters = candidates(&chosen, &labels, scan, &self.parameters);
         let hiding = self.parameters.hiding;
-        let rows = seekers.iter().map(|seeker| seeker.position);
+        let rows = regions.iter().map(|region| region.position);
         let columns = clusters.iter().map(|cluster| cluster.position);
         let cluster_of =
-            self.assign(rows, columns, reach(seekers, &clusters), |track, cluster| {
-                let (seeker, cluster) = (&seekers[track], &clusters[cluster]);
-                let y = cluster.position - (seeker.position + seeker.velocity * cluster.delay);
-                (y.norm() <= seeker.radius)
-                    .then(|| (y, seeker.covariance + seeker.covariance_of(cluster, hiding)))
+            self.assign(rows, columns, reach(regions, &clusters), |track, cluster| {
+                let (region, cluster) = (&regions[track], &clusters[cluster]);
+                let y = cluster.position - (region.position + region.velocity * cluster.delay);
+                (y.norm() <= region.radius)
+                    .then(|| (y, region.covariance + region.covariance_of(cluster, hiding)))
             })?;
-        Ok(Company { clusters, cluster_of })
+        Ok(ClusterAssignment { clusters, cluster_of })
     }
 }
 
 /// Largest distance of a cluster from the track's position at the stamp of the scan [m].
-fn reach(seekers: &[Seeker], clusters: &[Measurement]) -> f64 {
+fn reach(regions: &[SearchRegion], clusters: &[Measurement]) -> f64 {
     let latest = clusters.iter().map(|cluster| cluster.delay.abs()).fold(0.0, f64::max);
-    let reach = |seeker: &Seeker| seeker.radius + latest * seeker.velocity.norm();
-    seekers.iter().map(reach).fold(0.0, f64::max)
+    let reach = |region: &SearchRegion| region.radius + latest * region.velocity.norm();
+    regions.iter().map(reach).fold(0.0, f64::max)
 }
 
 /// Tracks that are older than `stamp_ns`, brought to it, each with the time that took [s].
@@ -252,9 +259,9 @@ fn predicted<'a>(
     due
 }
 
-fn balls(seekers: &[Seeker], margin: f64) -> Vec<Ball> {
-    seekers
+fn balls(regions: &[SearchRegion], margin: f64) -> Vec<Ball> {
+    regions
         .iter()
-        .map(|seeker| Ball { center: seeker.position.into(), radius: seeker.radius + margin })
+        .map(|region| Ball { center: region.position.into(), radius: region.radius + margin })
         .collect()
 }

@@ -6,12 +6,14 @@ use super::record::in_order;
 use crate::Error;
 use crate::error::require;
 use crate::estimation::minimise::{SimplexSearch, minimise};
-use crate::fusion::model::Model;
+use crate::fusion::model::{MIXABLE, Model};
 use crate::fusion::models::motion::Noise;
 use crate::fusion::sensors::measurement::Measurement;
 
 /// Number of measurements after which a filter no longer depends on its start.
 const SETTLED: usize = 10;
+/// Steps after which a search asks if it is to go on.
+const STEPS_PER_LOOK: usize = 16_384;
 /// Largest factor by which a value may change, up or down.
 const WIDEST: f64 = 1e3;
 /// Factors on all process noise, and on all deviations of sensors, at which the search looks first.
@@ -36,10 +38,11 @@ pub enum Quantity {
 /// filters do not restart, so that it is a smooth function of the parameters.
 ///
 /// # Errors
-/// Errors of [`Filter::new`].
+/// Errors of [`Filter::new`]; [`Error::Interrupted`] once `keep_going` says false.
 pub fn log_likelihood(
     parameters: &FusionParameters,
     targets: &[Vec<Measurement>],
+    keep_going: &dyn Fn() -> bool,
 ) -> Result<f64, Error> {
     let open = Life {
         gate: [f64::INFINITY; 5],
@@ -53,6 +56,9 @@ pub fn log_likelihood(
     for target in targets {
         let mut filter = Filter::new(&parameters)?;
         for (number, m) in target.iter().enumerate() {
+            if number % STEPS_PER_LOOK == 0 && !keep_going() {
+                return Err(Error::Interrupted);
+            }
             let step = filter.step(m);
             if step.outcome == Outcome::Singular {
                 return Ok(f64::NEG_INFINITY);
@@ -75,8 +81,11 @@ pub fn quantities(
 ) -> Vec<Quantity> {
     use crate::fusion::sensors::measurement::Sensor;
     let all = [Noise::Acceleration, Noise::Jerk, Noise::Turn];
-    let used = match parameters.method {
-        Method::Interacting { .. } => all.to_vec(),
+    let used: Vec<Noise> = match parameters.method {
+        Method::Interacting { models, .. } => {
+            let mixed = MIXABLE.iter().zip(models).filter(|(_, is_used)| *is_used);
+            mixed.flat_map(|(model, _)| model.noises()).collect()
+        }
         _ => parameters.model.noises(),
     };
     let process = all.iter().filter(|noise| used.contains(noise));
@@ -103,13 +112,15 @@ pub fn quantities(
 /// So the search begins at the best places of a coarse grid, and goes on where it ended best.
 ///
 /// # Errors
-/// Errors of [`Filter::new`]; [`Error::Value`] if there are too few measurements.
+/// Errors of [`Filter::new`]; [`Error::Value`] if there are too few measurements, or if they are
+/// impossible with any noise; [`Error::Interrupted`] once `keep_going` says false.
 pub fn fit(
     start: &FusionParameters,
     targets: &[Vec<Measurement>],
     fitted: &[Quantity],
     least_rate: f64,
     search: &SimplexSearch,
+    keep_going: &dyn Fn() -> bool,
 ) -> Result<(FusionParameters, f64), Error> {
     require(
         !matches!(start.model, Model::Paper(_)),
@@ -137,7 +148,8 @@ pub fn fit(
         }
         parameters
     };
-    let cost = |logs: &[f64]| log_likelihood(&scaled(logs), &targets).map(|value| -value);
+    let cost =
+        |logs: &[f64]| log_likelihood(&scaled(logs), &targets, keep_going).map(|value| -value);
     let evaluations = search.evaluations / 10;
     let coarse = SimplexSearch { tolerance: COARSE_TOLERANCE, evaluations, ..*search };
     let mut best = (f64::INFINITY, vec![0.0; fitted.len()]);
@@ -147,11 +159,17 @@ pub fn fit(
             best = (value, place);
         }
     }
+    if !best.0.is_finite() {
+        let (name, expected) = ("measurements", "values that are possible with some noise");
+        let got = "a likelihood of zero".to_owned();
+        return Err(Error::Value { name, expected, index: 0, got });
+    }
     let (logs, least) = minimise(&best.1, search, cost)?;
     Ok((scaled(&logs), -least))
 }
 
-/// Places of the coarse grid with the least cost, the best first.
+/// Places of the coarse grid with the least cost, the best first; of equal ones the nearest to the
+/// start, so that values without influence stay.
 fn coarse_starts(
     fitted: &[Quantity],
     cost: impl Fn(&[f64]) -> Result<f64, Error>,
@@ -167,7 +185,8 @@ fn coarse_starts(
             places.push((if value.is_nan() { f64::INFINITY } else { value }, logs));
         }
     }
-    places.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let squared = |logs: &[f64]| logs.iter().map(|log| log * log).sum::<f64>();
+    places.sort_by(|a, b| a.0.total_cmp(&b.0).then(squared(&a.1).total_cmp(&squared(&b.1))));
     Ok(places.into_iter().take(STARTS).map(|(_, logs)| logs).collect())
 }
 

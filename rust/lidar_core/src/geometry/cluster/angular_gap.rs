@@ -7,7 +7,7 @@ use crate::Error;
 use crate::error::require;
 use crate::geometry::lattice::wide;
 use crate::util::budget::check_points;
-use crate::util::object_pool::Shelf;
+use crate::util::object_pool::ObjectPool;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -58,7 +58,7 @@ pub fn label_seen(
 pub struct SeenLabeller {
     near: Labeller,
     bands: Bands,
-    parts: Shelf<BandPoints>,
+    parts: ObjectPool<BandPoints>,
     sets: Mutex<Sets>,
 }
 
@@ -84,7 +84,7 @@ impl SeenLabeller {
         let Self { near, bands, parts, sets } = self;
         bands.fill(points, gap, clustering.max_distance);
         sets.get_mut().unwrap_or_else(PoisonError::into_inner).restart(points.len());
-        let link = |band: usize| parts.lend().link(points, gap, bands, band, sets);
+        let link = |band: usize| parts.acquire().link(points, gap, bands, band, sets);
         match pool {
             Some(pool) => {
                 pool.install(|| (0..bands.len()).into_par_iter().try_for_each(link))?;

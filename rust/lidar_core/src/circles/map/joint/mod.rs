@@ -11,7 +11,7 @@ use super::element::exceeds;
 use super::element_motion::{Matrix5, transition};
 use super::parameters::{Joint, MAX_ELEMENTS};
 use super::place::matrix_of;
-use super::scan::{CircleScan, Found, check, too_many};
+use super::scan::{CircleScan, ScanElements, check, too_many};
 use super::view::level_pose::LevelPose;
 use super::{MapElement, MapOutcome, seconds};
 use crate::Error;
@@ -127,7 +127,7 @@ impl JointMap {
         }
         state.delete(self.parameters.max_eigenvalue);
         (self.state, *next_id) = (state, number);
-        let found = Found { circles: elements, lines: Vec::new() };
+        let found = ScanElements { circles: elements, lines: Vec::new() };
         Ok(MapOutcome { late: false, found, merged: Vec::new() })
     }
 

@@ -1,4 +1,4 @@
-//! What a scan shows of a place, and from where.
+//! Viewpoint of a scan, and the visibility of a place from it.
 
 pub(super) mod earlier;
 pub(super) mod level_pose;

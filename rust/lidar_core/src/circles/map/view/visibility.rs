@@ -6,7 +6,7 @@ use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use crate::circles::map::parameters::Looking;
+use crate::circles::map::parameters::VisibilityTest;
 
 /// Cosine of the angle of incidence on a line below which a ray decides nothing.
 const GRAZING: f64 = 0.2;
@@ -111,7 +111,7 @@ impl SortedView {
 
     /// Visibility of `circle`, in the frame of the scan.
     #[must_use]
-    pub fn of(&self, circle: &Circle, looking: &Looking) -> CircleVisibility {
+    pub fn of(&self, circle: &Circle, test: &VisibilityTest) -> CircleVisibility {
         let Circle { center: [x, y], radius } = *circle;
         let distance = (x * x + y * y).sqrt();
         if distance <= radius || distance - radius < self.range_min {
@@ -123,12 +123,12 @@ impl SortedView {
             let aside = distance * libm::sin(ray - bearing);
             let depth = (radius * radius - aside * aside).max(0.0).sqrt();
             let surface = (distance * distance - aside * aside).max(0.0).sqrt() - depth;
-            (surface, looking.margin)
+            (surface, test.margin)
         });
-        votes.verdict(looking)
+        votes.visibility(test)
     }
 
-    /// What the scan met at a point, in its own frame, up to `margin` [m].
+    /// Content of a place, in the frame of the scan: surface, free or unknown, up to `margin` [m].
     pub(in crate::circles::map) fn met(&self, [x, y]: [f64; 2], margin: f64) -> Met {
         let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
         let (Some(first), Some(last)) = (self.bearings.first(), self.bearings.last()) else {
@@ -153,7 +153,7 @@ impl SortedView {
         if is_free && distance < self.range_max { Met::Free } else { Met::Unknown }
     }
 
-    /// What rays met of which one ended nearer than `distance`.
+    /// Content of a place where a ray ended nearer than `distance`: surface if another ended there.
     fn surface_beside(&self, [low, high]: [usize; 2], distance: f64, margin: f64) -> Met {
         let is_there = |range: &f64| (range - distance).abs() < margin;
         if self.ranges[low..high].iter().any(is_there) { Met::Surface } else { Met::Unknown }
@@ -172,7 +172,7 @@ impl SortedView {
     /// Visibility of a line in the frame of the scan, whose front is on the left of the way from
     /// its first end to its second.
     #[must_use]
-    pub fn of_line(&self, ends: [[f64; 2]; 2], looking: &Looking) -> CircleVisibility {
+    pub fn of_line(&self, ends: [[f64; 2]; 2], test: &VisibilityTest) -> CircleVisibility {
         let [[x, y], [to_x, to_y]] = ends;
         let length = libm::hypot(to_x - x, to_y - y);
         let distance = (x * to_y - y * to_x) / length; // from the sensor to the line
@@ -187,9 +187,9 @@ impl SortedView {
             if cosine < GRAZING {
                 return (f64::INFINITY, 0.0); // too slanting to tell
             }
-            (distance / cosine, looking.margin / cosine)
+            (distance / cosine, test.margin / cosine)
         });
-        votes.verdict(looking)
+        votes.visibility(test)
     }
 
     /// Votes of the rays between two bearings about a surface; `surface` gives its range and margin
@@ -221,9 +221,9 @@ impl SortedView {
 }
 
 impl Votes {
-    fn verdict(&self, looking: &Looking) -> CircleVisibility {
+    fn visibility(&self, test: &VisibilityTest) -> CircleVisibility {
         let Self { through, on, before } = *self;
-        let (known, enough) = (through + on + before, looking.min_rays.max(1));
+        let (known, enough) = (through + on + before, test.min_rays.max(1));
         if known < enough {
             CircleVisibility::OutOfView
         // Half of the rays: a few past the rim of the object are no proof against it.
@@ -242,7 +242,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    const LOOKING: Looking = Looking { margin: 0.1, min_rays: 3 };
+    const TEST: VisibilityTest = VisibilityTest { margin: 0.1, min_rays: 3 };
 
     fn scan(range: impl Fn(f64) -> f64) -> PolarScan {
         let bearings: Vec<f64> = (-540..=540).map(|ray| f64::from(ray) * PI / 720.0).collect();
@@ -251,7 +251,7 @@ mod tests {
 
     fn seen(scan: &PolarScan, x: f64, y: f64, radius: f64) -> Result<CircleVisibility, Error> {
         let view = ScanWithLimits { scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
-        Ok(view.of(&Circle { center: [x, y], radius }, &LOOKING))
+        Ok(view.of(&Circle { center: [x, y], radius }, &TEST))
     }
 
     #[test]

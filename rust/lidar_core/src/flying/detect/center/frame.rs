@@ -1,7 +1,7 @@
 //! An open frame: rotors, arms and a body, through which rays pass.
 
-use super::sight::Sight;
 use super::sphere::Start;
+use super::target_observation::TargetObservation;
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
 use std::f64::consts::PI;
@@ -47,18 +47,18 @@ pub(super) struct OpenFrame {
 }
 
 impl OpenFrame {
-    pub(crate) fn of(view: &Sight, range_std: f64) -> Self {
-        let count = view.hits.len() as f64;
-        let centroid = view.hits.iter().map(|hit| hit.point).sum::<Vector3<f64>>() / count;
-        let origin = view.origin();
+    pub(crate) fn of(observation: &TargetObservation, range_std: f64) -> Self {
+        let count = observation.hits.len() as f64;
+        let centroid = observation.hits.iter().map(|hit| hit.point).sum::<Vector3<f64>>() / count;
+        let origin = observation.origin();
         let axes = axes_towards(centroid - origin);
-        let outline = SeenExtent::of(view, &centroid, origin, &axes);
+        let outline = SeenExtent::of(observation, &centroid, origin, &axes);
         let [open, closed] = SHARES;
         let share = ((outline.solid_share - open) / (closed - open)).clamp(0.0, 1.0);
         let between = |[open, closed]: [f64; 2]| open + share * (closed - open);
         let radius = outline.reach + between(RIM_GAPS) * outline.ray_gap;
         let sight = axes[2];
-        let offsets = || view.hits.iter().map(|hit| hit.point - centroid);
+        let offsets = || observation.hits.iter().map(|hit| hit.point - centroid);
         let scatter: Matrix3<f64> = offsets().map(|offset| offset * offset.transpose()).sum();
         let along = sight * sight.transpose();
         let gap = outline.ray_gap * outline.ray_gap / (12.0 * count.sqrt());
@@ -112,7 +112,7 @@ struct SeenExtent {
 
 impl SeenExtent {
     fn of(
-        view: &Sight,
+        observation: &TargetObservation,
         centroid: &Vector3<f64>,
         origin: Vector3<f64>,
         axes: &[Vector3<f64>; 3],
@@ -120,7 +120,7 @@ impl SeenExtent {
         let [across, up, sight] = axes;
         let flat =
             |point: Vector3<f64>| [(point - centroid).dot(across), (point - centroid).dot(up)];
-        let hits: Vec<[f64; 2]> = view.hits.iter().map(|hit| flat(hit.point)).collect();
+        let hits: Vec<[f64; 2]> = observation.hits.iter().map(|hit| flat(hit.point)).collect();
         let middle: [f64; 2] = std::array::from_fn(|axis| {
             let ends = hits.iter().map(|hit| hit[axis]);
             0.5 * (ends.clone().fold(f64::MAX, f64::min) + ends.fold(f64::MIN, f64::max))
@@ -130,7 +130,7 @@ impl SeenExtent {
         };
         let reach = hits.iter().map(|&hit| off(hit)).fold(0.0, f64::max);
         let distance = (centroid - origin).norm();
-        let passing: Vec<f64> = view
+        let passing: Vec<f64> = observation
             .passing
             .iter()
             .filter(|ray| ray.direction.dot(sight) > 0.0)
@@ -138,7 +138,7 @@ impl SeenExtent {
             .map(|place| off(flat(place)))
             .collect();
         let within = |radius: f64| passing.iter().filter(|&&off| off < radius).count() as f64;
-        let window = reach + super::sight::MARGIN;
+        let window = reach + super::target_observation::MARGIN;
         let count = hits.len() as f64;
         let ray_gap = window * (PI / (count + within(window))).sqrt();
         Self { reach, ray_gap, solid_share: count / (count + within(reach + 0.5 * ray_gap)) }

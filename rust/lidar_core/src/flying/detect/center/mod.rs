@@ -7,13 +7,15 @@
 //! multicopter, whose centre lies behind the centroid by a share of its width.
 
 mod frame;
-mod sight;
 mod sphere;
+mod target_observation;
 
 #[cfg(test)]
 mod tests;
 
-pub(crate) use sight::{Around, Region, Sight, SightRay, SightSource, TargetHit};
+pub(crate) use target_observation::{
+    PassingRays, RaySource, TargetHit, TargetObservation, TargetRay, TargetRegion,
+};
 
 use crate::Error;
 use crate::error::require;
@@ -70,14 +72,14 @@ pub fn target_center(
     check_finite("points_world", points, |_| true)?;
     check_finite("passing_directions", passing, |way| norm(way) > 0.0)?;
     let hits: Vec<TargetHit> = points.iter().map(|&point| TargetHit::new(origin, point)).collect();
-    let region = Region::of(&hits);
-    let ray = |&way: &[f64; 3]| SightRay {
+    let region = TargetRegion::of(&hits);
+    let ray = |&way: &[f64; 3]| TargetRay {
         origin: origin.into(),
         direction: Vector3::from(way).normalize(),
     };
-    let near = |ray: &SightRay| ray.aside(&region.middle).norm() <= region.reach();
+    let near = |ray: &TargetRay| ray.aside(&region.middle).norm() <= region.reach();
     let passing = passing.iter().map(ray).filter(near).collect();
-    Ok(Center::of(&Sight::new(hits, Around { passing, n_blocked: 0 }), range_std))
+    Ok(Center::of(&TargetObservation::new(hits, PassingRays { passing, n_blocked: 0 }), range_std))
 }
 
 fn check_finite(
@@ -104,11 +106,11 @@ impl Center {
     /// Estimate the centre of what was hit; `range_std` is the noise of ranges [m].
     ///
     /// The order of hits and of passing rays does not matter.
-    pub(crate) fn of(sight: &Sight, range_std: f64) -> Self {
-        let frame = OpenFrame::of(sight, range_std);
-        let fitted = Sphere::fit(sight, &frame.start(), range_std);
-        let Some(ball) = fitted else { return frame.into_center(sight.is_cut) };
-        let weight = ball_weight(&ball, &frame, sight.hits.len());
+    pub(crate) fn of(observation: &TargetObservation, range_std: f64) -> Self {
+        let frame = OpenFrame::of(observation, range_std);
+        let fitted = Sphere::fit(observation, &frame.start(), range_std);
+        let Some(ball) = fitted else { return frame.into_center(observation.is_cut) };
+        let weight = ball_weight(&ball, &frame, observation.hits.len());
         let offset = ball.center - frame.position;
         Self {
             position: frame.position + weight * offset,
@@ -118,7 +120,7 @@ impl Center {
                     + weight * (1.0 - weight) * offset * offset.transpose(),
             ),
             radius: weight * ball.radius + (1.0 - weight) * frame.radius,
-            is_cut: sight.is_cut,
+            is_cut: observation.is_cut,
         }
     }
 }

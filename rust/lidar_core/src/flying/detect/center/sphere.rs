@@ -1,6 +1,6 @@
 //! The ball that points lie on and that passing rays miss.
 
-use super::sight::{Sight, SightRay, TargetHit};
+use super::target_observation::{TargetHit, TargetObservation, TargetRay};
 use super::{Matrix3, Vector3};
 use nalgebra::{SMatrix, SVector};
 
@@ -56,15 +56,19 @@ struct Normal {
 impl Sphere {
     /// Levenberg-Marquardt over distances of points from the surface, intrusions of passing rays,
     /// and what is known of radii; None if the equations cannot be solved.
-    pub(crate) fn fit(sight: &Sight, start: &Start, range_std: f64) -> Option<Self> {
+    pub(crate) fn fit(
+        observation: &TargetObservation,
+        start: &Start,
+        range_std: f64,
+    ) -> Option<Self> {
         let mut at = start.center.push(start.radius);
-        let mut sums = Normal::at(sight, &at, start, range_std);
+        let mut sums = Normal::at(observation, &at, start, range_std);
         let mut damping = 1e-3;
         for _ in 0..MAX_STEPS {
             let damped = sums.matrix + Matrix4::from_diagonal(&(damping * sums.matrix.diagonal()));
             let mut next = at - damped.cholesky()?.solve(&sums.vector);
             next[3] = next[3].clamp(RADIUS_RANGE[0], RADIUS_RANGE[1]);
-            let there = Normal::at(sight, &next, start, range_std);
+            let there = Normal::at(observation, &next, start, range_std);
             if there.cost < sums.cost {
                 let is_last = sums.cost - there.cost < LEAST_GAIN * sums.cost;
                 (at, sums) = (next, there);
@@ -78,7 +82,7 @@ impl Sphere {
         }
         let spread = sums.matrix.cholesky()?.inverse();
         let (center, radius) = (at.fixed_rows::<3>(0).into_owned(), at[3]);
-        let forward = (center - sight.origin()).try_normalize(f64::MIN_POSITIVE)?;
+        let forward = (center - observation.origin()).try_normalize(f64::MIN_POSITIVE)?;
         let (shape, bias) = (SHAPE_STD * radius, NOISE_BIAS * range_std);
         Some(Self {
             center,
@@ -92,15 +96,15 @@ impl Sphere {
 }
 
 impl Normal {
-    fn at(sight: &Sight, at: &Vector4, start: &Start, range_std: f64) -> Self {
+    fn at(observation: &TargetObservation, at: &Vector4, start: &Start, range_std: f64) -> Self {
         let (center, radius) = (at.fixed_rows::<3>(0).into_owned(), at[3]);
         let mut sums = Self::of_what_is_known(&(center - start.center), radius);
         let before = sums.cost;
-        for hit in &sight.hits {
+        for hit in &observation.hits {
             sums.add_hit(hit, &center, radius, range_std);
         }
         sums.points = sums.cost - before;
-        for ray in sight.near_passing() {
+        for ray in observation.near_passing() {
             sums.add_passing(ray, &center, radius);
         }
         sums
@@ -130,7 +134,7 @@ impl Normal {
         self.add((distance - radius) * scale, &slope);
     }
 
-    fn add_passing(&mut self, ray: &SightRay, center: &Vector3<f64>, radius: f64) {
+    fn add_passing(&mut self, ray: &TargetRay, center: &Vector3<f64>, radius: f64) {
         let aside = ray.aside(center);
         let distance = aside.norm().max(1e-9);
         if distance < radius && (center - ray.origin).dot(&ray.direction) > 0.0 {

@@ -19,29 +19,29 @@ impl<F: Fn(Vector3<f64>) -> Option<f64>> Fan<F> {
             .collect()
     }
 
-    fn sight(&self) -> Sight {
+    fn observation(&self) -> TargetObservation {
         let hits: Vec<u32> = (0_u32..)
             .zip(self.rows())
             .filter(|(_, way)| (self.0)(*way).is_some())
             .map(|(row, _)| row)
             .collect();
-        self.sights(&[&hits]).remove(0)
+        self.observations(&[&hits]).remove(0)
     }
 }
 
-impl<F: Fn(Vector3<f64>) -> Option<f64>> SightSource for Fan<F> {
+impl<F: Fn(Vector3<f64>) -> Option<f64>> RaySource for Fan<F> {
     fn hit(&self, row: usize) -> TargetHit {
         let way = self.rows()[row];
         TargetHit::new([0.0; 3], (way * (self.0)(way).unwrap_or(f64::NAN)).into())
     }
 
-    fn around(&self, regions: &[Region]) -> Vec<Around> {
+    fn around(&self, regions: &[TargetRegion]) -> Vec<PassingRays> {
         let past = |way: &Vector3<f64>| (self.0)(*way).is_none();
-        let ray = |direction| SightRay { origin: Vector3::zeros(), direction };
-        let near = |region: &Region| {
+        let ray = |direction| TargetRay { origin: Vector3::zeros(), direction };
+        let near = |region: &TargetRegion| {
             let rays = self.rows().into_iter().filter(past).map(ray);
-            let is_near = |ray: &SightRay| ray.aside(&region.middle).norm() <= region.reach();
-            Around { passing: rays.filter(is_near).collect(), n_blocked: 0 }
+            let is_near = |ray: &TargetRay| ray.aside(&region.middle).norm() <= region.reach();
+            PassingRays { passing: rays.filter(is_near).collect(), n_blocked: 0 }
         };
         regions.iter().map(near).collect()
     }
@@ -59,8 +59,8 @@ fn ball(center: Vector3<f64>, radius: f64) -> impl Fn(Vector3<f64>) -> Option<f6
 fn the_centre_of_a_ball_is_found_whatever_its_radius() {
     for (distance, radius) in [(6.0, 0.15), (6.0, 0.6), (14.0, 0.3), (19.0, 0.6)] {
         let place = Vector3::new(distance, 0.013, -0.021);
-        let sight = Fan(ball(place, radius)).sight();
-        let center = Center::of(&sight, STD);
+        let observation = Fan(ball(place, radius)).observation();
+        let center = Center::of(&observation, STD);
         assert!((center.position - place).norm() < 0.01, "{center:?}");
         assert!((center.radius - radius).abs() < 0.01, "{center:?}");
     }
@@ -69,9 +69,9 @@ fn the_centre_of_a_ball_is_found_whatever_its_radius() {
 #[test]
 fn few_points_leave_the_radius_to_the_passing_rays() {
     let place = Vector3::new(17.0, 0.05, 0.05);
-    let sight = Fan(ball(place, 0.16)).sight();
-    assert!(sight.hits.len() <= 6);
-    let center = Center::of(&sight, STD);
+    let observation = Fan(ball(place, 0.16)).observation();
+    assert!(observation.hits.len() <= 6);
+    let center = Center::of(&observation, STD);
     let offset = center.position - place;
     assert!(offset.norm() < 0.1);
     let scaled = center.covariance.cholesky().map(|factor| factor.solve(&offset).dot(&offset));
@@ -87,31 +87,31 @@ fn rays_through_a_target_make_it_a_frame() {
         let row = (way.z / way.x / STEP).round().rem_euclid(3.0);
         ((at - place).norm() < 0.4 && row == 0.0).then(|| at.norm())
     };
-    let sight = Fan(bars).sight();
-    let frame = OpenFrame::of(&sight, STD);
+    let observation = Fan(bars).observation();
+    let frame = OpenFrame::of(&observation, STD);
     assert!(frame.solid_share < 0.4, "{}", frame.solid_share);
-    let shift = Center::of(&sight, STD).position.x - place.x;
+    let shift = Center::of(&observation, STD).position.x - place.x;
     assert!((0.05..0.15).contains(&shift), "{shift}"); // a ball of its width: 0.27
 }
 
 #[test]
 fn the_order_of_rays_does_not_matter() {
     let fan = Fan(ball(Vector3::new(9.0, 0.1, 0.2), 0.35));
-    let sight = fan.sight();
-    let mut hits = sight.hits.clone();
+    let observation = fan.observation();
+    let mut hits = observation.hits.clone();
     hits.reverse();
-    let mut passing = sight.passing.clone();
+    let mut passing = observation.passing.clone();
     passing.reverse();
     assert_eq!(
-        Center::of(&Sight::new(hits, Around { passing, n_blocked: 0 }), STD),
-        Center::of(&sight, STD)
+        Center::of(&TargetObservation::new(hits, PassingRays { passing, n_blocked: 0 }), STD),
+        Center::of(&observation, STD)
     );
 }
 
 #[test]
 fn one_point_without_any_other_ray_is_a_place() -> Result<(), Error> {
     let hits = vec![TargetHit::new([0.0; 3], [5.0, 0.0, 0.0])];
-    let center = Center::of(&Sight::new(hits, Around::default()), STD);
+    let center = Center::of(&TargetObservation::new(hits, PassingRays::default()), STD);
     assert!(center.position.iter().all(|value| value.is_finite()));
     assert!((center.position.x - 5.0).abs() < 0.7 && center.position.y.abs() < 0.01);
     let factor = center.covariance.cholesky();

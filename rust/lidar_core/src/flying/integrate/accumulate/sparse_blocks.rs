@@ -4,14 +4,14 @@ use super::dense_blocks::{MarkRow, rows_of};
 use super::mark::Mark;
 use crate::flying::map::block_shape::{EDGE, VOLUME};
 use crate::flying::map::blocks::Place;
-use crate::util::key_hasher::Spread;
+use crate::util::key_hasher::KeyHasher;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
 /// Points beyond the window, row by row: a stray return must not widen it, nor take a block.
 #[derive(Default)]
 pub(crate) struct SparseBlocks {
-    slots: HashMap<Place, u32, BuildHasherDefault<Spread>>,
+    slots: HashMap<Place, u32, BuildHasherDefault<KeyHasher>>,
     /// Blocks with their slots.
     pub(in crate::flying::integrate) opened: Vec<(Place, u32)>,
     /// The last block that was asked for: points side by side share it.

@@ -1,9 +1,9 @@
-//! What a scan holds around tracks: their own clusters, and points that belong to no track.
+//! Assignment of the clusters of a scan to tracks, and the points around tracks that belong to none.
 //!
 //! A target in the air is alone. A pane of glass that returns a few rays now and then, rain, dust and
 //! leaves give points all over: a track that leaps among them has more of them around it than in it.
 
-use super::measurement::{Measurement, Seeker};
+use super::measurement::{Measurement, SearchRegion};
 use super::parameters::Hiding;
 use super::state::{PointTrack, UNNUMBERED};
 use nalgebra::Vector3;
@@ -13,26 +13,26 @@ const AROUND: f64 = 2.0;
 /// Clusters of more points are parts of something that is there all the time.
 const MOST_POINTS: usize = 3;
 
-/// Clusters of a scan, and the one of every track.
+/// Clusters of a scan, and which of them is assigned to every track.
 #[derive(Default)]
-pub(super) struct Company {
+pub(super) struct ClusterAssignment {
     pub(super) clusters: Vec<Measurement>,
     pub(super) cluster_of: Vec<Option<usize>>,
 }
 
-impl Company {
+impl ClusterAssignment {
     /// The cluster of every track, with the covariance that it has for it.
     pub(super) fn measured(
         &self,
-        seekers: &[Seeker],
+        regions: &[SearchRegion],
         hiding: Option<Hiding>,
     ) -> Vec<Option<Measurement>> {
-        let measured = |(cluster, seeker): (&Option<usize>, &Seeker)| {
+        let measured = |(cluster, region): (&Option<usize>, &SearchRegion)| {
             let cluster = &self.clusters[(*cluster)?];
-            let covariance = seeker.covariance_of(cluster, hiding);
+            let covariance = region.covariance_of(cluster, hiding);
             Some(Measurement { covariance, ..cluster.clone() })
         };
-        self.cluster_of.iter().zip(seekers).map(measured).collect()
+        self.cluster_of.iter().zip(regions).map(measured).collect()
     }
 
     /// Count the points of tracks that are not confirmed, and those around them.

@@ -1,9 +1,9 @@
 //! Which cells are sky, and how far the rays into them clear.
 
+use super::super::free_path::FreePath;
 use super::super::grid::{CELLS, GRID, PARTS};
-use super::super::way::Way;
 use super::super::{NEVER, Sky};
-use super::{BEFORE_SURFACE, Look, Moment};
+use super::{BEFORE_SURFACE, ScanToObserve, SkyObservation};
 use crate::geometry::lattice::wide;
 use std::f64::consts::PI;
 
@@ -26,22 +26,22 @@ const LONGEST_PAUSE_NS: i64 = 1_000_000_000;
 /// Time between scans of the usual sensor, with some jitter [ns].
 const USUAL_STEP_NS: i64 = 90_000_000;
 
-impl Look {
+impl SkyObservation {
     /// Find the sky, and the rays into it: of each cell every third part, others in the next scan;
     /// the more of them the longer the last scan is ago.
-    pub(super) fn cast(&mut self, sky: &Sky, moment: &Moment<'_>, visible: f64) {
-        let visible = visible.min(moment.map.parameters().max_range);
+    pub(super) fn cast(&mut self, sky: &Sky, scan: &ScanToObserve<'_>, visible: f64) {
+        let visible = visible.min(scan.map.parameters().max_range);
         let pause = sky.last_ns.map_or(0, |last| self.stamp_ns.saturating_sub(last));
         let is_same_place = sky.sees_the_same_from(self.place) && pause <= LONGEST_PAUSE_NS;
-        let mut way = Way::through(moment.map, self.place);
-        let lidar_from_map = moment.map_from_lidar.inverse();
+        let mut path = FreePath::through(scan.map, self.place);
+        let lidar_from_map = scan.map_from_lidar.inverse();
         let thirds = (pause / USUAL_STEP_NS).clamp(1, PARTS as i64) as usize;
         self.limit_holes();
         let (mut into_sky, mut all) = (0.0, 0.0);
         for cell in 0..CELLS {
             all += f64::from(self.expected[cell]);
             let is_sky = self.is_empty[cell] && self.reach_of(cell, visible) >= LEAST_REACH;
-            let before = || self.reach_before(cell).min(moment.map.parameters().max_range);
+            let before = || self.reach_before(cell).min(scan.map.parameters().max_range);
             let reach = if is_sky { self.reach_of(cell, visible) } else { before() };
             if reach < LEAST_REACH {
                 continue;
@@ -60,10 +60,10 @@ impl Look {
                     continue;
                 }
                 let direction = GRID.parts[cell * PARTS * PARTS + part];
-                if (moment.is_masked)(lidar_from_map.rotate(wide(direction))) {
+                if (scan.is_masked)(lidar_from_map.rotate(wide(direction))) {
                     continue; // the robot hides it
                 }
-                let free = if is_trusted { reach } else { way.free(wide(direction), reach) };
+                let free = if is_trusted { reach } else { path.length(wide(direction), reach) };
                 if free >= LEAST_REACH {
                     self.directions.push(direction);
                     self.reach.push(free as f32);

@@ -1,4 +1,4 @@
-//! One scan, held against what is known of its sensor: which directions are sky, and how far.
+//! Observation of the sky by one scan, given its sensor: which directions are sky, and how far.
 
 mod reach;
 mod surfaces;
@@ -42,9 +42,9 @@ const NEWEST_COVERED: f64 = 0.002;
 /// Points of which ranges and heights are ranked.
 const SAMPLES: usize = 4096;
 
-/// Where and when a scan was taken.
+/// Input of the observation of the sky by a scan.
 #[derive(Clone, Copy)]
-pub(crate) struct Moment<'a> {
+pub(crate) struct ScanToObserve<'a> {
     pub(crate) points: &'a [[f32; 3]],
     /// Rows without a return.
     pub(crate) no_return: Option<&'a [bool]>,
@@ -56,9 +56,10 @@ pub(crate) struct Moment<'a> {
     pub(crate) map: &'a VoxelMap,
 }
 
-/// What one scan shows; what it changes in [`Sky`] is kept apart until the scan is accepted.
+/// Observation of the sky by one scan; its changes of [`Sky`] are kept apart until the scan is
+/// accepted.
 #[derive(Default)]
-pub(crate) struct Look {
+pub(crate) struct SkyObservation {
     /// Directions of rays that met nothing, frame of the map, and how far they clear [m].
     pub(crate) directions: Vec<[f32; 3]>,
     pub(crate) reach: Vec<f32>,
@@ -88,7 +89,7 @@ pub(crate) struct Look {
     /// Cells of a thing, while it is looked at.
     thing: Vec<u16>,
     is_taken: Vec<bool>,
-    // What becomes of `Sky`.
+    // The next values of `Sky`.
     evidence: Vec<f32>,
     surface: Vec<f32>,
     surface_ns: Vec<i64>,
@@ -106,13 +107,13 @@ pub(crate) struct Look {
     stamp_ns: i64,
 }
 
-impl Look {
-    /// Look at a scan: directions, reach and share tell what it shows of the sky.
-    pub(crate) fn fill(&mut self, sky: &Sky, moment: &Moment<'_>) {
-        self.count(moment);
-        self.stamp_ns = moment.stamp_ns;
+impl SkyObservation {
+    /// Evaluate a scan: directions, reach and share of the sky.
+    pub(crate) fn fill(&mut self, sky: &Sky, scan: &ScanToObserve<'_>) {
+        self.count(scan);
+        self.stamp_ns = scan.stamp_ns;
         self.has_returns = !self.samples.is_empty();
-        (self.place, self.share, self.rays) = (moment.map_from_lidar.translation, 0.0, 0.0);
+        (self.place, self.share, self.rays) = (scan.map_from_lidar.translation, 0.0, 0.0);
         self.directions.clear();
         self.reach.clear();
         self.since_ns.clear();
@@ -122,7 +123,7 @@ impl Look {
         if !self.has_returns {
             return; // tells nothing, not even of open sky
         }
-        self.expect(sky, moment.map_from_lidar);
+        self.expect(sky, scan.map_from_lidar);
         self.remember_surfaces(sky);
         self.widen(sky);
         let visible = VISIBLE_SHARE * self.ranked(0.98, |[range, _]| Some(range));
@@ -136,8 +137,8 @@ impl Look {
         let is_covered = returns < COVERED_SHARE * usual;
         let newest = if is_covered { NEWEST_COVERED } else { NEWEST };
         self.usual = usual + newest * (returns - usual);
-        if !is_covered && sky.is_known_at(moment.stamp_ns) {
-            self.cast(sky, moment, visible);
+        if !is_covered && sky.is_known_at(scan.stamp_ns) {
+            self.cast(sky, scan, visible);
         }
     }
 
@@ -187,7 +188,7 @@ impl Look {
         &self.of_sensor
     }
 
-    /// Leave what has been seen in `sky`; false if nothing was.
+    /// Move the observation into `sky`; false if the scan holds no return.
     pub(super) fn leave(&mut self, sky: &mut Sky) -> bool {
         if !self.has_returns {
             return false;
@@ -203,7 +204,7 @@ impl Look {
         true
     }
 
-    fn count(&mut self, moment: &Moment<'_>) {
+    fn count(&mut self, scan: &ScanToObserve<'_>) {
         for counts in [&mut self.of_sensor, &mut self.hits] {
             counts.clear();
             counts.resize(CELLS, 0);
@@ -212,16 +213,16 @@ impl Look {
         self.nearest.resize(CELLS, f32::INFINITY);
         self.samples.clear();
         let grid = &*GRID;
-        let step = (moment.points.len() / SAMPLES).max(1);
-        for (row, &point) in moment.points.iter().enumerate() {
+        let step = (scan.points.len() / SAMPLES).max(1);
+        for (row, &point) in scan.points.iter().enumerate() {
             let point = wide(point);
             let range = norm(point);
             if !(range.is_finite() && range > LEAST_RANGE)
-                || moment.no_return.is_some_and(|flags| flags[row])
+                || scan.no_return.is_some_and(|flags| flags[row])
             {
                 continue;
             }
-            let turned = moment.map_from_lidar.rotate(point);
+            let turned = scan.map_from_lidar.rotate(point);
             self.of_sensor[grid.cell(point)] += 1;
             let cell = grid.cell(turned);
             self.hits[cell] += 1;

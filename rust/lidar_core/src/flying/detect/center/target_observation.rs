@@ -12,7 +12,7 @@ const ENOUGH_BLOCKED: usize = 2;
 
 /// A ray from a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct SightRay {
+pub(crate) struct TargetRay {
     pub(crate) origin: Vector3<f64>,
     /// Unit vector.
     pub(crate) direction: Vector3<f64>,
@@ -21,17 +21,17 @@ pub(crate) struct SightRay {
 /// A ray that hit the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TargetHit {
-    pub(crate) ray: SightRay,
+    pub(crate) ray: TargetRay,
     pub(crate) point: Vector3<f64>,
 }
 
 /// Observation of one target in one scan.
 #[derive(Clone, Debug)]
-pub(crate) struct Sight {
+pub(crate) struct TargetObservation {
     /// At least one.
     pub(crate) hits: Vec<TargetHit>,
     /// Rays that went past the target, on either side and through its gaps.
-    pub(crate) passing: Vec<SightRay>,
+    pub(crate) passing: Vec<TargetRay>,
     /// True if rays beside the points ended nearer, so that a part of the target may be hidden.
     pub(crate) is_cut: bool,
     /// Number of these rays, the first ones, that are near the points.
@@ -40,42 +40,45 @@ pub(crate) struct Sight {
 
 /// Search region for rays that pass a target.
 #[derive(Clone, Debug)]
-pub(crate) struct Region {
+pub(crate) struct TargetRegion {
     /// Middle of the box around its points [m].
     pub(crate) middle: Vector3<f64>,
     /// Radius of a ball around the points [m].
     pub(crate) radius: f64,
 }
 
-/// Rays around a region.
+/// Rays that pass near a region, and the number of those that end before it.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Around {
+pub(crate) struct PassingRays {
     /// Rays that passed the target and went on behind it.
-    pub(crate) passing: Vec<SightRay>,
+    pub(crate) passing: Vec<TargetRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
 }
 
-/// A scan that can be asked what it saw.
-pub(crate) trait SightSource {
+/// Rays of a scan, by target and by region.
+pub(crate) trait RaySource {
     /// The hit of a row that has a point.
     fn hit(&self, row: usize) -> TargetHit;
     /// For every region, the rays that come within [`MARGIN`] of it.
-    fn around(&self, regions: &[Region]) -> Vec<Around>;
+    fn around(&self, regions: &[TargetRegion]) -> Vec<PassingRays>;
 
-    /// Sights of targets, given the rows of their points, none of them empty.
-    fn sights(&self, targets: &[&[u32]]) -> Vec<Sight> {
+    /// Observations of targets, given the rows of their points, none of them empty.
+    fn observations(&self, targets: &[&[u32]]) -> Vec<TargetObservation> {
         let hits: Vec<Vec<TargetHit>> = targets
             .iter()
             .map(|rows| rows.iter().map(|&row| self.hit(row as usize)).collect())
             .collect();
-        let regions: Vec<Region> = hits.iter().map(|hits| Region::of(hits)).collect();
+        let regions: Vec<TargetRegion> = hits.iter().map(|hits| TargetRegion::of(hits)).collect();
         let around = self.around(&regions);
-        hits.into_iter().zip(around).map(|(hits, around)| Sight::new(hits, around)).collect()
+        hits.into_iter()
+            .zip(around)
+            .map(|(hits, around)| TargetObservation::new(hits, around))
+            .collect()
     }
 }
 
-impl SightRay {
+impl TargetRay {
     /// Offset of `point` from the nearest place on the line of the ray.
     pub(crate) fn aside(&self, point: &Vector3<f64>) -> Vector3<f64> {
         let span = point - self.origin;
@@ -87,11 +90,11 @@ impl TargetHit {
     pub(crate) fn new(origin: [f64; 3], point: [f64; 3]) -> Self {
         let (origin, point) = (Vector3::from(origin), Vector3::from(point));
         let direction = (point - origin).try_normalize(f64::MIN_POSITIVE);
-        Self { ray: SightRay { origin, direction: direction.unwrap_or(Vector3::x()) }, point }
+        Self { ray: TargetRay { origin, direction: direction.unwrap_or(Vector3::x()) }, point }
     }
 }
 
-impl Region {
+impl TargetRegion {
     pub(crate) fn of(hits: &[TargetHit]) -> Self {
         let (mut low, mut high) = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
         for hit in hits {
@@ -107,17 +110,17 @@ impl Region {
     }
 }
 
-impl Sight {
-    /// Sorts what it is given, so that results do not depend on the order of rays.
-    pub(crate) fn new(mut hits: Vec<TargetHit>, around: Around) -> Self {
-        let Around { mut passing, n_blocked } = around;
-        let region = Region::of(&hits);
+impl TargetObservation {
+    /// An observation whose hits and rays are sorted: results do not depend on their order.
+    pub(crate) fn new(mut hits: Vec<TargetHit>, around: PassingRays) -> Self {
+        let PassingRays { mut passing, n_blocked } = around;
+        let region = TargetRegion::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
         passing.sort_unstable_by(|one, other| {
             let by_origin = || order(&one.origin, &other.origin);
             order(&one.direction, &other.direction).then_with(by_origin)
         });
-        let is_near = |ray: &&SightRay| ray.aside(&region.middle).norm() <= region.radius + NEAR;
+        let is_near = |ray: &&TargetRay| ray.aside(&region.middle).norm() <= region.radius + NEAR;
         let mut sorted = Vec::with_capacity(passing.len());
         sorted.extend(passing.iter().filter(is_near));
         let n_near = sorted.len();
@@ -125,7 +128,7 @@ impl Sight {
         Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
     }
 
-    pub(super) fn near_passing(&self) -> &[SightRay] {
+    pub(super) fn near_passing(&self) -> &[TargetRay] {
         &self.passing[..self.n_near]
     }
 

@@ -1,10 +1,11 @@
-//! State of reporting: whether the detections of a scan are reported.
+//! Gate of the detector: whether the detections of a scan are reported. Not the validation gate of a
+//! tracker, which bounds the measurements that a track may take.
 
 use std::fmt;
 
-/// State of reporting: detections are reported, or the reason why not.
+/// Whether the detections of a scan are reported, or the reason why not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Gate {
+pub enum ReportingGate {
     /// Detections are reported.
     Open,
     /// The burn-in is not over.
@@ -26,7 +27,7 @@ pub enum Gate {
     },
 }
 
-impl fmt::Display for Gate {
+impl fmt::Display for ReportingGate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Open => f.write_str("open"),

@@ -2,7 +2,7 @@
 
 use super::super::Sky;
 use super::super::grid::{CELLS, GRID};
-use super::{Look, ranked};
+use super::{SkyObservation, ranked};
 use crate::geometry::transform::{minus, norm};
 
 /// A surface is remembered so long after its last return [ns].
@@ -18,7 +18,7 @@ const SURFACE_SIZE: f64 = 2.0;
 /// Holes in surfaces have fewer cells than this: 40 degrees by 40.
 const MOST_OF_HOLE: usize = 400;
 
-impl Look {
+impl SkyObservation {
     /// Note the ranges of what was seen, unless it is as small as a target.
     pub(super) fn remember_surfaces(&mut self, sky: &Sky) {
         self.surface.clone_from(&sky.surface);

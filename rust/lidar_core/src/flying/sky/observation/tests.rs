@@ -1,4 +1,4 @@
-//! What a scan shows of the sky.
+//! Tests of the observation of the sky.
 
 use super::super::grid::PARTS;
 use super::super::{Beams, Sky};
@@ -21,10 +21,10 @@ fn wall(range: f64, top: f64) -> Vec<[f32; 3]> {
     points
 }
 
-fn looks(sky: &mut Sky, map: &VoxelMap, scans: &[Vec<[f32; 3]>]) -> Look {
-    let mut look = Look::default();
+fn observe(sky: &mut Sky, map: &VoxelMap, scans: &[Vec<[f32; 3]>]) -> SkyObservation {
+    let mut observation = SkyObservation::default();
     for (number, points) in scans.iter().enumerate() {
-        let moment = Moment {
+        let scan = ScanToObserve {
             points,
             no_return: None,
             map_from_lidar: &Transform::IDENTITY,
@@ -32,25 +32,29 @@ fn looks(sky: &mut Sky, map: &VoxelMap, scans: &[Vec<[f32; 3]>]) -> Look {
             is_masked: &|_| false,
             map,
         };
-        look.fill(sky, &moment);
+        observation.fill(sky, &scan);
         if number + 1 < scans.len() {
-            sky.take(&mut look, points);
+            sky.take(&mut observation, points);
         }
     }
-    look
+    observation
 }
 
-fn gap_is_sky(look: &Look) -> bool {
-    look.directions.iter().any(|direction| direction[0] > 0.99 && direction[2] > 0.0)
+fn gap_is_sky(observation: &SkyObservation) -> bool {
+    observation.directions.iter().any(|direction| direction[0] > 0.99 && direction[2] > 0.0)
 }
 
 #[test]
 fn the_gap_in_a_wall_is_sky_and_what_was_never_looked_at_is_not() -> Result<(), Error> {
     let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
-    let look = looks(&mut sky, &map, &vec![wall(30.0, 0.5); 5]);
-    assert!(gap_is_sky(&look) && look.share > 0.05 && look.share < 0.2, "{}", look.share);
-    for cell in (0..CELLS).filter(|&cell| look.is_sky[cell]) {
+    let observation = observe(&mut sky, &map, &vec![wall(30.0, 0.5); 5]);
+    assert!(
+        gap_is_sky(&observation) && observation.share > 0.05 && observation.share < 0.2,
+        "{}",
+        observation.share
+    );
+    for cell in (0..CELLS).filter(|&cell| observation.is_sky[cell]) {
         let direction = GRID.centers[cell];
         assert!(direction[2] < 0.58, "{direction:?}"); // a cell beside the highest returns
         assert!(direction[0] > 0.8 * direction[1].abs() || direction[2] > 0.4, "{direction:?}");
@@ -62,11 +66,11 @@ fn the_gap_in_a_wall_is_sky_and_what_was_never_looked_at_is_not() -> Result<(), 
 fn a_scan_that_is_not_accepted_changes_nothing() -> Result<(), Error> {
     let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
-    let first = looks(&mut sky, &map, &vec![wall(30.0, 0.5); 5]).reach;
+    let first = observe(&mut sky, &map, &vec![wall(30.0, 0.5); 5]).reach;
     let before = format!("{sky:?}");
-    let mut look = Look::default();
+    let mut observation = SkyObservation::default();
     let points = wall(5.0, 0.1);
-    let moment = Moment {
+    let scan = ScanToObserve {
         points: &points,
         no_return: None,
         map_from_lidar: &Transform::IDENTITY,
@@ -74,7 +78,7 @@ fn a_scan_that_is_not_accepted_changes_nothing() -> Result<(), Error> {
         is_masked: &|_| false,
         map: &map,
     };
-    look.fill(&sky, &moment);
+    observation.fill(&sky, &scan);
     assert_eq!(before, format!("{sky:?}"));
     assert!(!first.is_empty());
     Ok(())
@@ -87,8 +91,8 @@ fn a_sensor_that_is_covered_sees_no_sky() -> Result<(), Error> {
     let mut scans = vec![wall(30.0, 0.5); 6];
     let few = scans[0].iter().copied().filter(|point| point[1] < -15.0).collect();
     scans.push(few);
-    let look = looks(&mut sky, &map, &scans);
-    assert!(look.directions.is_empty() && look.share == 0.0);
+    let observation = observe(&mut sky, &map, &scans);
+    assert!(observation.directions.is_empty() && observation.share == 0.0);
     Ok(())
 }
 
@@ -99,7 +103,7 @@ fn nobody_gets_used_to_a_covered_sensor() -> Result<(), Error> {
     let mut scans = vec![wall(30.0, 0.5); 6];
     let few: Vec<[f32; 3]> = scans[0].iter().copied().filter(|point| point[1] < -15.0).collect();
     scans.extend(vec![few; 60]);
-    assert!(looks(&mut sky, &map, &scans).directions.is_empty());
+    assert!(observe(&mut sky, &map, &scans).directions.is_empty());
     Ok(())
 }
 
@@ -107,9 +111,9 @@ fn nobody_gets_used_to_a_covered_sensor() -> Result<(), Error> {
 fn far_returns_do_not_make_rays_longer_than_those_of_the_map() -> Result<(), Error> {
     let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
-    let look = looks(&mut sky, &map, &vec![wall(1e6, 0.5); 5]);
-    assert!(!look.reach.is_empty());
-    assert!(look.reach.iter().all(|&reach| reach <= 20.0));
+    let observation = observe(&mut sky, &map, &vec![wall(1e6, 0.5); 5]);
+    assert!(!observation.reach.is_empty());
+    assert!(observation.reach.iter().all(|&reach| reach <= 20.0));
     Ok(())
 }
 
@@ -120,14 +124,14 @@ fn rays_of_sky_end_before_what_returns_have_shown_until_they_are_trusted() -> Re
         .map(|index| [10.0, (index % 20) as f32 * 0.25 - 2.5, (index / 20) as f32 * 0.25 - 2.5])
         .collect();
     map.set_occupied(&screen)?;
-    let ahead = |look: &Look| {
-        let ray = look.directions.iter().position(|direction| direction[0] > 0.995);
-        ray.map(|ray| f64::from(look.reach[ray]))
+    let ahead = |observation: &SkyObservation| {
+        let ray = observation.directions.iter().position(|direction| direction[0] > 0.995);
+        ray.map(|ray| f64::from(observation.reach[ray]))
     };
     for (scans, expected) in [(5, 9.75), (30, 20.0)] {
         let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
-        let look = looks(&mut sky, &map, &vec![wall(30.0, 0.5); scans]);
-        let reach = ahead(&look).ok_or(Error::Interrupted)?;
+        let observation = observe(&mut sky, &map, &vec![wall(30.0, 0.5); scans]);
+        let reach = ahead(&observation).ok_or(Error::Interrupted)?;
         assert!((reach - expected).abs() < 0.3, "{reach} after {scans} scans");
     }
     Ok(())
@@ -145,11 +149,12 @@ fn near_surfaces_limit_the_rays_beside_them_and_small_things_do_not() -> Result<
                 points.push([8.0 * x, 8.0 * y, 8.0 * z]);
             }
         }
-        let look = looks(&mut sky, &map, &vec![points; 5]);
+        let observation = observe(&mut sky, &map, &vec![points; 5]);
         let near = |direction: &[f32; 3]| {
             direction[1].abs() < 0.1 && (direction[2] - 0.2).abs() < 0.1 && direction[0] > 0.0
         };
-        let rays = look.directions.iter().zip(&look.reach).filter(|(ray, _)| near(ray));
+        let rays =
+            observation.directions.iter().zip(&observation.reach).filter(|(ray, _)| near(ray));
         Ok(rays.map(|(_, &reach)| f64::from(reach)).fold(f64::INFINITY, f64::min))
     };
     assert!(reach_ahead(0.06)? > 15.0);
@@ -161,10 +166,10 @@ fn near_surfaces_limit_the_rays_beside_them_and_small_things_do_not() -> Result<
 fn rays_stay_above_the_lowest_returns() -> Result<(), Error> {
     let map = VoxelMap::new(parameters())?;
     let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
-    let look = looks(&mut sky, &map, &vec![wall(15.0, 0.5); 5]); // down to -4.5 m
-    for (direction, &reach) in look.directions.iter().zip(&look.reach) {
+    let observation = observe(&mut sky, &map, &vec![wall(15.0, 0.5); 5]); // down to -4.5 m
+    for (direction, &reach) in observation.directions.iter().zip(&observation.reach) {
         assert!(dot(wide(*direction), [0.0, 0.0, 1.0]) * f64::from(reach) > -3.5);
     }
-    assert!(look.directions.iter().any(|direction| direction[2] < -0.1));
+    assert!(observation.directions.iter().any(|direction| direction[2] < -0.1));
     Ok(())
 }

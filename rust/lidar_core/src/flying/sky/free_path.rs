@@ -4,20 +4,20 @@ use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::floor;
 
-/// Rays through the map, which end before what returns have shown.
-pub(super) struct Way<'a> {
+/// Rays from one point through the map, which end before voxels that returns have shown.
+pub(super) struct FreePath<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
     origin: [f64; 3],
 }
 
-impl<'a> Way<'a> {
+impl<'a> FreePath<'a> {
     pub(super) fn through(map: &'a VoxelMap, origin: [f64; 3]) -> Self {
         Self { map, cursor: Cursor::new(&map.blocks), origin }
     }
 
     /// Length free of voxels that are at least tentatively occupied, up to `reach` [m].
-    pub(super) fn free(&mut self, direction: [f64; 3], reach: f64) -> f64 {
+    pub(super) fn length(&mut self, direction: [f64; 3], reach: f64) -> f64 {
         let size = self.map.lattice().voxel_size();
         let steps = (2.0 * reach / size) as usize;
         for step in 1..=steps {
