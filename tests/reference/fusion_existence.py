@@ -88,8 +88,8 @@ def last_places(kept, scan):
 
 
 def robust_box(places):
-    """Least and largest coordinates without the outer tenths, stretched by what is left out."""
-    outer = max(len(places) // 10, 1)
+    """Least and largest coordinates without the outer twentieths, stretched by what is left out."""
+    outer = max(len(places) // 20, 1)
     inner = np.sort(places, axis=0)[outer:-outer] if places else []
     if not len(inner):
         return None

@@ -9,7 +9,7 @@ const KEPT: usize = 128;
 /// Most measurements that are taken from a scan, so that a large one does not replace all others.
 const OF_SCAN: usize = 32;
 /// Share of the measurements that is left out at each end of an axis; one at least.
-const OUTER: f64 = 0.1;
+const OUTER: f64 = 0.05;
 /// Largest bound, so that volumes stay finite.
 const LARGEST: f64 = 1e30;
 
@@ -36,7 +36,7 @@ impl Recent {
 
     /// Lower and upper bound of each axis; None before three measurements.
     ///
-    /// The outer tenth at each end is left out, and the rest is stretched by the share left out:
+    /// The outer twentieth at each end is left out, and the rest is stretched by the share left out:
     /// for evenly distributed values the bounds are those of all, and a few far ones move them
     /// hardly.
     #[must_use]
