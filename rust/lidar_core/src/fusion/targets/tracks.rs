@@ -96,34 +96,20 @@ pub(super) struct Candidates {
     pub(super) innovations: Vec<Innovation>,
 }
 
-/// Saved form of a track.
-#[derive(Serialize, Deserialize)]
-struct SavedTrack {
-    id: i64,
-    filter: SavedTarget,
-    history: u64,
-    looks: u32,
-    sources: u64,
-    born_ns: i64,
-    seen_ns: i64,
-    hits: u32,
-    confirmed: bool,
-    belief: Belief,
-}
-
 /// Saved form of all tracks.
 #[derive(Serialize, Deserialize)]
 pub struct SavedTracks {
     unseen: SavedTarget,
-    all: Vec<SavedTrack>,
+    all: Vec<TargetTrack<SavedTarget>>,
     scanners: BTreeMap<u8, [Surroundings; 2]>,
     population: Population,
 }
 
-#[derive(Clone)]
-pub(super) struct TargetTrack {
+/// A track with its filter, or with the saved form of that.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct TargetTrack<F = Filter> {
     pub(super) id: i64,
-    pub(super) filter: Filter,
+    pub(super) filter: F,
     /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
     /// measured.
     history: u64,
@@ -212,33 +198,7 @@ impl Tracks {
 
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
-        let one = |track: &TargetTrack| {
-            let TargetTrack {
-                id,
-                history,
-                looks,
-                sources,
-                born_ns,
-                seen_ns,
-                hits,
-                confirmed,
-                belief,
-                ..
-            } = *track;
-            let filter = track.filter.saved();
-            SavedTrack {
-                id,
-                filter,
-                history,
-                looks,
-                sources,
-                born_ns,
-                seen_ns,
-                hits,
-                confirmed,
-                belief,
-            }
-        };
+        let one = |track: &TargetTrack| track.with_filter(track.filter.saved());
         let (all, scanners) = (self.all.iter().map(one).collect(), self.scanners.clone());
         SavedTracks { unseen: self.unseen.saved(), all, scanners, population: self.population }
     }
@@ -252,32 +212,8 @@ impl Tracks {
             let mut filter = self.unseen.clone();
             filter.restore_saved(state).map(|()| filter)
         };
-        let one = |track: &SavedTrack| {
-            let SavedTrack {
-                id,
-                history,
-                looks,
-                sources,
-                born_ns,
-                seen_ns,
-                hits,
-                confirmed,
-                belief,
-                ..
-            } = *track;
-            let filter = with(&track.filter)?;
-            Ok(TargetTrack {
-                id,
-                filter,
-                history,
-                looks,
-                sources,
-                born_ns,
-                seen_ns,
-                hits,
-                confirmed,
-                belief,
-            })
+        let one = |track: &TargetTrack<SavedTarget>| {
+            with(&track.filter).map(|own| track.with_filter(own))
         };
         let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
         Ok(Self {
@@ -490,6 +426,24 @@ impl Tracks {
             track.judge(parameters);
             assigned[column].id = Some(track.id);
             self.all.push(track);
+        }
+    }
+}
+
+impl<F> TargetTrack<F> {
+    /// The same track with another form of its filter.
+    fn with_filter<G>(&self, filter: G) -> TargetTrack<G> {
+        TargetTrack {
+            id: self.id,
+            filter,
+            history: self.history,
+            looks: self.looks,
+            sources: self.sources,
+            born_ns: self.born_ns,
+            seen_ns: self.seen_ns,
+            hits: self.hits,
+            confirmed: self.confirmed,
+            belief: self.belief,
         }
     }
 }
