@@ -137,7 +137,7 @@ class ClassifyConfig(Config):
     )
     map_state: Literal["before", "after_update"] = Field(
         "before",
-        description="Rule B is judged on the map before this scan's update, or after it as in the"
+        description="Rule B reads the map before this scan's update, or after it as in the"
         " authors' code (no unit).",
     )
     border: Literal["open", "closed"] = Field(
@@ -182,7 +182,7 @@ class ClassifyConfig(Config):
         0.7,
         gt=0,
         le=10,
-        description="Clusters with gaps up to this are judged together: by their common extent,"
+        description="Clusters with gaps up to this are classified together: by their common extent,"
         " and as background if background of this scan is among them [m]; none: each by itself.",
     )
     min_clearance: float = Field(

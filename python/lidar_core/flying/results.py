@@ -99,8 +99,8 @@ class FlyingFrame:
     status : FlyingStatus
         Background gate open or closed, and why.
     timing_ms : dict
-        Time per stage [ms]. With two threads or more, rays are cast while clusters are sought and
-        judged: what of that takes longer is added to ``integrate``.
+        Time per stage [ms]. With two threads or more, rays are cast while clusters are found and
+        classified: what of that takes longer is added to ``integrate``.
     rejected : str or None
         Why the scan could not be used (`on_bad_scan="count"`); the state is unchanged then.
     n_rays, n_visits : int

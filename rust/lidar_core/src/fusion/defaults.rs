@@ -8,7 +8,7 @@ use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
 use super::sensors::observation::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Strengths};
-use super::targets::lifecycle::{GyroUse, Life, Loss};
+use super::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
 use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.
@@ -57,7 +57,7 @@ impl Default for Sensing {
     }
 }
 
-impl Default for Life {
+impl Default for LifecycleRules {
     fn default() -> Self {
         Self {
             start_rows: 6,
@@ -98,7 +98,7 @@ impl Default for FusionParameters {
             strengths: Strengths::default(),
             prior: Prior::default(),
             sensing: Sensing::default(),
-            life: Life::default(),
+            life: LifecycleRules::default(),
             lever: [0.0; 2],
         }
     }
@@ -116,12 +116,12 @@ impl FusionParameters {
                 platform: 0.5,
                 ..Strengths::default()
             },
-            life: Life {
+            life: LifecycleRules {
                 start_rows: 1,
                 gate: [f64::INFINITY; 5],
                 memory: None,
                 loss: None,
-                ..Life::default()
+                ..LifecycleRules::default()
             },
             ..Self::default()
         }
@@ -139,7 +139,7 @@ impl Default for ManyParameters {
                     quiet: Some(0.1),
                 },
                 prior: Prior { speed: 225.0, ..Prior::default() },
-                life: Life { start_rows: 3, ..Life::default() },
+                life: LifecycleRules { start_rows: 3, ..LifecycleRules::default() },
                 ..FusionParameters::default()
             },
             confirm_hits: 3,

@@ -7,7 +7,7 @@ use super::models::cartesian::{ConstantAcceleration, ConstantVelocity, Coordinat
 use super::models::drone::{CtrvDrone, CtrvDroneRate};
 use super::models::heading::{Ctra, Ctrv};
 use super::models::motion::{Motion, Noise};
-use super::models::state_conversion::Exchange;
+use super::models::state_conversion::StateConversion;
 
 /// Motion model of the targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,7 +113,7 @@ pub(crate) trait ForMotion {
 /// Computation that needs a motion whose states can be converted to those of other models.
 pub(crate) trait ForMixable {
     type Output;
-    fn run<const N: usize, M: Exchange<N>>(self, motion: M) -> Self::Output;
+    fn run<const N: usize, M: StateConversion<N>>(self, motion: M) -> Self::Output;
 }
 
 struct NoisesOf;

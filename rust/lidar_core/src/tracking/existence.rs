@@ -76,7 +76,7 @@ impl Presence {
 
 /// A track before a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prospect {
+pub struct PredictedTrack {
     /// What is known of its target, predicted to the time of the scan.
     pub presence: Presence,
     /// Probability that the scan measures the target within its gate if it is observable.
@@ -125,8 +125,12 @@ pub struct JointEvidence {
 /// Musicki & Evans, "Joint integrated probabilistic data association: JIPDA", 2004; for one track:
 /// Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994.
 #[must_use]
-pub fn associate(tracks: &[Prospect], measurements: usize, pairs: &[GatedPair]) -> JointEvidence {
-    let seen = |track: &Prospect| track.detection * track.presence.observable();
+pub fn associate(
+    tracks: &[PredictedTrack],
+    measurements: usize,
+    pairs: &[GatedPair],
+) -> JointEvidence {
+    let seen = |track: &PredictedTrack| track.detection * track.presence.observable();
     let cost = |pair: &GatedPair| {
         let seen = seen(&tracks[pair.track]);
         let cost = libm::log(1.0 - seen) - libm::log(seen) - pair.log_ratio;
@@ -164,7 +168,8 @@ pub fn associate(tracks: &[Prospect], measurements: usize, pairs: &[GatedPair]) 
 mod tests {
     use super::*;
 
-    const TRACK: Prospect = Prospect { presence: SOME, detection: 0.8, is_in_view: true };
+    const TRACK: PredictedTrack =
+        PredictedTrack { presence: SOME, detection: 0.8, is_in_view: true };
     const SOME: Presence = Presence { existence: 0.5, hidden: 0.0, returned: 0.0 };
     const MEAN: Sojourn = Sojourn { lifetime: 60.0, visible: 30.0, hidden: 1.5 };
 
@@ -186,7 +191,7 @@ mod tests {
     #[test]
     fn what_is_hidden_is_neither_measured_nor_missed() {
         let presence = Presence { existence: 0.6, hidden: 0.1, returned: 0.05 };
-        let track = Prospect { presence, ..TRACK };
+        let track = PredictedTrack { presence, ..TRACK };
         let missed = associate(&[track], 0, &[]);
         assert!((missed.presence[0].existence - 0.2 / 0.6).abs() < 1e-15);
         assert!((missed.presence[0].hidden - 0.1 / 0.6).abs() < 1e-15);
@@ -204,7 +209,7 @@ mod tests {
     #[test]
     fn a_scanner_that_may_not_see_the_place_takes_nothing_away() {
         let presence = Presence { existence: 0.5, hidden: 0.1, returned: 0.05 };
-        let unseen = Prospect { presence, is_in_view: false, ..TRACK };
+        let unseen = PredictedTrack { presence, is_in_view: false, ..TRACK };
         assert_eq!(associate(&[unseen], 0, &[]).presence, [presence]);
         let pair = GatedPair { track: 0, measurement: 0, log_ratio: 4.0 };
         assert!(associate(&[unseen], 1, &[pair]).presence[0].existence > 0.9);
@@ -215,7 +220,7 @@ mod tests {
     fn a_second_track_on_the_same_measurements_fades() {
         let mut presence = [0.99, 0.9].map(Presence::measured);
         for _ in 0..30 {
-            let tracks = presence.map(|presence| Prospect { presence, ..TRACK });
+            let tracks = presence.map(|presence| PredictedTrack { presence, ..TRACK });
             let pair = |track| GatedPair { track, measurement: 0, log_ratio: 5.0 };
             let found = associate(&tracks, 1, &[pair(0), pair(1)]).presence;
             presence = [found[0], found[1]];
@@ -257,7 +262,8 @@ mod tests {
             let mut gap = |seconds: f64| {
                 for _ in 0..(seconds * rate) as usize {
                     let next = presence.predicted(1.0 / rate, &MEAN);
-                    let track = Prospect { presence: next, detection: 0.99, is_in_view: true };
+                    let track =
+                        PredictedTrack { presence: next, detection: 0.99, is_in_view: true };
                     presence = associate(&[track], 0, &[]).presence[0];
                 }
                 presence.existence

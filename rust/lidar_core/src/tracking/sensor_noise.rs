@@ -26,7 +26,7 @@ pub struct NoiseFactor {
 
 /// What an innovation says about one measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Surprise {
+pub struct InnovationStatistics {
     /// Measured minus expected, squared.
     pub squared: f64,
     /// Variance of the innovation that does not come from the sensor: that of the prediction.
@@ -64,8 +64,8 @@ impl NoiseFactor {
     /// # Source
     /// Mehra, "On the identification of variances and adaptive Kalman filtering", 1970; bounded
     /// influence: Huber, "Robust estimation of a location parameter", 1964.
-    pub fn learn(&mut self, surprise: &Surprise, memory: f64) {
-        let Surprise { squared, predicted, configured } = *surprise;
+    pub fn learn(&mut self, surprise: &InnovationStatistics, memory: f64) {
+        let InnovationStatistics { squared, predicted, configured } = *surprise;
         let kept = 1.0 - 1.0 / memory;
         let information = kept * self.information + (1.0 - kept) * PRIOR;
         let center = kept * self.information * self.log / information;
@@ -105,7 +105,7 @@ mod tests {
     fn learned(squared: impl Iterator<Item = f64>, predicted: f64, configured: f64) -> NoiseFactor {
         let mut noise = NoiseFactor::default();
         squared.for_each(|squared| {
-            noise.learn(&Surprise { squared, predicted, configured }, MEMORY);
+            noise.learn(&InnovationStatistics { squared, predicted, configured }, MEMORY);
         });
         noise
     }

@@ -6,7 +6,7 @@ use lidar_core::fusion::filter::paper::{Paper, Reading};
 use lidar_core::fusion::model::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
 use lidar_core::fusion::sensors::observation::Sensing;
-use lidar_core::fusion::targets::lifecycle::{GyroUse, Life, Loss};
+use lidar_core::fusion::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;
 
@@ -152,12 +152,12 @@ impl FusionConfig {
         }
     }
 
-    fn life(&self) -> Result<Life, Error> {
+    fn life(&self) -> Result<LifecycleRules, Error> {
         let estimates = choice("sensor_noise", &self.sensor_noise, &NOISES)?;
-        Ok(Life {
+        Ok(LifecycleRules {
             start_rows: self.start_rows,
-            gate: Life::gates(self.gate_probability)?,
-            memory: Life::default().memory.filter(|_| estimates),
+            gate: LifecycleRules::gates(self.gate_probability)?,
+            memory: LifecycleRules::default().memory.filter(|_| estimates),
             loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
             starts_as_measured: false,

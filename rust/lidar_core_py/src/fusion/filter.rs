@@ -31,7 +31,7 @@ const OUTCOMES: [(&str, Outcome); 9] = [
     ("updated", Outcome::Updated),
     ("started", Outcome::Started),
     ("restarted", Outcome::Restarted),
-    ("told", Outcome::Told),
+    ("told", Outcome::PlatformMotion),
     ("gated", Outcome::Gated),
     ("invalid", Outcome::Invalid),
     ("late", Outcome::Late),
@@ -114,8 +114,8 @@ impl PyFusionStep {
 }
 
 fn accepted(outcome: Outcome) -> bool {
-    use Outcome::{Restarted, Started, Told, Updated};
-    matches!(outcome, Updated | Started | Restarted | Told)
+    use Outcome::{PlatformMotion, Restarted, Started, Updated};
+    matches!(outcome, Updated | Started | Restarted | PlatformMotion)
 }
 
 fn square<'py>(py: Python<'py>, output: &Output) -> Result<Bound<'py, PyArray2<f64>>, BorderError> {

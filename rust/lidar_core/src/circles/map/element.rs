@@ -215,7 +215,7 @@ impl<S: State> Element<S> {
             || is_long(self.unmatched, limits.unmatched)
             || limits.hidden.is_some_and(|most| is_long(self.hidden, most))
             // The covariance grows while an element is hidden, and comes back into view as it is;
-            // only what was measured is judged by it.
+            // the measured part alone is tested by it.
             || self.seen == ScanEvidence::Measured && self.state.is_vague(rules)
     }
 

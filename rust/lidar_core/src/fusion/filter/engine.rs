@@ -57,7 +57,7 @@ pub struct Output {
 }
 
 /// Decides by its innovation if a measurement may correct a state.
-pub type Believe<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
+pub type AcceptInnovation<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
 
 /// A filter without memory: the caller holds the state.
 pub trait Engine: Clone + Send + Sync + 'static {
@@ -85,7 +85,7 @@ pub trait Engine: Clone + Send + Sync + 'static {
         state: &mut Self::State,
         m: &Measurement,
         platform: &Platform,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error>;
 
     /// Visit the innovations that a measurement has for each part of the state; a state without
@@ -183,7 +183,7 @@ impl<const N: usize, M: Motion<N>> Single<N, M> {
     fn corrected<const K: usize>(
         state: &mut Gaussian<N>,
         model: &Linearised<N, K>,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
         let of = |far: &Mahalanobis<K>| Innovation::new(model.y.as_slice(), far);
         let far = correct(state, model, |far| believe(&of(far)))?;
@@ -217,7 +217,7 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         state: &mut Gaussian<N>,
         m: &Measurement,
         platform: &Platform,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
         // A model without this state takes the turn rate from the platform, as an input.
         if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {

@@ -2,12 +2,12 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::engine::{Believe, Engine, Innovation, Output, Single, mixed, output};
+use super::engine::{AcceptInnovation, Engine, Innovation, Output, Single, mixed, output};
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use crate::fusion::models::motion::First;
 use crate::fusion::models::platform::Platform;
-use crate::fusion::models::state_conversion::Exchange;
+use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::sensors::measurement::Measurement;
 use nalgebra::{SMatrix, SVector};
 use std::sync::Arc;
@@ -64,18 +64,18 @@ struct Member<const N: usize, M> {
 }
 
 /// A model for [`Imm`].
-pub fn mode<const N: usize, M: Exchange<N>>(engine: Single<N, M>) -> Arc<dyn Mode> {
+pub fn mode<const N: usize, M: StateConversion<N>>(engine: Single<N, M>) -> Arc<dyn Mode> {
     let state = Gaussian { mean: SVector::zeros(), covariance: SMatrix::identity() };
     Arc::new(Member { engine, state })
 }
 
-impl<const N: usize, M: Exchange<N>> Member<N, M> {
+impl<const N: usize, M: StateConversion<N>> Member<N, M> {
     fn with(&self, state: Gaussian<N>) -> Arc<dyn Mode> {
         Arc::new(Self { engine: self.engine.clone(), state })
     }
 }
 
-impl<const N: usize, M: Exchange<N>> Mode for Member<N, M> {
+impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
     fn started(&self, first: &First) -> Arc<dyn Mode> {
         self.with(self.engine.first(first))
     }
@@ -191,7 +191,7 @@ impl Engine for Imm {
         state: &mut Modes,
         m: &Measurement,
         platform: &Platform,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
         let mut updated = Vec::with_capacity(state.len());
         for (weight, mode) in &*state {

@@ -6,7 +6,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::engine::{Believe, Engine, Innovation, Output, mixed, output};
+use super::engine::{AcceptInnovation, Engine, Innovation, Output, mixed, output};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Mahalanobis};
 use crate::fusion::models::motion::{First, Prior};
@@ -143,7 +143,7 @@ impl Paper {
         state: &mut Gaussian<6>,
         z: &SVector<f64, K>,
         variances: &[f64],
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
         let singular = || Error::NotPositiveDefinite { matrix: "S" };
         let M = &state.covariance;
@@ -239,7 +239,7 @@ impl Engine for Paper {
         state: &mut Gaussian<6>,
         m: &Measurement,
         _: &Platform,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
         let v = m.values();
         match m.sensor() {

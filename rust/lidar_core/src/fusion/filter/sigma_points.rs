@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::engine::{Believe, Engine, Innovation, Link, Output, Single, mixed, output};
+use super::engine::{AcceptInnovation, Engine, Innovation, Link, Output, Single, mixed, output};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Mahalanobis};
 use crate::estimation::unscented::{Rooted, SigmaRule, Triangle, stacked, transformed};
@@ -75,7 +75,7 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
         R: &SMatrix<f64, K, K>,
         expected: impl Fn(&SVector<f64, N>) -> SVector<f64, K>,
         minus: impl Fn(&SVector<f64, K>, &SVector<f64, K>) -> SVector<f64, K>,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Corrected {
         let (points, mean) = (prior.points(&self.rule), prior.rooted.mean);
         // The mean is formed from differences to the central point: bearings on both sides of pi,
@@ -191,7 +191,7 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         state: &mut SigmaState<N>,
         m: &Measurement,
         platform: &Platform,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Corrected {
         let motion = &self.base.motion;
         if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {

@@ -4,7 +4,7 @@
 
 use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
-use super::state_conversion::{ANY_RATE, Exchange, capped, through, turn_rate};
+use super::state_conversion::{ANY_RATE, StateConversion, capped, through, turn_rate};
 use super::turn::{Turn, direction, rotated};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
@@ -197,7 +197,7 @@ impl Motion<5> for CoordinatedTurn {
     }
 }
 
-impl Exchange<4> for ConstantVelocity {
+impl StateConversion<4> for ConstantVelocity {
     fn cartesian(&self, state: &Gaussian<4>, other: Option<&Gaussian<6>>) -> Gaussian<6> {
         let (mut mean, mut covariance) = (Vector6::zeros(), Matrix6::zeros());
         mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
@@ -220,7 +220,7 @@ impl Exchange<4> for ConstantVelocity {
     }
 }
 
-impl Exchange<6> for ConstantAcceleration {
+impl StateConversion<6> for ConstantAcceleration {
     fn cartesian(&self, state: &Gaussian<6>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
         state.clone()
     }
@@ -230,7 +230,7 @@ impl Exchange<6> for ConstantAcceleration {
     }
 }
 
-impl Exchange<5> for CoordinatedTurn {
+impl StateConversion<5> for CoordinatedTurn {
     fn cartesian(&self, state: &Gaussian<5>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
         let [x, y, vx, vy, w] = state.mean.data.0[0];
         let mut J = SMatrix::<f64, 6, 5>::zeros();

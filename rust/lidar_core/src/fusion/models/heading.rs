@@ -4,7 +4,9 @@
 
 use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
 use super::platform::Platform;
-use super::state_conversion::{ANY_HEADING, ANY_RATE, Exchange, along, capped, spread, through};
+use super::state_conversion::{
+    ANY_HEADING, ANY_RATE, StateConversion, along, capped, spread, through,
+};
 use super::turn::{Turn, direction};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2x4, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
@@ -250,7 +252,7 @@ impl Motion<6> for Ctra {
     }
 }
 
-impl Exchange<5> for Ctrv {
+impl StateConversion<5> for Ctrv {
     fn cartesian(&self, state: &Gaussian<5>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
         spread(state)
     }
@@ -267,7 +269,7 @@ impl Exchange<5> for Ctrv {
     }
 }
 
-impl Exchange<6> for Ctra {
+impl StateConversion<6> for Ctra {
     fn cartesian(&self, state: &Gaussian<6>, _: Option<&Gaussian<6>>) -> Gaussian<6> {
         spread(state)
     }

@@ -15,7 +15,7 @@ pub(super) const ANY_HEADING: f64 = 4.0;
 pub(super) const ANY_RATE: f64 = 4.0;
 
 /// A model that can convert its state to and from the form [x, y, vx, vy, ax, ay].
-pub trait Exchange<const N: usize>: Motion<N> {
+pub trait StateConversion<const N: usize>: Motion<N> {
     /// State in Cartesian form; states that the model does not have are taken from `other`.
     fn cartesian(&self, state: &Gaussian<N>, other: Option<&Gaussian<6>>) -> Gaussian<6>;
 
@@ -120,7 +120,7 @@ mod tests {
     use crate::fusion::models::motion::tests::difference;
     use nalgebra::{Matrix6, Vector5};
 
-    fn there_and_back<const N: usize, M: Exchange<N>>(motion: &M, mean: SVector<f64, N>) {
+    fn there_and_back<const N: usize, M: StateConversion<N>>(motion: &M, mean: SVector<f64, N>) {
         let covariance = SMatrix::<f64, N, N>::from_fn(|row, column| {
             if row == column { 0.04 } else { 0.002 * (row + column) as f64 }
         });

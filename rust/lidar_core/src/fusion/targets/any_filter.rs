@@ -1,8 +1,8 @@
 //! One filter type for every model and method, and runs over whole recordings.
 
-use super::lifecycle::{GyroUse, Life, Outcome};
+use super::lifecycle::{GyroUse, LifecycleRules, Outcome};
 use super::sensor_errors::SensorErrors;
-use super::target::{FilterStep, SavedTarget, Taken, Target};
+use super::target::{FilterStep, MeasurementResult, SavedTarget, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::unscented::SigmaRule;
@@ -15,7 +15,7 @@ use crate::fusion::model::{ForMixable, ForMotion, MIXABLE, Model};
 use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::motion::{Motion, Noise, NoiseForm, Prior, ProcessNoise};
 use crate::fusion::models::platform::Platform;
-use crate::fusion::models::state_conversion::Exchange;
+use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::sensors::observation::Sensing;
 use crate::util::full_state::{opened, sealed};
@@ -82,7 +82,7 @@ pub struct FusionParameters {
     /// Sensor models.
     pub sensing: Sensing,
     /// Rules for the life of a target.
-    pub life: Life,
+    pub life: LifecycleRules,
     /// Offset of the sensor from the platform's origin, axes of the platform [m].
     pub lever: [f64; 2],
 }
@@ -93,7 +93,7 @@ pub struct Filter(Box<dyn Tracked>);
 /// A [`Target`] with any engine.
 trait Tracked: Send + Sync {
     fn step(&mut self, m: &Measurement) -> FilterStep;
-    fn take(&mut self, m: &Measurement) -> Taken;
+    fn take(&mut self, m: &Measurement) -> MeasurementResult;
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
     fn foresee(&mut self, stamp_ns: i64) -> bool;
     fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool;
@@ -115,7 +115,7 @@ impl<E: Engine> Tracked for Target<E> {
         Target::step(self, m)
     }
 
-    fn take(&mut self, m: &Measurement) -> Taken {
+    fn take(&mut self, m: &Measurement) -> MeasurementResult {
         Target::take(self, m)
     }
 
@@ -248,7 +248,7 @@ impl Filter {
     }
 
     /// Like [`Self::step`], but returns only outcome and innovation.
-    pub fn take(&mut self, m: &Measurement) -> Taken {
+    pub fn take(&mut self, m: &Measurement) -> MeasurementResult {
         self.0.take(m)
     }
 
@@ -333,7 +333,7 @@ pub fn smooth_into(
         let step = filter.step(m);
         let link = match step.outcome {
             Outcome::Started | Outcome::Restarted => None,
-            Outcome::Updated | Outcome::Gated | Outcome::Told => {
+            Outcome::Updated | Outcome::Gated | Outcome::PlatformMotion => {
                 let factor = filter.0.looseness();
                 link.zip(before).map(|(link, before)| link.loosened(&before, factor))
             }
@@ -352,7 +352,7 @@ impl FusionParameters {
     /// Filter without a buffer, for measurements that come in order.
     #[must_use]
     pub fn without_buffer(&self) -> Self {
-        Self { life: Life { buffer_ns: 0, ..self.life }, ..*self }
+        Self { life: LifecycleRules { buffer_ns: 0, ..self.life }, ..*self }
     }
 
     /// The same with process noise of `share` times the strength.
@@ -420,7 +420,7 @@ struct ModeOf<'a>(&'a FusionParameters);
 impl ForMixable for ModeOf<'_> {
     type Output = Arc<dyn Mode>;
 
-    fn run<const N: usize, M: Exchange<N>>(self, motion: M) -> Self::Output {
+    fn run<const N: usize, M: StateConversion<N>>(self, motion: M) -> Self::Output {
         mode(self.0.single(motion))
     }
 }

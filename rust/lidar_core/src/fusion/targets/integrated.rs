@@ -7,7 +7,7 @@ use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
-    GatedPair, JointEvidence, Presence, Prospect, Sojourn, associate,
+    GatedPair, JointEvidence, PredictedTrack, Presence, Sojourn, associate,
 };
 use crate::tracking::extent::AXES;
 use crate::tracking::near::NearIndex;
@@ -178,7 +178,7 @@ impl Tracks {
             hidden: HIDDEN,
         };
         let population = &mut self.population;
-        let prospects = self.all.iter_mut().map(|track| {
+        let predicted = self.all.iter_mut().map(|track| {
             let belief = &mut track.belief;
             let dt = scan.stamp_ns.saturating_sub(belief.stamp_ns) as f64 * 1e-9;
             if belief.was_certain {
@@ -187,9 +187,9 @@ impl Tracks {
             belief.presence = belief.presence.predicted(dt, &mean);
             belief.stamp_ns = scan.stamp_ns;
             let is_in_view = track.sources & (1 << scan.source) != 0;
-            Prospect { presence: belief.presence, detection, is_in_view }
+            PredictedTrack { presence: belief.presence, detection, is_in_view }
         });
-        let prospects: Vec<Prospect> = prospects.collect();
+        let predicted: Vec<PredictedTrack> = predicted.collect();
         let told = self.told(space, candidates);
         let pairs = candidates.pairs.iter().zip(&candidates.innovations);
         let pairs = pairs.map(|(pair, innovation)| {
@@ -202,7 +202,7 @@ impl Tracks {
             let log_ratio = -0.5 * (innovation.nis + spread(innovation)) - libm::log(density);
             GatedPair { track: pair.row, measurement: pair.column, log_ratio }
         });
-        associate(&prospects, scan.measurements.len(), &pairs.collect::<Vec<_>>())
+        associate(&predicted, scan.measurements.len(), &pairs.collect::<Vec<_>>())
     }
 
     /// Largest density of clutter before scans show more, by sensor and number of axes: all

@@ -6,7 +6,7 @@ use crate::fusion::filter::engine::Innovation;
 
 /// Rules for the life of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Life {
+pub struct LifecycleRules {
     /// Number of measurements for the constant-velocity filter that starts a target.
     pub start_rows: u32,
     /// Gates on the NIS of 1 to 5 values; infinite for no gate.
@@ -46,7 +46,7 @@ pub enum GyroUse {
     Ignored,
 }
 
-impl Life {
+impl LifecycleRules {
     /// Gates that a true measurement passes with `probability`; None: no gates.
     ///
     /// # Errors
@@ -63,7 +63,7 @@ impl Life {
 
     /// Outcome of an innovation: accepted, rejected, or filter lost; `average` is the NIS per
     /// value.
-    pub(crate) fn judged(&self, average: &mut f64, innovation: &Innovation) -> Outcome {
+    pub(crate) fn check(&self, average: &mut f64, innovation: &Innovation) -> Outcome {
         if let Some(Loss { window, ratio }) = self.loss {
             let share = innovation.nis / innovation.count as f64;
             let share = share.min(ratio * window / 3.0); // one outlier alone is no loss
@@ -85,7 +85,7 @@ pub enum Outcome {
     /// The measurement was the first one and started the target.
     Started,
     /// The measurement describes the motion of the platform.
-    Told,
+    PlatformMotion,
     /// The measurement was outside the gate; the state is only predicted.
     Gated,
     /// The filter was lost; the measurement started it again.

@@ -2,7 +2,7 @@
 //! and late scans.
 
 use super::any_filter::FusionParameters;
-use super::lifecycle::Life;
+use super::lifecycle::LifecycleRules;
 pub use super::many_parameters::{
     ExistenceParameters, MAX_TARGETS, ManyParameters, TargetAssociation,
 };
@@ -77,7 +77,7 @@ impl ManyTargets {
         let starts_as_measured = matches!(parameters.association, TargetAssociation::Integrated(_));
         let filter = parameters.filter.without_buffer(); // tracks get scans in order
         let filter = FusionParameters {
-            life: Life { memory: None, loss: None, starts_as_measured, ..filter.life },
+            life: LifecycleRules { memory: None, loss: None, starts_as_measured, ..filter.life },
             ..filter
         };
         Ok(Self {
@@ -262,12 +262,12 @@ mod tests {
             model: Model::ConstantVelocity,
             strengths: Strengths { acceleration: 0.5, start: 1.0, ..Strengths::default() },
             sensing: Sensing { lidar: [0.1; 2], radar: [0.1; 3], ..Sensing::default() },
-            life: Life {
+            life: LifecycleRules {
                 start_rows: 1,
-                gate: Life::gates(Some(0.99))?,
+                gate: LifecycleRules::gates(Some(0.99))?,
                 loss: None,
                 buffer_ns: 0,
-                ..Life::default()
+                ..LifecycleRules::default()
             },
             ..FusionParameters::default()
         };

@@ -131,7 +131,7 @@ mod tests {
     use crate::Error;
     use crate::fusion::model::Model;
     use crate::fusion::targets::any_filter::{FusionParameters, Method};
-    use crate::fusion::targets::lifecycle::{Life, Outcome};
+    use crate::fusion::targets::lifecycle::{LifecycleRules, Outcome};
 
     const STEP_NS: i64 = 100_000_000;
 
@@ -204,8 +204,9 @@ mod tests {
             (Model::Ctrv, mixed),
         ] {
             let base = FusionParameters { model, method, ..FusionParameters::default() };
-            let gate = Life::gates(Some(0.99))?;
-            let life = Life { start_rows: 2, memory: None, loss: None, gate, ..base.life };
+            let gate = LifecycleRules::gates(Some(0.99))?;
+            let life =
+                LifecycleRules { start_rows: 2, memory: None, loss: None, gate, ..base.life };
             let mut sensing = base.sensing;
             sensing.convert_radar = method == Method::Linear;
             let parameters = FusionParameters { life, sensing, ..base }.without_buffer();

@@ -1,7 +1,7 @@
 //! Noise by maximum likelihood: what process and sensor noise make the measurements most likely.
 
 use super::any_filter::{Filter, FusionParameters, Method};
-use super::lifecycle::{Life, Outcome};
+use super::lifecycle::{LifecycleRules, Outcome};
 use super::record::in_order;
 use crate::Error;
 use crate::error::require;
@@ -44,7 +44,7 @@ pub fn log_likelihood(
     targets: &[Vec<Measurement>],
     keep_going: &dyn Fn() -> bool,
 ) -> Result<f64, Error> {
-    let open = Life {
+    let open = LifecycleRules {
         gate: [f64::INFINITY; 5],
         memory: None,
         loss: None,

@@ -2,7 +2,7 @@
 
 use super::any_filter::{Filter, FusionParameters, smooth_into};
 use super::lifecycle::Outcome;
-use super::target::Taken;
+use super::target::MeasurementResult;
 use crate::Error;
 use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::Measurement;
@@ -47,7 +47,12 @@ impl Record {
     }
 
     /// Add a row.
-    pub fn push(&mut self, stamp_ns: i64, (outcome, innovation): Taken, output: Option<&Output>) {
+    pub fn push(
+        &mut self,
+        stamp_ns: i64,
+        (outcome, innovation): MeasurementResult,
+        output: Option<&Output>,
+    ) {
         if let (0, Some(output)) = (self.states, output) {
             self.see(output.count);
         }

@@ -3,7 +3,7 @@
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::fusion::sensors::observation::Sensing;
-use crate::tracking::sensor_noise::{NoiseFactor, Surprise};
+use crate::tracking::sensor_noise::{InnovationStatistics, NoiseFactor};
 use serde::{Deserialize, Serialize};
 
 /// Largest factor on the variances of a measurement that may be an outlier.
@@ -83,7 +83,8 @@ fn each(
     for (k, factor) in factors.iter_mut().enumerate() {
         let predicted = variances[k] - factor.factor() * configured[k];
         let squared = values[k] * values[k];
-        factor.learn(&Surprise { squared, predicted, configured: configured[k] }, memory);
+        factor
+            .learn(&InnovationStatistics { squared, predicted, configured: configured[k] }, memory);
     }
 }
 

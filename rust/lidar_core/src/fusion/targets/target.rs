@@ -1,10 +1,10 @@
 //! One target over time: start, prediction, gate, correction, loss.
 
-use super::lifecycle::{GyroUse, Life, Outcome};
+use super::lifecycle::{GyroUse, LifecycleRules, Outcome};
 use super::sensor_errors::{SensorErrors, as_outlier};
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
-use crate::fusion::filter::engine::{Believe, Engine, Innovation, Link, Output, Single};
+use crate::fusion::filter::engine::{AcceptInnovation, Engine, Innovation, Link, Output, Single};
 use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::platform::{Platform, Pose};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
@@ -32,7 +32,7 @@ pub struct FilterStep {
 }
 
 /// Outcome and innovation of a measurement.
-pub type Taken = (Outcome, Option<Innovation>);
+pub type MeasurementResult = (Outcome, Option<Innovation>);
 
 /// Phase of the estimation.
 #[derive(Clone, Debug)]
@@ -61,7 +61,7 @@ struct Now<S> {
 struct FilterRules<E> {
     engine: E,
     starter: Single<4, ConstantVelocity>,
-    life: Life,
+    life: LifecycleRules,
 }
 
 /// The state predicted to a later time, kept until the state changes.
@@ -152,7 +152,7 @@ impl<E: Engine> FilterRules<E> {
         phase: &mut Phase<E::State>,
         m: &Measurement,
         platform: &Platform,
-        believe: Believe<'_>,
+        believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
         match phase {
             Phase::Unseen => Ok(None),
@@ -204,7 +204,7 @@ impl<E: Engine> Target<E> {
     pub fn new(
         engine: E,
         starter: Single<4, ConstantVelocity>,
-        life: Life,
+        life: LifecycleRules,
         platform: Platform,
     ) -> Self {
         let now = Now {
@@ -247,7 +247,7 @@ impl<E: Engine> Target<E> {
     }
 
     /// Like [`Self::step`], but returns only outcome and innovation.
-    pub fn take(&mut self, m: &Measurement) -> Taken {
+    pub fn take(&mut self, m: &Measurement) -> MeasurementResult {
         if !m.is_usable() {
             return (Outcome::Invalid, None);
         }
@@ -302,7 +302,7 @@ impl<E: Engine> Target<E> {
     }
 
     /// Go back to the state before `m`, process it, and all later measurements again.
-    fn take_late(&mut self, m: &Measurement) -> Taken {
+    fn take_late(&mut self, m: &Measurement) -> MeasurementResult {
         let before = self.history.partition_point(|(known, _)| known.stamp_ns() <= m.stamp_ns());
         let Some((_, now)) = before.checked_sub(1).and_then(|index| self.history.get(index)) else {
             return (Outcome::Late, None);
@@ -319,13 +319,13 @@ impl<E: Engine> Target<E> {
     }
 
     /// Process a usable measurement that is not older than the state.
-    fn advance(&mut self, m: &Measurement) -> Taken {
+    fn advance(&mut self, m: &Measurement) -> MeasurementResult {
         let before = self.predict_to(m.stamp_ns());
         self.now.looseness = 1.0;
         let taken = if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
-            self.told(m)
+            self.take_platform_motion(m)
         } else {
-            self.seen(m)
+            self.take_target(m)
         };
         if taken.0 == Outcome::Singular {
             self.now.phase = before;
@@ -389,7 +389,7 @@ impl<E: Engine> Target<E> {
     }
 
     /// Correct the predicted state by a measurement of the target.
-    fn seen(&mut self, m: &Measurement) -> Taken {
+    fn take_target(&mut self, m: &Measurement) -> MeasurementResult {
         let adapted = match self.rules.life.memory {
             Some(memory) => self.adapted(m, memory),
             None => Ok(*m),
@@ -399,7 +399,7 @@ impl<E: Engine> Target<E> {
         let (mut outcome, mut ratio) = (Outcome::Updated, now.ratio);
         let m = &adapted;
         let update = rules.correct(&mut now.phase, m, &now.platform, &mut |innovation| {
-            outcome = rules.life.judged(&mut ratio, innovation);
+            outcome = rules.life.check(&mut ratio, innovation);
             outcome == Outcome::Updated
         });
         match update {
@@ -472,7 +472,12 @@ impl<E: Engine> Target<E> {
         self.now.errors
     }
 
-    fn start(&mut self, m: &Measurement, outcome: Outcome, lost: Option<Innovation>) -> Taken {
+    fn start(
+        &mut self,
+        m: &Measurement,
+        outcome: Outcome,
+        lost: Option<Innovation>,
+    ) -> MeasurementResult {
         let sensor = self.now.platform.sensor_at(m.stamp_ns());
         let Some(mut first) = first_sight(m, sensor.as_ref()) else {
             return (Outcome::Invalid, None);
@@ -497,7 +502,7 @@ impl<E: Engine> Target<E> {
     }
 
     /// Store the motion of the platform from here on.
-    fn told(&mut self, m: &Measurement) -> Taken {
+    fn take_platform_motion(&mut self, m: &Measurement) -> MeasurementResult {
         let values = m.values();
         let mut platform = self.now.platform;
         if m.sensor() == Sensor::Pose {
@@ -520,7 +525,7 @@ impl<E: Engine> Target<E> {
             }
         }
         (self.now.stamp_ns, self.now.platform) = (m.stamp_ns(), platform);
-        (Outcome::Told, innovation)
+        (Outcome::PlatformMotion, innovation)
     }
 
     /// Time of the state [ns].
