@@ -12,8 +12,11 @@ from typing import Annotated, Any
 import typer
 
 from lidar_core.cli import config, train
-from lidar_core.cli.shared.common import help_text, printing, stoppable
+from lidar_core.cli.shared.common import help_text, printing, stoppable, with_trust
 from lidar_core.errors import LidarCoreError, OdometryWarning, PluginWarning, PoseFrameWarning
+
+READING = ("info", "convert", "detect", "circles", "fuse", "evaluate", "view", "live")
+"""Commands that read recordings, tables and clouds."""
 
 app = typer.Typer(
     name="lidar-core",
@@ -39,7 +42,10 @@ for _name in (
     "live",
 ):
     _command = import_module(f"lidar_core.cli.{_name}").command
-    app.command(_name, help=help_text(_command))(stoppable(_command))
+    _told = help_text(_command)
+    if _name in READING:
+        _command = with_trust(_command)
+    app.command(_name, help=_told)(stoppable(_command))
 app.command("export", help=help_text(train.export))(stoppable(train.export))
 app.add_typer(config.app, name="config")
 app.add_typer(train.app, name="train")

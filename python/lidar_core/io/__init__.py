@@ -1,5 +1,6 @@
 """Recordings in and out: one iterator over every readable format, poses, and writers."""
 
+from lidar_core.io.child.trust import trusted_files
 from lidar_core.io.info import RecordingInfo, TopicInfo
 from lidar_core.io.maps.cloud_files import Cloud, read_cloud, write_cloud
 from lidar_core.io.opening import open_recording
@@ -48,6 +49,7 @@ __all__ = [
     "read_columns",
     "register_reader",
     "register_writer",
+    "trusted_files",
     "write_circles_table",
     "write_circles_tum",
     "write_cloud",

@@ -110,6 +110,21 @@ class RecordingInfo:
         return asdict(self) | {"duration_s": self.duration_s}
 
 
+def info_of(values: dict[str, Any]) -> RecordingInfo:
+    """The summary of which `RecordingInfo.to_dict` gave these values, or JSON made of them."""
+    given = {name: value for name, value in values.items() if name != "duration_s"}
+    topics = [TopicInfo(**one | {"frames": tuple(one["frames"])}) for one in given["topics"]]
+    return RecordingInfo(
+        **given
+        | {
+            "topics": tuple(topics),
+            "transforms": tuple(tuple(one) for one in given["transforms"]),
+            "defects": tuple(given["defects"]),
+            "looked_at": {name: tuple(pair) for name, pair in given["looked_at"].items()},
+        }
+    )
+
+
 @dataclass(slots=True)
 class _Stream:
     """Statistics of the messages of one topic."""

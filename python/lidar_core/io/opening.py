@@ -6,6 +6,8 @@ from typing import Any
 from lidar_core.errors import FormatError, meant
 from lidar_core.files import check_regular, check_regular_or_folder
 from lidar_core.io.chain import ChainedRecording
+from lidar_core.io.child.recording import ChildRecording
+from lidar_core.io.child.trust import is_trusted
 from lidar_core.io.hints import hint_for
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import (
@@ -19,12 +21,18 @@ from lidar_core.io.readers import (
 from lidar_core.io.recording import Recording
 from lidar_core.io.restamped import RestampedRecording
 
+HOME = "lidar_core.io.formats."
+"""Modules of the readers whose libraries a child uses; those of plugins it may not know."""
 MOST_FOLDERS = 12
 """Folders that are named where one without a recording was given."""
 
 
 def open_recording(
-    path: str | Path, options: ReadOptions | None = None, **values: Any
+    path: str | Path,
+    options: ReadOptions | None = None,
+    *,
+    trusted: bool | None = None,
+    **values: Any,
 ) -> Recording:
     """Open a recording of any supported format.
 
@@ -34,6 +42,11 @@ def open_recording(
         File or folder.
     options : ReadOptions, optional
         How to read it.
+    trusted : bool, optional
+        True parses the file in this process. False has a process of its own parse formats that
+        other people's libraries read, with limits on memory and processor time: a file that makes
+        a library crash is then an error. The default is False, or True within
+        `lidar_core.io.trusted_files()`. Windows reads all files in this process.
     **values
         Single fields of `ReadOptions`; they override `options`.
 
@@ -66,14 +79,31 @@ def open_recording(
         raise FileNotFoundError(f"{place}: no such file or folder{near}")
     if chosen.metadata is not None:
         check_regular(chosen.metadata)
+    if not is_trusted(trusted) and _is_foreign(place, chosen):
+        return ChildRecording(place, chosen)
     if chosen.stamps != "own":
-        own = open_recording(place, chosen, stamps="own")
+        own = open_recording(place, chosen, trusted=True, stamps="own")
         return RestampedRecording(own, chosen)
     if check_regular_or_folder(place).is_dir():
         return _open_folder(place, chosen)
     if place.stat().st_size == 0:
         raise FormatError(f"{place}: the file is empty")
     return _open_file(place, chosen)
+
+
+def _is_foreign(path: Path, options: ReadOptions) -> bool:
+    """Whether libraries of other people would parse one of these files."""
+    if path.is_dir():
+        inner = [path, *(path / name for one in READERS.parts() for name in one.subfolders)]
+        files = [file for folder in inner if folder.is_dir() for file in folder.iterdir()]
+    elif check_regular(path).stat().st_size:
+        files = [path]
+    else:
+        return False
+    owners = {owner_of(end) for end in map(suffix_of, files) if end is not None}
+    if path.is_file() and (reader := reader_of(path, options)) is not None:
+        owners = {reader}
+    return any(one.extra is not None and one.module.startswith(HOME) for one in owners)
 
 
 def _names_beside(path: Path) -> list[str]:

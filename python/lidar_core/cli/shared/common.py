@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -84,6 +85,8 @@ def help_text(command: Callable[..., None]) -> str:
     return "\n\n".join(" ".join(one.split()) for one in paragraphs)
 
 
+_TRUSTED = "Read files in this process; otherwise a process with limits parses what libraries read."
+
 OPTIONS = {
     **{
         name: name.replace("_", "-")
@@ -101,6 +104,7 @@ OPTIONS = {
             "replay",
             "scan_rate",
             "stamps",
+            "trusted",
         )
     },
     "allow_untrusted": "trust-model",
@@ -157,6 +161,26 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
                 error.args = (as_options(error.args[0]), *error.args[1:])
             raise
 
+    return called
+
+
+def with_trust(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option --trusted."""
+
+    @wraps(command)
+    def called(*arguments: Any, trusted: bool, **options: Any) -> None:
+        from lidar_core.io import trusted_files
+
+        with trusted_files(trusted):
+            command(*arguments, **options)
+
+    known = signature(command)
+    option = typer.Option("--trusted", help=_TRUSTED, rich_help_panel=READ)
+    own = Parameter(
+        "trusted", Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, option]
+    )
+    parameters = [*known.parameters.values(), own]
+    called.__signature__ = known.replace(parameters=parameters)  # type: ignore[attr-defined]
     return called
 
 

@@ -1,7 +1,7 @@
 """Single clouds and maps in files: known maps as input, and maps for other programs."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,8 @@ from lidar_core.arrays import as_finite_rows
 from lidar_core.errors import FormatError, InputError
 from lidar_core.extras import require
 from lidar_core.files import check_regular, naming
+from lidar_core.io.child.client import call
+from lidar_core.io.child.trust import is_trusted
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.files.las import read_las
 from lidar_core.io.files.mesh import load_mesh
@@ -23,6 +25,8 @@ from lidar_core.messages import Scan
 SPACING = 0.1
 """Between points on the surfaces of a mesh [m]."""
 MESHES = (".glb", ".obj", ".off", ".stl")
+FOREIGN = (".pcd", ".ply", ".las", ".laz", *MESHES)
+"""Endings of files that libraries parse."""
 READABLE = ".pcd, .ply, .las, .laz, .bt (OctoMap), .lcvm (our map), .bin (KITTI), " + ", ".join(
     MESHES
 )
@@ -44,7 +48,11 @@ class Cloud(NamedTuple):
 
 
 def read_cloud(
-    path: str | Path, *, spacing: float = SPACING, options: ReadOptions | None = None
+    path: str | Path,
+    *,
+    spacing: float = SPACING,
+    options: ReadOptions | None = None,
+    trusted: bool | None = None,
 ) -> Cloud:
     """Read the points of one file: a cloud, a map, or the surface of a mesh.
 
@@ -57,6 +65,8 @@ def read_cloud(
         Greatest distance of neighbouring points on the surface of a mesh [m].
     options : ReadOptions, optional
         Limits.
+    trusted : bool, optional
+        As of `open_recording`: False has a process of its own parse what libraries read.
 
     Returns
     -------
@@ -81,6 +91,9 @@ def read_cloud(
         key="max_record_bytes",
         what="a file of bytes",
     )
+    if suffix in FOREIGN and not is_trusted(trusted):
+        values = chosen.model_dump(mode="json")
+        return Cloud(*call("maps.cloud_files:read_in_child", place, spacing=spacing, **values))
     if suffix == ".bt":
         return Cloud(*read_octomap(place, options=chosen))
     if suffix == ".lcvm":
@@ -94,6 +107,11 @@ def read_cloud(
     else:
         raise FormatError(f"{place}: unknown format {suffix!r}; readable are: {READABLE}")
     return Cloud(points[np.isfinite(points).all(axis=1)])
+
+
+def read_in_child(path: Path, spacing: float, **options: Any) -> list[Any]:
+    """What `read_cloud` returns, for a process of its own."""
+    return list(read_cloud(path, spacing=spacing, options=ReadOptions(**options), trusted=True))
 
 
 def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None = None) -> Path:
@@ -159,6 +177,6 @@ def _read_map(path: Path) -> Cloud:
 
 
 def _read_scan(path: Path, options: ReadOptions) -> NDArray[np.float64]:
-    with open_recording(path, options, no_return="none") as recording:
+    with open_recording(path, options, trusted=True, no_return="none") as recording:
         scans = [message for message in recording if isinstance(message, Scan)]
     return np.asarray(scans[0].points.reshape(-1, 3), np.float64)

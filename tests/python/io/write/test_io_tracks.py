@@ -156,4 +156,4 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
         lc.io.write_mcap(tmp_path / "a.mcap", [])
     (tmp_path / "b.mcap").write_bytes(b"x")
     with pytest.raises(lc.MissingExtraError, match=re.escape(install_command("io"))):
-        lc.io.open_recording(tmp_path / "b.mcap")
+        lc.io.open_recording(tmp_path / "b.mcap", trusted=True)

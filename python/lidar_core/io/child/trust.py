@@ -1,0 +1,26 @@
+"""Which files are trusted: those are read in this process, by the libraries of their formats."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_TRUSTED: ContextVar[bool] = ContextVar("trusted", default=False)
+HAS_CHILDREN = os.name == "posix" and sys.platform != "emscripten"
+"""Whether readers can run in a child here; elsewhere all files are read in this process."""
+
+
+@contextmanager
+def trusted_files(is_trusted: bool = True) -> Iterator[None]:
+    """Read every file in this process that is opened within the block, as `trusted=True` does."""
+    before = _TRUSTED.set(is_trusted)
+    try:
+        yield
+    finally:
+        _TRUSTED.reset(before)
+
+
+def is_trusted(given: bool | None) -> bool:
+    """Whether to read in this process: as `given`, else as the enclosing `trusted_files` says."""
+    return not HAS_CHILDREN or (_TRUSTED.get() if given is None else given)
