@@ -6,7 +6,7 @@ from pathlib import Path
 
 MEMORY = 2 * 2**30
 """Memory of its own: heap, stacks, arrays; files that it maps do not count [bytes]."""
-CPU = 20
+CPU = 10
 """Processor time from one answer to the next [s], and beside it one second for every `CPU_BYTES`
 of the files: an index of a large recording takes time."""
 CPU_BYTES = 16 * 2**20
