@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "CIRCLE_CUT_MARGINS",
     "CircleMap",
     "CirclePipeline",
     "FlyingObjectDetector",
@@ -53,6 +54,7 @@ __all__ = [
     "vector_units",
 ]
 
+CIRCLE_CUT_MARGINS: list[float]
 __version__: str
 
 def vector_unit() -> str: ...

@@ -6,6 +6,9 @@ use super::corners::CornerParameters;
 /// adaptive bound would join what stands one behind the other.
 pub const INCIDENCE: f64 = std::f64::consts::PI / 18.0;
 
+/// Largest distances from the nearer and the farther range limit at which it may cut an object [m].
+pub const CUT_MARGINS: [f64; 2] = [0.15, 1.2];
+
 /// Bound on the distance of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
