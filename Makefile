@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -61,6 +61,14 @@ test: test-env ## Install what the tests need and run them all, on a wheel.
 
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
 	$(TEST_VENV)/bin/pytest -n 2 -m nightly
+
+# COUNT files, broken by SEED, each read in a child with 2 GiB and 20 s; those that end badly are
+# kept in target/hostile.
+COUNT ?= 20000
+SEED ?= 1
+hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: COUNT=n, SEED=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile --count $(COUNT) \
+	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile
 
 # The tests run on an installed wheel, never on the working tree. ouster-sdk pins versions that
 # the other extras cannot live with, so it has an environment of its own.

@@ -91,7 +91,7 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
     Raises
     ------
     LimitError
-        It is longer than `limit` bytes.
+        It is longer than `limit` bytes, or than the memory that is left.
     FileNotFoundError, IsADirectoryError, FormatError
         As of `check_regular`.
     """
@@ -103,7 +103,13 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
     with open(descriptor, "rb") as file:
         mode = os.fstat(descriptor)
         _refuse_special(place, mode.st_mode)
-        content = file.read(limit + 1)
+        # read() takes memory for all that it is asked for: the size of the file, never the limit.
+        try:
+            content = file.read(min(mode.st_size, limit) + 1)
+        except MemoryError as error:
+            raise LimitError(
+                f"{place}: {mode.st_size} bytes take more memory than there is"
+            ) from error
     if len(content) > limit:
         raise LimitError(f"{place}: more than {limit} bytes, the limit of such a file")
     return content

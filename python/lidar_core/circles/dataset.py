@@ -1,27 +1,41 @@
 """Datasets of single circles on disk: shards with checksums, made in parts, read in parts."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
-from zipfile import BadZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core import _core
 from lidar_core.circles.dataset_config import DatasetConfig
-from lidar_core.circles.samples import Samples, joined, make_samples
-from lidar_core.errors import ConfigError, FormatError
+from lidar_core.circles.samples import SIDES, Samples, joined, make_samples
+from lidar_core.errors import ConfigError, FormatError, LidarCoreError
 from lidar_core.files import check_regular, read_text
 from lidar_core.io.files.atomic import written_whole
+from lidar_core.io.files.guard import reading
+from lidar_core.io.files.npy import array_in
 
 Part: TypeAlias = Literal["train", "validation", "test", "all"]
 
 MANIFEST = "dataset.json"
 _FORMAT = 1
+MOST_SAMPLES = 2**32
+"""Samples that the note of a dataset may promise."""
+_SHARD = re.compile(r"shard-\d{1,9}\.npz")
+_KINDS = {int: "an integer", dict: "a table"}
+_WIDTHS = {"circles": (3,), "sides": (2,)}
+_DTYPES = {
+    "first_ray": np.dtype(np.uint32),
+    "n_rays": np.dtype(np.uint32),
+    "sides": np.dtype(np.uint8),
+}
+"""Columns of a shard that are more than one number wide, and those that are no float32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +86,11 @@ class CircleDataset:
         parts = []
         for index, name in enumerate(self.shards):
             wanted = numbers[(numbers >= index * size) & (numbers < (index + 1) * size)]
-            shard = _read_shard(self.folder / name)
+            shard = _read_shard(self.folder / name, self.config, size)
+            if (expected := min(size, self.n_samples - index * size)) != len(shard):
+                raise FormatError(
+                    f"{self.folder / name}: expected {expected} samples, got {len(shard)}"
+                )
             parts.append(shard.take(wanted - index * size))
         return joined(parts)
 
@@ -206,6 +224,19 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise FormatError(f"{path}: expected the note of a dataset: {error!r}") from error
     if known != _FORMAT:
         raise FormatError(f"{path}: expected format {_FORMAT}, got {known}")
+    kinds = {"seed": int, "samples": int, "config": dict, "shards": dict}
+    for name, kind in kinds.items():
+        if type(manifest.get(name)) is not kind:
+            raise FormatError(
+                f"{path}: {name}: expected {_KINDS[kind]}, got {manifest.get(name)!r}"
+            )
+    if manifest["seed"] < 0 or not 0 <= manifest["samples"] <= MOST_SAMPLES:
+        raise FormatError(f"{path}: expected a seed >= 0 and 0 to {MOST_SAMPLES} samples")
+    for name in manifest["shards"]:
+        if not _SHARD.fullmatch(name):  # a path would lead out of the folder
+            raise FormatError(
+                f"{path}: shards: expected names such as shard-00000.npz, got {name!r}"
+            )
     return dict(manifest)
 
 
@@ -223,12 +254,45 @@ def _write_manifest(
         temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
 
 
-def _read_shard(path: Path) -> Samples:
+def _read_shard(path: Path, config: DatasetConfig, most: int) -> Samples:
+    """Samples of one file, at most `most`; sizes are checked before memory is asked for."""
+    size = check_regular(path).stat().st_size
     try:
-        with np.load(check_regular(path), allow_pickle=False) as arrays:
-            return Samples(*(arrays[field.name] for field in fields(Samples)))
-    except (OSError, ValueError, KeyError, BadZipFile, MemoryError) as error:
+        with reading(str(path)), ZipFile(path) as archive:
+            samples = Samples(
+                *(
+                    array_in(archive, field.name, what="column", limit=size, key="nothing")
+                    for field in fields(Samples)
+                )
+            )
+    except LidarCoreError as error:
         raise FormatError(f"{path}: expected a shard of a dataset: {error}") from error
+    if problem := _problem(samples, config, most):
+        raise FormatError(f"{path}: expected a shard of a dataset: {problem}")
+    return samples
+
+
+def _problem(samples: Samples, config: DatasetConfig, most: int) -> str:
+    """What does not fit together in a shard; empty if all does."""
+    count = len(samples.circles) if samples.circles.ndim else -1
+    for field in fields(Samples):
+        array = getattr(samples, field.name)
+        shape = (
+            array.shape
+            if field.name == "ranges" and array.ndim == 1
+            else (count, *_WIDTHS.get(field.name, ()))
+        )
+        dtype = _DTYPES.get(field.name, np.dtype(np.float32))
+        if array.shape != shape or array.dtype != dtype:
+            return f"{field.name}: expected {dtype} {shape}, got {array.dtype} {array.shape}"
+    if count > most:
+        return f"expected at most {most} samples, got {count}"
+    rays = config.scanner.n_beams
+    if (samples.n_rays > rays).any() or (samples.first_ray >= rays).any():
+        return f"a window leaves the {rays} rays of the scanner"
+    if int(samples.n_rays.sum(dtype=np.int64)) != len(samples.ranges):
+        return f"{len(samples.ranges)} ranges, but its windows have another number of rays"
+    return "" if (samples.sides < len(SIDES)).all() else "a side that there is not"
 
 
 def _sum(path: Path) -> str:

@@ -3,6 +3,8 @@
 import copy
 import pickle
 import struct
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -286,3 +288,14 @@ def test_other_content_and_unknown_arguments_are_refused():
     assert lc.fusion.TargetFilter.from_bytes(bytearray(sample())).to_bytes() == sample()
     with pytest.raises(TypeError, match="no argument 'threads'"):
         lc.fusion.TargetFilter.from_bytes(sample(), threads=2)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits as on Linux")
+def test_a_small_state_needs_little_memory_to_load(tmp_path):
+    lc.fusion.TargetFilter().save(tmp_path / "state")
+    program = (
+        "import resource, sys, lidar_core as lc; lc.fusion.TargetFilter\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (2**31, 2**31))\n"
+        "lc.fusion.TargetFilter.load(sys.argv[1])"
+    )
+    subprocess.run([sys.executable, "-c", program, str(tmp_path / "state")], check=True)

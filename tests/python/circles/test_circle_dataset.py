@@ -166,3 +166,43 @@ def test_a_circle_that_is_not_seen_is_refused():
         make_samples(
             DatasetConfig(), count=4, seed=0, circles=np.array([[5.0, 0, 0.3], [-5.0, 0, 0.3]])
         )
+
+
+def test_a_shard_whose_columns_do_not_fit_together_is_refused(tmp_path):
+    config = DatasetConfig(kind="continuous", circles=20, draws=1)
+    dataset.generate(config, tmp_path, seed=1)
+    (path,) = tmp_path.glob("*.npz")
+    with np.load(path) as shard:
+        good = dict(shard)
+    broken = {
+        "circles": good["circles"][:, :2],
+        "n_rays": good["n_rays"][:, None].repeat(2, axis=1),
+        "first_ray": good["first_ray"] + np.uint32(100_000),
+        "ranges": good["ranges"][:-1],
+        "sides": good["sides"] + np.uint8(9),
+        "range_std": good["range_std"].astype(np.float64),
+    }
+    for name, values in broken.items():
+        np.savez(path, **{**good, name: values})
+        with pytest.raises(FormatError, match=r"shard-00000\.npz"):
+            dataset.open_dataset(tmp_path).read()
+    np.savez(path, **{name: values[:-1] for name, values in good.items()})
+    with pytest.raises(FormatError, match=r"shard-00000\.npz"):
+        dataset.open_dataset(tmp_path).read()
+    np.savez(path, **good)
+    assert len(dataset.open_dataset(tmp_path).read()) == 20
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("samples", "9"), ("samples", -1), ("samples", 10**12), ("seed", None)],
+        *[("shards", []), ("shards", {"../shard-00000.npz": ""}), ("config", 3)],
+    ],
+)
+def test_a_note_of_a_dataset_with_wrong_values_is_refused(tmp_path, name, value):
+    dataset.generate(DatasetConfig(kind="continuous", circles=20, draws=1), tmp_path, seed=1)
+    note = json.loads((tmp_path / "dataset.json").read_text())
+    (tmp_path / "dataset.json").write_text(json.dumps(note | {name: value}))
+    with pytest.raises(FormatError, match=r"dataset\.json"):
+        dataset.open_dataset(tmp_path)

@@ -1,0 +1,61 @@
+"""The hostile suite: what it must find, it finds; a slice of it finds nothing."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from repository import ROOT
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and fork as on Linux")
+
+PLANTED = {
+    "ok": "pass",
+    "typed": "raise lidar_core.errors.FormatError('no')",
+    "untyped": "raise KeyError('no')",
+    "abort": "os.abort()",
+    "hang": "while True: pass",
+    "memory": "bytearray(2**27)",
+}
+
+
+def hostile(*arguments, limit=300):
+    """Run Python with the suite at hand, without threads of this process; its output."""
+    paths = [str(ROOT / "tests"), str(ROOT / "tests/python/helpers"), os.environ.get("PYTHONPATH")]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=limit,
+        check=False,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("kind", PLANTED)
+def test_every_way_to_end_badly_is_found(kind):
+    # Of memory the peak counts: a library that takes it and gives it back has taken it.
+    limits = "memory=2**26" if kind == "memory" else "memory=2**32, cpu=1"
+    program = (
+        "import os, lidar_core.errors\n"
+        "import hostile.child as child\n"
+        "if KIND == 'memory': child.resource.setrlimit = lambda *_: None\n"
+        "def work():\n    WORK\n"
+        f"print(child.run_limited(work, {limits}).kind)\n"
+    )
+    program = program.replace("KIND", repr(kind)).replace("WORK", PLANTED[kind])
+    assert hostile("-c", program) == (0, f"{kind}\n")
+
+
+def test_broken_files_of_every_format_end_in_typed_errors():
+    status, told = hostile("-m", "hostile", "--count", "120", "--seed", "7", "--generated-only")
+    assert status == 0, told
+    assert "0 untyped, 0 abort, 0 hang, 0 memory" in told
+
+
+@pytest.mark.nightly
+def test_thousands_of_broken_files_end_in_typed_errors(recordings):
+    status, told = hostile("-m", "hostile", "--count", "20000", "--seed", "1", limit=14_400)
+    assert status == 0, told
