@@ -44,6 +44,7 @@ MODULES = (
     "tracking.scaling",
     "tracking.existence",
     "tracking.clutter",
+    "tracking.takeover",
 )
 """Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 

@@ -43,6 +43,12 @@ impl Presence {
         (self.existence - self.hidden).max(0.0)
     }
 
+    /// Probability that the target was hidden when last looked for, if there is one.
+    #[must_use]
+    pub fn hidden_share(&self) -> f64 {
+        if self.existence > 0.0 { (self.hidden + self.returned) / self.existence } else { 0.0 }
+    }
+
     /// The same after `dt` [s] without a scan.
     ///
     /// # Source
