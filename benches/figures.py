@@ -325,6 +325,26 @@ def filters(machines: list[Machine]) -> str:
     return "\n\n".join(parts)
 
 
+def tracking(machines: list[Machine]) -> str:
+    """Targets among clutter."""
+    parts = []
+    for machine in machines:
+        found = machine["figures"].get("tracking", {})
+        for clutter in dict.fromkeys(name.partition("/")[0] for name in found):
+            lines = [
+                f"| {clutter} false measurements a scan; {caption(machine)} | OSPA [m]"
+                " | false tracks per scan | missed targets per scan | CPU [ms per scan] |",
+                "|---|---|---|---|---|",
+            ]
+            systems = {k: v for k, v in found.items() if k.startswith(f"{clutter}/")}
+            for name, system in sorted(systems.items(), key=lambda system: system[1]["place"]):
+                keys = ("ospa", "false", "missed", "ms")
+                cells = [number_text(system[key], 3) for key in keys]
+                lines.append(f"| {name.partition('/')[2]} | {' | '.join(cells)} |")
+            parts.append("\n".join(lines))
+    return "\n\n".join(parts) or "Not measured."
+
+
 def growth(machines: list[Machine]) -> str:
     """Power of the time in what grows."""
     titles = {
@@ -387,6 +407,7 @@ TABLES: dict[str, Callable[[list[Machine]], str]] = {
     "clusters": peers("clusters"),
     "simulated-rays": peers("simulated"),
     "filters": filters,
+    "tracking": tracking,
     "growth": growth,
     "memory": memory,
 }

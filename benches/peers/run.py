@@ -79,6 +79,13 @@ def of_filters(yardstick: Path, scans: list[int]) -> Part:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip(), {}
 
 
+def of_tracking(yardstick: Path, scans: list[int]) -> Part:
+    """Targets among clutter, by a script of their own."""
+    command = [sys.executable, "-W", "ignore", HERE / "tracking.py"]
+    command += ["--figures", FIGURES / "tracking.json"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip(), {}
+
+
 def of_border(yardstick: Path, scans: list[int]) -> Part:
     """The way through Python."""
     return border.measure(scans_of(yardstick, 1), len(scans))
@@ -94,6 +101,7 @@ PARTS: dict[str, Callable[[Path, list[int]], Part]] = {
     "clusters": of_clusters,
     "meshes": of_meshes,
     "filters": of_filters,
+    "tracking": of_tracking,
     "border": of_border,
     "exports": of_exports,
 }
