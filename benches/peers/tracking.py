@@ -2,8 +2,8 @@
 
 The scans are those of `lidar-core reproduce tracking-clutter`. Stone Soup is told what lidar_core
 has to learn: the density of false measurements, the probability of detection, and the noise. A
-track starts with Stone Soup's initiator for several measurements; the table has a row for each number of
-measurements, so that nobody has to guess the best one.
+track starts with Stone Soup's initiator for several measurements; the table has a row for each
+number of measurements, so that nobody has to guess the best one.
 """
 
 import argparse
