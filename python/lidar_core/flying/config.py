@@ -208,6 +208,14 @@ class ClassifyConfig(Config):
         False,
         description="Enclosed uncertain voxels around a flying cluster become free (no unit).",
     )
+    search: Literal["explained", "full"] = Field(
+        "explained",
+        description="explained: points that rule A makes background anyway are one cluster, and"
+        " only the others are searched for clusters; full: all points are searched. Classes,"
+        " detections and tracks are the same to the bit; where they may not be (clusters of limited"
+        " size or of voxels, `map_state` after_update, voxels larger than `close_distance`), all"
+        " are searched (no unit).",
+    )
 
     @classmethod
     def paper(cls) -> Self:

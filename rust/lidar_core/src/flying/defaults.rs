@@ -81,6 +81,7 @@ impl Default for ClassifyParameters {
             upright_height: Some(1.2),
             follow_tracks: true,
             fill_pockets: false,
+            skips_explained: true,
         }
     }
 }

@@ -60,6 +60,7 @@ pub(crate) struct ClassifyConfig {
     upright_height: Option<f64>,
     follow_tracks: bool,
     fill_pockets: bool,
+    search: String,
 }
 
 #[derive(FromPyObject)]
@@ -199,6 +200,7 @@ impl ClassifyConfig {
             upright_height: self.upright_height,
             follow_tracks: self.follow_tracks,
             fill_pockets: self.fill_pockets,
+            skips_explained: self.search == "explained",
         }
     }
 }
