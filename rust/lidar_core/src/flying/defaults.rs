@@ -38,6 +38,7 @@ impl Default for MapParameters {
             end_margin: 0.0,
             rays: Rays::All,
             skip: Skip::Saturated,
+            settles: true,
             ray_unit: RayUnit::Edges,
             ray_gain: 1.0,
             bounds: None,
@@ -50,7 +51,7 @@ impl MapParameters {
     /// Table II; the unit of the ray weight is the metre, as in the paper's text.
     #[must_use]
     pub fn paper() -> Self {
-        Self { ray_unit: RayUnit::Metres, ..Self::default() }
+        Self { ray_unit: RayUnit::Metres, settles: false, ..Self::default() }
     }
 }
 
@@ -81,6 +82,7 @@ impl Default for ClassifyParameters {
             upright_height: Some(1.2),
             follow_tracks: true,
             fill_pockets: false,
+            skips_explained: true,
         }
     }
 }
