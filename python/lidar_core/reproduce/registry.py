@@ -23,6 +23,7 @@ MODULES = (
     "flying.real",
     "flying.drivers",
     "flying.surfaces",
+    "flying.situations.table",
     "circles.table1",
     "circles.table2",
     "circles.fig5",

@@ -67,6 +67,21 @@ impl Presence {
         Self { existence: kept * self.existence, hidden: kept * hidden, returned: kept * returned }
     }
 
+    /// The same after something was seen that a target which can be measured makes `observable` times,
+    /// and a hidden one `hidden` times, as likely as no target does.
+    ///
+    /// # Source
+    /// Bayes' rule. One measurement of likelihood ratio L, of a target measured with probability d, is
+    /// `observable` = 1 - d + d L and `hidden` = 1: integrated probabilistic data association.
+    #[must_use]
+    pub fn weighed(&self, observable: f64, hidden: f64) -> Self {
+        let (seen, unseen) = (observable * self.observable(), hidden * self.hidden);
+        let total = (1.0 - self.existence) + seen + unseen;
+        let existence = ((seen + unseen) / total).min(MOST_CERTAIN);
+        let hidden = (unseen / total).min(existence);
+        Self { existence, hidden, returned: observable * self.returned / total }
+    }
+
     /// Of two histories that exclude each other.
     #[must_use]
     pub fn united(&self, other: &Self) -> Self {
@@ -191,6 +206,21 @@ mod tests {
         let expected = 0.5 * weight / (0.5 + 0.5 * weight);
         assert!((seen.presence[0].existence - expected).abs() < 1e-12);
         assert!((seen.unexplained[0] + seen.pair[0] - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn evidence_of_one_measurement_is_that_of_the_association() {
+        let presence = Presence { existence: 0.6, hidden: 0.1, returned: 0.05 };
+        let track = PredictedTrack { presence, ..TRACK };
+        let pair = GatedPair { track: 0, measurement: 0, log_ratio: libm::log(30.0) };
+        for (pairs, ratio) in [(vec![pair], 0.2 + 0.8 * 30.0), (Vec::new(), 0.2)] {
+            let expected = associate(&[track], pairs.len(), &pairs).presence[0];
+            let found = presence.weighed(ratio, 1.0);
+            assert!((found.existence - expected.existence).abs() < 1e-12);
+            assert!((found.hidden - expected.hidden).abs() < 1e-12);
+        }
+        let sure = (0..100).fold(presence, |now, _| now.weighed(1e6, 1.0));
+        assert!(sure.existence <= MOST_CERTAIN && sure.hidden >= 0.0);
     }
 
     /// No target .4, observable .5, hidden .1; events by hand with a ratio of 30.
