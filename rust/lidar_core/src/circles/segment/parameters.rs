@@ -24,6 +24,21 @@ pub enum Bound {
     Fixed(f64),
 }
 
+/// Deviations of the ranges by which neighbours on one surface may be apart.
+const SLACK: f64 = 3.0;
+
+impl Bound {
+    /// The bound for ranges of a standard deviation [m], which the slack covers at least.
+    pub(in crate::circles) fn for_noise(self, range_std: f64) -> Self {
+        match self {
+            Self::Adaptive { incidence, slack } => {
+                Self::Adaptive { incidence, slack: slack.max(SLACK * range_std) }
+            }
+            Self::Fixed(_) => self,
+        }
+    }
+}
+
 /// Parameters of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentParameters {
