@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers docs golden hostile nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -109,6 +109,14 @@ peers: ## Measure lidar_core beside OctoMap, PCL, scipy and others, in an enviro
 	$(PEERS_VENV)/bin/python $(PIP_INSTALL) -r benches/peers/requirements.txt .
 	-$(PEERS_VENV)/bin/python $(PIP_INSTALL) open3d
 	$(PEERS_VENV)/bin/python -W ignore benches/peers/run.py
+
+# An idle machine is needed: nothing here repeats what another process has disturbed.
+figures: ## Measure speed and memory, and write them into README and guide.
+	rm -rf $(CARGO_TARGET_DIR)/figures $(CARGO_TARGET_DIR)/criterion
+	LIDAR_CORE_FIGURES=$(CARGO_TARGET_DIR)/figures $(MAKE) bench
+	$(MAKE) peers
+	$(PYTHON) benches/figures.py collect $(CARGO_TARGET_DIR)/criterion $(CARGO_TARGET_DIR)/figures
+	$(PYTHON) benches/figures.py write
 
 docs: ## Build the guide with the parameter reference into site/.
 	$(BIN)/python docs/generate_parameters.py

@@ -5,6 +5,7 @@
 use lidar_core::Error;
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::parameters::FlyingParameters;
+use scenes::figures::keep;
 use scenes::{Scan, street};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
@@ -27,8 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let [word, number] = words.as_slice()
         && word == "scene"
     {
-        writeln!(out, "{}", row(number.parse()?)?)?;
-        return Ok(());
+        return measure(number.parse()?);
     }
     if !words.is_empty() && !words.iter().any(|word| word == "memory") {
         return Ok(()); // another bench was asked for
@@ -51,24 +51,32 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-fn row(number: u32) -> Result<String, Error> {
+/// Print the row of a scene, and keep its figures.
+fn measure(number: u32) -> Result<(), Box<dyn std::error::Error>> {
     let scans = street(number, SCANS)?;
     let mut parameters = FlyingParameters::default();
     let run = Run::new(&scans, parameters.clone())?;
     parameters.classify.min_points = usize::MAX; // so that nothing is a target
     let empty = Run::new(&scans, parameters)?;
-    Ok(format!(
-        "| {number} | {} | {:.1} | {:.2} | {:.1} | {:.1} | {} | {:.2} | {} | {:.2} |",
-        run.voxels,
-        run.map / MEGA,
-        run.map / run.voxels as f64,
-        run.held / MEGA,
-        run.used / MEGA,
-        run.allocations,
-        run.allocated / MEGA,
-        empty.allocations,
-        empty.allocated / MEGA,
-    ))
+    let values = vec![
+        ("voxels", run.voxels as f64),
+        ("map_mb", run.map / MEGA),
+        ("bytes_per_voxel", run.map / run.voxels as f64),
+        ("held_mb", run.held / MEGA),
+        ("used_mb", run.used / MEGA),
+        ("allocations", run.allocations as f64),
+        ("allocated_mb", run.allocated / MEGA),
+        ("allocations_empty", empty.allocations as f64),
+        ("allocated_empty_mb", empty.allocated / MEGA),
+    ];
+    let mut out = stdout();
+    write!(out, "| {number} |")?;
+    for (name, value) in &values {
+        let digits = if name.contains("mb") || name.contains("bytes") { 2 } else { 0 };
+        write!(out, " {value:.digits$} |")?;
+    }
+    writeln!(out)?;
+    Ok(keep(&format!("memory_{number}"), &[(format!("scene_{number}"), values)])?)
 }
 
 /// What a detector takes [bytes].

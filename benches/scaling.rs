@@ -8,6 +8,7 @@ use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::flying::track::{Detections, OccupiedPoints, PointCloudTracker, TrackerParameters};
 use lidar_core::geometry::cluster::{Clustering, label};
 use scenes::Scan;
+use scenes::figures::keep;
 use std::f64::consts::{PI, TAU};
 use std::io::{Write, stdout};
 use std::time::Instant;
@@ -38,6 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
     let mut out = stdout();
+    let mut figures = Vec::new();
     for (name, title, measure) in all {
         if !wanted.is_empty() && !wanted.iter().any(|word| word == name) {
             continue;
@@ -47,9 +49,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (size, seconds) in &found {
             writeln!(out, "| {size} | {:.3} |", seconds * 1e3)?;
         }
-        writeln!(out, "\ntime grows with the power {:.2} of the size", exponent(&found))?;
+        let power = exponent(&found);
+        writeln!(out, "\ntime grows with the power {power:.2} of the size")?;
+        if let [(least, quickest), .., (most, slowest)] = found[..] {
+            let times = [("least_ms", quickest * 1e3), ("most_ms", slowest * 1e3)];
+            let sizes = [("least", least), ("most", most), ("power", power)];
+            figures.push((name.to_owned(), [&times[..], &sizes].concat()));
+        }
     }
-    Ok(())
+    Ok(keep("scaling", &figures)?)
 }
 
 /// Slope of the straight line through the logarithms.

@@ -1,5 +1,6 @@
 //! Seeded scenes shared by the benches, files of them, and the plain kernels that serve as yardsticks.
 
+pub mod figures;
 pub mod files;
 pub mod reference;
 

@@ -9,6 +9,7 @@ use lidar_core::flying::integrate::integrator::Integrator;
 use lidar_core::flying::map::parameters::{MapParameters, Skip};
 use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_sim::scenes::SEQUENCE;
+use scenes::figures::{Figure, keep};
 use scenes::reference::DenseMap;
 use scenes::{Scan, street};
 use std::io::{Write, stdout};
@@ -52,8 +53,11 @@ fn median(values: &[f64]) -> f64 {
     values[values.len() / 2]
 }
 
-/// Time every system on a scene, and print how it compares.
-fn compare(number: u32, repeats: usize) -> Result<(), Box<dyn std::error::Error>> {
+/// Time every system on a scene, print how it compares, and return its figures.
+fn compare(
+    number: u32,
+    repeats: usize,
+) -> Result<Vec<Figure<'static>>, Box<dyn std::error::Error>> {
     let scans = street(number, SEQUENCE)?;
     let mut reference = System { name: "ray_scalar".to_owned(), least: Vec::new() };
     let mut systems: Vec<(System, usize, Skip)> = Vec::new();
@@ -79,6 +83,7 @@ fn compare(number: u32, repeats: usize) -> Result<(), Box<dyn std::error::Error>
         }
     }
     let [_, yardstick] = reference.times();
+    let mut figures = Vec::new();
     for system in [&reference].into_iter().chain(systems.iter().map(|(system, ..)| system)) {
         let [first, steady] = system.times();
         let (name, of_first, of_steady) = (&system.name, first / yardstick, steady / yardstick);
@@ -87,14 +92,17 @@ fn compare(number: u32, repeats: usize) -> Result<(), Box<dyn std::error::Error>
             "sequence/scene_{number}/{name}: first {first:.2} ms, ratio {of_first:.3}; \
              steady {steady:.2} ms, ratio {of_steady:.3}",
         )?;
+        let values = [("first", of_first), ("steady", of_steady), ("steady_ms", steady)];
+        figures.push((format!("scene_{number}/{name}"), values.to_vec()));
     }
-    Ok(())
+    Ok(figures)
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let repeats = std::env::var("LIDAR_CORE_REPEATS").ok().and_then(|text| text.parse().ok());
+    let mut figures = Vec::new();
     for number in [1, 2] {
-        compare(number, repeats.unwrap_or(REPEATS))?;
+        figures.extend(compare(number, repeats.unwrap_or(REPEATS))?);
     }
-    Ok(())
+    Ok(keep("sequence", &figures)?)
 }

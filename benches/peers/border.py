@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from rays import read_scans
+from turns import Part
 
 import lidar_core as lc
 
@@ -74,7 +75,7 @@ def counted(during: Callable[[], None]) -> float:
     return count / (time.perf_counter() - start)
 
 
-def measure(folder: Path, rounds: int) -> str:
+def measure(folder: Path, rounds: int) -> Part:
     """A sentence on the overhead, one on the other thread."""
     work, timed = flights(folder)
     work(0)
@@ -93,4 +94,5 @@ def measure(folder: Path, rounds: int) -> str:
     alone = counted(lambda: time.sleep(0.5))
     verdict = "below" if share < GOAL else "**not below**"
     cost = f"Python adds {share:.2%} to the core's time of a whole scan: {verdict} {GOAL:.0%}."
-    return f"{cost} Meanwhile another Python thread counts at {beside / alone:.2f} of its speed."
+    text = f"{cost} Meanwhile another Python thread counts at {beside / alone:.2f} of its speed."
+    return text, {"border": {"share": share}}

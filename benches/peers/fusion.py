@@ -6,12 +6,14 @@ agree on every state. The systems take turns; a time is the least CPU time of al
 """
 
 import argparse
+import json
 import math
 import platform
 import sys
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from importlib.metadata import version
+from pathlib import Path
 from time import process_time
 from typing import Any
 
@@ -286,7 +288,9 @@ def main() -> None:
     """Measure, compare, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=9, help="rounds; the best counts")
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--figures", type=Path, help="JSON file for the numbers")
+    chosen = parser.parse_args()
+    rounds = chosen.rounds
     rows = recording(0)
     systems: dict[str, tuple[Callable[[], Any], int]] = {
         "numpy, plain loop": (lambda: numpy_loop(rows), 1),
@@ -308,6 +312,12 @@ def main() -> None:
     print("| system | us per predict and update | of the reference |\n|---|---|---|")
     for name, spent in best.items():
         print(f"| {name} | {spent:.3g} | {spent / reference:.3g} |")
+    if chosen.figures:
+        figures = {
+            name: {"place": place, "us": spent, "of_numpy": spent / reference}
+            for place, (name, spent) in enumerate(best.items())
+        }
+        chosen.figures.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     print(
         f"\n{processor()}, Python {platform.python_version()}, numpy {version('numpy')},"
         f" lidar_core {lc.__version__}; best of {rounds} rounds, one thread."

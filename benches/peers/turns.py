@@ -7,9 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 MILLI = 1e3
+Part = tuple[str, dict[str, dict[str, Any]]]
+"""What a part of the comparison prints, and its figures by title and system."""
 
 
 class Program:
@@ -94,6 +96,22 @@ class Turns:
             cells = [f"{number:#.3g}" if number < 100 else f"{number:.0f}" for number in numbers]
             lines.append("| " + " | ".join([name, *cells]) + " |")
         return "\n".join(lines + [self._verdict(gate) for gate in gates if gate.peer in self.times])
+
+    def part(self, *, yardstick: str, ours: str, gates: Sequence[Gate] = ()) -> Part:
+        """The table in Markdown, and its numbers by system."""
+        required = {gate.peer: gate.factor for gate in gates}
+        figures = {
+            name: {
+                "place": place,
+                "least_ms": MILLI * min(times),
+                "median_ms": MILLI * statistics.median(times),
+                "of_yardstick": self.slower(name, yardstick),
+                "of_ours": self.slower(name, ours),
+                **({"gate": required[name]} if name in required else {}),
+            }
+            for place, (name, times) in enumerate(self.times.items())
+        }
+        return self.table(yardstick=yardstick, ours=ours, gates=gates), {self.title: figures}
 
     def _verdict(self, gate: Gate) -> str:
         found = self.slower(gate.peer, gate.yardstick)

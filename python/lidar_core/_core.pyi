@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "CIRCLE_CUT_MARGINS",
     "CircleMap",
     "CirclePipeline",
     "FlyingObjectDetector",
@@ -53,6 +54,7 @@ __all__ = [
     "vector_units",
 ]
 
+CIRCLE_CUT_MARGINS: list[float]
 __version__: str
 
 def vector_unit() -> str: ...
@@ -478,6 +480,7 @@ _TrackArrays: TypeAlias = tuple[
     _Numbers,
     NDArray[np.float64],
     NDArray[np.bool_],
+    NDArray[np.float64],
 ]
 
 @final
@@ -528,7 +531,7 @@ class FlyingObjectDetector:
         sensor: str,
         organised: bool,
     ) -> dict[str, Any]: ...
-    def tracks_at(self, stamp_ns: int) -> _TrackArrays: ...
+    def tracks_at(self, stamp_ns: int, confirmed: bool) -> _TrackArrays: ...
     def set_teammates(
         self, ids: NDArray[np.int64], positions: NDArray[np.float64], *, radius: float
     ) -> None: ...

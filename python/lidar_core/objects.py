@@ -160,6 +160,8 @@ class Tracks(Boxes):
         Detections that held the track.
     age : ndarray, shape (T,), float64
         Time since its first detection [s].
+    existence : ndarray, shape (T,), float64
+        Probability that there is a target; NaN where tracks are confirmed by counts.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -170,6 +172,7 @@ class Tracks(Boxes):
     covariance: NDArray[np.float64]
     n_detections: NDArray[np.int64]
     age: NDArray[np.float64]
+    existence: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, repr=False)

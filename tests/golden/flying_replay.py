@@ -307,7 +307,7 @@ def _tracked(record, threads, mode):
 
 MAPS = {
     "best": {},
-    "paper": {"ray_unit": "metres"},
+    "paper": {"ray_unit": "metres", "saturation": "paper"},
     "one ray per end": {"rays": "one_per_end", "voxel_size": 0.5, "end_margin": 0.3},
     "bounds": {"bounds": ((-2.0, -1.5, -1.0), (2.3, 1.1, 1.6)), "ray_unit": "diagonals"},
     "many states": {"extra_thresholds": (-900.0, -740.0, -500.0), "ray_gain": 0.3},

@@ -6,7 +6,7 @@ obvious. Stacked matrices over the whole state, matrix exponentials, full tables
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -192,6 +192,35 @@ class Element:
     places: list = field(default_factory=list)
     excess: float = 0.0
     weight: float = 4.0
+    sides: tuple = ()
+    same: float = 0.0
+    lasting: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    share: float = 0.0
+
+    def look(self, R, pose, spacing):
+        """Errors of the sides between rays: evenly spread, the same while the rays are the same."""
+        t, yaw = level_pose(pose)
+        x, y, radius = self.combined()[0][[0, 1, 4]] - [*t, 0.0]
+        d, bearing = np.hypot(x, y), np.arctan2(y, x) - yaw
+        half = np.arcsin(min(radius / d, 1.0))
+        sides = (bearing - half, bearing + half)
+        apart = [
+            abs(np.angle(np.exp(1j * (a - b)))) for a, b in zip(sides, self.sides, strict=False)
+        ]
+        is_same = bool(apart) and max(apart) < 0.3 * spacing
+        across = np.array([[-y / d, x / d, sign] for sign in (-1, 1)])
+        lasting = R @ (across.T @ across * 12 / (d * spacing) ** 2) @ R
+        lasting *= min(1.0, 0.9 * np.trace(R) / np.trace(lasting))
+        newest = 0.1 if self.sides else 1.0
+        self.lasting = (1 - newest) * self.lasting + newest * lasting
+        self.share += newest * (np.trace(lasting) / np.trace(R) - self.share)
+        self.same += 0.1 * (is_same - self.same)
+        self.sides = sides
+
+    def widened(self, P):
+        """What the same rays show again counts once: the rest of P, and the error that lasts."""
+        kept = np.array([1.0, 1.0, 0.0, 0.0, 1.0]) * (np.sqrt(1 - self.share * self.same) - 1) + 1
+        return P * np.outer(kept, kept) + H.T @ (self.lasting * self.same) @ H
 
     def listen(self, z, R, stamp):
         """Mean excess of minus the products of departures in a row from constant velocity."""
@@ -223,7 +252,7 @@ class Element:
             P = P.copy()
             P[2:4, 2:4] += np.outer(x[2:4], x[2:4]) + 1e-6 * np.eye(2)
             x = np.r_[x[:2], 0, 0, x[4]]
-        return x, P
+        return x, self.widened(P)
 
     def combined(self):
         x = sum(m * x for m, x in zip(self.mu, self.x, strict=True))
@@ -311,7 +340,7 @@ class IndependentMap:
             x, P, mu = [m for m, _ in mixed], [c for _, c in mixed], after
         return x, P, mu
 
-    def update(self, circles, covariance, pose, stamp, doubt, look, area):
+    def update(self, circles, covariance, pose, stamp, doubt, look, area, spacing):
         """Element of every circle. `look` tells what the scan says about a circle in the world."""
         dt = 0.0 if self.stamp is None else (stamp - self.stamp) * 1e-9
         self.stamp = stamp
@@ -329,7 +358,9 @@ class IndependentMap:
         for k, element in enumerate(self.elements):
             if k in row_of:
                 numbers[row_of[k]] = element.id
-                self.correct(element, *measurements[row_of[k]], stamp)
+                z, R = measurements[row_of[k]]
+                element.look(R, pose, spacing)
+                self.correct(element, z, R, stamp)
                 element.history.append(True)
                 element.seen, element.last, element.count = "measured", stamp, element.count + 1
                 element.absent = element.unmatched = element.hidden = 0.0
@@ -446,7 +477,7 @@ class IndependentMap:
             if self.stops:
                 stood, p = element.stands, element.mu[0]
                 element.stands = p > STANDS or (stood and p >= MOVES)
-            worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
+            worst = np.linalg.eigvalsh(element.combined()[1][:2, :2]).max()
             element.lost = worst >= config.max_position_std**2
             vague = False
             if element.seen == "measured":
@@ -473,7 +504,9 @@ class IndependentMap:
         for element in self.elements:
             if element.confirmed and not element.lost:
                 ahead = self.predicted(element, (stamp - self.stamp) * 1e-9, self.coasting)
-                x, P = Element(0, *ahead, stands=element.stands).reported()
+                x, P = replace(
+                    element, **dict(zip(("x", "P", "mu"), ahead, strict=True))
+                ).reported()
                 found.append((element.id, element.reported()[0] if element.stands else x, P))
         return found
 
@@ -510,6 +543,7 @@ def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
         names = "x P mu seen last absent unmatched hidden misses stands places excess weight"
+        names += " sides same lasting share"
         for name in names.split():
             setattr(kept, name, getattr(dropped, name))
     kept.count = max(kept.count, dropped.count)

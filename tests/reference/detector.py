@@ -63,7 +63,7 @@ class SeeingTracker(Tracker):
                 unseen
                 and self.view is not None
                 and self.c.ageing == "visible"
-                and not self.view(track.r, self.reach(track))
+                and self.view(track.r, self.reach(track)) < RAYS_TO_SEE
             ):
                 track.aged = due[id(track)]
         return corrected
@@ -246,7 +246,7 @@ class Detector:
             along = np.einsum("ij,ij->i", arm, directions)
             aside = np.einsum("ij,ij->i", arm, arm) - along**2
             passes = (along > 0) & (aside <= radius**2) & (lengths >= along - radius)
-            return passes.sum() >= RAYS_TO_SEE
+            return passes.sum()
 
         self.tracker.view = view
 
@@ -279,7 +279,8 @@ class Detector:
             is_alone = not ((gaps > OWN_RADIUS) & (gaps <= ALONE_RADIUS)).any()
             any_number = rules.model_copy(update={"min_points": 1})
             found = flying_or_unknown(self.map, own, diagonal(own), origin, any_number)
-            track.hinted = is_alone and self.has_background and found == FLYING
+            if is_alone and self.has_background and found == FLYING:
+                track.sight = "few"
 
     def followed(self, cloud, labels, verdicts, origin):
         """Verdicts on the unknown clusters that confirmed tracks follow: flying."""

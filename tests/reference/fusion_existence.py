@@ -14,6 +14,7 @@ CERTAIN, DOUBTFUL, MOST = 0.9, 0.5, 1 - 1e-9
 SHARE, LIFETIME, DELETED = 0.05, 30.0, 1e-3
 MEMORY, FIRST_SCANS, SPEEDS = 300, 5, 50
 VISIBLE, HIDDEN = 100.0, 1.5
+FOREIGN, CERTAINLY_OWN, LOST = 0.02, 1e-3, 2.0
 PRIORS = {"clutter": 1.0, "detection": 5.0, "share": 20.0, "end": 0.5, "hiding": 0.1}
 
 
@@ -42,6 +43,12 @@ def joint_events(existence, detection, ratios, hidden=None):
     unmeasured = (1 - pair.sum(axis=1)) / (1 - observable * detection)
     missed = observable * (1 - detection) + hidden
     return pair.sum(axis=1) + unmeasured * missed, pair, unmeasured * hidden
+
+
+def least_tail(track):
+    """Probability of a measurement or one further off, below which it is of another target."""
+    least = FOREIGN * (track["hidden"] + track["returned"]) / track["p"]
+    return least if least > CERTAINLY_OWN else 0.0
 
 
 def groups(linked):
@@ -137,13 +144,15 @@ class IntegratedTargets:
         scanner = self.scanners.setdefault(source, Learnt(self.config))
         scanner.all = last_places(scanner.all, places)
         detection, share = scanner.detection(), scanner.share()
+        largest = LOST / scanner.density(self.config.clutter[0]) if scanner.all else np.inf
         is_settled = scanner.scans >= FIRST_SCANS
+        least = [least_tail(track) for track in self.tracks]
         self.age()
         existence, hidden, returned = (
             np.array([track[name] for track in self.tracks]) for name in ("p", "hidden", "returned")
         )
         observable = existence - hidden
-        nis, ratios = self.compared(scanner)
+        nis, ratios = self.compared(scanner, least)
         after, pair, hidden_after = joint_events(existence, detection, ratios, hidden)
         measured = pair.sum(axis=1)
         for row, track in enumerate(self.tracks):
@@ -164,7 +173,7 @@ class IntegratedTargets:
         numbers, measured = self.update(nis, after, pair, left, likely)
         self.start(left * share, measured, numbers, is_settled)
         self.unite()
-        self.judge(scanner)
+        self.judge(scanner, largest)
         return numbers
 
     def age(self):
@@ -185,7 +194,7 @@ class IntegratedTargets:
             track["p"], track["returned"], track["hidden"] = state.sum(), state[1], state[2]
             track["stamp"] = self.stamp
 
-    def compared(self, scanner):
+    def compared(self, scanner, least):
         nis = np.full((len(self.tracks), len(self.places)), np.inf)
         ratios, gates = np.zeros(nis.shape), []
         for row, track in enumerate(self.tracks):
@@ -193,7 +202,8 @@ class IntegratedTargets:
             for column, place in enumerate(self.places):
                 error = place - track["mean"][:2]
                 nis[row, column] = error @ np.linalg.inv(spread) @ error
-                if nis[row, column] <= self.gate:
+                is_own = np.exp(-nis[row, column] / 2) >= least[row]  # 2 degrees of freedom
+                if nis[row, column] <= self.gate and is_own:
                     peak = 1 / np.sqrt(np.linalg.det(2 * np.pi * spread))
                     ratios[row, column] = peak * np.exp(-nis[row, column] / 2)
                     if track["hits"] < 2:
@@ -334,13 +344,17 @@ class IntegratedTargets:
             of_last[track["last"]] = likelier
         self.tracks = [track for track in self.tracks if track["id"] not in gone]
 
-    def judge(self, scanner):
+    def judge(self, scanner, largest):
         config = self.config
         widest = config.max_position_std**2
         self.tracks = [
             track
             for track in self.tracks
             if track["p"] >= DELETED
+            and (
+                track["hits"] <= 2
+                or 2 * np.pi * np.sqrt(np.linalg.det(track["cov"][:2, :2])) <= largest
+            )
             and (not track["was_certain"] or np.diag(track["cov"])[:2].max() <= widest)
         ]
         for track in self.tracks:

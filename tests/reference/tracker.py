@@ -22,9 +22,7 @@ H = np.hstack([EYE, np.zeros((3, 6))])
 # Of the rules that are no parameters, as the text of `Doubt`, `Hiding`, `Merging` in Rust has them.
 UNSEEN_TIME, SIZE_TIME = 0.3, 2.0  # [s]
 MOVED, CLEARED = 0.5, 0.3  # [m]
-STILL_HITS, STILL_WINDOW = 10, 20
 MERGE_SPEED = 1.0  # [m/s]
-LONG_UNSEEN = 0.3  # [s]
 LOITER_SHARE = 0.5  # of the way that a target may have flown, it is from where it was seen
 
 
@@ -34,9 +32,33 @@ def cost(pair):
     return y @ np.linalg.solve(S, y) + np.log(np.linalg.det(S))
 
 
-def either(track):
-    """Sets of detections in which there was something of a track, a few points at least."""
-    return [one or other for one, other in zip(track.history, track.hints, strict=True)]
+# Existence: likelihoods of what a set shows, of a target, one that gives no returns for a while,
+# something that stands, and what comes and goes; and the other numbers of `existence.rs`.
+LIKELIHOOD = {
+    "unseen": (1, 1, 1, 1),
+    "missed": (0.06, 0.42, 0.10, 0.42),
+    "barely missed": (0.20, 0.42, 0.10, 0.42),
+    "followed": (0.25, 0.03, 0.55, 0.16),
+    "few": (0.04, 0.02, 0.005, 0.015),
+    "weak": (0.33, 0.03, 0.15, 0.20),
+    "sure": (0.33, 0.02, 0.02, 0.08),
+}
+HAS_MOVED = (0.9, 0.9, 0.03, 0.3)
+NEAREST, NEAR_BOUNDS = 25.0, (0.1, 3.0)
+AMONG_STRAYS = 0.02
+SURE, MANY_RAYS, FEW_RAYS = 0.7, 12, 3
+DELETED, KEPT = 0.01, 0.2
+LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
+MEMORY, TARGETS, FEWEST = 300, 0.03, 0.02
+
+
+class Births:
+    """How often tracks begin without a target."""
+
+    sets = without = 0.0
+
+    def prior(self):
+        return TARGETS / (TARGETS + max((1 + self.without) / (10 + self.sets), FEWEST))
 
 
 @dataclass
@@ -53,13 +75,18 @@ class Track:
     delay: float = 0.0
     n_detections: int = 1
     history: list[bool] = field(default_factory=lambda: [True])
-    sure: list[bool] = field(default_factory=lambda: [True])
+    sight: str = "unseen"
+    nis: float = None  # of its newest cluster
+    shown: str = "sure"  # by the detection that it began with
+    there: float = 0.25  # probability of a target that gives returns
+    hidden: float = 0.0  # of one that gives none
+    standing: float = 0.5  # that something stands there, if there is no target
+    believed: int = 0
+    has_moved: bool = False
+    was_confirmed: bool = False
     place: np.ndarray = None
     seen_at: np.ndarray = None
     seen_speed: float = 0.0
-    found_at: np.ndarray = None  # after it had been out of sight for long
-    hints: list[bool] = field(default_factory=lambda: [False])
-    hinted: bool = False  # too few points of it for a detection are in free space
     confirmed: bool = False
     left: bool = False  # nothing is where it began
     own: float = 0.0  # points of its clusters
@@ -69,6 +96,29 @@ class Track:
     @property
     def r(self):
         return self.x[:3]
+
+    def existence(self, stamp=None):
+        """Probability that there is a target, at another time if that is given."""
+        there, hidden = self.later(self.believed if stamp is None else stamp)
+        odds = AMONG_STRAYS if self.stray > self.own else 1.0
+        known = odds * (there + hidden)
+        return known / (known + 1 - there - hidden)
+
+    def later(self, stamp):
+        dt = max(0.0, (stamp - self.believed) * 1e-9)
+        rates = np.array([[-1 / VISIBLE, 1 / HIDDEN], [1 / VISIBLE, -1 / HIDDEN]])
+        return expm((rates - EYE[:2, :2] / LIFETIME) * dt) @ (self.there, self.hidden)
+
+    def take(self, likelihood):
+        weights = [
+            self.there,
+            self.hidden,
+            (1 - self.there - self.hidden) * self.standing,
+            (1 - self.there - self.hidden) * (1 - self.standing),
+        ]
+        weights = np.multiply(weights, likelihood)
+        self.there, self.hidden, standing, fleeting = weights / weights.sum()
+        self.standing = standing / (standing + fleeting)
 
 
 @dataclass
@@ -90,6 +140,7 @@ class Tracker:
         self.buffer = []  # (stamp, points)
         self.tracks = []
         self.next_id = 0
+        self.births = Births()
         self.gate = chi2.ppf(config.gate_probability, 3)
         self.alone = -2 * np.log(config.clutter_density) - 3 * np.log(2 * np.pi)
 
@@ -147,13 +198,13 @@ class Tracker:
         H = np.hstack([EYE, delay * EYE, delay**2 / 2 * EYE])
         S = H @ track.P @ H.T + R
         K = track.P @ H.T @ np.linalg.inv(S)
+        y = z - H @ track.x
+        track.nis = y @ np.linalg.solve(S, y)
         track.x = track.x + K @ (z - H @ track.x)
         track.P = (np.eye(9) - K @ H) @ track.P
         track.P = (track.P + track.P.T) / 2
         track.aged = track.P
         track.extent = np.asarray(extent, float)
-        if (track.stamp - track.seen) * 1e-9 > LONG_UNSEEN:
-            track.found_at = z
         track.seen = track.stamp
         track.seen_at, track.seen_speed = track.r, np.linalg.norm(track.x[3:6])
 
@@ -254,10 +305,14 @@ class Tracker:
             far = np.linalg.norm(track.r - track.place) > MOVED
             gaps = np.linalg.norm(points - track.place, axis=1)
             nothing = (gaps > CLEARED).all()
-            is_seen = self.view is None or self.view(track.place, CLEARED)
-            track.left = not track.confirmed and far and nothing and is_seen
+            is_seen = self.view is None or self.view(track.place, CLEARED) >= FEW_RAYS
+            track.left = not track.has_moved and far and nothing and is_seen
         for track, cluster, dt in zip(due, found, elapsed, strict=True):
+            track.sight, track.nis = "followed", None
             if cluster is None:
+                rays = MANY_RAYS if self.view is None else self.view(track.r, self.reach(track))
+                names = ["unseen", "barely missed", "missed"]
+                track.sight = names[int(rays >= FEW_RAYS) + int(rays >= MANY_RAYS)]
                 A, Q = self.model(dt)
                 track.aged = A @ track.aged @ A.T + Q
             else:
@@ -323,7 +378,9 @@ class Tracker:
         return self.radius(track.aged) > self.c.radius_limits[1] or too_long
 
     def remove(self, gone):
-        removed = [track.id for track in self.tracks if gone(track)]
+        ends = [track for track in self.tracks if gone(track)]
+        self.births.without += sum(1 - one.existence() for one in ends if not one.was_confirmed)
+        removed = [track.id for track in ends]
         self.tracks = [track for track in self.tracks if not gone(track)]
         return removed
 
@@ -345,11 +402,11 @@ class Tracker:
             J[:3, 3:6] = -late * EYE  # r = z - v * delay
             P = J @ P @ J.T
             x = np.r_[z, np.zeros(6)]
-            weak = confidence is not None and self.c.confirm_confidence is not None
-            sure = [not weak or bool(confidence[index] >= self.c.confirm_confidence)]
+            is_sure = confidence is not None and confidence[index] >= SURE
+            shown = "sure" if is_sure else "weak"
             size = np.zeros(3)
-            new = Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, sure=sure, place=z)
-            new.seen_at = new.found_at = z
+            new = Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, shown=shown, place=z)
+            new.seen_at = z
             fresh.append(new)
         for time, points, delays in self.buffer:
             if time > stamp:
@@ -357,7 +414,7 @@ class Tracker:
         fresh = [track for track in fresh if self.radius(track.P) <= self.c.radius_limits[1]]
         known = len(self.tracks)
         fed = self.join_nearest(fresh) if self.c.association == "paper" else self.join(fresh)
-        return self.finish(fed, known)
+        return self.finish(fed, known, stamp)
 
     def join_nearest(self, fresh):
         fed = []
@@ -370,7 +427,7 @@ class Tracker:
             if distance:
                 index = min(distance, key=distance.get)
                 self.tracks[index].n_detections += 1
-                fed.append((index, new.sure[0]))
+                fed.append((index, new.shown))
             else:
                 self.tracks.append(new)
         return fed
@@ -391,7 +448,7 @@ class Tracker:
                 continue
             track = self.tracks[index]
             track.n_detections += 1
-            fed.append((index, new.sure[0]))
+            fed.append((index, new.shown))
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
                 waiting = self.waiting(track, stamp)
@@ -437,44 +494,61 @@ class Tracker:
         gaps = [np.linalg.norm(place - new.r) for place in expected]
         return min(gaps, default=np.inf) <= self.c.cluster_distance
 
-    def finish(self, fed, known):
+    def finish(self, fed, known, stamp):
         events = Events()
         for track in self.tracks[known:]:
             track.id = self.next_id
             self.next_id += 1
             events.born.append(track.id)
-        for track in self.tracks[:known]:
-            track.history.append(False)
-            track.hints.append(track.hinted)
-            track.hinted = False
-            track.sure.append(False)
-        for index, is_sure in fed:
-            self.tracks[index].history[-1] = True
-            self.tracks[index].sure[-1] |= is_sure
-        window = self.c.confirm_window
-        for track in self.tracks:
-            if not track.confirmed and self.is_certain(track):
-                track.confirmed = True
+        shown = dict(fed)
+        self.births.sets = (1 - 1 / MEMORY) * self.births.sets + 1
+        self.births.without *= 1 - 1 / MEMORY
+        prior = self.births.prior()
+        for index, track in enumerate(self.tracks):
+            if index < known:
+                track.history.append(index in shown)
+            self.believe(track, index >= known, shown.get(index), stamp, prior)
+            report = self.c.report_existence
+            if report is None:
+                hits = sum(track.history[-self.c.confirm_window :])
+                is_confirmed = track.confirmed or hits >= self.c.confirm_hits
+            else:
+                is_confirmed = track.existence() >= report * (KEPT if track.confirmed else 1)
+            if is_confirmed and not track.confirmed:
                 events.confirmed.append(track.id)
-        events.removed = self.remove(
-            lambda track: not track.confirmed and not any(either(track)[-window:])
-        )
+            track.confirmed = is_confirmed
+            track.was_confirmed |= is_confirmed
+        events.removed = self.remove(self.is_gone)
         events.merged = self.merge()
         return events
 
-    def is_certain(self, track):
-        hits, window = self.c.confirm_hits, self.c.confirm_window
-        if self.c.confirm_confidence is None:
-            return sum(track.history[-window:]) >= hits
-        if track.stray > track.own:
-            return False
+    def is_gone(self, track):
+        if self.c.report_existence is None:
+            return not track.confirmed and not any(track.history[-self.c.confirm_window :])
+        return track.existence() < DELETED
+
+    def believe(self, track, is_new, shown, stamp, prior):
+        if is_new:
+            track.there, track.hidden, track.believed = prior, 0.0, stamp
+            track.take(LIKELIHOOD[track.shown])
+            return
+        track.there, track.hidden = track.later(stamp)
+        track.believed = max(stamp, track.believed)
+        sight, nis = shown or track.sight, track.nis
+        track.sight, track.nis = "unseen", None
+        is_free = sight in ("few", "weak", "sure")
         std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
-        reach = MOVED + 2 * std
-        has_moved = track.left and np.linalg.norm(track.r - track.place) > reach
-        is_far = np.linalg.norm(track.r - track.found_at) > reach
-        counted = (either(track) if is_far else track.history) if has_moved else track.sure
-        many = sum(track.history[-STILL_WINDOW:]) >= STILL_HITS
-        return many or sum(counted[-window:]) >= hits
+        is_far = np.linalg.norm(track.r - track.place) > MOVED + 2 * std
+        if is_free and track.left and is_far and not track.has_moved:
+            track.has_moved = True
+            track.take(HAS_MOVED)
+            track.standing = 0.0
+        if sight == ("followed" if track.has_moved else "few"):
+            return
+        track.take(LIKELIHOOD[sight])
+        if nis is not None and shown:
+            near = np.clip(NEAREST * np.exp(-nis / 2), *NEAR_BOUNDS)
+            track.take((near, near, near, 1))
 
     def merge(self):
         if self.c.merge_distance is None:
@@ -497,10 +571,8 @@ class Tracker:
             merged.append([kept.id, gone.id])
             state = gone if gone.seen > kept.seen else kept
             size = max(len(kept.history), len(gone.history))
-
-            def united(one, other, size=size):
-                padded = [[False] * (size - len(sets)) + sets for sets in (one, other)]
-                return [a or b for a, b in zip(*padded, strict=True)]
+            padded = [[False] * (size - len(one.history)) + one.history for one in (kept, gone)]
+            best = gone if gone.there + gone.hidden > kept.there + kept.hidden else kept
 
             self.tracks[index] = replace(
                 state,
@@ -508,9 +580,13 @@ class Tracker:
                 born=kept.born,
                 confirmed=kept.confirmed,
                 n_detections=max(kept.n_detections, gone.n_detections),
-                history=united(kept.history, gone.history),
-                sure=united(kept.sure, gone.sure),
-                hints=united(kept.hints, gone.hints),
+                history=[a or b for a, b in zip(*padded, strict=True)],
+                was_confirmed=kept.was_confirmed or gone.was_confirmed,
+                there=best.there,
+                hidden=best.hidden,
+                standing=best.standing,
+                believed=best.believed,
+                has_moved=best.has_moved,
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

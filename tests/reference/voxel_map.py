@@ -98,6 +98,13 @@ class VoxelMap:
         keep = 0.0 if weight > 1000 else 2.0**-weight
         self.values[voxel] = np.float32(keep * float(old) + (1 - keep) * float(np.float32(target)))
 
+    def settle(self, voxel: Voxel) -> None:
+        """A value that rays have pulled to within 64 steps from g_free becomes g_free."""
+        free = np.float32(self.config.g_free)
+        near = abs(float(self.value(voxel)) - float(free)) <= 64 * float(np.spacing(abs(free)))
+        if self.config.saturation == "settled" and near:
+            self.values[voxel] = free
+
     def ray_end(self, origin, point):
         """Eq. 20 with the margin before a hit."""
         span = point - origin
@@ -154,6 +161,7 @@ class VoxelMap:
             found = contents.get(voxel)
             if found is None:
                 self.pull(voxel, c.g_free, units[voxel] / UNITS_PER_EDGE * unit * c.ray_gain)
+                self.settle(voxel)
                 continue
             strongest = next(kind for kind in STRONGEST_FIRST if kind in found)
             weight = math.inf if strongest == FLYING else found.count(strongest)

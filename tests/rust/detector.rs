@@ -63,7 +63,7 @@ fn parameters() -> FlyingParameters {
         },
         tracker: TrackerParameters {
             max_extent: Some(1.5),
-            confirmation: Confirmation { hits: 2, window: 10, weak_evidence: None },
+            confirmation: Confirmation::Counts { hits: 2, window: 10 },
             ..TrackerParameters::default()
         },
         pose: PoseParameters::paper(),

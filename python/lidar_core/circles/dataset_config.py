@@ -1,6 +1,7 @@
 """Configuration of the datasets of single circles."""
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -22,6 +23,10 @@ class DatasetConfig(Config):
     'circle'
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "mixed_depth": "a ray that hits circle and background ends up to 0.1 m behind the circle",
+        "cut_margins": "samples have the margins with which scans are segmented",
+    }
     kind: Literal["lattice", "continuous"] = Field(
         "lattice",
         description="Circles on a lattice as published, or anywhere (no unit).",
@@ -57,15 +62,8 @@ class DatasetConfig(Config):
         0.0,
         ge=0,
         le=1,
-        description="Share of edges of circles where a ray hits circle and background (no unit).",
-    )
-    mixed_depth: float = Field(
-        0.1, ge=0, description="How far behind the circle such a ray ends at most [m]."
-    )
-    cut_margins: tuple[NotNegative, NotNegative] = Field(
-        (0.15, 1.2),
-        description="An end may be cut by the nearer or farther range limit within this of it [m],"
-        " >= 0.",
+        description="Share of edges of circles where a ray hits circle and background, so that it"
+        " ends up to 0.1 m behind the circle (no unit).",
     )
     split_by: Literal["sample", "circle"] = Field(
         "sample",

@@ -1,7 +1,7 @@
 """The circle pipeline: 2D scans in, a map of circles with identities out."""
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, get_args
@@ -215,6 +215,11 @@ class CirclePipeline(FullState):
         self._count("processed")
         return frame
 
+    def _note(self, values: dict[str, Any]) -> None:
+        """Keep in `health` what a scan told about its scanner."""
+        with self._counting:
+            self._health = replace(self._health, range_std_estimated=values["range_std"])
+
     def map_at(self, stamp_ns: int) -> CircleElements:
         """Confirmed elements, predicted to any time [ns]; nothing changes."""
         stamp = as_stamp(stamp_ns)
@@ -230,7 +235,7 @@ class CirclePipeline(FullState):
         self._pipeline.reset()
 
     def health(self) -> CirclesHealth:
-        """Scans counted since the start."""
+        """Scans counted since the start, and what they tell about the scanner."""
         return self._health
 
     def _process(
@@ -262,6 +267,7 @@ class CirclePipeline(FullState):
             segments = segments_of(prepared.segments())
             found = estimator(*prepared.scan()[:2], segments)
             values = self._pipeline.integrate(prepared, *_rows(found, len(segments)))
+        self._note(values)
         return _frame(stamp, scanner, values)
 
     def _by_network(self, scanner: str) -> Estimator | None:

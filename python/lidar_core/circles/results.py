@@ -92,12 +92,16 @@ class CirclesHealth:
         received = processed + rejected.
     reasons : mapping of str to int
         Rejected scans by what was wrong, without the values of the single scan.
+    range_std_estimated : float, optional
+        Standard deviation of the ranges of the scanner that sent the last scan [m], estimated from
+        neighbouring rays; none before the scans tell enough, and in paper mode.
     """
 
     received: int = 0
     processed: int = 0
     rejected: int = 0
     reasons: Mapping[str, int] = field(default_factory=dict)
+    range_std_estimated: float | None = None
 
     def one_more(self, name: str, reason: str | None = None) -> Self:
         """Count one more scan as `name`, for a reason if it is rejected."""

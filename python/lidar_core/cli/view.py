@@ -1,6 +1,7 @@
 """`lidar-core view`: a run in a viewer, as a picture, or as a film."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,6 +48,7 @@ def command(
     ] = None,
 ) -> None:
     """Show RUN: scans by class, objects with numbers, 2 sigma ellipses, velocities and trails."""
+    from lidar_core.cli.shared.common import consoles, shown_progress
     from lidar_core.errors import ConfigError
     from lidar_core.viz.playback import Playback
     from lidar_core.viz.playback_picture import draw_film, draw_moment
@@ -72,7 +74,9 @@ def command(
     if png is not None:
         print(draw_moment(played, png, at=at))
     elif film is not None:
-        print(draw_film(played, film))
+        with shown_progress(consoles(None)[1], counts="frames") as on_progress:
+            drawn = draw_film(played, film, on_frame=partial(on_progress, "film"))
+        print(drawn)
     elif foxglove:
         _serve(played, 8765 if port is None else port, allow_origin)
     elif web:

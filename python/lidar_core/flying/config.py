@@ -49,6 +49,12 @@ class VoxelMapConfig(Config):
         " each holds exactly `g_free` or is permanent, or none. Maps, detections and tracks are the"
         " same to the bit (no unit).",
     )
+    saturation: Literal["settled", "paper"] = Field(
+        "settled",
+        description="settled: a value that rays have pulled to within 64 steps of float32 from"
+        " `g_free` becomes `g_free`, so that `skip` passes it also where few rays are; paper:"
+        " rounding may hold it some steps short for ever (no unit).",
+    )
     ray_unit: Literal["edges", "metres", "diagonals"] = Field(
         "edges",
         description="Length unit of the ray weight of eq. 22: voxel edges, metres (the paper's"
@@ -207,6 +213,14 @@ class ClassifyConfig(Config):
     fill_pockets: bool = Field(
         False,
         description="Enclosed uncertain voxels around a flying cluster become free (no unit).",
+    )
+    search: Literal["explained", "full"] = Field(
+        "explained",
+        description="explained: points that rule A makes background anyway are one cluster, and"
+        " only the others are searched for clusters; full: all points are searched. Classes,"
+        " detections and tracks are the same to the bit; where they may not be (clusters of limited"
+        " size or of voxels, `map_state` after_update, voxels larger than `close_distance`), all"
+        " are searched (no unit).",
     )
 
     @classmethod
@@ -381,7 +395,7 @@ class FlyingConfig(Config):
         default. Removal of separate background begins once there is a background.
         """
         return cls(
-            voxel_map=VoxelMapConfig(ray_unit="metres"),
+            voxel_map=VoxelMapConfig(ray_unit="metres", saturation="paper"),
             cluster=ClusterConfig(max_angle=0.0),
             classify=ClassifyConfig.paper(),
             seed=SeedConfig(burn_in_period=None, burn_in_extent=1.0, standing_scans=0),

@@ -16,6 +16,7 @@ from lidar_core.files import naming
 from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
 from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health
+from lidar_core.flying.tracker import tracks_from
 from lidar_core.messages import PosedScan, Scan, posed_of, stated_stamp
 from lidar_core.objects import FlyingDetections, Tracks
 from lidar_core.util.full_state import FullState
@@ -168,10 +169,19 @@ class FlyingObjectDetector(FullState):
         )
         return frame
 
-    def tracks_at(self, stamp_ns: int) -> Tracks:
-        """Confirmed tracks predicted to `stamp_ns` [ns]: compensates latency, changes nothing."""
+    def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> Tracks:
+        """Tracks predicted to `stamp_ns` [ns]: compensates latency, changes nothing.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Time of the states [ns].
+        confirmed : bool
+            Whether tracks that are not reported are left out.
+        """
         stamp_ns = as_stamp(stamp_ns, name="stamp_ns")
-        return _tracks(self._detector.tracks_at(stamp_ns), stamp_ns)
+        arrays = self._detector.tracks_at(stamp_ns, confirmed)
+        return tracks_from(arrays, stamp_ns, None, confirmed=confirmed)
 
     def set_teammates(
         self, ids: ArrayLike, positions_world: ArrayLike, *, radius: float = 1.0
@@ -356,7 +366,7 @@ def _frame(stamp_ns: int, values: dict[str, Any]) -> FlyingFrame:
         stamp_ns=stamp_ns,
         point_class=values["point_class"],
         detections=_detections(values["detections"], stamp_ns),
-        tracks=_tracks(values["tracks"], stamp_ns),
+        tracks=tracks_from(values["tracks"], stamp_ns, None),
         teammate_id=values["teammate_ids"],
         teammates=_detections(values["teammates"], stamp_ns),
         status=FlyingStatus(
@@ -380,21 +390,6 @@ def _detections(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> FlyingDetect
     position, covariance, radius, extent, n_points, confidence, delay = arrays
     time_ns = stamp_ns + np.round(delay * 1e9).astype(np.int64)
     return FlyingDetections(position, covariance, radius, extent, n_points, confidence, time_ns)
-
-
-def _tracks(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> Tracks:
-    number, mean, covariance, extent, n_detections, age, _reported = arrays
-    return Tracks(
-        id=number,
-        position=mean[:, :3],
-        velocity=mean[:, 3:6],
-        acceleration=mean[:, 6:],
-        covariance=covariance,
-        extent=extent,
-        n_detections=n_detections,
-        age=age,
-        stamp_ns=stamp_ns,
-    )
 
 
 def _world(points: ArrayLike) -> NDArray[np.float64]:

@@ -43,7 +43,7 @@ class PointCloudTracker(FullState):
     Examples
     --------
     >>> import numpy as np
-    >>> tracker = PointCloudTracker(TrackerConfig(confirm_hits=1, confirm_window=1))
+    >>> tracker = PointCloudTracker(TrackerConfig())
     >>> for k in range(20):
     ...     target = np.array([[0.3 * k, 0.0, 5.0]])
     ...     _ = tracker.new_point_cloud(target, np.empty((0, 3)), k * 100_000_000)
@@ -204,10 +204,19 @@ class PointCloudTracker(FullState):
         self._origin = origin
         return TrackEvents(*events)
 
-    def tracks_at(self, stamp_ns: int) -> Tracks:
-        """Confirmed tracks, predicted to any time; nothing changes."""
+    def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> Tracks:
+        """Tracks, predicted to any time; nothing changes.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Time of the states [ns].
+        confirmed : bool
+            Whether tracks that are not reported are left out.
+        """
         stamp = as_stamp(stamp_ns)
-        return tracks_from(self._tracker.tracks_at(stamp), stamp, self._origin)
+        arrays = self._tracker.tracks_at(stamp)
+        return tracks_from(arrays, stamp, self._origin, confirmed=confirmed)
 
     def reset(self) -> None:
         """Forget all tracks and clouds; numbers are still not reused."""
@@ -217,10 +226,16 @@ class PointCloudTracker(FullState):
 
 
 def tracks_from(
-    arrays: tuple[NDArray[Any], ...], stamp_ns: int, origin: NDArray[np.float64] | None
+    arrays: tuple[NDArray[Any], ...],
+    stamp_ns: int,
+    origin: NDArray[np.float64] | None,
+    *,
+    confirmed: bool = True,
 ) -> Tracks:
-    """Confirmed tracks of the core, moved back to the world's origin."""
-    number, mean, covariance, extent, n_detections, age, reported = arrays
+    """Tracks of the core, moved back to the world's origin; `confirmed`: only reported ones."""
+    number, mean, covariance, extent, n_detections, age, reported, existence = arrays
+    if not confirmed:
+        reported = np.ones_like(reported)
     mean = mean[reported]
     position = mean[:, 0:3] if origin is None else mean[:, 0:3] + origin
     return Tracks(
@@ -232,6 +247,7 @@ def tracks_from(
         extent=extent[reported],
         n_detections=n_detections[reported],
         age=age[reported],
+        existence=existence[reported],
         stamp_ns=stamp_ns,
     )
 

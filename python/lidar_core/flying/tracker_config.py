@@ -34,10 +34,11 @@ class TrackerConfig(Config):
         "initial_velocity": "write it as the second value of initial_std",
         "initial_acceleration": "write it as the third value of initial_std",
         "size_time": "the usual size follows within 2 s",
-        "confirm_distance": "a track 0.5 m from its start has moved",
+        "confirm_confidence": "tracks have a probability of existence: report_existence",
+        "confirm_distance": "that it has moved by 0.5 m makes a target more probable",
         "confirm_cleared": "the start of a track is free if nothing is within 0.3 m",
-        "confirm_still_hits": "10 of 20 weak detections confirm a static track",
-        "confirm_still_window": "10 of 20 weak detections confirm a static track",
+        "confirm_still_hits": "tracks have a probability of existence: report_existence",
+        "confirm_still_window": "tracks have a probability of existence: report_existence",
         "merge_speed": "tracks of one target differ by 1 m/s at most",
     }
     buffer_size: int = Field(
@@ -146,23 +147,27 @@ class TrackerConfig(Config):
         " each other, is divided among them [m]; none, as in the paper: it stays whole; global"
         " association.",
     )
+    report_existence: float | None = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="A track is reported from this probability of existence on, until it falls"
+        " below a fifth of it (no unit); none, as in the paper: by `confirm_hits` and"
+        " `confirm_window`.",
+    )
     confirm_hits: int = Field(
-        3,
+        1,
         ge=1,
         le=64,
         description="A track is reported once it has a detection in this many of the last"
-        " `confirm_window` sets of detections (count, no unit); paper: 1.",
+        " `confirm_window` sets of detections (count, no unit); only without `report_existence`.",
     )
     confirm_window: int = Field(
-        10, ge=1, le=64, description="Sets of detections looked back on (count, no unit)."
-    )
-    confirm_confidence: float | None = Field(
-        0.7,
-        ge=0,
-        le=1,
-        description="Detections of less confidence confirm a track only once it has moved, or 10 of"
-        " 20 at one place: weak ones that stand still may be background that has just come"
-        " into view (share, no unit); none, as in the paper: all count.",
+        1,
+        ge=1,
+        le=64,
+        description="Sets of detections looked back on (count, no unit); only without"
+        " `report_existence`.",
     )
     merge_distance: float | None = Field(
         0.3,
@@ -182,7 +187,7 @@ class TrackerConfig(Config):
         " `visible`.",
     )
     report_coast: float = Field(
-        0.3,
+        1.0,
         gt=0,
         description="A track without measurement for longer is kept but not reported [s]; ageing"
         " `visible`.",
@@ -219,9 +224,7 @@ class TrackerConfig(Config):
             association="paper",
             rejoin_acceleration=None,
             split_distance=None,
-            confirm_hits=1,
-            confirm_window=1,
-            confirm_confidence=None,
+            report_existence=None,
             merge_distance=None,
             ageing="paper",
         )

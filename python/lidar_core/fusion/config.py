@@ -104,14 +104,17 @@ class FusionConfig(Config):
         ("cv", "ctrv"), min_length=1, description="Models that imm mixes (no unit)."
     )
     imm_sojourn: float = Field(
-        2.0, gt=0, le=1e6, description="Mean time for which a target follows one of them [s]."
+        2.0,
+        gt=0,
+        le=1e6,
+        description="Mean time for which a target follows one of them [s]; standing: 300 s.",
     )
     imm_quiet: float | None = Field(
         None,
         gt=0,
         lt=1,
-        description="Share of the process noise with which each model of imm takes part a second"
-        " time, for targets that move evenly or stand (no unit); none: no such models.",
+        description="Share of the process noise with which each model of imm but standing takes"
+        " part a second time, for targets that move evenly (no unit); none: no such models.",
     )
     process: Literal["continuous", "discrete"] = Field(
         "continuous",

@@ -28,7 +28,11 @@ class MultiTargetConfig(Config):
     }
     target: FusionConfig = Field(
         FusionConfig(
-            method="imm", imm_models=("cv",), imm_quiet=0.1, start_rows=3, initial_speed=15.0
+            method="imm",
+            imm_models=("cv", "standing"),
+            imm_quiet=0.1,
+            start_rows=3,
+            initial_speed=15.0,
         ),
         description="The filter of each target; its gate decides which measurements may be one's,"
         " its `buffer_time` how late scans may come. `loss_ratio` and `sensor_noise` are not"

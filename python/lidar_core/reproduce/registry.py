@@ -23,6 +23,7 @@ MODULES = (
     "flying.real",
     "flying.drivers",
     "flying.surfaces",
+    "flying.situations.table",
     "circles.table1",
     "circles.table2",
     "circles.fig5",
@@ -44,6 +45,7 @@ MODULES = (
     "tracking.scaling",
     "tracking.existence",
     "tracking.clutter",
+    "tracking.takeover",
 )
 """Modules of this package that declare items, by paper, in the order in which `all` runs them."""
 

@@ -11,6 +11,9 @@ from lidar_core.extras import require
 from lidar_core.io.tables.shapes import outline
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.objects import ShapeElements
+from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
+from lidar_core.viz.drawing.labels import Label, draw_labels
+from lidar_core.viz.drawing.marks import WAY, scale_bar, sensor_mark
 from lidar_core.viz.figure import (
     INK,
     PALE,
@@ -25,10 +28,9 @@ from lidar_core.viz.views import CirclesView
 
 SIZE, DPI = (12.0, 7.0), 90
 FILM_SIZE, FILM_DPI = (7.0, 7.0), 70
-TALL = 1.0  # height of the map in the picture, in widths
 COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
 POINT, EARLIER, WALL = "#475569", "#dbe1e8", "#c2410c"
-MARGIN = 0.5  # around points and sensor [m]
+MOVED = 1.0  # elements that moved this far are in the middle [m]
 SMALLEST = 4.0  # least width and height of what is shown [m]
 REACH = 12.0  # from the sensor's way, at most: points further off only make the rest small [m]
 BULK = (0.01, 0.99)  # quantiles of the points that are shown at least
@@ -79,13 +81,13 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
     """
     kept = [scan for scan, points in enumerate(view.points) if len(points)]
     picked = kept[:: max(1, -(-len(kept) // frames))] or [len(view.maps) - 1]
-    limits = _limits(view, 1.0)
+    window = _window(view, 1.0)
 
     def paint(figure: Any) -> Iterator[None]:
         axes = figure.add_subplot()
         for scan in picked:
             axes.clear()
-            _above(axes, view, scan, limits)
+            _above(axes, view, scan, window)
             axes.set_title(f"{view.title}: {_seconds(view)[scan]:.1f} s" if scan >= 0 else "")
             yield
 
@@ -96,31 +98,27 @@ def _compose(figure: Any, view: CirclesView) -> None:
     grid = two_columns(figure, view.title, widths=(1.35, 1.0), heights=(1.3, 1.0), hspace=0.36)
     above = figure.add_subplot(grid[:, 0])
     _earlier(above, view)
-    _above(above, view, len(view.maps) - 1, _limits(view, TALL))
-    above.set_title("from above, at the end")
+    _above(above, view, len(view.maps) - 1, _window(view, panel_tallness(above)))
+    time = _seconds(view)
+    above.set_title(f"from above, at {time[-1]:.1f} s" if len(time) else "from above")
     if view.maps:
         opaque_legend(above, "upper left")
     _radii(figure.add_subplot(grid[0, 1]), view)
     _counts(figure.add_subplot(grid[1, 1]), view)
 
 
-def _limits(view: CirclesView, tall: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the visible area around points, sensor and truth; height is `tall` widths."""
+def _window(view: CirclesView, tall: float) -> Window:
+    """What is shown: elements that moved in the middle, with points, sensor and truth around."""
     points = np.concatenate([np.empty((0, 2)), *view.points])
     if len(view.sensor):
         low, high = view.sensor.min(axis=0) - REACH, view.sensor.max(axis=0) + REACH
         points = points[((points >= low) & (points <= high)).all(axis=1)]
     seen = np.quantile(points, BULK, axis=0) if len(points) else np.empty((0, 2))
     ends = [state.center for state in view.maps[-1:]] if not len(points) else []
-    focus = np.concatenate([seen, *ends, view.sensor, *view.truth.values()])
-    focus = focus[np.isfinite(focus).all(axis=1)]
-    if not len(focus):
-        focus = np.zeros((1, 2))
-    low, high = focus.min(axis=0), focus.max(axis=0)
-    size = np.maximum(high - low + 2 * MARGIN, SMALLEST)
-    size = np.maximum(size, size[::-1] * np.array([1 / tall, tall]))  # fills the panel
-    middle = (low + high) / 2
-    return middle - size / 2, middle + size / 2
+    focus = [seen, *ends, view.sensor, *view.truth.values()]
+    ways = _ways(view, len(view.maps) - 1).values()
+    moving = [way for way in ways if np.hypot(*np.ptp(way, axis=0)) > MOVED]
+    return window_over(focus, tall, smallest=SMALLEST, moving=moving)
 
 
 def _earlier(axes: Any, view: CirclesView) -> None:
@@ -134,28 +132,23 @@ def _above(
     axes: Any,
     view: CirclesView,
     scan: int,
-    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
+    window: Window,
 ) -> None:
     """Scan, sensor and map at one time, with the ways up to it."""
-    low, high = limits
+    window.apply(axes)
     if scan >= 0:
         points = view.points[scan]
         axes.scatter(points[:, 0], points[:, 1], s=3, c=POINT, linewidths=0, zorder=2, label="scan")
         way = view.sensor[: scan + 1]
         axes.plot(way[:, 0], way[:, 1], color=INK, lw=1.4, zorder=4, label="sensor")
-        axes.plot(*way[-1], marker="^", ms=8, color=INK, zorder=4)
+        sensor_mark(axes, window, way[-1])
         draw_truth(axes, (line[: scan + 1, :2] for line in view.truth.values()))
         _elements(axes, view, scan)
         if view.shapes:
             _shapes(axes, view.shapes[scan])
-    axes.set(
-        aspect="equal",
-        adjustable="box",
-        xlim=(low[0], high[0]),
-        ylim=(low[1], high[1]),
-        xlabel="x [m]",
-        ylabel="y [m]",
-    )
+    scale_bar(axes, window)
+    window.apply(axes)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.grid(visible=True)
 
 
@@ -178,20 +171,16 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
         around = center + ellipse(state.covariance[row][:2, :2], SIGMAS, CORNERS)
         outline = patches.Polygon(around, closed=True, fill=False, ec=colour, lw=0.8, zorder=5)
         axes.add_patch(outline)
-        axes.plot(*ways[number].T, color=colour, lw=1.0, alpha=0.7, zorder=4.5)
+        axes.plot(*ways[number].T, color=colour, lw=1.0, alpha=0.7, zorder=4.5, gid=WAY)
         _arrow(axes, center, state.velocity[row], colour)
-        axes.annotate(
-            str(number),
-            center,
-            xytext=(7, 7),
-            textcoords="offset points",
-            color="white",
-            fontsize=8,
-            fontweight="bold",
-            zorder=8,
-            annotation_clip=True,
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": colour, "edgecolor": "white"},
-        )
+    draw_labels(
+        axes,
+        [
+            Label(str(number), center, colour_of(number))
+            for number, center in zip(state.id.tolist(), state.center, strict=True)
+        ],
+        [],
+    )
     axes.scatter(
         [],
         [],

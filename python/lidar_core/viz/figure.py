@@ -81,7 +81,7 @@ def draw_truth(axes: Any, ways: Iterable[NDArray[np.float64]]) -> None:
 def opaque_legend(axes: Any, place: str, **more: Any) -> None:
     """Legend that can be read in front of points."""
     ground = {"frameon": True, "facecolor": "white", "framealpha": 0.88, "edgecolor": "none"}
-    axes.legend(loc=place, fontsize=8, **ground, **more)
+    axes.legend(loc=place, fontsize=8, **ground, **more).set_zorder(9.5)
 
 
 _STYLE = {

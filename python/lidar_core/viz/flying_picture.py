@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from lidar_core.extras import require
 from lidar_core.messages import ShownClass
-from lidar_core.objects import Tracks
+from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around
+from lidar_core.viz.drawing.labels import Label, draw_labels
+from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark, sigma_ellipse
 from lidar_core.viz.figure import (
     INK,
     PALE,
@@ -32,10 +34,9 @@ CLOUDS = (
 """Name, colour and size of the points of each class."""
 TRACK_COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
 MOST_POINTS = 40_000  # drawn of a cloud or map: more only makes the picture heavy
-MARGIN = 9.0  # around sensor, tracks and targets [m]
-SMALLEST = 36.0  # least width and height of what is shown [m]
+NOTHING_MOVES = 36.0  # width of what is shown around the sensor where there are no tracks [m]
+MOST_NUMBERS = 40  # tracks with a number beside them, the longest
 ELLIPSES = 8  # at most, per track
-SIGMAS = 2.0
 
 
 def draw_flying(view: FlyingView, path: str | Path) -> Path:
@@ -61,14 +62,19 @@ def draw_flying(view: FlyingView, path: str | Path) -> Path:
 
 
 def _compose(figure: Any, view: FlyingView) -> None:
-    gaps = {"left": 0.045, "bottom": 0.065, "wspace": 0.1, "hspace": 0.4}
-    grid = two_columns(figure, view.title, widths=(1.15, 1.0), heights=(1.25, 1.0, 0.8), **gaps)
-    low, high = _limits(view)
+    gaps = {"left": 0.055, "bottom": 0.065, "wspace": 0.1, "hspace": 0.4}
+    grid = two_columns(figure, view.title, widths=(1.15, 1.0), heights=(1.4, 0.9, 0.8), **gaps)
     above, side = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
-    _map(above, view, (0, 1), low, high)
-    above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
-    opaque_legend(above, "upper left", ncols=2, labelspacing=0.35)
-    _map(side, view, (0, 2), low, high)
+    plan, elevation = (
+        _window(view, (0, up), panel_tallness(at)) for up, at in ((1, above), (2, side))
+    )
+    _map(above, view, (0, 1), plan, depth=(elevation.low[1], elevation.high[1]))
+    time = _seconds(view, view.stamp_ns)
+    span = f", 0 to {time[-1]:.1f} s" if len(time) else ""
+    above.set(title=f"from above{span}", xlabel="x [m]", ylabel="y [m]")
+    corner = plan.corner_away_from([view.sensor[-1:, :2]])
+    opaque_legend(above, corner, ncols=2, labelspacing=0.35)
+    _map(side, view, (0, 2), elevation, depth=(plan.low[1], plan.high[1]))
     side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
     _distances(figure.add_subplot(grid[1, 1]), view)
     last = figure.add_subplot(grid[2, 1])
@@ -79,46 +85,44 @@ def _compose(figure: Any, view: FlyingView) -> None:
     last.set_xlabel("time [s]")
 
 
-def _limits(view: FlyingView) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the visible area: sensor, tracks and targets, with the map around them."""
-    things = [view.sensor, *(tracks.position for tracks in view.tracks), *view.truth.values()]
-    focus = np.concatenate([rows[np.isfinite(rows).all(axis=1)] for rows in things])
-    if not len(focus):
-        focus = np.zeros((1, 3))
-    low, high = focus.min(axis=0), focus.max(axis=0)
-    grow = np.maximum(MARGIN, (SMALLEST - (high - low)) / 2)
-    low, high = low - grow, high + grow
-    around = np.concatenate([view.occupied, view.cloud])
-    around = around[((around >= low) & (around <= high)).all(axis=1)]
-    if len(around):  # no empty space below the ground or above the roofs
-        bottom, top = np.percentile(around[:, 2], (0.2, 99.8))
-        low[2] = min(focus[:, 2].min() - 1, bottom - 0.5)
-        high[2] = max(focus[:, 2].max() + 1, top + 0.5)
-    return low, high
+def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
+    """What a panel shows: tracks in its middle, or else targets; the sensor, if that is near."""
+    columns = list(plane)
+    tracks = [item.position[:, columns] for item in view.tracks]
+    moving = tracks if sum(map(len, tracks)) else [way[:, columns] for way in view.truth.values()]
+    sensor = view.sensor[-1:, columns]
+    if not sum(map(len, moving)):
+        return window_around([sensor], tall, smallest=NOTHING_MOVES)
+    return window_around(moving, tall, also=[sensor])
 
 
 def _visible_rows(
-    rows: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+    rows: NDArray[np.float64], plane: tuple[int, int], window: Window, depth: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """At most `MOST_POINTS` rows inside the picture, evenly picked."""
-    inside = rows[((rows >= low) & (rows <= high)).all(axis=1)]
-    return inside[:: max(1, -(-len(inside) // MOST_POINTS))]
+    """Rows inside the picture, also along the direction of sight."""
+    low, high = np.empty(3), np.empty(3)
+    low[list(plane)], high[list(plane)] = window.low, window.high
+    low[3 - sum(plane)], high[3 - sum(plane)] = depth
+    return rows[((rows >= low) & (rows <= high)).all(axis=1)]
 
 
 def _map(
     axes: Any,
     view: FlyingView,
     plane: tuple[int, int],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    window: Window,
+    *,
+    depth: tuple[float, float],
 ) -> None:
     """Cloud, map, ways and tracks, projected onto the axes `plane`."""
     across, up = plane
-    _voxels(axes, view, plane, low, high)
+    window.apply(axes)
+    _voxels(axes, view, plane, window, depth)
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
         if colour == OWN and not len(cloud):
             continue  # most robots hide nothing
-        rows = _visible_rows(cloud, low, high)
+        rows = _visible_rows(cloud, plane, window, depth)
+        rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
         axes.scatter(
             rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2, rasterized=True
         )
@@ -126,17 +130,13 @@ def _map(
     axes.plot(
         view.sensor[:, across], view.sensor[:, up], color=INK, lw=1.6, zorder=4, label="sensor"
     )
-    if len(view.sensor):
-        axes.plot(*view.sensor[-1, list(plane)], marker="^", ms=8, color=INK, zorder=4)
     draw_truth(axes, (way[:, list(plane)] for way in view.truth.values()))
     _tracks(axes, view, plane)
-    axes.set(
-        aspect="equal",
-        adjustable="box",
-        anchor="NW",
-        xlim=(low[across], high[across]),
-        ylim=(low[up], high[up]),
-    )
+    if len(view.sensor):
+        sensor_mark(axes, window, view.sensor[-1, list(plane)])
+    scale_bar(axes, window)
+    axes.set_anchor("NW")
+    window.apply(axes)
     axes.grid(visible=True)
 
 
@@ -150,26 +150,25 @@ def _voxels(
     axes: Any,
     view: FlyingView,
     plane: tuple[int, int],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    window: Window,
+    depth: tuple[float, float],
 ) -> None:
     """Occupied voxels as an image: the nearer to the viewer, the darker."""
     colours = require("matplotlib.colors", extra="plot", purpose=PURPOSE)
-    across, up = plane
-    depth = 3 - across - up
-    towards = 1 if up == 1 else -1  # seen from above, and from the side of negative y
-    rows = view.occupied[((view.occupied >= low) & (view.occupied <= high)).all(axis=1)]
-    cells = np.floor((rows[:, list(plane)] - low[list(plane)]) / view.voxel_size).astype(np.intp)
-    shape = np.ceil((high - low)[list(plane)] / view.voxel_size).astype(np.intp) + 1
+    towards = 1 if plane[1] == 1 else -1  # seen from above, and from the side of negative y
+    rows = _visible_rows(view.occupied, plane, window, depth)
+    cells = np.floor((rows[:, list(plane)] - window.low) / view.voxel_size).astype(np.intp)
+    shape = np.ceil((window.high - window.low) / view.voxel_size).astype(np.intp) + 1
     image = np.full(shape, np.nan)
-    np.fmax.at(image, (cells[:, 0], cells[:, 1]), towards * rows[:, depth])
-    corner = low[list(plane)] + view.voxel_size * shape
+    near = towards * rows[:, 3 - sum(plane)]
+    np.fmax.at(image, (cells[:, 0], cells[:, 1]), near)
+    corner = window.low + view.voxel_size * shape
     axes.imshow(
         image.T,
-        extent=(low[across], corner[0], low[up], corner[1]),
+        extent=(window.low[0], corner[0], window.low[1], corner[1]),
         cmap=colours.LinearSegmentedColormap.from_list("voxels", VOXEL_COLOURS),
-        vmin=min(towards * low[depth], towards * high[depth]),
-        vmax=max(towards * low[depth], towards * high[depth]),
+        vmin=near.min(initial=0.0),
+        vmax=near.max(initial=1.0),
         origin="lower",
         interpolation="nearest",
         zorder=1,
@@ -178,7 +177,10 @@ def _voxels(
 
 
 def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
+    """Ways with 2 sigma ellipses; at the last place a ring and the number."""
     across, up = plane
+    labels: list[tuple[int, Label]] = []
+    ways = []
     for order, (number, rows) in enumerate(_by_track(view).items()):
         colour = TRACK_COLOURS[order % len(TRACK_COLOURS)]
         way = np.array([view.tracks[scan].position[row] for scan, row in rows])
@@ -188,34 +190,19 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
             color=colour,
             lw=2.0,
             zorder=5,
-            label="track, 2σ ellipses" if order == 0 else None,
+            gid=WAY,
+            label="track, 2σ ellipses; ring: last place" if order == 0 else None,
         )
         every = max(1, -(-len(rows) // ELLIPSES))
         for scan, row in rows[::-every]:
-            _ellipse(axes, view.tracks[scan], row, plane, colour)
-        badge = {"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "white"}
-        axes.annotate(
-            f"{number}",
-            way[-1, list(plane)],
-            xytext=(9, 9),
-            textcoords="offset points",
-            color="white",
-            fontsize=9,
-            fontweight="bold",
-            zorder=8,
-            bbox=badge,
-        )
-
-
-def _ellipse(axes: Any, tracks: Tracks, row: int, plane: tuple[int, int], colour: str) -> None:
-    """Projected ellipse of `SIGMAS` standard deviations around the track."""
-    patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
-    values, vectors = np.linalg.eigh(tracks.covariance[row][np.ix_(plane, plane)])
-    width, height = 2 * SIGMAS * np.sqrt(np.maximum(values, 0))
-    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    ellipse = patches.Ellipse(tracks.position[row][list(plane)], width, height, angle=angle)
-    ellipse.set(facecolor=(colour, 0.25), edgecolor=(colour, 0.9), lw=0.8, zorder=5.5)
-    axes.add_patch(ellipse)
+            tracks = view.tracks[scan]
+            covariance = tracks.covariance[row][np.ix_(plane, plane)]
+            sigma_ellipse(axes, tracks.position[row][list(plane)], covariance, colour)
+        ring(axes, way[-1, list(plane)], colour)
+        labels.append((-len(rows), Label(str(number), way[-1, list(plane)], colour)))
+        ways.append(way[:, list(plane)])
+    longest = [label for _, label in sorted(labels, key=lambda one: one[0])[:MOST_NUMBERS]]
+    draw_labels(axes, longest, ways)
 
 
 def _by_track(view: FlyingView) -> dict[int, list[tuple[int, int]]]:

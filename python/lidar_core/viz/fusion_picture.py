@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.viz.circles_picture import colour_of
+from lidar_core.viz.drawing.frame import panel_tallness, window_over
+from lidar_core.viz.drawing.labels import Label, draw_labels
+from lidar_core.viz.drawing.marks import WAY, ring, scale_bar
 from lidar_core.viz.figure import DASHED, PALE, draw_truth, opaque_legend, two_columns, write_figure
 from lidar_core.viz.views import FusionView, PlanarLine
 
@@ -16,7 +19,8 @@ SENSORS = {"lidar": "#64748b", "radar": "#f59e0b"}
 OTHER = "#94a3b8"
 SIGMAS, CORNERS = 2.0, 36
 ELLIPSES = 20  # along a track, at most
-NAMED = 12  # tracks with a number beside them, the longest
+SMALLEST = 4.0  # least width and height of what is shown [m]
+NAMED = 24  # tracks with a number beside them, the longest
 BAND = 5.0  # standard deviations that a panel of errors shows, at the median
 
 
@@ -53,6 +57,10 @@ def _compose(figure: Any, view: FusionView) -> None:
 
 
 def _above(axes: Any, view: FusionView) -> None:
+    """Measurements, truth and the whole ways of the tracks."""
+    ways = [line.position for line in (*view.tracks.values(), *view.truth.values())]
+    window = window_over(ways or view.seen.values(), panel_tallness(axes), smallest=SMALLEST)
+    window.apply(axes)
     for sensor, places in view.seen.items():
         axes.scatter(
             places[:, 0],
@@ -66,29 +74,35 @@ def _above(axes: Any, view: FusionView) -> None:
             rasterized=True,
         )
     draw_truth(axes, (line.position for line in view.truth.values()))
-    longest = sorted(view.tracks, key=lambda number: len(view.tracks[number].stamp_ns))[-NAMED:]
+    longest = sorted(view.tracks, key=lambda number: -len(view.tracks[number].stamp_ns))[:NAMED]
     for order, (number, line) in enumerate(view.tracks.items()):
         _track(axes, line, colour_of(number), None if order else "track, 2σ ellipses")
-        if number in longest and len(view.tracks) > 1 and len(line.position):
-            axes.annotate(
-                str(number),
-                line.position[-1],
-                xytext=(5, 5),
-                fontsize=8,
-                zorder=7,
-                textcoords="offset points",
-                color=colour_of(number),
-            )
-    axes.set(
-        aspect="equal", adjustable="datalim", title="from above", xlabel="x [m]", ylabel="y [m]"
-    )
+        if len(line.position):
+            ring(axes, line.position[-1], colour_of(number))
+    labels = [
+        Label(str(number), line.position[-1], colour_of(number))
+        for number, line in ((number, view.tracks[number]) for number in longest)
+        if len(line.position)
+    ]
+    draw_labels(axes, labels, ways)
+    scale_bar(axes, window)
+    window.apply(axes)
+    axes.set(title=_above_title(view), xlabel="x [m]", ylabel="y [m]")
     axes.grid(visible=True)
     if view.seen or view.tracks:
-        opaque_legend(axes, "best")
+        opaque_legend(axes, "upper left", ncols=2)
+
+
+def _above_title(view: FusionView) -> str:
+    stamps = [line.stamp_ns for line in view.tracks.values() if len(line.stamp_ns)]
+    if not stamps:
+        return "from above"
+    seconds = (max(times[-1] for times in stamps) - min(times[0] for times in stamps)) * 1e-9
+    return f"from above, {seconds:.1f} s; ring: last place"
 
 
 def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:
-    axes.plot(*line.position.T, color=colour, lw=1.4, zorder=4, label=label)
+    axes.plot(*line.position.T, color=colour, lw=1.4, zorder=4, label=label, gid=WAY)
     if line.covariance is None:
         return
     for row in range(0, len(line.position), max(1, -(-len(line.position) // ELLIPSES))):

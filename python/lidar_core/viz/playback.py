@@ -21,6 +21,7 @@ from lidar_core.objects import Objects, ShapeElements
 from lidar_core.run_folder import RUN_FILE
 
 Capability: TypeAlias = Literal["flying", "circles", "fusion"]
+_WorldScan: TypeAlias = tuple[int, NDArray[np.float32], NDArray[np.uint8], NDArray[np.float64]]
 
 RECORDING, MAP = "run.mcap", "map.lcvm"
 CORNERS = 36  # of a circle
@@ -62,6 +63,8 @@ class Moment:
         What was found.
     outlines : tuple of Outline
         Walls, ellipses and rectangles of a map of circles.
+    sensor : ndarray, shape (3,), float64, or None
+        Where the sensor was, world frame [m]; None between scans.
     """
 
     stamp_ns: int
@@ -69,6 +72,7 @@ class Moment:
     point_class: NDArray[np.uint8]
     objects: Objects
     outlines: tuple[Outline, ...] = ()
+    sensor: NDArray[np.float64] | None = None
 
 
 class Playback:
@@ -162,10 +166,10 @@ class Playback:
     def moments(self) -> Iterator[Moment]:
         """Times of scans and of estimates, ascending; no scans where the run kept none."""
         last = -1
-        for stamp_ns, points, classes in self._scans():
+        for stamp_ns, points, classes, sensor in self._scans():
             for between in self._stamps(last, stamp_ns):
                 yield self._moment(between, _NO_POINTS, _NO_CLASSES)
-            yield self._moment(stamp_ns, points, classes)
+            yield self._moment(stamp_ns, points, classes, sensor)
             last = stamp_ns
         for after in self._stamps(last, None):
             yield self._moment(after, _NO_POINTS, _NO_CLASSES)
@@ -179,7 +183,11 @@ class Playback:
         ]
 
     def _moment(
-        self, stamp_ns: int, points: NDArray[np.float32], classes: NDArray[np.uint8]
+        self,
+        stamp_ns: int,
+        points: NDArray[np.float32],
+        classes: NDArray[np.uint8],
+        sensor: NDArray[np.float64] | None = None,
     ) -> Moment:
         rows = self._rows.get(stamp_ns, _NO_ROWS)
         outlines = (
@@ -191,9 +199,9 @@ class Playback:
             )
         )
         objects = _objects(self._columns, rows, least=SMALLEST)
-        return Moment(stamp_ns, points, classes, objects, outlines)
+        return Moment(stamp_ns, points, classes, objects, outlines, sensor)
 
-    def _scans(self) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
+    def _scans(self) -> Iterator[_WorldScan]:
         if self.recording is None:
             return
         with open_recording(self.recording) as recording:
@@ -204,16 +212,16 @@ class Playback:
                 )
 
 
-def _read_world_scans(
-    recording: Recording, topic: str, *, is_planar: bool
-) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.uint8]]]:
+def _read_world_scans(recording: Recording, topic: str, *, is_planar: bool) -> Iterator[_WorldScan]:
+    """Time, points in the world, their classes and the place of the sensor, per scan."""
     read = posed_laser_scans if is_planar else posed_scans
     for posed in read(recording, cloud=topic):
         scan = posed.scan
         pose = posed.world_from_lidar.reshape(-1, 4, 4)[0]
         local = swept(scan) if isinstance(scan, LaserScan) else scan.points.reshape(-1, 3)
         is_point = np.asarray(np.isfinite(local).all(axis=1), np.bool_)
-        yield scan.stamp_ns, in_world(local[is_point], pose), _classes(scan, is_point)
+        classes = _classes(scan, is_point)
+        yield scan.stamp_ns, in_world(local[is_point], pose), classes, pose[:3, 3]
 
 
 def in_world(local: NDArray[Any], world_from_lidar: NDArray[np.float64]) -> NDArray[np.float32]:

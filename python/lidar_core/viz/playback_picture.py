@@ -1,7 +1,8 @@
 """One time of a run as PNG, or the run as a film, with matplotlib; needs no display."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,10 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.messages import ShownClass
-from lidar_core.viz.figure import INK, PALE, write_figure
+from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around, window_over
+from lidar_core.viz.drawing.labels import Label, draw_labels
+from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
+from lidar_core.viz.figure import INK, opaque_legend, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback
 
@@ -28,11 +32,13 @@ POINT_COLOURS = {
 """Colours of points by class; INVALID is that of points without one."""
 OBJECT, BAND, WALL = "#c2410c", "#0369a1", "#0f766e"
 SIGMAS, CORNERS = 2.0, 36
-TRAIL = 50  # positions of an object that stay in view
+TRAIL = 50  # positions of an object that stay in view; of fused targets, which have no scan, all
 MOST_POINTS = 40_000
+MOST_NUMBERS, MOST_ROWS = 40, 12  # objects with a number, and lines of the list
 SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
-BULK, MARGIN, SMALLEST = (0.02, 0.98), 1.0, 4.0  # of what is shown: quantiles, [m], [m]
-PLANES = ((0, 1, "x", "y"), (0, 2, "x", "z"))
+BULK, SMALLEST = (0.02, 0.98), 4.0  # of what is shown: quantiles of the points, [m]
+MOVED = 1.0  # objects that moved this far are in the middle [m]
+MARGINS = {"left": 0.065, "right": 0.985, "top": 0.88, "bottom": 0.1, "hspace": 0.32}
 
 
 def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> Path:
@@ -62,16 +68,23 @@ def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> 
     seconds = [(moment.stamp_ns - first) * 1e-9 for moment, _ in shown]
     number = len(shown) - 1 if at is None else int(np.argmin(np.abs(np.array(seconds) - at)))
     moment, trails = shown[number]
-    limits = _limits([moment])
+    scene = _Scene.of(run, [shown[number]])
     return write_figure(
         path,
-        lambda figure: _compose(figure, run, moment, trails, seconds[number], limits),
+        lambda figure: _compose(figure, scene, moment, trails, seconds[number]),
         size=SIZE,
         dpi=DPI,
     )
 
 
-def draw_film(run: Playback, path: str | Path, *, frames: int = 200, rate: float = 10.0) -> Path:
+def draw_film(
+    run: Playback,
+    path: str | Path,
+    *,
+    frames: int = 200,
+    rate: float = 10.0,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
     """Draw a run over time.
 
     Parameters
@@ -84,6 +97,8 @@ def draw_film(run: Playback, path: str | Path, *, frames: int = 200, rate: float
         At most, evenly picked.
     rate : float
         Frames per second [Hz].
+    on_frame : callable
+        Gets the number of frames that are drawn, and that of all.
 
     Raises
     ------
@@ -99,14 +114,16 @@ def draw_film(run: Playback, path: str | Path, *, frames: int = 200, rate: float
     if not kept:
         raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
     picked = kept[:: max(1, -(-len(kept) // frames))]
-    limits = _limits([moment for moment, _ in picked])
+    scene = _Scene.of(run, picked)
 
     def paint(figure: Any) -> Iterator[None]:
-        for moment, trails in picked:
+        for number, (moment, trails) in enumerate(picked):
+            on_frame(number, len(picked))
             figure.clear()
             seconds = (moment.stamp_ns - kept[0][0].stamp_ns) * 1e-9
-            _compose(figure, run, moment, trails, seconds, limits)
+            _compose(figure, scene, moment, trails, seconds)
             yield
+        on_frame(len(picked), len(picked))
 
     return write_film(path, paint, size=SIZE, dpi=FILM_DPI, rate=rate)
 
@@ -119,112 +136,185 @@ def _moments_with_trails(run: Playback) -> Iterator[tuple[Moment, Trails]]:
     trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
     for moment in run.moments():
         for name, position in zip(moment.objects.id.tolist(), moment.objects.position, strict=True):
-            trails[name] = [*trails[name][1 - TRAIL :], position]
+            trails[name].append(position)
+            if run.capability != "fusion":
+                del trails[name][:-TRAIL]
         names = moment.objects.id.tolist()
         yield moment, {name: np.array(trails[name]) for name in names}
 
 
-def _limits(moments: list[Moment]) -> NDArray[np.float64]:
-    """Corners (2, 3) of the visible area: most of the points or outlines, and every object."""
-    points = np.concatenate([moment.points[::20] for moment in moments]).astype(np.float64)
-    outlines = [one.points for moment in moments for one in moment.outlines]
-    if outlines and not len(points):
-        points = np.concatenate(outlines)
-    objects = np.concatenate([moment.objects.position for moment in moments])
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    if len(points):
-        low, high = np.quantile(points, BULK, axis=0)
-    if len(objects):
-        low, high = np.minimum(low, objects.min(axis=0)), np.maximum(high, objects.max(axis=0))
-    if not np.isfinite(low).all():
-        low, high = np.zeros(3), np.zeros(3)
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + MARGIN, SMALLEST / 2)
-    return np.stack([middle - half, middle + half])
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """What is the same in all frames of a film.
+
+    Attributes
+    ----------
+    title : str
+        Name of the run.
+    is_planar : bool
+        Whether there is a view from above alone.
+    shows_whole_ways : bool
+        Whether the ways fill the picture: fused targets have no map around them.
+    moving, around : sequence of ndarray, shape (N, 3)
+        Places that are in the middle, and places that are shown where there is room [m].
+    """
+
+    title: str
+    is_planar: bool
+    shows_whole_ways: bool
+    moving: Sequence[NDArray[np.float64]]
+    around: Sequence[NDArray[np.float64]]
+
+    @classmethod
+    def of(cls, run: Playback, shown: Sequence[tuple[Moment, Trails]]) -> "_Scene":
+        """All ways of the moments; of a map of circles, those of what moved."""
+        ways = [way for _, trails in shown for way in trails.values()]
+        points = np.concatenate([moment.points[::20] for moment, _ in shown]).astype(np.float64)
+        bulk = np.quantile(points, BULK, axis=0) if len(points) else np.empty((0, 3))
+        outlines = [one.points for moment, _ in shown for one in moment.outlines]
+        sensors = [moment.sensor[None] for moment, _ in shown if moment.sensor is not None]
+        if run.capability == "circles":
+            moved = [way for way in ways if np.linalg.norm(np.ptp(way, axis=0)) > MOVED]
+            return cls(run.folder.name, True, False, moved, [*ways, *outlines, bulk, *sensors])
+        around = sensors[-1:] if ways else [bulk]
+        is_fused = run.capability == "fusion"
+        return cls(run.folder.name, is_fused, is_fused, ways, around)
+
+    def window(self, axes: tuple[int, int], tall: float) -> Window:
+        """What a panel of such a height over its width shows."""
+        moving = [way[:, axes] for way in self.moving]
+        around = [rows[:, axes] for rows in self.around]
+        if not moving:
+            return window_over(around, tall, smallest=SMALLEST)
+        if self.shows_whole_ways:
+            return window_over([*moving, *around], tall, smallest=SMALLEST)
+        if self.is_planar:
+            return window_over(around, tall, smallest=SMALLEST, moving=moving)
+        return window_around(moving, tall, also=around)
 
 
-def _compose(
-    figure: Any,
-    run: Playback,
-    moment: Moment,
-    trails: Trails,
-    seconds: float,
-    limits: NDArray[np.float64],
-) -> None:
-    figure.set_layout_engine("constrained")
-    planes = PLANES if run.capability == "flying" else PLANES[:1]
-    panels = figure.subplots(1, len(planes), squeeze=False)[0]
+def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds: float) -> None:
+    """From above on the left; on the right the side, where there is one, and a list."""
     count = len(moment.objects.id)
-    figure.suptitle(
-        f"{run.folder.name}: {seconds:.2f} s, {count} object{'' if count == 1 else 's'}",
-        x=0.06,
-        ha="left",
-        fontweight="bold",
+    title = f"{scene.title}: {seconds:.2f} s, {count} object{'' if count == 1 else 's'}"
+    figure.suptitle(title, x=MARGINS["left"], y=0.97, ha="left", fontsize=12, fontweight="bold")
+    planar = scene.is_planar
+    grid = figure.add_gridspec(
+        1 if planar else 2,
+        2,
+        width_ratios=(1.9, 1.0) if planar else (1.0, 1.05),
+        height_ratios=(1.0,) if planar else (1.5, 1.0),
+        wspace=0.04 if planar else 0.13,
+        **MARGINS,
     )
-    for panel, plane in zip(panels, planes, strict=True):
-        _draw_plane(panel, moment, trails, plane, limits)
+    above = figure.add_subplot(grid[:, 0])
+    plan = scene.window((0, 1), panel_tallness(above))
+    if planar:
+        _panel(above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf))
+    else:
+        side = figure.add_subplot(grid[0, 1])
+        elevation = scene.window((0, 2), panel_tallness(side))
+        _panel(above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf))
+        _panel(side, moment, trails, (0, 2), elevation, depth=(plan.low[1], plan.high[1]))
+        side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
+    above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
+    if above.get_legend_handles_labels()[1]:
+        corner = plan.corner_away_from(() if planar else [one[:, :2] for one in scene.around])
+        opaque_legend(above, corner, ncols=2)
+    _list(figure.add_subplot(grid[-1, 1]), moment)
 
 
-def _draw_plane(
+def _panel(
     panel: Any,
     moment: Moment,
     trails: Trails,
-    plane: tuple[int, int, str, str],
-    limits: NDArray[np.float64],
+    axes: tuple[int, int],
+    window: Window,
+    *,
+    depth: tuple[float, float],
 ) -> None:
-    across, up, *labels = plane
-    axes = [across, up]
-    step = max(1, len(moment.points) // MOST_POINTS)
-    points, classes = moment.points[::step], moment.point_class[::step]
+    """One projection; points out of `depth` are left out."""
+    window.apply(panel)
+    _draw_points(panel, moment, axes, window, depth)
+    for number, outline in enumerate(moment.outlines):
+        line = outline.points[:, axes]
+        name = None if number else "wall or other shape"
+        panel.plot(*line.T, "-" if outline.visible else ":", lw=2.0, color=WALL, label=name)
+    for row, name in enumerate(moment.objects.id.tolist()):
+        _draw_object(panel, moment, row, list(axes), trails[name])
+    names = moment.objects.id.tolist()[:MOST_NUMBERS]
+    ways = [trails[name][:, axes] for name in names]
+    draw_labels(
+        panel,
+        [Label(str(name), way[-1], OBJECT) for name, way in zip(names, ways, strict=True)],
+        ways,
+    )
+    if moment.sensor is not None:
+        sensor_mark(panel, window, moment.sensor[list(axes)])
+    scale_bar(panel, window)
+    if names:
+        panel.plot([], [], "-", color=OBJECT, label="object and its way")
+        panel.plot([], [], "-", color=BAND, label="2σ of the position")
+    window.apply(panel)
+    panel.grid(visible=True)
+
+
+def _draw_points(
+    panel: Any,
+    moment: Moment,
+    axes: tuple[int, int],
+    window: Window,
+    depth: tuple[float, float],
+) -> None:
+    flat = moment.points[:, axes]
+    far = moment.points[:, 3 - sum(axes)]
+    inside = ((flat >= window.low) & (flat <= window.high)).all(axis=1)
+    rows = np.flatnonzero(inside & (far >= depth[0]) & (far <= depth[1]))
+    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
     for kind, colour in POINT_COLOURS.items():
-        chosen = points[classes == kind]
-        if kind != ShownClass.INVALID and len(chosen):
+        chosen = flat[rows[moment.point_class[rows] == kind]]
+        if kind != ShownClass.INVALID and (moment.point_class == kind).any():
             name = kind.name.lower().replace("_", " ")
             panel.plot([], [], ".", ms=6, color=colour, label=name)
-        panel.plot(
-            chosen[:, across],
-            chosen[:, up],
-            ".",
-            ms=1 + 2 * (kind > ShownClass.BACKGROUND),
-            color=colour,
-            rasterized=True,
-        )
-    for outline in moment.outlines:
-        line = outline.points[:, axes]
-        panel.plot(*line.T, "-" if outline.visible else ":", lw=2.0, color=WALL)
-    for row, name in enumerate(moment.objects.id.tolist()):
-        _draw_object(panel, moment, row, axes, trails[name])
-    panel.set(
-        xlabel=f"{labels[0]} [m]",
-        ylabel=f"{labels[1]} [m]",
-        aspect="equal",
-        xlim=limits[:, across],
-        ylim=limits[:, up],
-    )
-    panel.grid(visible=True)
-    if panel.get_legend_handles_labels()[1]:
-        panel.legend(loc="upper right", fontsize=8)
+        size = 1 + 2 * (kind > ShownClass.BACKGROUND)
+        panel.plot(*chosen.T, ".", ms=size, color=colour, rasterized=True)
 
 
 def _draw_object(
     panel: Any, moment: Moment, row: int, axes: list[int], trail: NDArray[np.float64]
 ) -> None:
+    """Way, outline, 2 sigma ellipse, velocity, and a ring that shows also what is small."""
     objects = moment.objects
     at, velocity = objects.position[row][axes], objects.velocity[row][axes]
-    panel.plot(trail[:, axes[0]], trail[:, axes[1]], "-", lw=1.2, color=OBJECT, alpha=0.7)
+    panel.plot(*trail[:, axes].T, "-", lw=1.6, color=OBJECT, alpha=0.7, gid=WAY)
     sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) / 2 * objects.size[row][axes]
     around = objects.outline(row)[:, axes] if axes == [0, 1] else at + sides
     panel.plot(around[:, 0], around[:, 1], "-", lw=1.2, color=OBJECT)
     band = at + ellipse(objects.covariance[row][np.ix_(axes, axes)], SIGMAS, CORNERS)
     panel.plot(*np.vstack([band, band[:1]]).T, "-", lw=1.0, color=BAND)
+    ring(panel, at, OBJECT)
     if np.linalg.norm(velocity) > SLOWEST:
-        panel.annotate("", at + velocity, at, arrowprops={"arrowstyle": "->", "color": INK})
-    panel.annotate(
-        str(objects.id[row]),
-        at,
-        xytext=(5, 5),
-        textcoords="offset points",
-        color=INK,
-        fontsize=9,
-        bbox={"fc": "white", "ec": PALE, "lw": 0.5, "pad": 1.5},
-        annotation_clip=True,
-    )
+        arrow = {"arrowstyle": "->", "color": INK}
+        panel.annotate("", at + velocity, at, arrowprops=arrow, annotation_clip=True)
+
+
+def _list(panel: Any, moment: Moment) -> None:
+    """Number, place, speed and uncertainty of the objects, as text."""
+    objects = moment.objects
+    planar = not objects.position[:, 2].any()
+    heads = "   id       x       y" + ("" if planar else "       z") + "   speed     2σ"
+    units = "          [m]     [m]" + ("" if planar else "     [m]") + "   [m/s]    [m]"
+    lines = [heads, units]
+    for row, name in enumerate(objects.id.tolist()[:MOST_ROWS]):
+        place = objects.position[row][: 2 if planar else 3].tolist()
+        speed = float(np.linalg.norm(objects.velocity[row]))
+        axes = slice(0, 2 if planar else 3)
+        spread = np.linalg.eigvalsh(objects.covariance[row][axes, axes])[-1]
+        two_sigma = SIGMAS * float(np.sqrt(max(spread, 0.0)))
+        places = "".join(f"{value:8.2f}" for value in place)
+        lines.append(f"{name:5d}{places}{speed:8.2f}{two_sigma:7.3f}")
+    if len(objects.id) > MOST_ROWS:
+        lines.append(f"and {len(objects.id) - MOST_ROWS} more")
+    panel.set_axis_off()
+    text = {"fontsize": 8.5, "family": "DejaVu Sans Mono", "color": INK, "linespacing": 1.35}
+    panel.text(0.02, 1.0, "\n".join(lines), transform=panel.transAxes, va="top", **text)

@@ -31,6 +31,10 @@ SEEN_COLOUR, HIDDEN_COLOUR = (20, 160, 145), (130, 150, 150)
 SIGMAS = 2.0
 TRAIL = 50  # positions of an object that stay in view
 POINT_RADIUS, VOXEL_RADIUS = 0.02, 0.05
+LOOK, SHORTEST_LOOK = 1.6, 8.0
+"""Distance of the viewer's eye: over the size of what moves, and at least [m]."""
+LOOK_FROM = np.array([-0.45, -0.65, 0.61])
+"""Direction from what moves to the eye."""
 
 
 class RerunLog:
@@ -77,6 +81,18 @@ class RerunLog:
         panel = views.TimePanel(timeline="time", play_state="following")
         blueprint = views.Blueprint(panel, auto_layout=True, auto_views=True)
         self._rr.send_blueprint(blueprint, recording=self.stream)
+
+    def frame(self, places: NDArray[np.float64]) -> None:
+        """Let viewers begin with a look at `places` (N, 3) [m], from the south-west and above."""
+        views = require("rerun.blueprint", extra="rerun", purpose=PURPOSE)
+        low, high = places.min(axis=0), places.max(axis=0)
+        target = (low + high) / 2
+        away = max(SHORTEST_LOOK, LOOK * float(np.linalg.norm(high - low)))
+        eye = views.archetypes.EyeControls3D(
+            position=target + away * LOOK_FROM, look_target=target, eye_up=(0.0, 0.0, 1.0)
+        )
+        view = views.Spatial3DView(origin="world", name="run", eye_controls=eye)
+        self._rr.send_blueprint(views.Blueprint(view), recording=self.stream)
 
     def log(self, moment: Moment) -> None:
         """Show one time of a run."""
@@ -167,6 +183,9 @@ def write_rerun(run: Playback, path: str | Path) -> Path:
         log.begin()
         if run.voxel_map is not None:
             log.log_map(run.voxel_map)
+        places = [objects.position for _, objects in run.steps() if len(objects.id)]
+        if places:
+            log.frame(np.concatenate(places))
         for moment in run.moments():
             log.log(moment)
         log.close()

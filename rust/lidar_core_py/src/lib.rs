@@ -60,6 +60,7 @@ mod _core {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        module.add("__version__", env!("CARGO_PKG_VERSION"))
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("CIRCLE_CUT_MARGINS", lidar_core::circles::segment::parameters::CUT_MARGINS)
     }
 }

@@ -35,6 +35,9 @@ pub enum Source<'a> {
     },
 }
 
+/// Largest distance behind a circle at which a ray ends that meets circle and background [m].
+const MIXED_DEPTH: f64 = 0.1;
+
 /// Disturbances of the ranges of a circle. Pairs are the ends of a uniform distribution, from which
 /// every sample draws its own value.
 #[derive(Clone, Copy, Debug)]
@@ -48,8 +51,6 @@ pub struct Disturbance {
     pub occluded_share: f64,
     /// Share of the ends of circles at which the last ray meets circle and background at once.
     pub mixed_share: f64,
-    /// Largest distance behind the circle at which such a ray ends [m].
-    pub mixed_depth: f64,
     /// Largest distances from the nearer and the farther range limit at which it may cut a side
     /// [m].
     pub cut_margins: [f64; 2],
@@ -242,7 +243,7 @@ impl SampleGenerator<'_> {
         let last = window.ranges.len() - 1;
         for (whether, place, share) in [(first, 0, near), (second, last, far)] {
             if whether < self.disturbance.mixed_share {
-                window.ranges[place] += share * self.disturbance.mixed_depth;
+                window.ranges[place] += share * MIXED_DEPTH;
             }
         }
     }
@@ -286,7 +287,6 @@ mod tests {
         beam_half_width: [0.0; 2],
         occluded_share: 0.0,
         mixed_share: 0.0,
-        mixed_depth: 0.0,
         cut_margins: [0.15, 1.0],
     };
 

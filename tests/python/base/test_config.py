@@ -192,6 +192,7 @@ def test_paper_mode_is_table_ii():
         voxels.threshold_uncertain,
     ) == (-0.1, -300, -750)
     assert (voxels.ray_unit, voxels.ray_gain, voxels.end_margin) == ("metres", 1.0, 0.0)
+    assert voxels.saturation == "paper"
     assert paper.cluster.max_distance == 0.25
     assert (rules.close_distance, rules.search_distance) == (0.7, 3.0)
     assert (rules.shadow, rules.own_voxels, rules.border) == ("paper", "paper", "closed")

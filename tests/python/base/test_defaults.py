@@ -71,6 +71,8 @@ def changed(config, path):
 
 
 UNREAD = {
+    ("flying", "tracker.confirm_hits"): "without report_existence",
+    ("flying", "tracker.confirm_window"): "without report_existence",
     ("circles", "segment.distance"): "of the fixed bound",
     ("circles", "map.velocity_step"): "of the joint filter",
     ("circles", "map.max_eigenvalue"): "of the joint filter",

@@ -96,7 +96,14 @@ def test_filters_per_element_equal_the_oracle(seed):
             z, R, pose, stamp, pose_covariance=doubt, scan=(ranges, bearings), range_limits=LIMITS
         )
         assert events.elements.tolist() == reference.update(
-            z, R, pose, stamp, doubt, look, oracle.area_of(ranges, bearings, LIMITS)
+            z,
+            R,
+            pose,
+            stamp,
+            doubt,
+            look,
+            oracle.area_of(ranges, bearings, LIMITS),
+            np.diff(bearings).mean(),
         )
         assert_same_map(circles, reference, stamp)
         assert_same_map(circles, reference, stamp + 230_000_000)

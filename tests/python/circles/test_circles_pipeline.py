@@ -381,7 +381,8 @@ def usual(ranges, bearings, segments):
 
 
 def test_late_scans_are_taken_in_where_they_belong():
-    scans = [scan_of((4, 0.05 * k, 0.3), np.eye(4)) for k in range(10)]
+    rng = np.random.default_rng(4100)
+    scans = [scan_of((4, 0.05 * k, 0.3), np.eye(4), rng) for k in range(10)]
     in_order, late = CirclePipeline(), CirclePipeline()
     for k in range(10):
         in_order.process(scans[k], np.eye(4), k * PERIOD_NS)

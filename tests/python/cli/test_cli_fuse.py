@@ -406,6 +406,15 @@ def test_fuse_with_fit_noise_is_fuse_with_the_file_of_config_fit(tmp_path):
     assert not np.array_equal(of_fit["x"], plain["x"])
 
 
+def test_config_fit_prints_with_a_dash_as_without_a_file(tmp_path, monkeypatch):
+    place = noisy(tmp_path / "a.csv", 0.6, SEED)
+    monkeypatch.chdir(tmp_path)
+    printed = [fit(place, *ways).output for ways in ([], ["-o", "-"])]
+    assert "lidar_std" in printed[0]
+    assert printed[0] == printed[1]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
 def test_config_fit_uses_the_span_alone(tmp_path):
     """Noise of the first half is .05 m, of the second .6 m."""
     quiet, loud = (noisy(tmp_path / f"{s}.csv", s, SEED).read_text() for s in (0.05, 0.6))

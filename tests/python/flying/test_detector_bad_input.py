@@ -26,7 +26,7 @@ SCENE = yard(drone((4.0, 2.0, 3.2), (2.0, 4.0, 3.6)), lidar=SMALL, scans=16)
 CONFIG = FlyingConfig(
     cluster=ClusterConfig(max_distance=0.6),
     separate=SeparateConfig(min_confident=4),
-    tracker=TrackerConfig(cluster_distance=0.6, confirm_confidence=None),
+    tracker=TrackerConfig(cluster_distance=0.6, report_existence=None),
 )
 BEFORE = 12  # scans before the bad one
 ROWS = 24 * 128

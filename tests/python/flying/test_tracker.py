@@ -19,7 +19,7 @@ BODY = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.15, 0.15) for z in 
 ORACLE_TOLERANCE = 1e-9  # relative, of goal G11
 BEST = TrackerConfig(report_coast=60.0)  # tracks out of sight are looked at too
 PAPER = TrackerConfig.paper()
-AT_ONCE = {"confirm_hits": 1, "confirm_window": 1}
+AT_ONCE = {"report_existence": None, "confirm_hits": 1, "confirm_window": 1}
 
 
 # --- against the oracle ---------------------------------------------------------------------------
@@ -64,6 +64,13 @@ def same(events, expected):
 
 
 def assert_same_state(tracker, reference, stamp):
+    all_tracks = tracker.tracks_at(stamp, confirmed=False)
+    assert all_tracks.id.tolist() == [track.id for track in reference.tracks]
+    if reference.c.report_existence is None:
+        assert np.isnan(all_tracks.existence).all()
+    else:
+        existence = [track.existence(stamp) for track in reference.tracks]
+        np.testing.assert_allclose(all_tracks.existence, existence, rtol=0, atol=ORACLE_TOLERANCE)
     tracks = tracker.tracks_at(stamp)
     expected = [track for track in reference.tracks if track.confirmed]
     assert tracks.id.tolist() == [track.id for track in expected]

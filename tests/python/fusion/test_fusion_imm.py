@@ -6,7 +6,7 @@ import pytest
 from lidar_core.errors import ConfigError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion import FusionConfig, Measurement, Measurements, run, run_batch
-from reference.fusion_imm import TwoNoises
+from reference.fusion_imm import SomeNoises
 
 STEP = 0.1
 ORACLE = 1e-9
@@ -41,15 +41,17 @@ def switching(rng):
     return np.array(states)
 
 
-def test_two_noises_agree_with_the_oracle():
+@pytest.mark.parametrize("models", [("cv",), ("cv", "standing")])
+def test_two_noises_agree_with_the_oracle(models):
+    config = CONFIG.model_copy(update={"imm_models": models})
     rng = np.random.default_rng(9100)
     truth = switching(rng)
     seen = truth[:, :2] + rng.normal(0, CONFIG.lidar_std, (ROWS, 2))
     stamps = (np.arange(ROWS) * STEP * 1e9).round().astype(np.int64)
     result = run(
-        [Measurement(int(stamp), "lidar", z) for stamp, z in zip(stamps, seen, strict=True)], CONFIG
+        [Measurement(int(stamp), "lidar", z) for stamp, z in zip(stamps, seen, strict=True)], config
     )
-    oracle = TwoNoises(CONFIG, seen[0])
+    oracle = SomeNoises(config, seen[0])
     for k in range(1, ROWS):
         mean, covariance = oracle.step(seen[k], (stamps[k] - stamps[k - 1]) * 1e-9)
         np.testing.assert_allclose(result.states[k, :4], mean, atol=ORACLE)

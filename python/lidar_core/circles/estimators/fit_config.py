@@ -24,7 +24,11 @@ class FitConfig(Config):
         " the expected or the most likely circle; or an algebraic fit to the points.",
     )
     range_std: float = Field(
-        0.01, gt=0, le=0.5, description="Standard deviation of a range [m]. Source: sec. IV-A."
+        0.01,
+        gt=0,
+        le=0.5,
+        description="Standard deviation of a range [m]; the pipeline replaces it in best mode once"
+        " its scans show another one. Source: sec. IV-A.",
     )
     beam_half_width: float = Field(
         0.0,

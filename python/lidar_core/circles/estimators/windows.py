@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core import _core
-from lidar_core.circles.dataset_config import DatasetConfig
 from lidar_core.circles.samples import Samples
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, Side
@@ -153,7 +152,7 @@ def _sides(
     """What lies beside the hits of scans that show one object each."""
     rows = np.arange(len(ranges))[:, None]
     beside = (ends + _OUTWARD) % len(bearings)
-    near, far = DatasetConfig().cut_margins
+    near, far = _core.CIRCLE_CUT_MARGINS
     end_ranges = ranges[rows, ends]
     is_cut = (end_ranges < scanner.range_min + near) | (end_ranges > scanner.range_max - far)
     sides = np.where(is_cut, Side.RANGE_CUT, Side.FREE)

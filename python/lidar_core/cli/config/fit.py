@@ -35,7 +35,8 @@ def command(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help=RECORDINGS)],
     *,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; without it printed.")
+        Path | None,
+        typer.Option("--output", "-o", help="File to write; without it, or with -, printed."),
     ] = None,
     model: Model = None,
     method: Method = None,
@@ -64,6 +65,8 @@ def command(
     from lidar_core.parameters import commented_toml
     from lidar_core.runs.settings import config_of_run
 
+    if output == Path("-"):
+        output = None
     if output is not None:
         if output.exists() and not overwrite:
             raise ConfigError(f"{output}: exists; --overwrite replaces it")

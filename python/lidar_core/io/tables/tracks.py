@@ -24,6 +24,7 @@ COLUMNS: dict[str, type] = {
     "extent_z": float,
     "n_detections": int,
     "age": float,
+    "existence": float,
     **dict.fromkeys(covariance_titles(STATE), float),
 }
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
@@ -105,5 +106,6 @@ def _rows(tracks: Iterable[Tracks], frame_id: str) -> Iterator[Sequence[Any]]:
                 *state.extent[row].tolist(),
                 int(state.n_detections[row]),
                 float(state.age[row]),
+                float(state.existence[row]),
                 *covariance[row],
             )

@@ -104,7 +104,9 @@ def _draw_states(config: TrackerConfig, rng: np.random.Generator, runs: int) -> 
 
 def _run_tracker(config: TrackerConfig, measured: Array) -> tuple[Array, Array, Array]:
     """State (steps, 9), covariance, and position predicted by `AHEAD_NS`; NaN without a track."""
-    at_once = config.model_copy(update={"confirm_hits": 1, "confirm_window": 1})
+    at_once = config.model_copy(
+        update={"report_existence": None, "confirm_hits": 1, "confirm_window": 1}
+    )
     tracker = PointCloudTracker(at_once)
     covariance = np.eye(3)[None] * CENTRE_STD**2
     mean = np.full((len(measured), 9), np.nan)

@@ -5,7 +5,7 @@
   const NAMES = { 2: "flying", 3: "unknown", 4: "moving", 5: "own body" };
   const TRACKS = ["#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f", "#c2410c"];
   const HEIGHTS = ["#e4ddce", "#cabfa9", "#a89f8d"], TRUTH = "#9aa5b1", WALL = "#0f766e", INK = "#1f2933";
-  const CORNERS = 36, SIGMAS = 2, FRAME_MS = 80, TURN = 0.008, ZOOM = 1.0015;
+  const CORNERS = 36, SIGMAS = 2, FRAME_MS = 80, TURN = 0.008, ZOOM = 1.0015, NEAR = 2.4, ALL = 1.15;
 
   const scene = JSON.parse(document.getElementById("scene").textContent);
   const element = (name) => document.getElementById(name);
@@ -66,11 +66,12 @@
     for (const way of ways.values()) for (const [, position] of way) yield position;
   }
 
-  function fit(list) {
+  // Objects get room around them, so that the picture also shows where they are.
+  function fit(list, room) {
     const [low, high] = bounds(list);
     camera.center = low.map((value, k) => (value + high[k]) / 2);
-    const width = Math.max(6, Math.hypot(high[0] - low[0], high[1] - low[1]) * 1.15);
-    const height = Math.max(6, (high[1] - low[1] + high[2] - low[2]) * 1.15);
+    const width = Math.max(6, Math.hypot(high[0] - low[0], high[1] - low[1]) * room);
+    const height = Math.max(6, (high[1] - low[1] + high[2] - low[2]) * room);
     camera.scale = Math.min(canvas.clientWidth / width, canvas.clientHeight / height);
     draw();
   }
@@ -230,8 +231,8 @@
   const turned = (yaw, tilt) => () => { camera.yaw = yaw; camera.tilt = tilt; draw(); };
   element("top").addEventListener("click", turned(0, Math.PI / 2));
   element("side").addEventListener("click", turned(0, 0));
-  element("near").addEventListener("click", () => fit(ways.size ? moving() : everything()));
-  element("all").addEventListener("click", () => fit(everything()));
+  element("near").addEventListener("click", () => fit(ways.size ? moving() : everything(), NEAR));
+  element("all").addEventListener("click", () => fit(everything(), ALL));
   for (const name of ["voxels", "points", "trails", "numbers", "spread"]) element(name).addEventListener("change", draw);
   window.addEventListener("resize", draw);
 
@@ -248,5 +249,5 @@
 
   slider.max = Math.max(0, scene.times.length - 1);
   slider.value = slider.max;
-  fit(ways.size ? moving() : everything());
+  fit(ways.size ? moving() : everything(), NEAR);
 })();

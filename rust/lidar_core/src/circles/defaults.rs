@@ -11,7 +11,7 @@ use super::map::{
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
 use super::segment::corners::CornerParameters;
-use super::segment::parameters::{Bound, INCIDENCE, SegmentParameters};
+use super::segment::parameters::{Bound, CUT_MARGINS, INCIDENCE, SegmentParameters};
 use super::selection::ShapeParameters;
 
 /// Nearest and farthest surface that the scanner of the paper measures [m].
@@ -47,7 +47,7 @@ impl Default for SegmentParameters {
             min_points: 4,
             min_fraction: 0.0,
             range_limits: RANGE_LIMITS,
-            cut_margins: [0.15, 1.2],
+            cut_margins: CUT_MARGINS,
         }
     }
 }

@@ -25,6 +25,8 @@ pub struct PreparedSweep {
     pub(super) delays: Option<Vec<f64>>,
     /// Horizontal reach of the scanner [m].
     pub(super) range_limits: [f64; 2],
+    /// Standard deviation of its ranges [m].
+    pub(super) range_std: f64,
     pub(super) timing: CircleTiming,
 }
 
@@ -109,6 +111,8 @@ pub struct CircleFrame {
     pub map: Vec<MapElement>,
     /// Elements that are no circles, at the time of the sweep.
     pub map_shapes: Vec<MapShape>,
+    /// Standard deviation of the scanner's ranges, once it is estimated [m].
+    pub range_std: Option<f64>,
     /// Time per stage.
     pub timing: CircleTiming,
 }

@@ -40,7 +40,7 @@ impl Parts {
         parameters: &PipelineParameters,
         map: &CircleMap,
     ) -> Self {
-        let limits = [parameters.fit.range_std, parameters.max_deviation];
+        let limits = [prepared.range_std, parameters.max_deviation];
         let mut parts = Self::default();
         for (number, circle) in circles.iter().enumerate() {
             let shape = shapes.get(number).zip(parameters.shapes.as_ref());

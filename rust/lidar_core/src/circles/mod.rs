@@ -44,6 +44,7 @@ mod map_input;
 pub mod parameters;
 pub mod pipeline;
 pub mod preprocess;
+mod range_noise;
 mod raw_sweep;
 mod scanner;
 pub mod segment;

@@ -1,7 +1,7 @@
 //! Parameters of the pipeline.
 
 use super::fit::FitParameters;
-use super::map::CircleMapParameters;
+use super::map::{CircleMapParameters, ElementFilter};
 use super::preprocess::projection::Projection;
 use super::segment::parameters::SegmentParameters;
 use super::selection::ShapeParameters;
@@ -40,4 +40,11 @@ pub struct PipelineParameters {
     pub shapes: Option<ShapeParameters>,
     /// The map.
     pub map: CircleMapParameters,
+}
+
+impl PipelineParameters {
+    /// True if the noise of ranges is estimated: by all but the stages as published.
+    pub(super) fn estimates_noise(&self) -> bool {
+        matches!(self.map.filter, ElementFilter::Independent(_)) && !self.fit.method.is_algebraic()
+    }
 }

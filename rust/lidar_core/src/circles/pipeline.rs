@@ -9,6 +9,7 @@ use super::map_input::{ByKind, Parts};
 use super::parameters::PipelineParameters;
 use super::preprocess::projection;
 use super::preprocess::sweep_poses::SweepPoses;
+use super::range_noise::RangeNoise;
 pub use super::raw_sweep::RawSweep;
 use super::raw_sweep::delays;
 use super::scanner::Scanner;
@@ -59,8 +60,9 @@ impl CirclePipeline {
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
     pub fn to_state(&self) -> Result<Vec<u8>, Error> {
-        let names: Vec<&str> = self.scanners.iter().map(|(name, _)| name.as_str()).collect();
-        sealed(KIND, &self.parameters, &(names, self.map.state()))
+        let scanners: Vec<(&str, RangeNoise)> =
+            self.scanners.iter().map(|(name, scanner)| (name.as_str(), scanner.noise)).collect();
+        sealed(KIND, &self.parameters, &(scanners, self.map.state()))
     }
 
     /// Pipeline from a saved state; it continues with the same bits as the saved one.
@@ -70,9 +72,10 @@ impl CirclePipeline {
     /// [`CirclePipeline::to_state`] did not make, [`Error::Parameter`] for the state of a pipeline
     /// with other parameters.
     pub fn from_state(parameters: PipelineParameters, bytes: &[u8]) -> Result<Self, Error> {
-        let (names, map): (Vec<String>, SavedCircleMap) = opened(KIND, &parameters, bytes)?;
+        let (scanners, map): (Vec<(String, RangeNoise)>, SavedCircleMap) =
+            opened(KIND, &parameters, bytes)?;
         let mut pipeline = Self::new(parameters)?;
-        for (place, name) in names.into_iter().enumerate() {
+        for (place, (name, noise)) in scanners.into_iter().enumerate() {
             match pipeline.number(&name) {
                 Some(known) if known == place => {}
                 None if pipeline.scanners.len() == place => {
@@ -81,6 +84,10 @@ impl CirclePipeline {
                 }
                 _ => return Err(impossible("scanners in another order")),
             }
+            if !noise.is_sound() {
+                return Err(impossible("a noise of ranges that is not positive"));
+            }
+            pipeline.scanners[place].1.hear(noise)?;
         }
         pipeline.map.restore(map)?;
         Ok(pipeline)
@@ -129,7 +136,9 @@ impl CirclePipeline {
         let prepare = clock.lap();
         let [near, far] = scanner.range_limits;
         let range_limits = [near, (far * upright).max(2.0 * near)];
-        let segmenting = SegmentParameters { range_limits, ..parameters.segment };
+        let range_std = scanner.noise.std();
+        let bound = parameters.segment.bound.for_noise(range_std);
+        let segmenting = SegmentParameters { bound, range_limits, ..parameters.segment };
         let segments = segment(&level.scan, seen.as_deref(), &segmenting)?;
         Ok(PreparedSweep {
             delays: raw.ray_time_ns.map(|times| delays(&segments, times, raw.stamp_ns)),
@@ -142,12 +151,14 @@ impl CirclePipeline {
             scanner: raw.scanner.into(),
             number,
             range_limits,
+            range_std,
             timing: CircleTiming { prepare, segment: clock.lap(), ..CircleTiming::default() },
         })
     }
 
     fn fit(&mut self, mut prepared: PreparedSweep) -> Result<CircleFrame, Error> {
         let mut clock = Clock::start();
+        self.listen(&mut prepared)?;
         let mut circles = Vec::with_capacity(prepared.segments.len());
         let (scan, segments) = (&prepared.level.scan, &prepared.segments);
         let (_, scanner) = &mut self.scanners[prepared.number];
@@ -162,6 +173,16 @@ impl CirclePipeline {
         }
         prepared.timing.fit = clock.lap();
         self.take_in(prepared, circles, shapes)
+    }
+
+    /// Learn the noise of the scanner's ranges from a sweep; the stages as published do not.
+    fn listen(&mut self, prepared: &mut PreparedSweep) -> Result<(), Error> {
+        let (_, scanner) = &mut self.scanners[prepared.number];
+        if self.parameters.estimates_noise() {
+            scanner.listen(&prepared.level.scan, &prepared.segments)?;
+        }
+        prepared.range_std = scanner.noise.std();
+        Ok(())
     }
 
     /// Shapes of the segments, if shapes are distinguished.
@@ -194,6 +215,7 @@ impl CirclePipeline {
         let scanner = prepared.scanner.clone();
         self.unless_refused(&scanner, |pipeline, number| {
             prepared.number = number;
+            pipeline.listen(&mut prepared)?;
             let mut shapes = Vec::new();
             pipeline.find_shapes(&prepared, &mut shapes)?;
             pipeline.take_in(prepared, circles, shapes)
@@ -212,7 +234,9 @@ impl CirclePipeline {
             self.update(&prepared, &circles, &shapes)?;
         let map = self.map.map_at(prepared.stamp_ns);
         let map_shapes = self.map.shapes_at(prepared.stamp_ns);
+        let noise = self.scanners[prepared.number].1.noise;
         Ok(CircleFrame {
+            range_std: noise.is_known().then(|| noise.estimate()),
             circles_world: in_world(&circles, &prepared.world_from_level),
             times_ns: prepared.times_ns(),
             level: prepared.level,
@@ -310,8 +334,10 @@ impl CirclePipeline {
         if number == known {
             self.scanners.push((scanner.into(), self.new_scanner(scanner)?));
         }
+        let noise = self.scanners[number].1.noise;
         let frame = take(self, number);
         if frame.is_err() {
+            self.scanners[number].1.hear(noise)?;
             self.scanners.truncate(known);
         }
         frame

@@ -5,7 +5,9 @@ use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::polar_scan::PolarScan;
 use super::preprocess::projection::{self, LevelScan};
 use super::preprocess::sweep_poses::SweepPoses;
+use super::range_noise::RangeNoise;
 use super::raw_sweep::RawSweep;
+use super::segment::segments::Segments;
 use super::shape::ShapeFitter;
 use crate::Error;
 
@@ -16,6 +18,7 @@ pub(super) struct Scanner {
     pub(super) range_limits: [f64; 2],
     pub(super) fitter: Fitter,
     pub(super) shaper: ShapeFitter,
+    pub(super) noise: RangeNoise,
 }
 
 impl Scanner {
@@ -35,7 +38,29 @@ impl Scanner {
             range_limits,
             fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
             shaper: ShapeFitter::new(FitParameters { range_limits, ..parameters.fit })?,
+            noise: RangeNoise::new(parameters.fit.range_std),
         })
+    }
+
+    /// Learn the noise of the ranges from a sweep, and fit with it.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] never: the deviation stays positive.
+    pub(super) fn listen(&mut self, scan: &PolarScan, segments: &Segments) -> Result<(), Error> {
+        let mut noise = self.noise;
+        noise.add(scan, segments);
+        self.hear(noise)
+    }
+
+    /// Fit with a noise of the ranges.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a deviation that is not positive.
+    pub(super) fn hear(&mut self, noise: RangeNoise) -> Result<(), Error> {
+        self.fitter.set_range_std(noise.std())?;
+        self.shaper.set_range_std(noise.std())?;
+        self.noise = noise;
+        Ok(())
     }
 
     /// Scan in the level frame, limited to the volume, and the ranges before that limitation, if

@@ -13,7 +13,7 @@ use super::scan::sensor::SensorParameters;
 use super::sky::Beams;
 use super::track::{
     Ageing, Association, Confirmation, Hiding, MeasurementForm, Merging, Motion, NoiseForm, Radius,
-    RadiusForm, TrackerParameters, WeakEvidence,
+    RadiusForm, TrackerParameters,
 };
 use crate::geometry::cluster::Clustering;
 use std::collections::BTreeMap;
@@ -38,6 +38,7 @@ impl Default for MapParameters {
             end_margin: 0.0,
             rays: Rays::All,
             skip: Skip::Saturated,
+            settles: true,
             ray_unit: RayUnit::Edges,
             ray_gain: 1.0,
             bounds: None,
@@ -50,7 +51,7 @@ impl MapParameters {
     /// Table II; the unit of the ray weight is the metre, as in the paper's text.
     #[must_use]
     pub fn paper() -> Self {
-        Self { ray_unit: RayUnit::Metres, ..Self::default() }
+        Self { ray_unit: RayUnit::Metres, settles: false, ..Self::default() }
     }
 }
 
@@ -81,6 +82,7 @@ impl Default for ClassifyParameters {
             upright_height: Some(1.2),
             follow_tracks: true,
             fill_pockets: false,
+            skips_explained: true,
         }
     }
 }
@@ -211,14 +213,6 @@ impl Default for Hiding {
     }
 }
 
-/// Half of the last 20 sets confirm what stands still: leaves and edges that come into view are
-/// seen for a shorter time.
-impl Default for WeakEvidence {
-    fn default() -> Self {
-        Self { confidence: 0.7, distance: 0.5, cleared: 0.3, hits: 10, window: 20 }
-    }
-}
-
 /// Two targets that fly past each other differ by more than 1 m/s.
 impl Default for Merging {
     fn default() -> Self {
@@ -243,13 +237,9 @@ impl Default for TrackerParameters {
             association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
             rejoin_acceleration: Some(2.0),
             split_distance: Some(0.8),
-            confirmation: Confirmation {
-                hits: 3,
-                window: 10,
-                weak_evidence: Some(WeakEvidence::default()),
-            },
+            confirmation: Confirmation::Existence { report: 0.9 },
             merging: Some(Merging::default()),
-            ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.3 },
+            ageing: Ageing::Visible { max_coast: 3.0, report_coast: 1.0 },
         }
     }
 }
@@ -276,7 +266,7 @@ impl TrackerParameters {
             association: Association::Paper,
             rejoin_acceleration: None,
             split_distance: None,
-            confirmation: Confirmation { hits: 1, window: 1, weak_evidence: None },
+            confirmation: Confirmation::Counts { hits: 1, window: 1 },
             merging: None,
             ageing: Ageing::Paper,
             ..Self::default()

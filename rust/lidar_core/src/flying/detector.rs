@@ -307,9 +307,16 @@ impl FlyingObjectDetector {
         if !self.is_reporting {
             return Vec::new();
         }
-        let world_from_map = self.local.world_from_map();
-        let mut tracks = self.tracker.tracks_at(stamp_ns);
+        let mut tracks = self.hypotheses_at(stamp_ns);
         tracks.retain(|track| track.reported);
+        tracks
+    }
+
+    /// Every track, those that are not reported included, predicted to `stamp_ns`, world frame.
+    #[must_use]
+    pub fn hypotheses_at(&self, stamp_ns: i64) -> Vec<Track> {
+        let world_from_map = self.local.world_from_map();
+        let tracks = self.tracker.tracks_at(stamp_ns);
         tracks.into_iter().map(|track| track.moved(&world_from_map)).collect()
     }
 

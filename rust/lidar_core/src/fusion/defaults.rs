@@ -134,7 +134,7 @@ impl Default for ManyParameters {
         Self {
             filter: FusionParameters {
                 method: Method::Interacting {
-                    models: [true, false, false, false, false],
+                    models: [true, false, false, false, false, true],
                     sojourn: 2.0,
                     quiet: Some(0.1),
                 },

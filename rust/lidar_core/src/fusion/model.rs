@@ -7,6 +7,7 @@ use super::models::cartesian::{ConstantAcceleration, ConstantVelocity, Coordinat
 use super::models::drone::{CtrvDrone, CtrvDroneRate};
 use super::models::heading::{Ctra, Ctrv};
 use super::models::motion::{Motion, Noise};
+use super::models::standing::StandingTarget;
 use super::models::state_conversion::StateConversion;
 
 /// Motion model of the targets.
@@ -22,6 +23,8 @@ pub enum Model {
     Ctrv,
     /// [x, y, v, theta, w, a].
     Ctra,
+    /// [x, y, vx, vy], of which the velocity is zero.
+    Standing,
     /// [x, y, v, theta, w] in the frame of a sensor that moves; with w_d unless a gyro is an input.
     CtrvDrone,
     /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
@@ -43,7 +46,7 @@ pub struct ModelEntry {
 
 /// Every model.
 #[must_use]
-pub fn models() -> [ModelEntry; 7] {
+pub fn models() -> [ModelEntry; 8] {
     [
         ModelEntry {
             name: "cv",
@@ -76,6 +79,12 @@ pub fn models() -> [ModelEntry; 7] {
             title: "the same with acceleration",
         },
         ModelEntry {
+            name: "standing",
+            model: Model::Standing,
+            states: &["x", "y", "vx", "vy"],
+            title: "a place that hardly moves; with imm for targets that stop",
+        },
+        ModelEntry {
             name: "ctrv-drone",
             model: Model::CtrvDrone,
             states: &["x", "y", "v", "theta", "w", PLATFORM_RATE],
@@ -94,12 +103,13 @@ pub fn models() -> [ModelEntry; 7] {
 pub const PLATFORM_RATE: &str = "w_d";
 
 /// Models that [`super::Method::Interacting`] can mix, in the order of its switches.
-pub const MIXABLE: [Model; 5] = [
+pub const MIXABLE: [Model; 6] = [
     Model::ConstantVelocity,
     Model::ConstantAcceleration,
     Model::CoordinatedTurn,
     Model::Ctrv,
     Model::Ctra,
+    Model::Standing,
 ];
 
 /// Computation that needs the motion of a model, whatever its number of states.
@@ -139,6 +149,7 @@ impl Model {
             Self::CoordinatedTurn => task.run(CoordinatedTurn),
             Self::Ctrv => task.run(Ctrv),
             Self::Ctra => task.run(Ctra),
+            Self::Standing => task.run(StandingTarget),
             Self::CtrvDrone if has_gyro => task.run(CtrvDrone),
             Self::CtrvDrone => task.run(CtrvDroneRate),
             Self::Paper(paper) => task.published(paper),
@@ -159,6 +170,7 @@ impl Model {
             Self::CoordinatedTurn => task.run(CoordinatedTurn),
             Self::Ctrv => task.run(Ctrv),
             Self::Ctra => task.run(Ctra),
+            Self::Standing => task.run(StandingTarget),
             Self::CtrvDrone | Self::Paper(_) => return None,
         })
     }

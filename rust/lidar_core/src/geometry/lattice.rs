@@ -148,6 +148,12 @@ pub(crate) fn whole(value: f64) -> u32 {
     (value + TO_LOWEST_BITS).to_bits() as u32
 }
 
+/// Lesser number; `b` if one is NaN, like the instruction of the vector unit.
+#[inline(always)]
+pub(crate) fn least(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
 /// True if a coordinate in units of voxels can be indexed.
 #[inline(always)]
 fn is_index(scaled: f64) -> bool {

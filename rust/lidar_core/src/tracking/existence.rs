@@ -43,6 +43,12 @@ impl Presence {
         (self.existence - self.hidden).max(0.0)
     }
 
+    /// Probability that the target was hidden when last looked for, if there is one.
+    #[must_use]
+    pub fn hidden_share(&self) -> f64 {
+        if self.existence > 0.0 { (self.hidden + self.returned) / self.existence } else { 0.0 }
+    }
+
     /// The same after `dt` [s] without a scan.
     ///
     /// # Source
@@ -59,6 +65,21 @@ impl Presence {
         let always = (self.observable() - self.returned) * libm::exp(-dt * hides);
         let returned = (self.existence - hidden - always).max(0.0);
         Self { existence: kept * self.existence, hidden: kept * hidden, returned: kept * returned }
+    }
+
+    /// The same after something was seen that a target which can be measured makes `observable` times,
+    /// and a hidden one `hidden` times, as likely as no target does.
+    ///
+    /// # Source
+    /// Bayes' rule. One measurement of likelihood ratio L, of a target measured with probability d, is
+    /// `observable` = 1 - d + d L and `hidden` = 1: integrated probabilistic data association.
+    #[must_use]
+    pub fn weighed(&self, observable: f64, hidden: f64) -> Self {
+        let (seen, unseen) = (observable * self.observable(), hidden * self.hidden);
+        let total = (1.0 - self.existence) + seen + unseen;
+        let existence = ((seen + unseen) / total).min(MOST_CERTAIN);
+        let hidden = (unseen / total).min(existence);
+        Self { existence, hidden, returned: observable * self.returned / total }
     }
 
     /// Of two histories that exclude each other.
@@ -185,6 +206,21 @@ mod tests {
         let expected = 0.5 * weight / (0.5 + 0.5 * weight);
         assert!((seen.presence[0].existence - expected).abs() < 1e-12);
         assert!((seen.unexplained[0] + seen.pair[0] - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn evidence_of_one_measurement_is_that_of_the_association() {
+        let presence = Presence { existence: 0.6, hidden: 0.1, returned: 0.05 };
+        let track = PredictedTrack { presence, ..TRACK };
+        let pair = GatedPair { track: 0, measurement: 0, log_ratio: libm::log(30.0) };
+        for (pairs, ratio) in [(vec![pair], 0.2 + 0.8 * 30.0), (Vec::new(), 0.2)] {
+            let expected = associate(&[track], pairs.len(), &pairs).presence[0];
+            let found = presence.weighed(ratio, 1.0);
+            assert!((found.existence - expected.existence).abs() < 1e-12);
+            assert!((found.hidden - expected.hidden).abs() < 1e-12);
+        }
+        let sure = (0..100).fold(presence, |now, _| now.weighed(1e6, 1.0));
+        assert!(sure.existence <= MOST_CERTAIN && sure.hidden >= 0.0);
     }
 
     /// No target .4, observable .5, hidden .1; events by hand with a ratio of 30.

@@ -4,6 +4,7 @@ use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::guard::detached;
 use lidar_core::Error;
+use lidar_core::circles::segment::parameters::CUT_MARGINS;
 use lidar_core::util::threads;
 use lidar_sim::circle_beams::Beams;
 use lidar_sim::circle_samples::{self, Disturbance, Samples, Source};
@@ -30,8 +31,7 @@ fn disturbance_of(config: &Bound<'_, PyAny>) -> PyResult<Disturbance> {
         beam_half_width: config.getattr("beam_half_width")?.extract()?,
         occluded_share: config.getattr("occluded_share")?.extract()?,
         mixed_share: config.getattr("mixed_share")?.extract()?,
-        mixed_depth: config.getattr("mixed_depth")?.extract()?,
-        cut_margins: config.getattr("cut_margins")?.extract()?,
+        cut_margins: CUT_MARGINS,
     })
 }
 

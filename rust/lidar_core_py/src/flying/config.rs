@@ -60,6 +60,7 @@ pub(crate) struct ClassifyConfig {
     upright_height: Option<f64>,
     follow_tracks: bool,
     fill_pockets: bool,
+    search: String,
 }
 
 #[derive(FromPyObject)]
@@ -199,6 +200,7 @@ impl ClassifyConfig {
             upright_height: self.upright_height,
             follow_tracks: self.follow_tracks,
             fill_pockets: self.fill_pockets,
+            skips_explained: self.search == "explained",
         }
     }
 }
@@ -261,6 +263,7 @@ pub(crate) struct MapConfig {
     end_margin: f64,
     rays: String,
     skip: String,
+    saturation: String,
     ray_unit: String,
     ray_gain: f64,
     bounds: Option<[[f64; 3]; 2]>,
@@ -272,6 +275,9 @@ pub(crate) const RAYS: [(&str, Rays); 2] = [("all", Rays::All), ("one_per_end", 
 
 /// Names of the voxels that rays pass.
 const SKIPS: [(&str, Skip); 2] = [("saturated", Skip::Saturated), ("none", Skip::Nothing)];
+
+/// Names of what becomes of values close to `g_free`: true if they become `g_free`.
+pub(crate) const SATURATIONS: [(&str, bool); 2] = [("settled", true), ("paper", false)];
 
 /// Names of the units of the ray weight.
 pub(crate) const RAY_UNITS: [(&str, RayUnit); 3] =
@@ -296,6 +302,7 @@ impl MapConfig {
             end_margin: self.end_margin,
             rays: arrays::choice("rays", &self.rays, &RAYS)?,
             skip: arrays::choice("skip", &self.skip, &SKIPS)?,
+            settles: arrays::choice("saturation", &self.saturation, &SATURATIONS)?,
             ray_unit: arrays::choice("ray_unit", &self.ray_unit, &RAY_UNITS)?,
             ray_gain: self.ray_gain,
             bounds: self.bounds,

@@ -100,8 +100,15 @@ impl PyFlyingObjectDetector {
         &self,
         py: Python<'py>,
         stamp_ns: i64,
+        confirmed: bool,
     ) -> Result<TrackArrays<'py>, BorderError> {
-        track_arrays(py, self.0.with(py, |detector| Ok(detector.tracks_at(stamp_ns)))?)
+        let tracks = self.0.with(py, |detector| {
+            Ok(match confirmed {
+                true => detector.tracks_at(stamp_ns),
+                false => detector.hypotheses_at(stamp_ns),
+            })
+        })?;
+        track_arrays(py, tracks)
     }
 
     #[pyo3(signature = (ids, positions, *, radius))]

@@ -7,7 +7,7 @@ use lidar_core::Error;
 use lidar_core::flying::track::{
     Ageing, Association, CloudView, Confirmation, Detections, Hiding, MeasurementForm, Merging,
     Motion, NoiseForm, OccupiedPoints, PointCloudTracker, Radius, RadiusForm, Stats, Track,
-    TrackerParameters, Visibility, WeakEvidence,
+    TrackerParameters, Visibility,
 };
 use lidar_core::geometry::cluster::Clustering;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -39,7 +39,7 @@ pub(crate) struct TrackerConfig {
     split_distance: Option<f64>,
     confirm_hits: u32,
     confirm_window: u32,
-    confirm_confidence: Option<f64>,
+    report_existence: Option<f64>,
     merge_distance: Option<f64>,
     ageing: String,
     max_coast: f64,
@@ -73,12 +73,9 @@ impl TrackerConfig {
     }
 
     fn confirmation(&self) -> Confirmation {
-        Confirmation {
-            hits: self.confirm_hits,
-            window: self.confirm_window,
-            weak_evidence: self
-                .confirm_confidence
-                .map(|confidence| WeakEvidence { confidence, ..WeakEvidence::default() }),
+        match self.report_existence {
+            Some(report) => Confirmation::Existence { report },
+            None => Confirmation::Counts { hits: self.confirm_hits, window: self.confirm_window },
         }
     }
 
@@ -131,7 +128,7 @@ type Events<'py> = (
     usize,
 );
 
-/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, reported.
+/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, reported, existence.
 pub(crate) type TrackArrays<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
@@ -140,6 +137,7 @@ pub(crate) type TrackArrays<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<f64>>,
 );
 
 #[pyclass(frozen, name = "PointCloudTracker", module = "lidar_core._core")]
@@ -286,5 +284,6 @@ pub(crate) fn track_arrays(
         column(|track| i64::from(track.n_detections)).into_pyarray(py),
         tracks.iter().map(|track| track.age).collect::<Vec<f64>>().into_pyarray(py),
         tracks.iter().map(|track| track.reported).collect::<Vec<bool>>().into_pyarray(py),
+        tracks.iter().map(|track| track.existence).collect::<Vec<f64>>().into_pyarray(py),
     ))
 }

@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
-use crate::flying::config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS};
+use crate::flying::config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS, SATURATIONS};
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::flying::classify::classifier::classify_clusters;
@@ -226,6 +226,8 @@ impl PyVoxelMap {
         values.set_item("rays", rays)?;
         let unit = RAY_UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
         values.set_item("ray_unit", unit)?;
+        let saturation = SATURATIONS.iter().find(|(_, settles)| *settles == p.settles);
+        values.set_item("saturation", saturation.map(|(name, _)| *name))?;
         let levels = [
             ("g_occ", p.g_occ),
             ("g_unk", p.g_unk),

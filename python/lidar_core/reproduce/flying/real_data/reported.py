@@ -29,7 +29,7 @@ class Reported:
         """Add the results of scan `number`."""
         world_from_lidar = item.world_from_lidar.reshape(-1, 4, 4)[0]
         tracks = frame.tracks
-        is_flying = _flying(tracks)
+        is_flying = flying_rows(tracks)
         place = tracks.position[is_flying]
         in_body = (place - world_from_lidar[:3, 3]) @ world_from_lidar[:3, :3]
         spread = np.trace(tracks.covariance[is_flying, :3, :3], axis1=1, axis2=2)
@@ -135,7 +135,7 @@ def _false_track(part: Part, name: int) -> FalseTrack:
     )
 
 
-def _flying(tracks: Any) -> NDArray[np.bool_]:
+def flying_rows(tracks: Any) -> NDArray[np.bool_]:
     """Which tracks are of kind FLYING; all of them where tracks have no kind."""
     kinds = getattr(tracks, "kind", None)
     if kinds is None:

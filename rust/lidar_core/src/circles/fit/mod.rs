@@ -37,7 +37,7 @@ pub enum FitMethod {
 
 impl FitMethod {
     /// True if only the points count, not their neighbourhood.
-    fn is_algebraic(self) -> bool {
+    pub(super) fn is_algebraic(self) -> bool {
         matches!(self, Self::Kasa | Self::Pratt | Self::Taubin)
     }
 }
@@ -102,6 +102,17 @@ impl Fitter {
             posterior: Posterior::default(),
             row: Segments::default(),
         })
+    }
+
+    /// Fit with another standard deviation of the ranges [m].
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for one that is not positive.
+    pub fn set_range_std(&mut self, range_std: f64) -> Result<(), Error> {
+        let parameters = FitParameters { range_std, ..self.parameters };
+        parameters.check()?;
+        self.parameters = parameters;
+        Ok(())
     }
 
     /// Write one circle per segment of a scan to `circles`, in their order.

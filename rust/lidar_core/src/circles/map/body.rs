@@ -2,9 +2,11 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::body_places::{axes, is_one};
 use super::circle_measurement::{CircleMeasurement, new_state};
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
+use super::look::{Look, Looks};
 use super::modes::{Distances, ElementModes, halted};
 use super::outline::{Outline, OutlineMeasurement};
 use super::parameters::MissLimits;
@@ -16,7 +18,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::jitter::Jitter;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
@@ -52,6 +54,10 @@ pub(super) struct BodyMeasurement {
     pub(super) is_face: bool,
     /// Time of the measurement [ns].
     pub(super) time_ns: i64,
+    /// Direction from the sensor to it, of length one.
+    pub(super) sight: [f64; 2],
+    /// From where and with which rays it was seen; None: unknown.
+    pub(super) look: Option<Look>,
     /// Share of its points where earlier scans met a surface, not free space; None: unknown.
     pub(super) trace: Option<Trace>,
 }
@@ -74,6 +80,9 @@ pub(super) struct RoundBody {
     jitter: Jitter,
     /// The body is reported as standing.
     stands: bool,
+    /// Direction in which it was seen last, of length one.
+    sight: [f64; 2],
+    looks: Looks,
 }
 
 impl RoundBody {
@@ -86,9 +95,14 @@ impl RoundBody {
         self.circle.combined()
     }
 
-    /// State as it is reported: a standing body has no velocity.
+    /// State as it is reported: a standing body has no velocity. The centre of what is not round is
+    /// as uncertain as the side that nobody sees.
     pub(super) fn reported(&self) -> Gaussian<5> {
-        if self.stands { halted(self.circle()) } else { self.circle() }
+        let mut state = if self.stands { halted(self.circle()) } else { self.circle() };
+        self.looks.widen(&mut state);
+        let mut block = state.covariance.fixed_view_mut::<2, 2>(0, 0);
+        block += self.outline.unseen(state.mean[4], self.sight);
+        state
     }
 
     /// State as it is reported after a time without scans; what stands stays where it is.
@@ -217,9 +231,11 @@ impl State for RoundBody {
         });
         let mut body = Self {
             circle: ElementModes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
-            outline: Outline::new(seen.outline.as_ref(), rules),
+            outline: Outline::new(seen.outline.as_ref(), seen.is_face, rules),
             jitter: Jitter::new((sum / weight).max(known), TRUST),
             stands: false,
+            sight: seen.sight,
+            looks: Looks::default(),
         };
         body.circle =
             ElementModes::new(new_state(&body.noisy(&seen.circle), rules.speed()), rules.motion());
@@ -252,7 +268,9 @@ impl State for RoundBody {
     }
 
     fn correct(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
-        if !seen.is_face {
+        if seen.is_face {
+            self.outline.doubted(true);
+        } else {
             self.outline.correct(seen.outline.as_ref(), rules)?;
         }
         // One scan may take a circle for something else, of which it hardly knows the centre.
@@ -263,6 +281,11 @@ impl State for RoundBody {
             used = round;
         }
         self.listen(&used, seen.time_ns);
+        self.sight = seen.sight;
+        if let Some(look) = seen.look {
+            let mean = self.circle().mean;
+            self.looks.add(look, &Vector3::new(mean[0], mean[1], mean[4]), &used.R);
+        }
         let weighted = self.weighted(&used, seen.trace, rules)?;
         self.circle.correct(&weighted, seen.evidence() * f64::from(u8::from(rules.has_standing())))
     }
@@ -335,7 +358,7 @@ impl State for RoundBody {
     }
 
     fn is_lost(&self, rules: &Rules) -> bool {
-        let (state, limit) = (self.reported(), rules.parameters().limits.position);
+        let (state, limit) = (self.circle(), rules.parameters().limits.position);
         exceeds(&state.covariance.fixed_view::<2, 2>(0, 0).into_owned(), limit * limit)
     }
 
@@ -368,25 +391,4 @@ impl State for RoundBody {
     fn miss_limits(rules: &Rules) -> MissLimits {
         rules.parameters().miss_limits
     }
-}
-
-/// True if two circles (x, y, r) are one object.
-fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
-    let gap = rules.parameters().merge_gap;
-    let [x, y] = [one[0] - two[0], one[1] - two[1]];
-    let touching = if gap > 0.0 { one[2] + two[2] + gap } else { 0.0 };
-    let reach = one[2].max(two[2]).max(touching);
-    x * x + y * y < reach * reach
-}
-
-/// Axes of the ellipse of one standard deviation of the centre [m].
-fn axes(state: &Gaussian<5>) -> [[f64; 2]; 2] {
-    let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-    let (mean, half) = (0.5 * (P[(0, 0)] + P[(1, 1)]), 0.5 * (P[(0, 0)] - P[(1, 1)]));
-    // Eigenvalues of a 2x2 matrix in closed form: fixed operations, the same bits everywhere.
-    let root = (half * half + P[(0, 1)] * P[(0, 1)]).sqrt();
-    let [long, short] = [mean + root, mean - root].map(|value| value.max(0.0).sqrt());
-    let angle = 0.5 * libm::atan2(P[(0, 1)], half);
-    let (sin, cos) = (libm::sin(angle), libm::cos(angle));
-    [[long * cos, long * sin], [-short * sin, short * cos]]
 }

@@ -5,6 +5,7 @@
 //! motion: see [`Independent`].
 
 mod body;
+mod body_places;
 mod circle_measurement;
 mod element;
 mod element_motion;
@@ -12,6 +13,7 @@ mod history;
 mod independent;
 mod joint;
 mod line;
+mod look;
 mod modes;
 mod outline;
 mod parameters;

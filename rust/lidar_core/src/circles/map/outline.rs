@@ -10,7 +10,7 @@ use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -32,6 +32,14 @@ const NEWEST: f64 = 0.1;
 /// Weight of circles in the recent measurements of what is surely round: a circle looks like another
 /// shape in few scans.
 const SURE: f64 = 0.7;
+/// Weight of the newest measurement in the doubt that a body is round.
+const LATEST: f64 = 0.03;
+/// Share of other shapes up to which there is no doubt.
+const ROUND: f64 = 0.15;
+/// Standard deviations of the middle of what is not round, along and across the line of sight, in
+/// half widths: it may be less than half as deep as it is wide, or more than twice.
+const DEPTH: f64 = 1.0;
+const WIDTH: f64 = 0.35;
 /// Lead in weight that another kind needs.
 const AHEAD: f64 = 0.1;
 
@@ -81,6 +89,8 @@ pub(super) struct Outline {
     kind: usize,
     /// Weight of large measurements.
     large: f64,
+    /// Weight of measurements that look like no circle, over a longer time.
+    unround: f64,
 }
 
 impl Outline {
@@ -90,7 +100,7 @@ impl Outline {
     }
 
     /// Outline from the first measurement; None for a circle.
-    pub(super) fn new(seen: Option<&OutlineMeasurement>, rules: &Rules) -> Self {
+    pub(super) fn new(seen: Option<&OutlineMeasurement>, is_face: bool, rules: &Rules) -> Self {
         let mut outline = Self::default();
         if let Some(seen) = seen {
             outline.kind = number(seen.kind);
@@ -98,7 +108,14 @@ impl Outline {
             outline.large = f64::from(u8::from(seen.is_large));
         }
         outline.shares[outline.kind] = 1.0;
+        outline.unround = f64::from(u8::from(is_face || outline.kind > 0));
         outline
+    }
+
+    /// How doubtful it is that the body is round, 0 to 1: a circle looks like another shape in few
+    /// scans.
+    pub(super) fn doubt(&self) -> f64 {
+        ((self.unround - ROUND) / (1.0 - SURE - ROUND)).clamp(0.0, 1.0)
     }
 
     pub(super) fn predict(&mut self, step: &ElementStep) {
@@ -147,8 +164,24 @@ impl Outline {
         self.large > 0.5
     }
 
+    /// Covariance of the middle of a body, represented by a circle of this radius and seen in the
+    /// direction `sight`, since nobody sees how deep it is; zero for what is surely round. No
+    /// number of scans from the same side makes it smaller.
+    pub(super) fn unseen(&self, radius: f64, [x, y]: [f64; 2]) -> Matrix2<f64> {
+        let longer = self.reported().map_or(0.0, |(_, state)| state.mean[5]);
+        let half = radius.max(longer) * self.doubt();
+        let (along, across) = (Vector2::new(x, y) * half, Vector2::new(-y, x) * half);
+        along * along.transpose() * (DEPTH * DEPTH) + across * across.transpose() * (WIDTH * WIDTH)
+    }
+
+    /// Note if a measurement looked like something that is not round.
+    pub(super) fn doubted(&mut self, is_unround: bool) {
+        self.unround += LATEST * (f64::from(u8::from(is_unround)) - self.unround);
+    }
+
     fn vote(&mut self, kind: ShapeKind, is_large: bool) {
         self.large += NEWEST * (f64::from(u8::from(is_large)) - self.large);
+        self.doubted(kind != ShapeKind::Circle);
         self.shares = self.shares.map(|share| share * (1.0 - NEWEST));
         self.shares[number(kind)] += NEWEST;
         // A lead is needed to change: shapes between two kinds would alternate with every scan.

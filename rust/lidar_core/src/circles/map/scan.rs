@@ -5,6 +5,7 @@
 use super::body::BodyMeasurement;
 use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;
+use super::look::Look;
 use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::place::matrix_of;
@@ -94,6 +95,7 @@ impl KeptScan {
         let pose = check(scan)?;
         let R_pose =
             scan.pose_covariance.map(|rows| SMatrix::from_fn(|row, column| rows[row][column]));
+        let look = scan.view.and_then(|view| view.scan.spacing()).map(|one| Look::new(&pose, one));
         let place = |(index, estimate): (usize, &CircleEstimate)| {
             let delay = scan.delays.map_or(0.0, |delays| delays[index]);
             let in_world = |estimate: &CircleEstimate| CircleMeasurement {
@@ -115,6 +117,8 @@ impl KeptScan {
                 outline: placed,
                 is_face,
                 time_ns: scan.stamp_ns + libm::round(delay * 1e9) as i64,
+                sight: pose.sight(estimate.circle.center),
+                look,
                 trace: None,
             }
         };

@@ -543,6 +543,23 @@ fn a_box_is_a_circle_and_a_rectangle_with_one_number() -> Result<(), Error> {
 }
 
 #[test]
+fn how_deep_a_box_is_stays_unknown_and_a_post_becomes_known() -> Result<(), Error> {
+    let shape = line(0.0, 3.0, [-0.2, 0.2]);
+    let face = OutlineEstimate { shape, is_large: false, round: None };
+    for (outlines, least, most) in [(&[Some(face)], 0.15, 0.25), (&[None], 0.0, 0.01)] {
+        let mut map = map_of(ElementFilter::Independent(best()))?;
+        for step in 0..60 {
+            map.update(&CircleScan { outlines, ..scan(step, &[circle(3.0, 0.0, 0.2)]) })?;
+        }
+        // Seen from the origin, so along x.
+        let covariance = map.map_at(59 * STEP_NS)[0].state.covariance;
+        let [deep, wide] = [0, 1].map(|axis| covariance[(axis, axis)].sqrt());
+        assert!((least..most).contains(&deep) && wide < 0.5 * deep + 0.01, "{deep} {wide}");
+    }
+    Ok(())
+}
+
+#[test]
 fn a_circle_that_one_scan_takes_for_something_else_is_followed() -> Result<(), Error> {
     let mut map = map_of(ElementFilter::Independent(best()))?;
     let (mut vague, outline) = boxed([5.3, 0.0], [0.6, 0.4], 0.1);

@@ -50,6 +50,13 @@ impl PolarScan {
         count > 2 && TAU - turned <= 1.5 * turned / (count - 1) as f64
     }
 
+    /// Mean angle from ray to ray [rad]; None without two rays.
+    pub(crate) fn spacing(&self) -> Option<f64> {
+        let steps = self.bearings.windows(2).map(|pair| turn(pair[1] - pair[0]));
+        let mean = steps.sum::<f64>().abs() / (self.bearings.len() as f64 - 1.0);
+        (mean > 0.0 && mean.is_finite()).then_some(mean)
+    }
+
     /// End point of ray `ray` [m]; None for a miss and for no information.
     #[must_use]
     pub fn point(&self, ray: usize) -> Option<[f64; 2]> {

@@ -6,6 +6,9 @@ use super::corners::CornerParameters;
 /// adaptive bound would join what stands one behind the other.
 pub const INCIDENCE: f64 = std::f64::consts::PI / 18.0;
 
+/// Largest distances from the nearer and the farther range limit at which it may cut an object [m].
+pub const CUT_MARGINS: [f64; 2] = [0.15, 1.2];
+
 /// Bound on the distance of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
@@ -19,6 +22,21 @@ pub enum Bound {
     },
     /// Constant distance [m].
     Fixed(f64),
+}
+
+/// Deviations of the ranges by which neighbours on one surface may be apart.
+const SLACK: f64 = 3.0;
+
+impl Bound {
+    /// The bound for ranges of a standard deviation [m], which the slack covers at least.
+    pub(in crate::circles) fn for_noise(self, range_std: f64) -> Self {
+        match self {
+            Self::Adaptive { incidence, slack } => {
+                Self::Adaptive { incidence, slack: slack.max(SLACK * range_std) }
+            }
+            Self::Fixed(_) => self,
+        }
+    }
 }
 
 /// Parameters of the segmentation.

@@ -107,6 +107,17 @@ impl ShapeFitter {
         Ok(Self { parameters, arc: Arc::default(), posterior: Posterior::default() })
     }
 
+    /// Fit with another standard deviation of the ranges [m].
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for one that is not positive.
+    pub fn set_range_std(&mut self, range_std: f64) -> Result<(), Error> {
+        let parameters = FitParameters { range_std, ..self.parameters };
+        parameters.check()?;
+        self.parameters = parameters;
+        Ok(())
+    }
+
     /// Write one shape per segment of a scan to `shapes`, in their order.
     ///
     /// # Errors

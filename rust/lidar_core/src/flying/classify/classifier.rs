@@ -56,6 +56,9 @@ pub struct ClassifyParameters {
     pub follow_tracks: bool,
     /// Enclosed uncertain voxels around a flying cluster are made free.
     pub fill_pockets: bool,
+    /// Points that are background by rule A anyway are one cluster, without a search for their links,
+    /// where no result depends on it.
+    pub skips_explained: bool,
 }
 
 /// Class of one cluster and the evidence for it.
@@ -123,7 +126,8 @@ impl Classifier {
         let radius = search_radius(parameters.search_distance, map.lattice().voxel_size())?;
         check_steps("close_distance", parameters.close_distance, map.lattice().voxel_size())?;
         let Self { background, grouper, scratch } = self;
-        let near = |index: usize| rules.is_background(&clusters.get(index));
+        let near =
+            |index: usize| clusters.is_joined(index) || rules.is_background(&clusters.get(index));
         each(pool, clusters.len(), || (), |(), index| near(index), background);
         let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
         let classification = |scratch: &mut PooledObject<'_, Scratch>, index: usize| {

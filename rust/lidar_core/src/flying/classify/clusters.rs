@@ -11,6 +11,8 @@ pub(crate) struct Clusters {
     /// End of the rows of each cluster.
     ends: Vec<u32>,
     shapes: Vec<Shape>,
+    /// The cluster of points that are background whatever is linked to them.
+    joined: Option<usize>,
 }
 
 /// The box around a cluster, and its centroid [m].
@@ -24,9 +26,33 @@ struct Shape {
 impl Clusters {
     /// Take those of another cloud; points that are not finite belong to none.
     pub(crate) fn fill(&mut self, points: &[[f32; 3]], labels: &[i32]) {
-        let Self { rows, ends, shapes } = self;
+        self.joined = None;
+        self.fill_with(points, labels, || 0..labels.len() as u32);
+    }
+
+    /// Take those of another cloud, of which only some `rows` are of interest; the others belong to the
+    /// cluster `joined`, which is background.
+    pub(crate) fn fill_some(
+        &mut self,
+        points: &[[f32; 3]],
+        labels: &[i32],
+        joined: usize,
+        rows: &[u32],
+    ) {
+        self.joined = Some(joined);
+        self.fill_with(points, labels, || rows.iter().copied());
+    }
+
+    fn fill_with<I: Iterator<Item = u32>>(
+        &mut self,
+        points: &[[f32; 3]],
+        labels: &[i32],
+        all: impl Fn() -> I,
+    ) {
+        let Self { rows, ends, shapes, .. } = self;
         let count = labels.iter().max().map_or(0, |&last| (last + 1).max(0) as usize);
-        let labelled = || (0..).zip(points.iter().zip(labels)).filter_map(label_of);
+        let label = |row: u32| label_of((row, (&points[row as usize], &labels[row as usize])));
+        let labelled = || all().filter_map(label);
         ends.clear();
         ends.resize(count + 1, 0);
         labelled().for_each(|(_, label)| ends[label + 1] += 1);
@@ -51,6 +77,11 @@ impl Clusters {
     /// Number of clusters.
     pub(crate) fn len(&self) -> usize {
         self.shapes.len()
+    }
+
+    /// True for the cluster of points that are background whatever is linked to them.
+    pub(crate) fn is_joined(&self, index: usize) -> bool {
+        self.joined == Some(index)
     }
 
     pub(crate) fn get(&self, index: usize) -> Cluster<'_> {

@@ -2,6 +2,7 @@
 
 use super::classifier::{Classification, Classifier, ClusterRules, reclassify};
 use super::clusters::{Cluster, Clusters};
+use super::explained::Explained;
 use super::occupied_nearby::OccupiedNearby;
 use crate::Error;
 use crate::flying::map::local_map::LocalMap;
@@ -10,7 +11,8 @@ use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::{PointClass, replace};
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
-use crate::geometry::cluster::angular_gap::{AngularGap, SeenLabeller};
+use crate::geometry::cluster::angular_gap::AngularGap;
+use crate::geometry::cluster::joined::JoinedLabeller;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::stopwatch::Clock;
@@ -42,7 +44,8 @@ pub(crate) struct ScanToClassify<'a> {
 /// which uses their memory again.
 #[derive(Default)]
 pub(crate) struct ScanClassifier {
-    labeller: SeenLabeller,
+    labeller: JoinedLabeller,
+    explained: Explained,
     /// The middle of every point's voxel, where these are clustered.
     middles: Vec<[f32; 3]>,
     classifier: Classifier,
@@ -66,7 +69,11 @@ impl ScanClassifier {
         clock: &mut Clock,
     ) -> Result<[f64; 2], Error> {
         self.label(input)?;
-        self.clusters.fill(&input.scan.points, self.labeller.labels());
+        let (points, labels) = (&input.scan.points, self.labeller.labels());
+        match self.labeller.searched() {
+            Some((joined, rows)) => self.clusters.fill_some(points, labels, joined, rows),
+            None => self.clusters.fill(points, labels),
+        }
         let cluster_ms = clock.lap();
 
         let Self { clusters, classifier, classifications, .. } = self;
@@ -163,7 +170,7 @@ impl ScanClassifier {
     }
 
     fn label(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
-        let Self { labeller, middles, .. } = self;
+        let Self { labeller, explained, middles, .. } = self;
         let (scan, parameters, lattice) = (input.scan, input.parameters, input.local.map.lattice());
         let middle = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
             Some(voxel) => lattice.center(voxel).map(|value| value as f32),
@@ -176,8 +183,14 @@ impl ScanClassifier {
         let points = if parameters.cluster_voxels { middles } else { &scan.points };
         let max_angle = parameters.cluster_angle;
         let gap = AngularGap { origin: scan.pose.translation, max_angle };
-        labeller.label(points, &gap, &parameters.clustering, input.pool)?;
-        Ok(())
+        let max_distance = parameters.clustering.max_distance;
+        match explained.find(points, &input.local.map, parameters, input.pool) {
+            Some(is_joined) => {
+                let reach = parameters.classify.group_distance.unwrap_or(0.0); // of groups of clusters
+                labeller.label_joined(points, is_joined, &gap, max_distance, reach, input.pool)
+            }
+            None => labeller.label(points, &gap, &parameters.clustering, input.pool),
+        }
     }
 }
 

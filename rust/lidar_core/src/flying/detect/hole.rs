@@ -60,14 +60,18 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
         let edge = if sign > 0.0 { high[axis] } else { -low[axis] };
         let middle = 0.5 * (low[across] + high[across]);
         let half = 0.5 * (high[across] - low[across]).max(NARROWEST);
-        let is_sky = |along: f64| {
+        let at = |along: f64| {
             let mut place = [middle; 2];
             place[axis] = sign * (edge + 0.5 * along);
-            scan.sky_observation
-                .as_ref()
-                .is_some_and(|observation| observation.is_sky_at(view.direction(place)))
+            view.direction(place)
         };
-        has_hole(&seen, half, is_sky, |place| {
+        let sky = scan.sky_observation.as_ref();
+        let is_sky = |along: f64| sky.is_some_and(|sky| sky.sky_reach_at(at(along)) > view.range);
+        let density = |along: f64| {
+            let per_steradian = sky?.density_at(at(along))?;
+            Some(per_steradian / (view.range * view.range))
+        };
+        has_hole(&seen, half, is_sky, density, |place| {
             [sign * place[axis] - edge, (place[across] - middle).abs()]
         })
     })
@@ -80,6 +84,7 @@ fn has_hole(
     seen: &[Seen],
     half: f64,
     is_sky: impl Fn(f64) -> bool,
+    density: impl Fn(f64) -> Option<f64>,
     beside: impl Fn([f64; 2]) -> [f64; 2],
 ) -> bool {
     let (mut all, mut column, mut row) = (0.0, 0.0, Vec::new());
@@ -108,7 +113,10 @@ fn has_hole(
         // usual, too.
         let length_share = end * length_share;
         let usual = [all * length_share * width_share, level * level_share, column * length_share];
-        if usual.into_iter().all(|usual| is_dark(lit, usual)) && !is_sky(end) {
+        let cast = density(end).map(|density| density * MIDDLE * end * 2.0 * half);
+        let is_hole = usual.into_iter().all(|usual| is_dark(lit, usual))
+            || cast.is_some_and(|cast| is_dark(lit, cast));
+        if is_hole && !is_sky(end) {
             return true;
         }
     }
@@ -352,9 +360,12 @@ mod tests {
                     seen.push(Seen { place, is_else: !is_level, is_surface: is_level });
                 }
             }
-            let holes = has_hole(&seen, half, |_| false, |[x, y]| [x, y.abs()]);
+            let holes = has_hole(&seen, half, |_| false, |_| None, |[x, y]| [x, y.abs()]);
             assert_eq!(holes, has_hole_plainly(&seen, half), "round {round}");
-            assert!(!has_hole(&seen, half, |_| true, |[x, y]| [x, y.abs()]), "all of it is sky");
+            assert!(
+                !has_hole(&seen, half, |_| true, |_| None, |[x, y]| [x, y.abs()]),
+                "all of it is sky"
+            );
             found[usize::from(holes)] += 1;
         }
         assert!(found.iter().all(|&count| count > 20), "{found:?}");

@@ -13,8 +13,6 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rays that must pass, so that a target in the ball should have given returns.
-const ENOUGH: usize = 3;
 /// Room for rounding where rays are excluded early, relative: directions are unit vectors
 /// only to so many digits.
 const ROOM: f64 = 1e-6;
@@ -105,17 +103,17 @@ impl<'a> ScanView<'a> {
 }
 
 impl Visibility for ScanView<'_> {
-    fn expected(&self, position: [f64; 3], radius: f64) -> bool {
+    fn rays(&self, position: [f64; 3], radius: f64, most: usize) -> usize {
         let ball = TestedBall { middle: position, radius: radius.min(self.target_radius) };
         let (mut passing, rows) = (0, self.scan.points.len());
         for first in (0..rows).step_by(ROWS_AT_A_TIME) {
             let near = self.rows_near(first..rows.min(first + ROWS_AT_A_TIME), &[ball]);
             passing += near.filter(|&row| self.passes(row, &ball)).count();
-            if passing >= ENOUGH {
-                return true;
+            if passing >= most {
+                return most;
             }
         }
-        false
+        passing
     }
 
     fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
@@ -304,15 +302,16 @@ enum End {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::flying::track::ENOUGH_RAYS;
     use crate::geometry::transform::Transform;
 
     #[test]
     fn directions_of_rays_without_return_may_have_any_length() {
         for length in [0.25, 1.0, 2.0] {
             let mut scan = Prepared::default();
-            scan.points = vec![[f32::NAN; 3]; ENOUGH];
-            scan.directions = Some(vec![[length, 0.0, 0.0]; ENOUGH]);
-            scan.no_return = vec![true; ENOUGH];
+            scan.points = vec![[f32::NAN; 3]; ENOUGH_RAYS];
+            scan.directions = Some(vec![[length, 0.0, 0.0]; ENOUGH_RAYS]);
+            scan.no_return = vec![true; ENOUGH_RAYS];
             scan.pose = Transform::IDENTITY;
             let view = ScanView::new(&scan, 1.0, 0.01, None, None);
             assert!(view.expected([10.0, 0.5, 0.0], 1.0));

@@ -4,8 +4,8 @@
 
 use super::accumulate::mark::UNITS_PER_EDGE;
 use super::accumulate::window::Window;
-use super::ray_segments::{LANES, Lanes, Numbers, Ray, RaySegments, least, places};
-use crate::geometry::lattice::whole;
+use super::ray_segments::{LANES, Lanes, Numbers, Ray, RaySegments, places};
+use crate::geometry::lattice::{least, whole};
 
 /// No ray ends further from its start, in sub-units.
 const FURTHEST: f64 = (i32::MAX - 1) as f64;

@@ -8,10 +8,10 @@
 use super::accumulate::live_cells::{ALL, LiveCells};
 use super::accumulate::window::Window;
 use super::classified_scan::Origins;
-use super::ray_segments::{Ray, Source, least};
+use super::ray_segments::{Ray, Source};
 use crate::flying::map::block_shape::{EDGE, EDGE_BITS};
 use crate::flying::map::inert::{CELL_BITS, CELLS};
-use crate::geometry::lattice::whole;
+use crate::geometry::lattice::{least, whole};
 use std::ops::Range;
 
 /// Directions along the edge of a face.

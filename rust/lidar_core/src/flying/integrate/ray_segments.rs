@@ -7,7 +7,7 @@ use super::accumulate::window::Window;
 use super::classified_scan::{ClassifiedScan, Origins};
 use crate::Error;
 use crate::flying::map::parameters::MapParameters;
-use crate::geometry::lattice::{Lattice, Voxel, floor, whole, wide};
+use crate::geometry::lattice::{Lattice, Voxel, floor, least, whole, wide};
 use crate::geometry::transform::norm;
 
 /// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
@@ -243,12 +243,6 @@ pub(crate) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
         }
     }
     places
-}
-
-/// Lesser number; `b` if one is NaN, like the instruction of the vector unit.
-#[inline(always)]
-pub(crate) fn least(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
 }
 
 #[cfg(test)]

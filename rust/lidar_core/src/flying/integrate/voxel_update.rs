@@ -24,6 +24,8 @@ pub(crate) struct Rule {
     levels: Levels,
     initial: f32,
     g: [f32; 3],
+    /// Values this close to `g_free` become `g_free` when rays pull them; below 0, none does.
+    settled: f32,
     per_unit: f64,
     /// Weight of one of the units in which points are counted.
     per_point: f64,
@@ -43,6 +45,7 @@ impl Rule {
             levels: map.levels(),
             initial: p.initial,
             g: [p.g_free, p.g_unk, p.g_occ],
+            settled: if p.settles { settled_within(p.g_free) } else { -1.0 },
             // One factor for gain, unit and fixed point: one multiplication per voxel.
             per_unit: p.ray_gain * unit / UNITS_PER_EDGE,
             per_point: if weighted { 1.0 / f64::from(POINT_UNITS) } else { 1.0 },
@@ -90,7 +93,7 @@ impl Rule {
     fn cleared(&self, stored: f32, mark: Mark) -> f32 {
         // Computed for every voxel and selected at the end: a branch would split the vector loop.
         let keep = two_to_minus(f64::from(mark & MAX_COUNT) * self.per_unit);
-        let value = filtered(self.known(stored), self.g[0], keep);
+        let value = self.settled(filtered(self.known(stored), self.g[0], keep));
         if mark == 0 { stored } else { value }
     }
 
@@ -104,13 +107,26 @@ impl Rule {
         let keep = if tag == Content::Flying as u32 { 0.0 } else { keep }; // n_det is infinite (eq. 17)
         let seen = if tag == Content::Background as u32 { occupied } else { unknown };
         let value = filtered(self.known(stored), if of_rays { free } else { seen }, keep);
+        let value = if of_rays { self.settled(value) } else { value };
         if mark == 0 { stored } else { value }
+    }
+
+    /// A value that rays have pulled.
+    #[inline(always)]
+    fn settled(&self, value: f32) -> f32 {
+        if (value - self.g[0]).abs() <= self.settled { self.g[0] } else { value }
     }
 
     #[inline(always)]
     fn known(&self, stored: f32) -> f32 {
         if stored.is_nan() { self.initial } else { stored }
     }
+}
+
+/// Distance from `g_free` of values that become it: 64 steps between numbers there.
+fn settled_within(g_free: f32) -> f32 {
+    const STEPS: f32 = 64.0;
+    STEPS * (g_free.abs().next_up() - g_free.abs())
 }
 
 struct Count<'a> {
@@ -197,4 +213,48 @@ fn update_row(
     block.inert.note(row, &values, rule.g[0]);
     let differs = |at: usize| u32::from(stored[at].to_bits() != values[at].to_bits());
     (0..ROW).fold(0, |count, at| count + differs(at))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::flying::integrate::integrator::Integrator;
+    use crate::flying::integrate::integrator::tests::scan;
+    use crate::flying::map::parameters::MapParameters;
+    use crate::flying::map::parameters::tests::parameters;
+    use crate::flying::point_class::PointClass;
+
+    #[test]
+    fn values_settle_within_64_steps_and_no_further_away() -> Result<(), Error> {
+        for (settles, expected) in [(true, true), (false, false)] {
+            let rule = Rule::of(&VoxelMap::new(MapParameters { settles, ..parameters() })?, false);
+            let steps = |count: u32| f32::from_bits((-1000f32).to_bits() - count);
+            assert_eq!(rule.settled(steps(64)) == -1000.0, expected);
+            assert_eq!(rule.settled(steps(1)) == -1000.0, expected);
+            assert_eq!(rule.settled(steps(65)).to_bits(), steps(65).to_bits());
+            assert_eq!(rule.settled(-1000.0).to_bits(), (-1000f32).to_bits());
+            assert!(rule.settled(f32::NAN).is_nan());
+            assert_eq!(rule.settled(f32::INFINITY), f32::INFINITY);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn weak_rays_saturate_only_where_values_settle() -> Result<(), Error> {
+        for settles in [true, false] {
+            let mut map = VoxelMap::new(MapParameters { settles, ray_gain: 0.1, ..parameters() })?;
+            let mut integrator = Integrator::new(1)?;
+            for _ in 0..400 {
+                integrator
+                    .integrate(&mut map, &scan(&[[1.1, 0.1, 0.1]], &[PointClass::Background]))?;
+            }
+            let value = map.values_at(&[[0.6, 0.1, 0.1]])[0];
+            assert_eq!(value == -1000.0, settles, "{value}");
+            assert!(value < -999.99);
+            // A point is not drawn to `g_free`, however near its value is to it.
+            assert!(map.values_at(&[[1.1, 0.1, 0.1]])[0] > -1e-3);
+        }
+        Ok(())
+    }
 }

@@ -66,6 +66,9 @@ pub struct MapParameters {
     pub rays: Rays,
     /// Voxels that rays pass: a matter of time alone, so files do not hold it.
     pub skip: Skip,
+    /// A value that rays have pulled to within 64 steps of `f32` from `g_free` becomes `g_free`. Otherwise
+    /// rounding holds it there for ever, a step short or, where few rays pass, dozens.
+    pub settles: bool,
     /// Unit of the ray weight.
     pub ray_unit: RayUnit,
     /// Factor on the ray weight.

@@ -22,6 +22,8 @@ const VERSION: u32 = 1;
 const VERSION_WITH_BODY: u32 = 2;
 /// Set in the byte of the ray unit where one ray is cast per end voxel.
 const ONE_PER_END: u8 = 4;
+/// Set there where values near `g_free` become `g_free`; files of earlier versions do not have it.
+const SETTLES: u8 = 8;
 const BLOCK_BYTES: usize = 12 + 4 * VOLUME;
 /// Largest file that is read [bytes].
 const MAX_BYTES: u64 = 1 << 34;
@@ -182,7 +184,8 @@ fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
         RayUnit::Metres => 1,
         RayUnit::Diagonals => 2,
     };
-    bytes.push(if p.rays == Rays::OnePerEnd { unit | ONE_PER_END } else { unit });
+    let rays = if p.rays == Rays::OnePerEnd { ONE_PER_END } else { 0 };
+    bytes.push(unit | rays | if p.settles { SETTLES } else { 0 });
     bytes.extend(p.max_voxels.to_le_bytes());
     bytes.push(u8::from(p.bounds.is_some()));
     bytes.extend(p.bounds.iter().flatten().flatten().flat_map(|value| value.to_le_bytes()));
@@ -197,7 +200,7 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
     let [g_occ, g_unk, g_free, initial] =
         [reader.f32()?, reader.f32()?, reader.f32()?, reader.f32()?];
     let thresholds = [reader.f32()?, reader.f32()?, reader.f32()?];
-    let (ray_unit, rays) = read_ray_unit(reader)?;
+    let (ray_unit, rays, settles) = read_ray_unit(reader)?;
     let max_voxels = u64::from_le_bytes(reader.take()?);
     let bounds = if reader.take::<1>()? == [0] {
         None
@@ -222,6 +225,7 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
         end_margin,
         rays,
         skip: MapParameters::default().skip,
+        settles,
         ray_unit,
         ray_gain,
         bounds,
@@ -229,13 +233,14 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
     })
 }
 
-fn read_ray_unit(reader: &mut Reader<'_>) -> Result<(RayUnit, Rays), Error> {
+fn read_ray_unit(reader: &mut Reader<'_>) -> Result<(RayUnit, Rays, bool), Error> {
     let [byte] = reader.take::<1>()?;
     let rays = if byte & ONE_PER_END == 0 { Rays::All } else { Rays::OnePerEnd };
-    match byte & !ONE_PER_END {
-        0 => Ok((RayUnit::Edges, rays)),
-        1 => Ok((RayUnit::Metres, rays)),
-        2 => Ok((RayUnit::Diagonals, rays)),
+    let settles = byte & SETTLES != 0;
+    match byte & !(ONE_PER_END | SETTLES) {
+        0 => Ok((RayUnit::Edges, rays, settles)),
+        1 => Ok((RayUnit::Metres, rays, settles)),
+        2 => Ok((RayUnit::Diagonals, rays, settles)),
         other => {
             let problem = format!("expected a ray unit of 0 to 2, got {other}");
             Err(format_error(reader.at - 1, &problem))
@@ -302,6 +307,22 @@ pub(crate) mod tests {
         assert_eq!(back.parameters(), map.parameters());
         assert_eq!(back.to_bytes(), map.to_bytes());
         assert_eq!(back.occupied_voxels(), map.occupied_voxels());
+        Ok(())
+    }
+
+    #[test]
+    fn a_map_of_an_earlier_version_goes_on_as_it_was() -> Result<(), Error> {
+        let mut bytes = VoxelMap::new(parameters())?.to_bytes();
+        // The byte of the ray unit: behind magic, version, seven numbers of 64 and seven of 32 bits.
+        let place = 4 + 4 + 7 * 8 + 7 * 4;
+        assert_eq!(bytes[place], SETTLES);
+        bytes[place] = 0;
+        let body = bytes.len() - 4;
+        let sum = crc32(&bytes[..body]).to_le_bytes();
+        bytes[body..].copy_from_slice(&sum);
+        let map = VoxelMap::from_bytes(&bytes)?;
+        assert!(!map.parameters().settles);
+        assert_eq!(map.to_bytes(), bytes);
         Ok(())
     }
 

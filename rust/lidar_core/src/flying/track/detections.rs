@@ -1,6 +1,7 @@
 //! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
 
 use super::buffer::Buffer;
+use super::existence::SURE;
 use super::measurement::{CloudScan, Evidence, Measurement};
 use super::motion::{position, position_block, position_matrix};
 use super::parameters::{Association, MAX_TRACKS, MeasurementForm, Motion, TrackerParameters};
@@ -27,7 +28,7 @@ pub struct Detections<'a> {
     pub extent: Option<&'a [[f64; 3]]>,
     /// When each position was measured, after the stamp [s].
     pub delay: Option<&'a [f64]>,
-    /// Confidence of each detection, 0 to 1; without it all are certain.
+    /// Confidence of each detection, 0 to 1; without it none is certain.
     pub confidence: Option<&'a [f64]>,
     /// Whether each may be a part of a surface beside it; without it none is.
     pub is_joined: Option<&'a [bool]>,
@@ -62,20 +63,13 @@ impl Detections<'_> {
             .map(|index| {
                 let detection = self.measurement(index, parameters)?;
                 let mut fresh = PointTrack::new(&detection, self.stamp_ns, parameters);
-                fresh.sure = u64::from(self.is_sure(index, parameters));
-                fresh.joined = u64::from(self.is_joined.is_some_and(|joined| joined[index]));
+                fresh.first = Evidence {
+                    is_sure: self.confidence.is_some_and(|confidence| confidence[index] >= SURE),
+                    is_joined: self.is_joined.is_some_and(|joined| joined[index]),
+                };
                 Ok(fresh)
             })
             .collect()
-    }
-
-    fn is_sure(&self, index: usize, parameters: &TrackerParameters) -> bool {
-        match (self.confidence, parameters.confirmation.weak_evidence) {
-            (Some(confidence), Some(weak_evidence)) => {
-                confidence[index] >= weak_evidence.confidence
-            }
-            _ => true,
-        }
     }
 
     fn measurement(
@@ -280,7 +274,7 @@ impl Updater {
             match nearest {
                 Some(index) => {
                     tracks[index].n_detections = tracks[index].n_detections.saturating_add(1);
-                    matches.fed.push((index, hypothesis.evidence()));
+                    matches.fed.push((index, hypothesis.first));
                 }
                 None => tracks.push(hypothesis),
             }
@@ -351,7 +345,7 @@ impl Updater {
                 }
                 continue;
             };
-            matches.fed.push((index, hypothesis.evidence()));
+            matches.fed.push((index, hypothesis.first));
             // What the track has not seen itself, it learns from the hypothesis.
             if tracks[index].seen_ns < hypothesis.born_ns {
                 let turned = waiting[index].turned_to(&hypothesis, &self.parameters.motion);

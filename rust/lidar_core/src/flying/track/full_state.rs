@@ -2,6 +2,7 @@
 
 use super::PointCloudTracker;
 use super::buffer::Cloud;
+use super::existence::Births;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
 use crate::Error;
@@ -18,6 +19,7 @@ pub(crate) struct TrackerState<'a> {
     keeps_points: bool,
     tracks: &'a [PointTrack],
     next_id: i64,
+    births: Births,
 }
 
 /// [`TrackerState`] as it is read back.
@@ -27,6 +29,7 @@ pub(crate) struct SavedTracker {
     keeps_points: bool,
     tracks: Vec<PointTrack>,
     next_id: i64,
+    births: Births,
 }
 
 impl PointCloudTracker {
@@ -56,21 +59,22 @@ impl PointCloudTracker {
     }
 
     pub(crate) fn state(&self) -> TrackerState<'_> {
-        let Self { buffer, keeps_points, tracks, next_id, .. } = self;
-        let (clouds, keeps_points, next_id) = (buffer.clouds(), *keeps_points, *next_id);
-        TrackerState { clouds, keeps_points, tracks, next_id }
+        let Self { buffer, keeps_points, tracks, next_id, births, .. } = self;
+        let (clouds, keeps_points) = (buffer.clouds(), *keeps_points);
+        TrackerState { clouds, keeps_points, tracks, next_id: *next_id, births: *births }
     }
 
     /// # Errors
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
-        let SavedTracker { clouds, keeps_points, tracks, next_id } = saved;
+        let SavedTracker { clouds, keeps_points, tracks, next_id, births } = saved;
         let is_numbered = |track: &PointTrack| (0..next_id).contains(&track.id);
         if tracks.len() > MAX_TRACKS || !tracks.iter().all(is_numbered) {
             return Err(impossible("tracks that were never numbered"));
         }
         self.buffer.restore(clouds)?;
-        (self.keeps_points, self.tracks, self.next_id) = (keeps_points, tracks, next_id);
+        (self.keeps_points, self.births) = (keeps_points, births);
+        (self.tracks, self.next_id) = (tracks, next_id);
         Ok(())
     }
 }

@@ -1,14 +1,11 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
+use super::existence::{self, Belief, Births, DELETED, KEPT};
 use super::measurement::Evidence;
-use super::motion::{self, position_block};
+use super::motion;
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED, seconds};
-use nalgebra::Vector3;
-
-/// Detections that seem to fly which one that seems joined to a surface outweighs.
-const JOINED_WEIGHT: u32 = 4;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///
@@ -16,6 +13,7 @@ const JOINED_WEIGHT: u32 = 4;
 /// Vrba et al., Algorithm 2, lines 15-17.
 pub(super) fn remove_uncertain(
     tracks: &mut Vec<PointTrack>,
+    births: &mut Births,
     parameters: &TrackerParameters,
     now_ns: i64,
 ) -> Vec<i64> {
@@ -27,74 +25,76 @@ pub(super) fn remove_uncertain(
                 Ageing::Visible { max_coast, .. } => seconds(track.seen_ns, now_ns) > max_coast,
             }
     };
+    tracks.iter().filter(|track| lost(track)).for_each(|track| births.count_end(track));
     remove(tracks, lost)
 }
 
-/// Enter a set of detections into the history of all tracks: `fed` names those it held, `born`
-/// is the place of the first new one. Returns the numbers of those that are confirmed by it.
+/// A set of detections and the tracks that it held.
+pub(super) struct SetOfDetections<'a> {
+    pub(super) stamp_ns: i64,
+    /// Places in the list of tracks of those that it held, and what it showed of them.
+    pub(super) fed: &'a [(usize, Evidence)],
+    /// Place of the first new track.
+    pub(super) known: usize,
+    /// Probability that a new track has a target.
+    pub(super) prior: f64,
+}
+
+/// Enter a set of detections into all tracks. Returns the numbers of those that are confirmed by it.
 pub(super) fn confirm(
     tracks: &mut [PointTrack],
-    fed: &[(usize, Evidence)],
-    born: usize,
+    set: &SetOfDetections<'_>,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
+    let mut evidence = vec![None; tracks.len()];
+    for &(index, of_track) in set.fed {
+        evidence[index] = Some(of_track);
+    }
     let mut confirmed = Vec::new();
-    for track in &mut tracks[..born] {
-        track.history <<= 1;
-        track.hints = track.hints << 1 | u64::from(std::mem::take(&mut track.hinted));
-        track.sure <<= 1;
-        track.joined <<= 1;
-    }
-    for &(index, evidence) in fed {
-        let track = &mut tracks[index];
-        track.history |= 1;
-        track.sure |= u64::from(evidence.is_sure);
-        track.joined |= u64::from(evidence.is_joined);
-    }
-    for track in tracks.iter_mut().filter(|track| !track.confirmed) {
-        if is_certain(track, &parameters.confirmation) {
-            track.confirmed = true;
+    for (index, (track, evidence)) in tracks.iter_mut().zip(evidence).enumerate() {
+        let is_sure = match parameters.confirmation {
+            Confirmation::Counts { hits, window } => {
+                if index < set.known {
+                    track.history = track.history << 1 | u64::from(evidence.is_some());
+                }
+                last(track.history, window).count_ones() >= hits || track.confirmed
+            }
+            Confirmation::Existence { report } => {
+                if index < set.known {
+                    existence::weigh(track, evidence, set.stamp_ns);
+                } else {
+                    track.belief = Belief::born(set.prior, track.first, set.stamp_ns);
+                }
+                let limit = if track.confirmed { KEPT * report } else { report };
+                track.belief.existence(track) >= limit
+            }
+        };
+        if is_sure && !track.confirmed {
             confirmed.push(track.id);
         }
+        track.confirmed = is_sure;
+        track.was_confirmed |= is_sure;
     }
     confirmed
 }
 
-/// True if enough sets of detections support a track.
-fn is_certain(track: &PointTrack, confirmation: &Confirmation) -> bool {
-    let enough = |sets: u64, hits: u32, window: u32| last(sets, window).count_ones() >= hits;
-    let Confirmation { hits, window, weak_evidence } = *confirmation;
-    let Some(weak_evidence) = weak_evidence else { return enough(track.history, hits, window) };
-    if track.stray_points > track.own_points {
-        return false; // it is one of many returns that come and go
-    }
-    if may_be_joined(track) {
-        return false; // it is probably a part of a surface
-    }
-    let spread = position_block(&track.estimate.covariance).trace() / 3.0;
-    let reach = weak_evidence.distance + 2.0 * spread.max(0.0).sqrt();
-    let is_far_from = |place: Vector3<f64>| (track.position() - place).norm() > reach;
-    let counted = match track.left && is_far_from(track.born_at) {
-        true if is_far_from(track.found_at) => track.history | track.hints,
-        true => track.history,
-        false => track.sure,
-    };
-    enough(counted, hits, window) || enough(track.history, weak_evidence.hits, weak_evidence.window)
-}
-
-/// True if a track is more likely a part of a surface than a target: one in thirty detections of
-/// targets seems joined to a surface, half of those of parts do. So one of them outweighs four others.
-fn may_be_joined(track: &PointTrack) -> bool {
-    let joined = track.joined.count_ones();
-    JOINED_WEIGHT * joined > (track.history & !track.joined).count_ones()
-}
-
-/// Remove tracks that were never confirmed and that no recent detection held; their numbers.
+/// Remove tracks that were never confirmed and that no recent set of detections held, or that are
+/// improbable; their numbers.
 pub(super) fn remove_unconfirmed(
     tracks: &mut Vec<PointTrack>,
+    births: &mut Births,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
-    remove(tracks, |track| !track.confirmed && recent(track, parameters) == 0)
+    match parameters.confirmation {
+        Confirmation::Counts { window, .. } => {
+            remove(tracks, |track| !track.confirmed && last(track.history, window) == 0)
+        }
+        Confirmation::Existence { .. } => {
+            let is_gone = |track: &PointTrack| track.belief.existence(track) < DELETED;
+            tracks.iter().filter(|track| is_gone(track)).for_each(|track| births.count_end(track));
+            remove(tracks, is_gone)
+        }
+    }
 }
 
 /// Number the tracks that have none; the numbers.
@@ -149,21 +149,18 @@ fn has_twins(tracks: &[PointTrack], merging: &Merging) -> bool {
 fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let n_detections = kept.n_detections.max(dropped.n_detections);
     let history = kept.history | dropped.history;
-    let (sure, hints) = (kept.sure | dropped.sure, kept.hints | dropped.hints);
-    let joined = kept.joined | dropped.joined;
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
+    let belief = kept.belief.more_probable(dropped.belief);
+    let was_confirmed = kept.was_confirmed || dropped.was_confirmed;
     let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
-    PointTrack { id, born_ns, confirmed, n_detections, history, sure, hints, joined, ..state }
+    let kept = PointTrack { id, born_ns, confirmed, was_confirmed, ..state };
+    PointTrack { n_detections, history, belief, ..kept }
 }
 
 fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
     one.stamp_ns == other.stamp_ns
         && (one.position() - other.position()).norm() <= merging.distance
         && (one.velocity() - other.velocity()).norm() <= merging.speed
-}
-
-fn recent(track: &PointTrack, parameters: &TrackerParameters) -> u64 {
-    last(track.history | track.hints, parameters.confirmation.window)
 }
 
 /// The newest `window` of the sets of detections.

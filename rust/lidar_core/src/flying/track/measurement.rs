@@ -3,6 +3,7 @@
 use super::parameters::Hiding;
 use super::visibility::occupancy::{Occupancy, Visibility};
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Input of an update from one scan.
 #[derive(Clone, Copy)]
@@ -44,9 +45,10 @@ pub(super) struct Measurement {
 }
 
 /// Evidence of a detection for the existence of its track.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Evidence {
     pub(super) is_sure: bool,
+    /// It may be a part of the surface beside it.
     pub(super) is_joined: bool,
 }
 

@@ -7,6 +7,7 @@ mod buffer;
 mod candidates;
 mod cluster_assignment;
 mod detections;
+mod existence;
 mod full_state;
 mod lifecycle;
 mod measurement;
@@ -25,9 +26,9 @@ pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
 pub use parameters::{
     Ageing, Association, Confirmation, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging,
-    Motion, NoiseForm, Radius, RadiusForm, TrackerParameters, WeakEvidence,
+    Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
 };
-pub use visibility::occupancy::{Occupancy, OccupiedPoints, Visibility};
+pub use visibility::occupancy::{ENOUGH_RAYS, Occupancy, OccupiedPoints, Visibility};
 pub use visibility::view::CloudView;
 
 use crate::Error;
@@ -35,6 +36,8 @@ use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::util::budget::check_points;
 use buffer::Buffer;
+use existence::{Births, Sight};
+use lifecycle::SetOfDetections;
 use measurement::CloudScan;
 use nalgebra::{Matrix3, SMatrix};
 use state::{PointTrack, seconds};
@@ -61,6 +64,8 @@ pub struct Track {
     pub confirmed: bool,
     /// Confirmed, and not out of sight for too long.
     pub reported: bool,
+    /// Probability that its target exists; not a number where tracks are confirmed by counts.
+    pub existence: f64,
 }
 
 /// Changes of the tracks by one call, by their numbers.
@@ -112,6 +117,7 @@ pub struct PointCloudTracker {
     keeps_points: bool,
     tracks: Vec<PointTrack>,
     next_id: i64,
+    births: Births,
 }
 
 impl PointCloudTracker {
@@ -126,6 +132,7 @@ impl PointCloudTracker {
             keeps_points: true,
             tracks: Vec::new(),
             next_id: 0,
+            births: Births::default(),
         })
     }
 
@@ -158,9 +165,11 @@ impl PointCloudTracker {
             let outcome = self.updater.update(&mut tracks, &scan)?;
             (stats.corrected, stats.rows) = (outcome.corrected, outcome.rows);
             stats.rejected = outcome.rejected;
-            stats.removed = lifecycle::remove_uncertain(&mut tracks, self.parameters(), stamp_ns);
+            let (mut births, parameters) = (self.births, self.parameters());
+            stats.removed =
+                lifecycle::remove_uncertain(&mut tracks, &mut births, parameters, stamp_ns);
             stats.merged = self.merge(&mut tracks);
-            self.tracks = tracks;
+            (self.tracks, self.births) = (tracks, births);
         }
         self.buffer.push(cloud);
         Ok(stats)
@@ -188,15 +197,18 @@ impl PointCloudTracker {
         if tracks.len() > MAX_TRACKS {
             return Err(detections::too_many(tracks.len()));
         }
+        let mut births = self.births;
+        births.count_set();
+        let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, prior: births.prior() };
         let stats = Stats {
             born: lifecycle::number(&mut tracks, &mut next_id),
-            confirmed: lifecycle::confirm(&mut tracks, &matches.fed, known, self.parameters()),
-            removed: lifecycle::remove_unconfirmed(&mut tracks, self.parameters()),
+            confirmed: lifecycle::confirm(&mut tracks, &set, self.parameters()),
+            removed: lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters()),
             merged: self.merge(&mut tracks),
             rejected: matches.rejected,
             ..Stats::default()
         };
-        (self.tracks, self.next_id) = (tracks, next_id);
+        (self.tracks, self.next_id, self.births) = (tracks, next_id, births);
         Ok(stats)
     }
 
@@ -216,6 +228,7 @@ impl PointCloudTracker {
                 seen_ns: track.seen_ns,
                 confirmed: track.confirmed,
                 reported: track.confirmed && self.is_recent(track),
+                existence: self.existence(track, stamp_ns),
             })
             .collect()
     }
@@ -246,10 +259,10 @@ impl PointCloudTracker {
     }
 
     /// The cluster of track `id` in the newest cloud is in free space, though it has too few points
-    /// for a detection: it counts with the next set of detections once the track has moved.
+    /// for a detection: it counts with the next set of detections.
     pub(crate) fn hint(&mut self, id: i64) {
         for track in self.tracks.iter_mut().filter(|track| track.id == id) {
-            track.hinted = true;
+            track.sight = Sight::Few;
         }
     }
 
@@ -278,12 +291,20 @@ impl PointCloudTracker {
     pub fn reset(&mut self) {
         self.tracks.clear();
         self.buffer.clear();
+        self.births = Births::default();
     }
 
     /// Parameters of the tracker.
     #[must_use]
     pub fn parameters(&self) -> &TrackerParameters {
         &self.updater.parameters
+    }
+
+    fn existence(&self, track: &PointTrack, stamp_ns: i64) -> f64 {
+        match self.parameters().confirmation {
+            Confirmation::Counts { .. } => f64::NAN,
+            Confirmation::Existence { .. } => track.belief.at(stamp_ns).existence(track),
+        }
     }
 
     fn is_recent(&self, track: &PointTrack) -> bool {

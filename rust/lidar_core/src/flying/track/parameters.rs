@@ -89,52 +89,37 @@ pub enum Association {
     },
 }
 
-/// A track is reported once `hits` of the last `window` sets of detections held it.
+/// When a track is reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Confirmation {
-    /// Sets that held the track, >= 1.
-    pub hits: u32,
-    /// Sets looked back on, `hits` to [`MAX_WINDOW`].
-    pub window: u32,
-    /// Stricter conditions for tracks of weak detections.
-    pub weak_evidence: Option<WeakEvidence>,
-}
-
-/// Stricter confirmation for tracks of weak detections. Weak detections of something that stands
-/// still may be a part of the background that has just come into view: only certain ones count, or
-/// many of them, or a track that has moved.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WeakEvidence {
-    /// Detections of less confidence are weak.
-    pub confidence: f64,
-    /// A track this far from where it began has moved, with two standard deviations on top [m].
-    pub distance: f64,
-    /// A moved track counts only while the newest cloud shows nothing this near to its start [m].
-    pub cleared: f64,
-    /// This many of the last `window` sets confirm a track in any case.
-    pub hits: u32,
-    /// Sets looked back on for that, `hits` to [`MAX_WINDOW`].
-    pub window: u32,
+pub enum Confirmation {
+    /// Once `hits` of the last `window` sets of detections held it, and from then on.
+    Counts {
+        /// Sets that held the track, >= 1.
+        hits: u32,
+        /// Sets looked back on, `hits` to [`MAX_WINDOW`].
+        window: u32,
+    },
+    /// Once the probability that its target exists reaches `report`, until it falls below a fifth
+    /// of that. Improbable tracks are removed.
+    Existence {
+        /// Probability from which on a track is reported, above 0 and below 1.
+        report: f64,
+    },
 }
 
 impl Confirmation {
     fn check(self) -> Result<(), Error> {
-        let fits =
-            |hits, window| (1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits);
-        let (hits, window) = (self.hits, self.window);
-        require(
-            fits(hits, window),
-            "confirm_hits",
-            "1 <= confirm_hits <= confirm_window <= 64",
-            format_args!("{hits} of {window}"),
-        )?;
-        let Some(WeakEvidence { hits, window, .. }) = self.weak_evidence else { return Ok(()) };
-        require(
-            fits(hits, window),
-            "confirm_still_hits",
-            "1 <= confirm_still_hits <= confirm_still_window <= 64",
-            format_args!("{hits} of {window}"),
-        )
+        match self {
+            Self::Counts { hits, window } => require(
+                (1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits),
+                "confirm_hits",
+                "1 <= confirm_hits <= confirm_window <= 64",
+                format_args!("{hits} of {window}"),
+            ),
+            Self::Existence { report } => {
+                require(report > 0.0 && report < 1.0, "report_existence", "0 < value < 1", report)
+            }
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
+use super::existence::{Belief, Sight};
 use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
@@ -10,9 +11,6 @@ use serde::{Deserialize, Serialize};
 
 /// Weight that the points of a track and around it keep from one scan to the next.
 const AROUND_KEPT: f64 = 0.8;
-
-/// A target that is found again after this time may be another one near by [s].
-const LONG_UNSEEN: f64 = 0.3;
 
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
@@ -32,8 +30,6 @@ pub(super) struct PointTrack {
     /// Time of the last measurement, and the position then.
     pub(super) seen_ns: i64,
     pub(super) seen_at: Vector3<f64>,
-    /// Where it was found again after it had been out of sight for long, or the first detection.
-    pub(super) found_at: Vector3<f64>,
     /// Speed then [m/s].
     pub(super) seen_speed: f64,
     pub(super) extent: [f64; 3],
@@ -42,16 +38,17 @@ pub(super) struct PointTrack {
     pub(super) n_detections: u32,
     /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
     pub(super) history: u64,
-    /// The last sets of detections, as in `history`: 1 where the detection of the track was sure.
-    pub(super) sure: u64,
-    /// The last sets of detections, as in `history`: 1 where there were too few points of it for a
-    /// detection, but in free space.
-    pub(super) hints: u64,
-    /// True if the newest cloud holds such points.
-    pub(super) hinted: bool,
-    /// As in `history`: 1 where the detection may be a part of a surface beside it.
-    pub(super) joined: u64,
+    /// What the detection showed that it began with.
+    pub(super) first: Evidence,
+    /// What the newest scan shows of it.
+    pub(super) sight: Sight,
+    /// Squared Mahalanobis distance of its cluster in the newest scan, if that had one.
+    pub(super) nis: Option<f64>,
+    /// Whether its target exists.
+    pub(super) belief: Belief,
     pub(super) confirmed: bool,
+    /// Whether it ever was.
+    pub(super) was_confirmed: bool,
     /// Points of its own clusters, and of those around it that belong to no track: sums in which
     /// older scans count less.
     pub(super) own_points: f64,
@@ -91,17 +88,17 @@ impl PointTrack {
             delay,
             seen_ns: stamp_ns,
             seen_at: detection.position,
-            found_at: detection.position,
             seen_speed: 0.0,
             extent: detection.extent,
             size: detection.extent,
             n_detections: 1,
             history: 1,
-            sure: 1,
-            hints: 0,
-            hinted: false,
-            joined: 0,
+            first: Evidence { is_sure: true, is_joined: false },
+            sight: Sight::Unseen,
+            nis: None,
+            belief: Belief::unknown(stamp_ns),
             confirmed: false,
+            was_confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
             left: false,
@@ -158,11 +155,6 @@ impl PointTrack {
         self.seen_speed * seconds(self.seen_ns, self.stamp_ns)
     }
 
-    /// Evidence of the detection that a fresh track began with.
-    pub(super) fn evidence(&self) -> Evidence {
-        Evidence { is_sure: self.sure & 1 == 1, is_joined: self.joined & 1 == 1 }
-    }
-
     /// Let `dt` seconds without a measurement count.
     pub(super) fn grow_old(&mut self, dt: f64, model: &Motion) {
         self.aged = motion::predict_covariance(&self.aged, dt, model);
@@ -197,12 +189,10 @@ impl PointTrack {
             H: motion::position_matrix(measurement.delay),
             R: measurement.covariance,
         };
-        self.estimate = update(&self.estimate, &model)?.posterior;
+        let updated = update(&self.estimate, &model)?;
+        (self.estimate, self.nis) = (updated.posterior, Some(updated.nis));
         self.aged = self.estimate.covariance;
         self.extent = measurement.extent;
-        if seconds(self.seen_ns, self.stamp_ns) > LONG_UNSEEN {
-            self.found_at = measurement.position;
-        }
         self.seen_ns = self.stamp_ns;
         (self.seen_at, self.seen_speed) = (self.position(), self.velocity().norm());
         Ok(())

@@ -10,7 +10,7 @@ fn best() -> TrackerParameters {
         association: Association::Global { gate_probability: 0.997, clutter_density: 1e-5 },
         ageing: Ageing::Visible { max_coast: 3.0, report_coast: 3.0 },
         merging: Some(Merging { distance: 0.3, speed: 1.0 }),
-        confirmation: Confirmation { hits: 2, window: 3, weak_evidence: None },
+        confirmation: Confirmation::Counts { hits: 2, window: 3 },
         measurement: MeasurementForm::Cluster,
         measurement_std: 0.1,
         ..TrackerParameters::paper()
@@ -93,41 +93,53 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
     Ok(())
 }
 
-/// The set, counted from 1, that confirms a target which is seen with `confidence` at `speed`,
-/// where points at `left` [m] stay.
-fn confirming_set(confidence: f64, speed: f64, left: &[f32]) -> Result<Option<i64>, Error> {
-    let weak_evidence =
-        Some(WeakEvidence { confidence: 0.8, distance: 1.0, hits: 12, ..WeakEvidence::default() });
-    let confirmation = Confirmation { hits: 3, window: 10, weak_evidence };
+/// Probability of existence after every set of detections of a target that is seen with `confidence`
+/// at `speed`, where points at `left` [m] stay; `seen` tells which sets hold it.
+fn existence_of(confidence: f64, speed: f64, left: &[f32], seen: &str) -> Result<Vec<f64>, Error> {
+    let confirmation = Confirmation::Existence { report: 0.9 };
     let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
-    for set in 1..=30 {
+    let mut existence = Vec::new();
+    for (set, is_seen) in (0_i64..).zip(seen.chars().map(|one| one == 'x')) {
         let at = speed * set as f64 * 0.1;
         let mut points: Vec<[f32; 3]> = left.iter().map(|&x| [x, 0.0, 0.0]).collect();
-        points.push([at as f32, 0.0, 0.0]);
+        points.extend(is_seen.then_some([at as f32, 0.0, 0.0]));
         tracker.new_point_cloud(&points, None, &free(), None, set * STEP_NS)?;
+        let positions: &[[f64; 3]] = if is_seen { &[[at, 0.0, 0.0]] } else { &[] };
         let found = Detections {
             stamp_ns: set * STEP_NS,
-            positions: &[[at, 0.0, 0.0]],
+            positions,
             covariance: None,
             extent: None,
             delay: None,
-            confidence: Some(&[confidence]),
+            confidence: Some(&[confidence][..positions.len()]),
             is_joined: None,
         };
-        if !tracker.new_detections(&found, &free())?.confirmed.is_empty() {
-            return Ok(Some(set));
-        }
+        tracker.new_detections(&found, &free())?;
+        existence.push(tracker.tracks_at(set * STEP_NS).first().map_or(0.0, |one| one.existence));
     }
-    Ok(None)
+    Ok(existence)
 }
 
 #[test]
-fn weak_detections_confirm_what_moves_or_stays_long() -> Result<(), Error> {
-    assert_eq!(confirming_set(0.9, 0.0, &[])?, Some(3));
-    assert_eq!(confirming_set(0.5, 0.0, &[])?, Some(12));
-    let moving = confirming_set(0.5, 4.0, &[])?;
-    assert!(moving.is_some_and(|set| (3..9).contains(&set)), "{moving:?}");
-    assert!(confirming_set(0.5, 4.0, &[0.3])? > moving); // something is left where it began
+fn certain_detections_and_motion_make_a_target_probable() -> Result<(), Error> {
+    let after = |confidence, speed, left: &[f32]| {
+        Ok::<_, Error>(existence_of(confidence, speed, left, "xxx")?.last().copied())
+    };
+    assert!(after(0.9, 0.0, &[])? > Some(0.9));
+    assert!(after(0.5, 0.0, &[])? < after(0.9, 0.0, &[])?);
+    let moved = existence_of(0.5, 4.0, &[], "xxxxxxxx")?;
+    let stays = existence_of(0.5, 4.0, &[-0.2], "xxxxxxxx")?; // something is left where it began
+    assert!(moved[5] > stays[5], "{moved:?} {stays:?}");
+    Ok(())
+}
+
+#[test]
+fn a_target_that_is_gone_becomes_improbable() -> Result<(), Error> {
+    let existence = existence_of(0.9, 1.0, &[], "xxxxxxxxxx....................")?;
+    assert!(existence[9] > 0.99 && existence[11] > 0.5, "{existence:?}");
+    assert!(existence[20..].iter().all(|&one| one < 0.2), "{existence:?}");
+    let gap = existence_of(0.9, 1.0, &[], "xxxxxxxxxx..xx")?;
+    assert!(gap.last() > Some(&0.99), "{gap:?}");
     Ok(())
 }
 
@@ -199,8 +211,8 @@ fn a_detection_newer_than_all_clouds_corrects_the_track() -> Result<(), Error> {
 struct Hidden;
 
 impl Visibility for Hidden {
-    fn expected(&self, _: [f64; 3], _: f64) -> bool {
-        false
+    fn rays(&self, _: [f64; 3], _: f64, _: usize) -> usize {
+        0
     }
 }
 
@@ -242,11 +254,11 @@ fn parameters_that_cannot_work_are_refused() {
     let bad = [
         TrackerParameters { buffer_size: 0, ..TrackerParameters::paper() },
         TrackerParameters {
-            confirmation: Confirmation { hits: 1, window: 65, weak_evidence: None },
+            confirmation: Confirmation::Counts { hits: 1, window: 65 },
             ..TrackerParameters::paper()
         },
         TrackerParameters {
-            confirmation: Confirmation { hits: 3, window: 2, weak_evidence: None },
+            confirmation: Confirmation::Counts { hits: 3, window: 2 },
             ..TrackerParameters::paper()
         },
         TrackerParameters {

@@ -2,13 +2,14 @@
 
 use super::candidates::candidates;
 use super::cluster_assignment::ClusterAssignment;
+use super::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
 use super::measurement::{CloudScan, Measurement, SearchRegion};
 use super::motion::position_block;
 use super::pairs::AlongX;
-use super::parameters::{Ageing, Association, Motion, TrackerParameters, WeakEvidence};
+use super::parameters::{Ageing, Association, Motion, TrackerParameters};
 use super::split::Division;
 use super::state::{PointTrack, seconds};
-use super::visibility::occupancy::Visibility;
+use super::visibility::occupancy::{ENOUGH_RAYS, Visibility};
 use super::visibility::select::{Ball, hits};
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
@@ -74,11 +75,15 @@ impl Updater {
             }
         };
         for (_, track) in &mut due {
-            track.left = self.has_left(track, scan);
+            track.left = has_left(track, scan);
         }
         let mut outcome = UpdateOutcome::default();
         for (((dt, track), region), measurement) in due.into_iter().zip(&regions).zip(found) {
             let row = measurement.as_ref().and_then(|measurement| measurement.row);
+            let rays = self.rays(region, scan.visibility, measurement.is_some());
+            track.nis = None;
+            track.sight =
+                if measurement.is_some() { Sight::Followed } else { Sight::without(rays) };
             match measurement.map(|measurement| track.correct(&measurement)) {
                 Some(Ok(())) => {
                     if let Some(hiding) = &self.parameters.hiding {
@@ -91,7 +96,7 @@ impl Updater {
                 Some(Err(_)) => outcome.rejected += 1,
                 None => {}
             }
-            if self.should_be_seen(region, scan.visibility) {
+            if rays >= ENOUGH_RAYS {
                 track.grow_old(dt, model);
             }
         }
@@ -146,30 +151,19 @@ impl Updater {
         }
     }
 
-    /// True if an unconfirmed track is away from where it began, and the scan shows that nothing is
-    /// left there. A track that leaps along the leaves of a tree leaves some behind, and one that
-    /// follows a gap along what lies behind it leaves a place that nobody sees any more.
-    fn has_left(&self, track: &PointTrack, scan: &CloudScan<'_>) -> bool {
-        let Some(WeakEvidence { distance, cleared, .. }) =
-            self.parameters.confirmation.weak_evidence
-        else {
-            return false;
-        };
-        let holds = |point: &[f32; 3]| {
-            (Vector3::from(point.map(f64::from)) - track.born_at).norm() <= cleared
-        };
-        !track.confirmed
-            && (track.position() - track.born_at).norm() > distance
-            && !scan.points.iter().any(holds)
-            && scan.visibility.is_none_or(|view| view.expected(track.born_at.into(), cleared))
-    }
-
-    fn should_be_seen(&self, region: &SearchRegion, visibility: Option<&dyn Visibility>) -> bool {
+    /// Rays that would have met the target of a track which was not found, up to a number that is
+    /// enough. It counts for the age of the track, and for whether its target exists.
+    fn rays(
+        &self,
+        region: &SearchRegion,
+        visibility: Option<&dyn Visibility>,
+        is_found: bool,
+    ) -> usize {
         match (self.parameters.ageing, visibility) {
-            (Ageing::Visible { .. }, Some(visibility)) => {
-                visibility.expected(region.position.into(), region.radius)
+            (Ageing::Visible { .. }, Some(visibility)) if !is_found => {
+                visibility.rays(region.position.into(), region.radius, MANY_RAYS)
             }
-            _ => true,
+            _ => MANY_RAYS,
         }
     }
 
@@ -236,6 +230,18 @@ impl Updater {
             })?;
         Ok(ClusterAssignment { clusters, cluster_of })
     }
+}
+
+/// True if a track is away from where it began for the first time, and the scan shows that nothing is left
+/// there. A track that leaps along the leaves of a tree leaves some behind, and one that follows a gap
+/// along what lies behind it leaves a place that nobody sees any more.
+fn has_left(track: &PointTrack, scan: &CloudScan<'_>) -> bool {
+    let holds =
+        |point: &[f32; 3]| (Vector3::from(point.map(f64::from)) - track.born_at).norm() <= CLEARED;
+    !track.belief.has_moved()
+        && (track.position() - track.born_at).norm() > MOVED
+        && !scan.points.iter().any(holds)
+        && scan.visibility.is_none_or(|view| view.expected(track.born_at.into(), CLEARED))
 }
 
 /// Largest distance of a cluster from the track's position at the stamp of the scan [m].

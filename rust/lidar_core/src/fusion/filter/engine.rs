@@ -88,8 +88,8 @@ pub trait Engine: Clone + Send + Sync + 'static {
         believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error>;
 
-    /// Visit the innovations that a measurement has for each part of the state; a state without
-    /// parts is one.
+    /// Visit the weight and the innovation of a measurement for each part of the state; a state
+    /// without parts is one.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].
@@ -98,10 +98,10 @@ pub trait Engine: Clone + Send + Sync + 'static {
         state: &mut Self::State,
         m: &Measurement,
         platform: &Platform,
-        visit: &mut dyn FnMut(&Innovation),
+        visit: &mut dyn FnMut(f64, &Innovation),
     ) -> Result<(), Error> {
         let visited = self.update(state, m, platform, &mut |innovation| {
-            visit(innovation);
+            visit(1.0, innovation);
             false
         });
         visited.map(|_| ())

@@ -9,7 +9,7 @@ use crate::fusion::models::motion::First;
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::sensors::measurement::Measurement;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix6, SMatrix, SVector};
 use std::sync::Arc;
 
 /// Least weight of a model, so that no model is ruled out for good.
@@ -23,7 +23,7 @@ const LEAST_WEIGHT: f64 = 1e-6;
 #[derive(Clone)]
 pub struct Imm {
     modes: Vec<Arc<dyn Mode>>,
-    /// Mean time for which a target follows one model [s].
+    /// Mean time for which a target follows a model that has none of its own [s].
     sojourn: f64,
 }
 
@@ -34,6 +34,11 @@ type CorrectedModes = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
 
 /// One motion model together with its state.
 pub trait Mode: Send + Sync {
+    /// Mean time for which a target follows this model [s]; None for that of the filter.
+    fn sojourn(&self) -> Option<f64>;
+    /// How much a target of this covariance tends to this model when it leaves another one,
+    /// relative to the others.
+    fn tendency(&self, covariance: &Matrix6<f64>) -> f64;
     /// This model with the state of a target that was seen once.
     fn started(&self, first: &First) -> Arc<dyn Mode>;
     /// This model with the state of a target whose position and velocity are known.
@@ -76,6 +81,14 @@ impl<const N: usize, M: StateConversion<N>> Member<N, M> {
 }
 
 impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
+    fn sojourn(&self) -> Option<f64> {
+        M::SOJOURN
+    }
+
+    fn tendency(&self, covariance: &Matrix6<f64>) -> f64 {
+        self.engine.motion.tendency(covariance, &self.engine.prior)
+    }
+
     fn started(&self, first: &First) -> Arc<dyn Mode> {
         self.with(self.engine.first(first))
     }
@@ -139,26 +152,42 @@ impl Imm {
         Self { modes, sojourn }
     }
 
-    fn equal(&self, make: impl Fn(&dyn Mode) -> Arc<dyn Mode>) -> Modes {
-        let weight = 1.0 / self.modes.len() as f64;
-        self.modes.iter().map(|mode| (weight, make(&**mode))).collect()
+    /// Every model with the weight that it has before measurements.
+    fn begun(&self, make: impl Fn(&dyn Mode) -> Arc<dyn Mode>) -> Modes {
+        let begun = self.modes.iter().map(|mode| {
+            let mode = make(&**mode);
+            (mode.tendency(&mode.cartesian(None).covariance), mode)
+        });
+        let mut begun: Modes = begun.collect();
+        let all: f64 = begun.iter().map(|(weight, _)| weight).sum();
+        begun.iter_mut().for_each(|(weight, _)| *weight /= all);
+        begun
     }
 
     /// Mixing step: probability of each model after a possible switch, and its mixed state.
     fn interacted(&self, modes: &Modes, dt: f64) -> Modes {
         let count = modes.len();
-        let stay = libm::exp(-dt / self.sojourn);
+        let stays = modes.iter().map(|(_, mode)| mode.sojourn().unwrap_or(self.sojourn));
+        let stays: Vec<f64> = stays.map(|sojourn| libm::exp(-dt / sojourn)).collect();
         // Without time there is no switch: two measurements at one stamp must not mix the models
         // twice.
-        if count < 2 || stay >= 1.0 {
+        if count < 2 || stays.iter().all(|stay| *stay >= 1.0) {
             return modes.clone();
         }
-        let switch = (1.0 - stay) / (count - 1) as f64;
+        let chain: Vec<Vec<f64>> = (0..count)
+            .map(|from| {
+                let covariance = modes[from].1.cartesian(None).covariance;
+                let tendency = |to: usize| modes[to].1.tendency(&covariance);
+                let others: f64 = (0..count).filter(|to| *to != from).map(tendency).sum();
+                let change = |to| (1.0 - stays[from]) * tendency(to) / others;
+                (0..count).map(|to| if to == from { stays[from] } else { change(to) }).collect()
+            })
+            .collect();
         let into = |to: usize| {
             // A model without acceleration must not tell one with it that the acceleration is zero
             // and certain: its missing states come from the model that receives them.
             let own = modes[to].1.cartesian(None);
-            let share = |from: usize| modes[from].0 * if from == to { stay } else { switch };
+            let share = |from: usize| modes[from].0 * chain[from][to];
             let weight: f64 = (0..count).map(share).sum();
             let parts: Vec<(f64, Gaussian<6>)> = (0..count)
                 .map(|from| (share(from) / weight, modes[from].1.cartesian(Some(&own))))
@@ -173,11 +202,11 @@ impl Engine for Imm {
     type State = Modes;
 
     fn first(&self, first: &First) -> Modes {
-        self.equal(|mode| mode.started(first))
+        self.begun(|mode| mode.started(first))
     }
 
     fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Modes> {
-        Some(self.equal(|mode| mode.after_velocity(cv)))
+        Some(self.begun(|mode| mode.after_velocity(cv)))
     }
 
     fn predict(&self, state: &mut Modes, dt: f64, platform: &Platform) {
@@ -223,11 +252,11 @@ impl Engine for Imm {
         state: &mut Modes,
         m: &Measurement,
         platform: &Platform,
-        visit: &mut dyn FnMut(&Innovation),
+        visit: &mut dyn FnMut(f64, &Innovation),
     ) -> Result<(), Error> {
-        for (_, mode) in &*state {
+        for (weight, mode) in &*state {
             if let Some((_, innovation)) = mode.updated(m, platform)? {
-                visit(&innovation);
+                visit(*weight, &innovation);
             }
         }
         Ok(())

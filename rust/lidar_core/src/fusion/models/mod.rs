@@ -5,5 +5,6 @@ pub mod drone;
 pub mod heading;
 pub mod motion;
 pub mod platform;
+pub mod standing;
 pub mod state_conversion;
 pub mod turn;

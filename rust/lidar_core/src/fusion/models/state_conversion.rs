@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::Motion;
+use super::motion::{Motion, Prior};
 use super::turn::direction;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
@@ -16,8 +16,17 @@ pub(super) const ANY_RATE: f64 = 4.0;
 
 /// A model that can convert its state to and from the form [x, y, vx, vy, ax, ay].
 pub trait StateConversion<const N: usize>: Motion<N> {
+    /// Mean time for which a target follows this model [s]; None for that of the filter.
+    const SOJOURN: Option<f64> = None;
+
     /// State in Cartesian form; states that the model does not have are taken from `other`.
     fn cartesian(&self, state: &Gaussian<N>, other: Option<&Gaussian<6>>) -> Gaussian<6>;
+
+    /// How much a target of this covariance tends to this model when it leaves another one,
+    /// relative to the others.
+    fn tendency(&self, _covariance: &SMatrix<f64, 6, 6>, _prior: &Prior) -> f64 {
+        1.0
+    }
 
     /// State of this model that corresponds to `cartesian`.
     fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<N>;

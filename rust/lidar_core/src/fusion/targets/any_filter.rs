@@ -5,6 +5,7 @@ use super::sensor_errors::SensorErrors;
 use super::target::{FilterStep, MeasurementResult, SavedTarget, Target};
 use crate::Error;
 use crate::error::require;
+use crate::estimation::chi2;
 use crate::estimation::unscented::SigmaRule;
 use crate::fusion::filter::engine::{Engine, Innovation, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
@@ -45,8 +46,8 @@ pub enum Method {
         models: [bool; MIXABLE.len()],
         /// Mean time for which a target follows one model [s].
         sojourn: f64,
-        /// Share of the process noise that a second copy of each model has, for targets that move
-        /// evenly or stand; none: no such copies.
+        /// Share of the process noise that a second copy of each model but that of standing targets
+        /// has, for targets that move evenly; none: no such copies.
         quiet: Option<f64>,
     },
 }
@@ -96,7 +97,7 @@ trait Tracked: Send + Sync {
     fn take(&mut self, m: &Measurement) -> MeasurementResult;
     fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]);
     fn foresee(&mut self, stamp_ns: i64) -> bool;
-    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool;
+    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(f64, &Innovation)) -> bool;
     fn score(&mut self, m: &Measurement) -> Option<Innovation>;
     fn stamp_ns(&self) -> i64;
     fn output(&self) -> Option<Output>;
@@ -127,7 +128,7 @@ impl<E: Engine> Tracked for Target<E> {
         Target::foresee(self, stamp_ns)
     }
 
-    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool {
+    fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(f64, &Innovation)) -> bool {
         Target::innovations(self, m, visit)
     }
 
@@ -200,8 +201,10 @@ impl Filter {
         if let Method::Interacting { models, sojourn, quiet } = p.method {
             let loud = std::iter::once(*p);
             let shares = loud.chain(quiet.map(|share| p.with_noise(share)));
-            let modes = shares.flat_map(|p| {
-                let named = MIXABLE.iter().zip(models).filter(|(_, wanted)| *wanted);
+            let modes = shares.enumerate().flat_map(|(copy, p)| {
+                let named = MIXABLE.iter().zip(models).filter(move |(model, wanted)| {
+                    *wanted && (copy == 0 || **model != Model::Standing)
+                });
                 named.filter_map(move |(model, _)| model.with_mixable(ModeOf(&p)))
             });
             let modes: Vec<Arc<dyn Mode>> = modes.collect();
@@ -264,12 +267,12 @@ impl Filter {
         self.0.foresee(stamp_ns)
     }
 
-    /// Visit the innovations of a measurement, of each part of the foreseen state; returns false if
-    /// one of them is not defined.
+    /// Visit the weight and the innovation of a measurement, of each part of the foreseen state;
+    /// returns false if one of them is not defined.
     pub(super) fn innovations(
         &mut self,
         m: &Measurement,
-        visit: &mut dyn FnMut(&Innovation),
+        visit: &mut dyn FnMut(f64, &Innovation),
     ) -> bool {
         self.0.innovations(m, visit)
     }
@@ -277,6 +280,16 @@ impl Filter {
     /// Innovation of a measurement for the foreseen state; None outside the gate.
     pub(super) fn score(&mut self, m: &Measurement) -> Option<Innovation> {
         self.0.score(m)
+    }
+
+    /// Probability that a measurement of the target is further from the foreseen state than this
+    /// one, in deviations of each part of the state.
+    pub(super) fn tail(&mut self, m: &Measurement) -> f64 {
+        let mut tail = 0.0;
+        self.innovations(m, &mut |weight, innovation| {
+            tail += weight * (1.0 - chi2::cdf(innovation.nis, innovation.count as u32));
+        });
+        tail
     }
 
     /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.

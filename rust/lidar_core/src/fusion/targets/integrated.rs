@@ -4,7 +4,7 @@
 use super::lifecycle::Outcome;
 use super::many_parameters::{ExistenceParameters, MAX_TARGETS, ManyParameters};
 use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_of_platform};
-use crate::fusion::filter::engine::Innovation;
+use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
     GatedPair, JointEvidence, PredictedTrack, Presence, Sojourn, associate,
@@ -14,7 +14,7 @@ use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 /// Measurements up to which a track is divided: each further one starts a track of its own, so that
 /// its speed comes from the places of measurements and not from the mean of several.
@@ -40,6 +40,9 @@ const DELETED: f64 = 1e-3;
 const CERTAIN: f64 = 0.9;
 /// Probability of existence below which a track that was certain counts as ended.
 const DOUBTFUL: f64 = 0.5;
+/// False measurements that are expected where a target may be, from which on its track is lost: it
+/// would follow whatever is measured.
+const LOST: f64 = 2.0;
 /// Share of `report` below which a reported track is not reported any more.
 const KEPT: f64 = 0.5;
 
@@ -152,7 +155,7 @@ impl Tracks {
         let measured = self.updated(space, candidates, &found, births, assigned);
         self.born(space, &scanner, &found, &measured, births, assigned);
         self.unite();
-        self.judge_existence(space);
+        self.judge_existence(space, &scanner[0]);
     }
 
     /// Probabilities of existence and association.
@@ -400,11 +403,19 @@ impl Tracks {
     }
 
     /// Report and end tracks by their probabilities.
-    fn judge_existence(&mut self, space: &IntegratedScan<'_>) {
+    fn judge_existence(&mut self, space: &IntegratedScan<'_>, lidar: &Surroundings) {
         let existence = space.existence;
         let widest = space.parameters.max_position_std * space.parameters.max_position_std;
         let stamp_ns = space.scan.stamp_ns;
+        let largest = largest_place(space, lidar);
         self.all.retain(|track| {
+            let is_lost = || {
+                let output = track.filter.output_at(stamp_ns);
+                output.is_some_and(|output| spread_over(&output) > largest)
+            };
+            if track.hits > DIVIDED && is_lost() {
+                return false;
+            }
             let is_placed = || {
                 let output = track.filter.output_at(stamp_ns);
                 output.is_some_and(|o| o.covariance[0][0].max(o.covariance[1][1]) <= widest)
@@ -452,6 +463,20 @@ impl Tracks {
             }
         }
     }
+}
+
+/// Area of a place that is expected to hold [`LOST`] false measurements of the LiDAR [m^2]; infinite
+/// for a scanner without LiDAR.
+fn largest_place(space: &IntegratedScan<'_>, lidar: &Surroundings) -> f64 {
+    let prior = prior_of(space.existence, Sensor::Lidar);
+    let is_used = *lidar != Surroundings::default();
+    if is_used { LOST / lidar.clutter(&prior, 2) } else { f64::INFINITY }
+}
+
+/// Area over which the position of a state spreads [m^2].
+fn spread_over(output: &Output) -> f64 {
+    let [first, second, ..] = output.covariance;
+    TAU * libm::sqrt((first[0] * second[1] - first[1] * second[0]).max(0.0))
 }
 
 impl TargetTrack {
@@ -534,7 +559,7 @@ impl TargetTrack {
 
 /// Twice the logarithm of the volume over which a predicted measurement spreads.
 fn spread(innovation: &Innovation) -> f64 {
-    innovation.log_determinant + innovation.count as f64 * libm::log(std::f64::consts::TAU)
+    innovation.log_determinant + innovation.count as f64 * libm::log(TAU)
 }
 
 /// What a scanner is thought to do before its scans show it.

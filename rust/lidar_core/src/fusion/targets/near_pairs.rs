@@ -48,7 +48,7 @@ impl ScanIndex {
         found.clear();
         for sensor in &self.sensors {
             let mut is_bounded = true;
-            let is_defined = filter.innovations(&sensor.probe, &mut |innovation| {
+            let is_defined = filter.innovations(&sensor.probe, &mut |_, innovation| {
                 is_bounded &= sensor.collect(innovation, gates, found);
             });
             if !(is_defined && is_bounded) {
@@ -129,7 +129,7 @@ impl SensorIndex {
 mod tests {
     use super::*;
     use crate::Error;
-    use crate::fusion::model::Model;
+    use crate::fusion::model::{MIXABLE, Model};
     use crate::fusion::targets::any_filter::{FusionParameters, Method};
     use crate::fusion::targets::lifecycle::{LifecycleRules, Outcome};
 
@@ -194,7 +194,8 @@ mod tests {
     #[test]
     fn near_pairs_are_those_of_comparing_all() -> Result<(), Error> {
         let sigma = Method::Sigma { spread: None, carries: false };
-        let mixed = Method::Interacting { models: [true; 5], sojourn: 1.0, quiet: Some(0.1) };
+        let mixed =
+            Method::Interacting { models: [true; MIXABLE.len()], sojourn: 1.0, quiet: Some(0.1) };
         for (model, method) in [
             (Model::ConstantVelocity, Method::Linear),
             (Model::ConstantVelocity, Method::Extended),

@@ -358,9 +358,13 @@ impl<E: Engine> Target<E> {
         true
     }
 
-    /// Visit the innovations of a measurement, of each part of the foreseen state; returns false if
-    /// one of them is not defined.
-    pub fn innovations(&mut self, m: &Measurement, visit: &mut dyn FnMut(&Innovation)) -> bool {
+    /// Visit the weight and the innovation of a measurement, of each part of the foreseen state;
+    /// returns false if one of them is not defined.
+    pub fn innovations(
+        &mut self,
+        m: &Measurement,
+        visit: &mut dyn FnMut(f64, &Innovation),
+    ) -> bool {
         let Self { rules, now, ahead, .. } = self;
         let Some(ahead) = ahead else { return false };
         match &mut ahead.phase {

@@ -20,6 +20,12 @@ use std::collections::BTreeMap;
 /// pair, so that as many tracks as possible get one.
 const UNASSIGNED: f64 = 1e6;
 
+/// Share of the measurements of targets which come back from hiding that are not believed: those
+/// furthest from where the target was expected.
+const FOREIGN: f64 = 0.02;
+/// The same, below which it is not looked at: of targets that hardly were hidden.
+const CERTAINLY_OWN: f64 = 1e-3;
+
 /// Measurements of one scanner at one time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scan {
@@ -348,6 +354,9 @@ impl Tracks {
             for column in &near {
                 let m = &scan.measurements[*column];
                 let Some(innovation) = track.filter.score(m) else { continue };
+                if is_another_target(track, m) {
+                    continue;
+                }
                 let cost = parameters.association.cost(m, &innovation);
                 if cost.is_finite() {
                     found.pairs.push(Pair { row, column: *column, cost });
@@ -508,6 +517,15 @@ impl TargetTrack {
             && unseen <= parameters.max_coast
             && variance <= parameters.max_position_std * parameters.max_position_std
     }
+}
+
+/// True for a measurement that hardly any target would give where it comes back from hiding.
+///
+/// That hardly any other target appears does not count here: a number that goes over to another
+/// target is worse than a new number.
+fn is_another_target(track: &mut TargetTrack, m: &Measurement) -> bool {
+    let least = FOREIGN * track.belief.presence.hidden_share();
+    least > CERTAINLY_OWN && track.filter.tail(m) < least
 }
 
 pub(super) fn is_of_platform(m: &Measurement) -> bool {

@@ -106,7 +106,7 @@ impl SeenLabeller {
 }
 
 impl AngularGap {
-    fn check(&self) -> Result<(), Error> {
+    pub(super) fn check(&self) -> Result<(), Error> {
         let Self { origin, max_angle } = self;
         require((0.0..=MAX_ANGLE).contains(max_angle), "max_angle", "0 to 0.5", max_angle)?;
         require(

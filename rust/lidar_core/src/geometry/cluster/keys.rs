@@ -2,6 +2,8 @@
 
 use crate::Error;
 use crate::geometry::lattice::wide;
+use crate::util::vector_unit::dispatch;
+use pulp::{Simd, WithSimd};
 use std::ops::{Add, BitAnd, BitOr, Shl, Shr, Sub};
 
 /// Room for rounding: two points at exactly the largest reach never lie more than two octants apart.
@@ -27,14 +29,7 @@ pub(crate) struct OctantGrid {
 impl OctantGrid {
     /// None if no point is finite.
     pub(crate) fn of(points: &[[f32; 3]], largest: f64) -> Result<Option<Self>, Error> {
-        let finite = points.iter().filter(|point| is_finite(**point));
-        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-        for point in finite {
-            for axis in 0..3 {
-                low[axis] = low[axis].min(point[axis]);
-                high[axis] = high[axis].max(point[axis]);
-            }
-        }
+        let [low, high] = dispatch(Extent(points));
         if low[0] > high[0] {
             return Ok(None);
         }
@@ -107,6 +102,54 @@ impl Key for u128 {
     }
 }
 
+/// Points whose box is found at a time.
+const LANES: usize = 16;
+
+/// Lowest and highest corner of the box around the finite points; crossed if there are none.
+struct Extent<'a>(&'a [[f32; 3]]);
+
+impl WithSimd for Extent<'_> {
+    type Output = [[f32; 3]; 2];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> [[f32; 3]; 2] {
+        let (mut low, mut high) = ([[f32::INFINITY; 3]; LANES], [[f32::NEG_INFINITY; 3]; LANES]);
+        let (bundles, rest) = self.0.as_chunks::<LANES>();
+        let mut bundle = [[f32::NAN; 3]; LANES];
+        bundle[..rest.len()].copy_from_slice(rest);
+        for points in bundles.iter().chain([&bundle]) {
+            let mut are_finite = true;
+            for value in points.as_flattened() {
+                are_finite &= value.abs() < f32::INFINITY;
+            }
+            let mut taken = *points;
+            // Most bundles hold finite points alone.
+            if !are_finite {
+                for point in taken.iter_mut().filter(|point| !is_finite(**point)) {
+                    *point = [f32::NAN; 3]; // no comparison holds
+                }
+            }
+            for lane in 0..LANES {
+                for axis in 0..3 {
+                    let value = taken[lane][axis];
+                    let (least, most) = (low[lane][axis], high[lane][axis]);
+                    low[lane][axis] = if value < least { value } else { least };
+                    high[lane][axis] = if value > most { value } else { most };
+                }
+            }
+        }
+        let (mut lowest, mut highest) = (low[0], high[0]);
+        for (low, high) in low.iter().zip(&high) {
+            for axis in 0..3 {
+                lowest[axis] = lowest[axis].min(low[axis]);
+                highest[axis] = highest[axis].max(high[axis]);
+            }
+        }
+        [lowest, highest]
+    }
+}
+
+#[inline(always)]
 pub(crate) fn is_finite(point: [f32; 3]) -> bool {
     point.iter().all(|value| value.is_finite())
 }

@@ -2,6 +2,7 @@
 
 pub mod angular_gap;
 mod cube_reach;
+pub(crate) mod joined;
 mod keys;
 mod octree_link;
 

@@ -46,6 +46,13 @@ impl LevelPose {
         Circle { center: [self.cos * x + self.sin * y, self.cos * y - self.sin * x], radius }
     }
 
+    /// Direction in the world in which a point of the level frame is seen, of length one.
+    pub(in crate::circles::map) fn sight(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let length = libm::hypot(x, y).max(f64::MIN_POSITIVE);
+        let [x, y] = [x / length, y / length];
+        [self.cos * x - self.sin * y, self.sin * x + self.cos * y]
+    }
+
     /// Transform a point from the level frame to the world.
     pub(in crate::circles::map) fn world_point(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [from_x, from_y] = self.origin;

@@ -80,6 +80,10 @@ pub(crate) struct SkyObservation {
     limit: Vec<f32>,
     wider: Vec<f32>,
     is_sky: Vec<bool>,
+    /// How far the sky of a cell is known to be free [m].
+    sky_reach: Vec<f32>,
+    /// Whether the rays lie in rows.
+    has_rows: bool,
     /// Range and height above the sensor of some returns [m].
     samples: Vec<[f64; 2]>,
     /// Values that are ranked.
@@ -120,6 +124,9 @@ impl SkyObservation {
         self.since_ns.resize(CELLS, NEVER);
         self.is_sky.clear();
         self.is_sky.resize(CELLS, false);
+        self.sky_reach.clear();
+        self.sky_reach.resize(CELLS, 0.0);
+        self.has_rows = sky.has_rows();
         if !self.has_returns {
             return; // tells nothing, not even of open sky
         }
@@ -157,9 +164,17 @@ impl SkyObservation {
         sky as f64 / all.max(1) as f64
     }
 
-    /// Whether a direction is sky.
-    pub(crate) fn is_sky_at(&self, direction: [f64; 3]) -> bool {
-        self.is_sky[GRID.cell(direction)]
+    /// How far the sky in a direction is free [m]; 0 where it is none. Holes in surfaces, and what is
+    /// beside surfaces, are free up to these only.
+    pub(crate) fn sky_reach_at(&self, direction: [f64; 3]) -> f64 {
+        f64::from(self.sky_reach[GRID.cell(direction)])
+    }
+
+    /// Rays per steradian that a scan casts in a direction; None for rows, between which there are
+    /// none.
+    pub(crate) fn density_at(&self, direction: [f64; 3]) -> Option<f64> {
+        let cell = GRID.cell(direction);
+        (!self.has_rows).then(|| f64::from(self.expected[cell]) / GRID.solid_angles[cell])
     }
 
     /// Height below which things are on the ground, relative to the sensor [m].

@@ -52,6 +52,7 @@ impl SkyObservation {
                 let was_sky = is_same_place && sky.since_ns[cell] != NEVER;
                 let since = if was_sky { sky.since_ns[cell] } else { self.stamp_ns };
                 (self.since_ns[cell], self.is_sky[cell]) = (since, true);
+                self.sky_reach[cell] = reach as f32;
                 is_trusted = self.stamp_ns.saturating_sub(since) >= TRUSTED_NS;
             }
             for part in 0..PARTS * PARTS {

@@ -8,11 +8,20 @@ pub trait Occupancy: Sync {
     fn any_within(&self, point: [f64; 3], distance: f64) -> bool;
 }
 
+/// Rays that must pass, so that a target should have given returns.
+pub const ENOUGH_RAYS: usize = 3;
+
 /// Visibility of targets in a scan.
 pub trait Visibility: Sync {
-    /// True if a target in the ball around `position` [m] should have given returns: it is in the
-    /// field of view and within range, and nothing hides it.
-    fn expected(&self, position: [f64; 3], radius: f64) -> bool;
+    /// Rays that end in the ball around `position` [m] or pass through it, counted up to `most`: a
+    /// target there, of that size, was in the field of view and within range of so many, and nothing
+    /// hid it from them.
+    fn rays(&self, position: [f64; 3], radius: f64, most: usize) -> usize;
+
+    /// True if a target in the ball around `position` [m] should have given returns.
+    fn expected(&self, position: [f64; 3], radius: f64) -> bool {
+        self.rays(position, radius, ENOUGH_RAYS) >= ENOUGH_RAYS
+    }
 
     /// Centres of targets, given the rows of their points in the scan; None if the rays that
     /// passed beside them are not known.

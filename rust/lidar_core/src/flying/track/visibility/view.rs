@@ -18,7 +18,7 @@ pub struct CloudView<'a> {
 }
 
 impl Visibility for CloudView<'_> {
-    fn expected(&self, position: [f64; 3], radius: f64) -> bool {
+    fn rays(&self, position: [f64; 3], radius: f64, most: usize) -> usize {
         let radius = radius.min(LOOK_RADIUS);
         let target = minus(position, self.origin);
         let distance = norm(target);
@@ -36,7 +36,7 @@ impl Visibility for CloudView<'_> {
                 }
             }
         }
-        nearer <= farther
+        if nearer <= farther { most } else { 0 } // the rays that met nothing are not known
     }
 }
 

@@ -1,0 +1,1 @@
+"""Flying objects of many sizes and speeds, and all that moves beside them."""

@@ -1,0 +1,151 @@
+"""The part of the world that a picture shows: what moves is in its middle."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+TIMES = 3.0
+"""Size of the picture over that of what moves: the rest shows where it is."""
+MOST_TIMES = 5.0
+"""The same at most, where the picture grows to show the sensor."""
+SMALLEST = 8.0
+"""Least size of what is shown [m]."""
+MOST_EXTENDED = 1.6
+"""Growth of a picture of a map at most, for what moves to be in its middle third."""
+THIRD = 2.8
+"""One over the share from the border to the middle third, with some reserve."""
+EDGE = 1.2
+"""Room at the border, where the picture grows to show something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of the world.
+
+    Attributes
+    ----------
+    low, high : ndarray, shape (2,), float64
+        Corners [m].
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """Centre [m]."""
+        return (self.low + self.high) / 2
+
+    def holds(self, place: NDArray[np.float64]) -> bool:
+        """Whether a place is inside."""
+        return bool(((place >= self.low) & (place <= self.high)).all())
+
+    def corner_away_from(self, places: Iterable[NDArray[np.float64]]) -> str:
+        """Corner for a legend: the upper left, or the lower right if a place is there."""
+        rows = _finite(places)
+        is_upper_left = (rows[:, 0] < self.middle[0]) & (rows[:, 1] > self.middle[1])
+        return "lower right" if is_upper_left.any() else "upper left"
+
+    def apply(self, axes: Any) -> None:
+        """Show this part of the world in a panel of the same shape."""
+        axes.set_aspect("equal", adjustable="box")
+        axes.set_xlim(self.low[0], self.high[0])
+        axes.set_ylim(self.low[1], self.high[1])
+
+
+def window_around(
+    moving: Iterable[NDArray[np.float64]],
+    tall: float,
+    *,
+    also: Iterable[NDArray[np.float64]] = (),
+    times: float = TIMES,
+    smallest: float = SMALLEST,
+) -> Window:
+    """Rectangle with what moves in its middle.
+
+    It is `times` as large as what moves. It grows until it shows `also`, but at most to
+    `MOST_TIMES` as large as what moves, so that what moves can be seen.
+
+    Parameters
+    ----------
+    moving, also : iterable of ndarray, shape (N, 2)
+        Places [m]; rows that are not finite are left out.
+    tall : float
+        Height of the panel over its width.
+    times : float
+        Size of the rectangle over that of `moving`.
+    smallest : float
+        Least width and height [m].
+
+    Returns
+    -------
+    window : Window
+    """
+    seen, rest = _finite(moving), _finite(also)
+    focus = seen if len(seen) else rest
+    if not len(focus):
+        focus = np.zeros((1, 2))
+    low, high = focus.min(axis=0), focus.max(axis=0)
+    middle, shape = (low + high) / 2, np.array([1.0, tall])
+    least = max(float(((high - low) / shape).max()) * times, smallest / min(1.0, tall))
+    most = least / times * max(times, MOST_TIMES)
+    reach = 2 * np.abs(rest - middle).max(axis=0, initial=0.0) / shape * EDGE
+    half = min(max(least, float(reach.max())), most) * shape / 2
+    return Window(middle - half, middle + half)
+
+
+def window_over(
+    places: Iterable[NDArray[np.float64]],
+    tall: float,
+    *,
+    smallest: float,
+    moving: Iterable[NDArray[np.float64]] = (),
+) -> Window:
+    """Rectangle that shows all places, with some room around them.
+
+    It is extended, by at most `MOST_EXTENDED`, until the centre of what moves is in its middle
+    third.
+
+    Parameters
+    ----------
+    places, moving : iterable of ndarray, shape (N, 2)
+        [m]; rows that are not finite are left out.
+    tall : float
+        Height of the panel over its width.
+    smallest : float
+        Least width and height [m].
+
+    Returns
+    -------
+    window : Window
+    """
+    tight = window_around(places, tall, times=1.12, smallest=smallest)
+    seen = _finite(moving)
+    if not len(seen):
+        return tight
+    rows = np.concatenate([_finite(places), seen])
+    room = 0.06 * (rows.max(axis=0) - rows.min(axis=0)).max()
+    low, high = rows.min(axis=0) - room, rows.max(axis=0) + room
+    centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    size = MOST_EXTENDED * (high - low)
+    wider_low = np.maximum(np.minimum(low, (THIRD * centre - high) / (THIRD - 1)), high - size)
+    wider_high = np.minimum(np.maximum(high, (THIRD * centre - low) / (THIRD - 1)), low + size)
+    return window_around([wider_low, wider_high], tall, times=1.0, smallest=smallest)
+
+
+def panel_tallness(axes: Any) -> float:
+    """Height of a panel over its width, as laid out, before an aspect shrinks it."""
+    width, height = axes.figure.get_size_inches()
+    place = axes.get_subplotspec().get_position(axes.figure)
+    return float(place.height * height / (place.width * width))
+
+
+def _finite(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    rows = np.concatenate(
+        [np.empty((0, 2)), *(np.asarray(part, float).reshape(-1, 2) for part in parts)]
+    )
+    kept: NDArray[np.float64] = rows[np.isfinite(rows).all(axis=1)]
+    return kept

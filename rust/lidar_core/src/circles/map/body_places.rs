@@ -1,0 +1,28 @@
+//! Places of bodies: when two are one object, and where one may be.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::rules::Rules;
+use crate::estimation::kalman::Gaussian;
+use nalgebra::{Matrix2, Vector3};
+
+/// True if two circles (x, y, r) are one object.
+pub(super) fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
+    let gap = rules.parameters().merge_gap;
+    let [x, y] = [one[0] - two[0], one[1] - two[1]];
+    let touching = if gap > 0.0 { one[2] + two[2] + gap } else { 0.0 };
+    let reach = one[2].max(two[2]).max(touching);
+    x * x + y * y < reach * reach
+}
+
+/// Axes of the ellipse of one standard deviation of the centre [m].
+pub(super) fn axes(state: &Gaussian<5>) -> [[f64; 2]; 2] {
+    let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+    let (mean, half) = (0.5 * (P[(0, 0)] + P[(1, 1)]), 0.5 * (P[(0, 0)] - P[(1, 1)]));
+    // Eigenvalues of a 2x2 matrix in closed form: fixed operations, the same bits everywhere.
+    let root = (half * half + P[(0, 1)] * P[(0, 1)]).sqrt();
+    let [long, short] = [mean + root, mean - root].map(|value| value.max(0.0).sqrt());
+    let angle = 0.5 * libm::atan2(P[(0, 1)], half);
+    let (sin, cos) = (libm::sin(angle), libm::cos(angle));
+    [[long * cos, long * sin], [-short * sin, short * cos]]
+}

@@ -1,0 +1,142 @@
+//! Errors of circles that do not average out: those of a scanner that looks from the same place.
+//!
+//! An object ends somewhere between the last ray that met it and the first that passed it. Where in
+//! between stays the same error in every scan, as long as the rays meet the object at the same
+//! bearings. Other rays, from a scanner that turns or moves, make a new error.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::view::level_pose::LevelPose;
+use crate::circles::preprocess::polar_scan::turn;
+use crate::estimation::kalman::{Gaussian, symmetrised};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Change of the bearing of an object's side, in spacings of rays, above which its error is another.
+const OTHER: f64 = 0.3;
+/// Weight of the newest look in the share of looks that were the same.
+const NEWEST: f64 = 0.1;
+/// Rows of x, y and the radius in the state of an element.
+const PLACES: [usize; 3] = [0, 1, 4];
+/// Largest share of the covariance of a fit that such errors have.
+const MOST: f64 = 0.9;
+
+/// From where, and with which rays, an object was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Look {
+    /// Place of the scanner [m], and its yaw [rad].
+    place: [f64; 2],
+    yaw: f64,
+    /// Angle from ray to ray [rad].
+    spacing: f64,
+}
+
+impl Look {
+    pub(super) fn new(pose: &LevelPose, spacing: f64) -> Self {
+        Self { place: pose.origin(), yaw: pose.yaw(), spacing }
+    }
+
+    /// Bearings of both sides of a circle (x, y, r), seen from here.
+    fn sides(&self, circle: &Vector3<f64>) -> [f64; 2] {
+        let [x, y] = [circle[0] - self.place[0], circle[1] - self.place[1]];
+        let half = libm::asin((circle[2] / libm::hypot(x, y).max(1e-9)).min(1.0));
+        let bearing = libm::atan2(y, x) - self.yaw;
+        [bearing - half, bearing + half]
+    }
+
+    /// True if rays meet the sides of a circle as they did at other bearings of its sides.
+    fn is_same(&self, circle: &Vector3<f64>, before: [f64; 2]) -> bool {
+        let mut sides = self.sides(circle).into_iter().zip(before);
+        sides.all(|(one, other)| turn(one - other).abs() < OTHER * self.spacing)
+    }
+
+    /// Covariance of the errors of a fit (x, y, r) of covariance `R` that come from the places of
+    /// its sides between rays, each spread evenly over the angle from ray to ray.
+    fn lasting(&self, circle: &Vector3<f64>, R: &Matrix3<f64>) -> Matrix3<f64> {
+        let [x, y] = [circle[0] - self.place[0], circle[1] - self.place[1]];
+        let distance = libm::hypot(x, y).max(1e-9);
+        let gap = distance * self.spacing;
+        let mut information = Matrix3::zeros();
+        for side in [-1.0, 1.0] {
+            let across = Vector3::new(-y / distance, x / distance, side);
+            information += across * across.transpose() * (12.0 / (gap * gap));
+        }
+        // The fit weights what it knows by its information: error = R * information * error of sides.
+        let lasting = R * information * R;
+        lasting * (MOST * R.trace() / lasting.trace()).min(1.0)
+    }
+}
+
+/// Looks at one object.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Looks {
+    /// Bearings of its sides in the last one [rad].
+    last: Option<[f64; 2]>,
+    /// Share of recent looks that were the same as the one before.
+    same: f64,
+    lasting: Matrix3<f64>,
+    /// Share of the covariance of the fits that such errors have.
+    share: f64,
+}
+
+impl Looks {
+    /// Take in a look at an object, a circle (x, y, r) by all that is known, whose fit has the
+    /// covariance `R`.
+    pub(super) fn add(&mut self, look: Look, circle: &Vector3<f64>, R: &Matrix3<f64>) {
+        let is_same = self.last.is_some_and(|last| look.is_same(circle, last));
+        self.same += NEWEST * (f64::from(u8::from(is_same)) - self.same);
+        let weight = if self.last.is_none() { 1.0 } else { NEWEST };
+        let lasting = look.lasting(circle, R);
+        self.lasting += (lasting - self.lasting) * weight;
+        self.share += (lasting.trace() / R.trace() - self.share) * weight;
+        self.last = Some(look.sides(circle));
+    }
+
+    /// A state with the error that no number of the same looks makes smaller, in place of the part
+    /// of its covariance that the filter takes for new in every scan.
+    pub(super) fn widen(&self, state: &mut Gaussian<5>) {
+        let mut kept = SMatrix::<f64, 5, 5>::identity();
+        let lasting = self.lasting * self.same;
+        for place in PLACES {
+            kept[(place, place)] = (1.0 - self.share * self.same).sqrt();
+        }
+        let mut covariance = kept * state.covariance * kept;
+        for (row, i) in PLACES.into_iter().enumerate() {
+            for (column, j) in PLACES.into_iter().enumerate() {
+                covariance[(i, j)] += lasting[(row, column)];
+            }
+        }
+        state.covariance = symmetrised(covariance);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::transform::Transform;
+    use nalgebra::SVector;
+
+    /// Covariance of a well-known place after 50 looks from the origin, turned by `step` each time.
+    fn after(step: f64) -> SMatrix<f64, 5, 5> {
+        let (mut looks, circle) = (Looks::default(), Vector3::new(5.0, 0.0, 0.2));
+        for scan in 0..50 {
+            let (sin, cos) = (libm::sin(step * f64::from(scan)), libm::cos(step * f64::from(scan)));
+            let rotation = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
+            let pose = LevelPose::of(&Transform { rotation, translation: [0.0; 3] });
+            looks.add(Look::new(&pose, 0.01), &circle, &(Matrix3::identity() * 1e-4));
+        }
+        let mut state = Gaussian { mean: SVector::zeros(), covariance: SMatrix::identity() * 1e-9 };
+        looks.widen(&mut state);
+        state.covariance
+    }
+
+    #[test]
+    fn what_the_same_rays_show_keeps_its_error_and_what_others_show_does_not() {
+        let (still, turning) = (after(0.0), after(0.004));
+        // Sides known to 0.05 m / sqrt(12): the fit of 0.01 m hangs on them by 0.96 of its weight.
+        assert!((still[(1, 1)].sqrt() - 0.01 * 0.96).abs() < 0.0011, "{still}");
+        assert!(still[(0, 0)] < 1e-9); // they tell nothing about the distance
+        assert!((turning - SMatrix::identity() * 1e-9).abs().max() < 1e-15);
+        assert!((still - still.transpose()).abs().max() < 1e-15);
+    }
+}

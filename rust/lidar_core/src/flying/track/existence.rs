@@ -1,0 +1,238 @@
+//! How probable it is that the target of a track exists.
+//!
+//! Besides a target, two other causes make detections: something that stands still and has just come
+//! into view, such as a part of a surface, and returns that come and go, such as rain, dust and leaves.
+//! Every set of detections says how well each of the three explains what was seen of a track. How often
+//! tracks begin that have no target is learnt from those that end.
+
+use super::measurement::Evidence;
+use super::motion::position_block;
+use super::state::{PointTrack, seconds};
+use super::visibility::occupancy::ENOUGH_RAYS;
+use crate::tracking::existence::{Presence, Sojourn};
+use serde::{Deserialize, Serialize};
+
+/// A track is removed if its target is less probable.
+pub(super) const DELETED: f64 = 0.01;
+/// Share of the probability from which on a track is reported, below which it is not any more.
+pub(super) const KEPT: f64 = 0.2;
+/// Detections of less confidence are weak.
+pub(super) const SURE: f64 = 0.7;
+/// A track this far from where it began has moved, with two standard deviations on top [m] ...
+pub(super) const MOVED: f64 = 0.5;
+/// ... if nothing is left this near to its start [m].
+pub(super) const CLEARED: f64 = 0.3;
+/// Rays through the place of a target that hardly ever miss it.
+pub(super) const MANY_RAYS: usize = 12;
+
+/// Mean times for which a target stays, gives returns, and gives none although it is in view [s].
+const MEAN: Sojourn = Sojourn { lifetime: 30.0, visible: 5.0, hidden: 0.3 };
+
+/// What a set of detections, and the scan before it, show of a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Sight {
+    /// It is out of the field of view, or something is in front of it: nothing is said.
+    Unseen,
+    /// Many rays went through its place and met nothing.
+    Missed,
+    /// A few rays did.
+    BarelyMissed,
+    /// Points, of which nothing tells that they are in free space.
+    Followed,
+    /// Too few points for a detection, in free space.
+    Few,
+    /// A detection that is not certain.
+    Weak,
+    /// A certain detection.
+    Sure,
+}
+
+/// How likely each cause makes something: a target, one that gives no returns for a while, something
+/// that stands, and what comes and goes. Only ratios count.
+type Likelihood = [f64; 4];
+
+impl Sight {
+    /// Of a track without points, through whose place so many rays went.
+    pub(super) fn without(rays: usize) -> Self {
+        match rays {
+            MANY_RAYS.. => Self::Missed,
+            ENOUGH_RAYS.. => Self::BarelyMissed,
+            _ => Self::Unseen,
+        }
+    }
+
+    /// Whether it tells about a track at all. Points that may be of anything say that what began the
+    /// track stands, but nothing about what has moved; few points say something about that alone.
+    fn tells(self, has_moved: bool) -> bool {
+        match self {
+            Self::Followed => !has_moved,
+            Self::Few => has_moved,
+            _ => true,
+        }
+    }
+
+    /// Whether it is something in free space, of which the place tells.
+    fn is_in_free_space(self) -> bool {
+        matches!(self, Self::Few | Self::Weak | Self::Sure)
+    }
+
+    fn of_detection(evidence: Evidence) -> Self {
+        if evidence.is_sure { Self::Sure } else { Self::Weak }
+    }
+
+    /// Shares of what was seen of tracks, with and without targets, of simulated sensors as their
+    /// drivers deliver them and in rain, dust, leaves and among insects.
+    fn likelihood(self) -> Likelihood {
+        match self {
+            Self::Unseen => [1.0; 4],
+            Self::Missed => [0.06, 0.42, 0.10, 0.42],
+            Self::BarelyMissed => [0.20, 0.42, 0.10, 0.42],
+            Self::Followed => [0.25, 0.03, 0.55, 0.16],
+            Self::Few => [0.04, 0.02, 0.005, 0.015],
+            Self::Weak => [0.33, 0.03, 0.15, 0.20],
+            Self::Sure => [0.33, 0.02, 0.02, 0.08],
+        }
+    }
+}
+
+/// Of a detection that seems to be a part of a surface: one in thirty of those of targets, half of
+/// those of parts.
+const JOINED: Likelihood = [0.033, 0.033, 0.5, 0.033];
+/// Of having moved.
+const HAS_MOVED: Likelihood = [0.9, 0.9, 0.03, 0.3];
+/// What comes and goes does so anywhere in the gate of a track; what is there is found near its
+/// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
+/// two at no distance, for the largest distance of default gates, and its bounds: neither are targets
+/// that well described, nor is the rest that scattered.
+const NEAREST: f64 = 25.0;
+const NEAR_BOUNDS: [f64; 2] = [0.1, 3.0];
+/// Of having more points around it than its own.
+const AMONG_STRAYS: f64 = 0.02;
+
+/// What is known of the causes of a track.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Belief {
+    presence: Presence,
+    /// Probability that something stands there, if there is no target.
+    standing: f64,
+    stamp_ns: i64,
+    has_moved: bool,
+}
+
+impl Belief {
+    /// Before anything was seen.
+    pub(super) fn unknown(stamp_ns: i64) -> Self {
+        let presence = Presence::measured(0.5);
+        Self { presence, standing: 0.5, stamp_ns, has_moved: false }
+    }
+
+    /// Of a track that begins with a detection.
+    pub(super) fn born(prior: f64, first: Evidence, stamp_ns: i64) -> Self {
+        let mut belief = Self { presence: Presence::measured(prior), ..Self::unknown(stamp_ns) };
+        belief.take(Sight::of_detection(first).likelihood());
+        if first.is_joined {
+            belief.take(JOINED);
+        }
+        belief
+    }
+
+    /// At another time, without anything seen.
+    pub(super) fn at(&self, stamp_ns: i64) -> Self {
+        let presence = self.presence.predicted(seconds(self.stamp_ns, stamp_ns), &MEAN);
+        Self { presence, stamp_ns, ..*self }
+    }
+
+    /// Probability that the target of `track` exists: one among many returns that belong to nothing is
+    /// rather one of them.
+    pub(super) fn existence(&self, track: &PointTrack) -> f64 {
+        let is_among_strays = track.stray_points > track.own_points;
+        let odds = if is_among_strays { AMONG_STRAYS } else { 1.0 };
+        self.presence.weighed(odds, odds).existence
+    }
+
+    /// Whether the track was seen away from where it began.
+    pub(super) fn has_moved(&self) -> bool {
+        self.has_moved
+    }
+
+    /// Of two tracks of one target.
+    pub(super) fn more_probable(self, other: Self) -> Self {
+        if other.presence.existence > self.presence.existence { other } else { self }
+    }
+
+    fn take(&mut self, [target, hidden, standing, fleeting]: Likelihood) {
+        let without = self.standing * standing + (1.0 - self.standing) * fleeting;
+        self.standing *= standing / without;
+        self.presence = self.presence.weighed(target / without, hidden / without);
+    }
+}
+
+/// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that.
+pub(super) fn weigh(track: &mut PointTrack, evidence: Option<Evidence>, stamp_ns: i64) {
+    let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
+    let sight = evidence.map_or(seen, Sight::of_detection);
+    let mut belief = track.belief.at(stamp_ns.max(track.belief.stamp_ns));
+    let near = track.nis.take().map(|nis| NEAREST * libm::exp(-0.5 * nis));
+    if sight.is_in_free_space() && !belief.has_moved && has_moved(track) {
+        belief.has_moved = true;
+        belief.take(HAS_MOVED);
+        belief.standing = 0.0; // it may be something else yet, but it does not stand
+    }
+    if sight.tells(belief.has_moved) {
+        belief.take(sight.likelihood());
+        if let Some(near) = near.filter(|_| evidence.is_some()) {
+            let near = near.clamp(NEAR_BOUNDS[0], NEAR_BOUNDS[1]);
+            belief.take([near, near, near, 1.0]);
+        }
+    }
+    if evidence.is_some_and(|evidence| evidence.is_joined) {
+        belief.take(JOINED);
+    }
+    track.belief = belief;
+}
+
+/// True if a track is surely away from where it began and nothing is left there.
+fn has_moved(track: &PointTrack) -> bool {
+    let spread = position_block(&track.estimate.covariance).trace() / 3.0;
+    let reach = MOVED + 2.0 * spread.max(0.0).sqrt();
+    track.left && (track.position() - track.born_at).norm() > reach
+}
+
+/// Number of sets after which one counts 1/e.
+const MEMORY: f64 = 300.0;
+/// Tracks that begin with a target, in a set of detections.
+const TARGETS: f64 = 0.03;
+/// Tracks that begin without one, and the sets in which they did, before tracks tell.
+const FALSE_PRIOR: f64 = 1.0;
+const SETS_PRIOR: f64 = 10.0;
+/// Fewest tracks without a target that a set is expected to begin.
+const FEWEST: f64 = 0.02;
+
+/// How often tracks begin that have no target.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(super) struct Births {
+    sets: f64,
+    without_target: f64,
+}
+
+impl Births {
+    /// Take in a set of detections.
+    pub(super) fn count_set(&mut self) {
+        let kept = 1.0 - 1.0 / MEMORY;
+        self.sets = kept * self.sets + 1.0;
+        self.without_target *= kept;
+    }
+
+    /// Take in the end of a track.
+    pub(super) fn count_end(&mut self, track: &PointTrack) {
+        if !track.was_confirmed {
+            self.without_target += 1.0 - track.belief.existence(track);
+        }
+    }
+
+    /// Probability that a new track has a target.
+    pub(super) fn prior(&self) -> f64 {
+        let without = (FALSE_PRIOR + self.without_target) / (SETS_PRIOR + self.sets);
+        TARGETS / (TARGETS + without.max(FEWEST))
+    }
+}

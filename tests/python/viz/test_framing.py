@@ -1,0 +1,215 @@
+"""Pictures are framed on what moves: measured on the figures of the demo and of all tours."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from commands import invoke
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
+from repository import ROOT
+
+from lidar_core.viz import Playback, circles_picture, flying_picture, fusion_picture
+from lidar_core.viz import playback_picture as playback
+from lidar_core.viz.drawing.frame import window_around, window_over
+from lidar_core.viz.drawing.labels import NUMBER, placed
+from lidar_core.viz.drawing.marks import RING, WAY, round_length
+from lidar_core.viz.figure import write_figure
+
+LEAST = 20
+"""Pixels that a way is long at least."""
+MODULES = (circles_picture, flying_picture, fusion_picture, playback)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Figures of picture.png and `view --png`, by tour; they are drawn as the commands draw."""
+    folder, figures = tmp_path_factory.mktemp("tours"), {}
+    text = (ROOT / "docs/tour-circles.md").read_text(encoding="utf-8")
+    (scene,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    tomllib.loads(scene)
+    (folder / "hall.toml").write_text(scene, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        for module in MODULES:
+            patch.setattr(module, "write_figure", kept_in(figures))
+        for name, commands in {
+            "demo": [("demo", "-o", "demo")],
+            "flying": [
+                ("simulate", "demo", "-o", "a.npz", "--seed", 3, "--scans", 30),
+                ("detect", "a.npz", "-o", "flying"),
+            ],
+            "circles": [
+                ("simulate", "hall.toml", "-o", "hall.npz"),
+                ("circles", "hall.npz", "-o", "circles"),
+            ],
+            "fusion": [
+                ("simulate", "overflight", "-o", "a.csv", "--seed", 1),
+                ("fuse", "a.csv", "-o", "fusion"),
+            ],
+        }.items():
+            patch.chdir(folder)
+            for command in commands:
+                done = invoke(*command)
+                assert done.exit_code == 0, done.output
+            figures[name, "picture"] = figures.pop("last")
+            if name != "demo":  # it keeps no scans; its tour looks at the picture
+                playback.draw_moment(Playback(folder / name), folder / "a.png")
+                figures[name, "png"] = figures.pop("last")
+    return figures
+
+
+def kept_in(figures):
+    def write(path, draw, *, size, dpi):
+        def keep(figure):
+            draw(figure)
+            figure.canvas.draw()
+            figures["last"] = figure
+
+        return write_figure(path, keep, size=size, dpi=dpi)
+
+    return write
+
+
+def pixels_of(axes):
+    """Corners of a panel, and those of each way in it."""
+    box = axes.get_window_extent()
+    ways = [
+        axes.transData.transform(line.get_xydata())
+        for line in axes.lines
+        if line.get_gid() == WAY and len(line.get_xydata())
+    ]
+    return np.array([[box.x0, box.y0], [box.x1, box.y1]]), ways
+
+
+def in_middle_third(panel, places):
+    low, high = np.concatenate(places).min(axis=0), np.concatenate(places).max(axis=0)
+    share = ((low + high) / 2 - panel[0]) / (panel[1] - panel[0])
+    return bool(((share > 1 / 3) & (share < 2 / 3)).all())
+
+
+CASES = [
+    *((name, "picture") for name in ("demo", "flying", "circles", "fusion")),
+    *((name, "png") for name in ("flying", "circles", "fusion")),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_what_moves_is_in_the_middle_third_and_can_be_seen(drawn, case):
+    figure = drawn[case]
+    panels = figure.axes[:2] if case[0] in {"demo", "flying"} else figure.axes[:1]
+    for axes in panels:
+        panel, ways = pixels_of(axes)
+        moving = [way for way in ways if np.ptp(way, axis=0).max() >= LEAST]
+        assert in_middle_third(panel, moving)
+        still = 1 if case[0] == "circles" else 0  # the post stands
+        assert len(ways) - len(moving) == still
+        for way in moving:
+            assert (way >= panel[0] - 1).all()
+            assert (way <= panel[1] + 1).all()
+
+
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_pictures_have_a_legend_a_scale_a_time_and_sigmas(drawn, case):
+    figure = drawn[case]
+    above = figure.axes[0]
+    names = [text.get_text() for text in above.get_legend().get_texts()]
+    assert any("2σ" in name for name in names), names
+    told = [text.get_text() for text in above.texts]
+    assert any(re.fullmatch(r"[\d.]+ m", text) for text in told), told
+    titles = f"{above.get_title(loc='left')}; {figure.get_suptitle()}"
+    assert re.search(r"[\d.]+ s\b", titles), titles
+
+
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_numbers_do_not_lie_over_one_another(drawn, case):
+    for axes in drawn[case].axes[:2]:
+        boxes = [
+            text.get_bbox_patch().get_window_extent()
+            for text in axes.texts
+            if text.get_gid() == NUMBER
+        ]
+        for order, one in enumerate(boxes):
+            assert not any(one.overlaps(other) for other in boxes[:order])
+
+
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_the_map_fills_its_panel(drawn, case):
+    """Half of the canvas empty was the complaint: an aspect must not shrink the panel."""
+    figure = drawn[case]
+    width, height = figure.get_size_inches() * figure.dpi
+    box = figure.axes[0].get_window_extent()
+    assert box.height > 0.75 * height
+    assert box.width > 0.34 * width
+    assert isinstance(figure.canvas, FigureCanvasAgg)
+
+
+def test_twenty_numbers_at_one_place_are_all_readable():
+    panel = np.array([[0.0, 0.0], [700.0, 700.0]])
+    sizes = [np.array([20.0, 16.0])] * 20
+    centres = placed([np.array([350.0, 350.0])] * 20, sizes, np.empty((0, 2)), panel)
+    apart = np.abs(np.array(centres)[:, None] - np.array(centres)[None]) - [20, 16]
+    free = (apart > 0).any(axis=2) | np.eye(20, dtype=bool)
+    assert free.all()
+    assert np.hypot(*(np.array(centres) - 350).T).max() < 250
+
+
+def test_numbers_avoid_ways_and_the_border():
+    way = np.column_stack([np.linspace(0, 200, 100), np.linspace(0, 200, 100)])
+    panel = np.array([[0.0, 0.0], [200.0, 200.0]])
+    (centre,) = placed([np.array([100.0, 100.0])], [np.array([16.0, 16.0])], way, panel)
+    assert not (np.abs(way - centre) <= 8).all(axis=1).any()
+    (corner,) = placed([np.array([199.0, 199.0])], [np.array([16.0, 16.0])], way[:1], panel)
+    assert (corner + 8 <= 200).all()
+
+
+def test_windows_grow_for_the_sensor_only_while_what_moves_stays_visible():
+    way = np.array([[10.0, 10.0], [14.0, 11.0]])
+    plain = window_around([way], 1.0)
+    np.testing.assert_allclose(plain.high - plain.low, 12.0)
+    near = window_around([way], 1.0, also=[np.array([[5.0, 10.0]])])
+    assert near.holds(np.array([5.0, 10.0]))
+    np.testing.assert_allclose(near.middle, [12.0, 10.5])
+    far = window_around([way], 1.0, also=[np.array([[-500.0, 0.0]])])
+    assert not far.holds(np.array([-500.0, 0.0]))
+    np.testing.assert_allclose(far.high - far.low, 20.0)
+    unknown = window_around([np.full((3, 2), np.nan)], 0.5)
+    np.testing.assert_allclose(unknown.middle, 0.0)
+    over = window_over([way, np.array([[np.inf, 0.0]])], 1.0, smallest=1.0)
+    np.testing.assert_allclose(over.high - over.low, 4.48)
+
+
+@pytest.mark.parametrize(("most", "length"), [(9.9, 5.0), (10.0, 10.0), (0.03, 0.02), (2.4, 2.0)])
+def test_bars_have_round_lengths(most, length):
+    assert round_length(most) == pytest.approx(length)
+
+
+def test_a_ring_has_its_size_in_pixels(tmp_path):
+    from lidar_core.viz.drawing.marks import ring
+
+    def draw(figure):
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.set_axis_off()
+        axes.set(xlim=(0, 1), ylim=(0, 1))
+        ring(axes, np.array([0.5, 0.5]), "#ff0000")
+
+    path = write_figure(tmp_path / "a.png", draw, size=(2, 2), dpi=100)
+    red = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    rows, columns = np.nonzero(red[..., 1] < 128)
+    assert abs(np.ptp(rows) + 1 - RING) <= 3
+    assert abs(np.ptp(columns) + 1 - RING) <= 3
+
+
+def test_maps_grow_a_little_for_what_moves():
+    """Until its centre is in the middle third, but a far corner does not empty the picture."""
+    room = np.array([[0.0, 0.0], [10.0, 10.0]])
+    walk = np.array([[7.0, 5.0], [9.0, 5.0]])
+    window = window_over([room], 1.0, smallest=4.0, moving=[walk])
+    share = (8.0 - window.low[0]) / (window.high[0] - window.low[0])
+    assert 1 / 3 < share < 2 / 3
+    assert window.holds(room[0])
+    assert window.holds(room[1])
+    corner = window_over([room], 1.0, smallest=4.0, moving=[np.array([[10.0, 10.0]])])
+    assert (corner.high - corner.low < 1.7 * 10 * 1.12).all()
+    plain = window_over([room], 1.0, smallest=4.0)
+    np.testing.assert_allclose(plain.high - plain.low, 11.2)
