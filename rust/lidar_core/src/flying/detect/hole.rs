@@ -54,27 +54,54 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
             Some(Seen { place, is_else: !is_level, is_surface: is_level && !is_flying })
         })
         .collect();
-    let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
-    sides.into_iter().any(|(axis, sign)| {
+    let sky = scan.sky_observation.as_ref();
+    let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, sign)| {
         let across = 1 - axis;
         let edge = if sign > 0.0 { high[axis] } else { -low[axis] };
         let middle = 0.5 * (low[across] + high[across]);
         let half = 0.5 * (high[across] - low[across]).max(NARROWEST);
-        let at = |along: f64| {
-            let mut place = [middle; 2];
-            place[axis] = sign * (edge + 0.5 * along);
-            view.direction(place)
-        };
-        let sky = scan.sky_observation.as_ref();
-        let is_sky = |along: f64| sky.is_some_and(|sky| sky.sky_reach_at(at(along)) > view.range);
-        let density = |along: f64| {
-            let per_steradian = sky?.density_at(at(along))?;
-            Some(per_steradian / (view.range * view.range))
-        };
-        has_hole(&seen, half, is_sky, density, |place| {
-            [sign * place[axis] - edge, (place[across] - middle).abs()]
-        })
+        Side { axis, sign, edge, middle, half }
+    });
+    let is_sky = |side: &Side, along: f64| {
+        let direction = view.direction(side.place(0.5 * along));
+        sky.is_some_and(|sky| sky.reach_at(direction) > view.range)
+    };
+    let cast = |side: &Side, along: f64| {
+        let direction = view.direction(side.place(0.5 * along));
+        sky.map_or(0.0, |sky| sky.density_at(direction) / (view.range * view.range))
+    };
+    let has_rows = sky.is_some_and(|sky| sky.has_rows());
+    sides.iter().any(|side| {
+        let density = |along| (!has_rows).then(|| cast(side, along));
+        has_hole(&seen, side.half, |along| is_sky(side, along), density, |place| side.seen(place))
     })
+}
+
+/// A side of a cluster, in the plane across the line of sight.
+struct Side {
+    /// Axis that points away from the cluster, and its sign.
+    axis: usize,
+    sign: f64,
+    /// Where the cluster ends [m].
+    edge: f64,
+    /// Middle of the cluster across that axis, and half its width [m].
+    middle: f64,
+    half: f64,
+}
+
+impl Side {
+    /// The place at a distance beyond the edge [m].
+    fn place(&self, along: f64) -> [f64; 2] {
+        let mut place = [self.middle; 2];
+        place[self.axis] = self.sign * (self.edge + along);
+        place
+    }
+
+    /// Distance of a place beyond the edge, and from the middle [m].
+    fn seen(&self, place: [f64; 2]) -> [f64; 2] {
+        let across = 1 - self.axis;
+        [self.sign * place[self.axis] - self.edge, (place[across] - self.middle).abs()]
+    }
 }
 
 /// True if a hole begins at the edge of a cluster and ends at a surface. `beside` gives the distance

@@ -166,15 +166,19 @@ impl SkyObservation {
 
     /// How far the sky in a direction is free [m]; 0 where it is none. Holes in surfaces, and what is
     /// beside surfaces, are free up to these only.
-    pub(crate) fn sky_reach_at(&self, direction: [f64; 3]) -> f64 {
+    pub(crate) fn reach_at(&self, direction: [f64; 3]) -> f64 {
         f64::from(self.sky_reach[GRID.cell(direction)])
     }
 
-    /// Rays per steradian that a scan casts in a direction; None for rows, between which there are
-    /// none.
-    pub(crate) fn density_at(&self, direction: [f64; 3]) -> Option<f64> {
+    /// Rays per steradian that a scan casts in a direction, on average.
+    pub(crate) fn density_at(&self, direction: [f64; 3]) -> f64 {
         let cell = GRID.cell(direction);
-        (!self.has_rows).then(|| f64::from(self.expected[cell]) / GRID.solid_angles[cell])
+        f64::from(self.expected[cell]) / GRID.solid_angles[cell]
+    }
+
+    /// Whether the rays lie in rows, so that there are none in between.
+    pub(crate) fn has_rows(&self) -> bool {
+        self.has_rows
     }
 
     /// Height below which things are on the ground, relative to the sensor [m].
