@@ -110,14 +110,20 @@ class Learnt:
     def __init__(self, config):
         self.config = config
         self.all, self.strays = [], []
-        self.scans = self.clutter = self.looks = self.hits = self.arrivals = 0.0
+        self.scans = self.clutter = self.first = self.looks = self.hits = self.arrivals = 0.0
 
-    def density(self, told):
+    def area(self):
         boxes = [robust_box(kept) for kept in (self.all, self.strays)]
         boxes = np.array([box for box in boxes if box is not None]).reshape(-1, 2, 2)
-        area = np.prod(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)) if len(boxes) else 0.0
+        return np.prod(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)) if len(boxes) else 0.0
+
+    def density(self, told):
         exposure = PRIORS["clutter"] / told
-        return (PRIORS["clutter"] + self.clutter) / (exposure + self.scans * area)
+        return (PRIORS["clutter"] + self.false_ones()) / (exposure + self.scans * self.area())
+
+    def false_ones(self):
+        """Of all unexplained measurements, less those with which tracks began that exist."""
+        return max(self.clutter - self.first, 0.0)
 
     def detection(self):
         looks = PRIORS["detection"]
@@ -126,7 +132,7 @@ class Learnt:
 
     def share(self):
         told = PRIORS["share"] * SHARE
-        return (told + self.arrivals) / (PRIORS["share"] + self.clutter + self.arrivals)
+        return (told + self.arrivals) / (PRIORS["share"] + self.false_ones() + self.arrivals)
 
 
 class IntegratedTargets:
@@ -210,6 +216,8 @@ class IntegratedTargets:
                         gates.append(np.pi * self.gate * np.sqrt(np.linalg.det(spread)))
         # No denser than all measurements in the smallest gate of a young track.
         most = len(self.places) / min(gates) if gates else np.inf
+        if scanner.area() > 0:  # nor less dense than the others where the scanner sees
+            most = max(most, (len(self.places) - 1) / scanner.area())
         ratios /= scanner.density(min(self.config.clutter[0], most))
         return np.where(ratios > 0, nis, np.inf), ratios
 
@@ -220,6 +228,8 @@ class IntegratedTargets:
             setattr(scanner, name, getattr(scanner, name) * (1 - 1 / MEMORY))
         scanner.scans += 1
         scanner.clutter += left.sum()
+        own = [track["origin"] == self.source for track in self.tracks]
+        scanner.first = after[own].sum() if own else 0.0
         strays = [place for place, own in zip(self.places, left, strict=True) if own > 0.5]
         scanner.strays = last_places(scanner.strays, strays)
         for row, track in enumerate(self.tracks):
@@ -237,9 +247,8 @@ class IntegratedTargets:
                 parts = self.divide(track, own, pair[row], after[row])
             else:
                 parts = []
-                self.blend(
-                    track, np.where(likely[row], nis[row], np.inf), own, pair[row], after[row]
-                )
+                own_likely = np.where(likely[row], nis[row], np.inf)
+                self.blend(track, own_likely, own, pair[row], after[row])
             for option, column in enumerate(own):
                 if left[column] < 0.5 and pair[row, column] > best[column]:
                     best[column] = pair[row, column]
@@ -274,7 +283,8 @@ class IntegratedTargets:
         self.correct(track, pair / after)
         if pair.sum() / after > 0.5:
             self.see(track)
-        if np.isfinite(likely).any():
+        is_hidden = track["hidden"] + track["returned"] >= track["p"] / 2
+        if np.isfinite(likely).any() and not is_hidden:
             self.remember(track, np.argmin(likely))  # of one track: the least NIS
 
     def correct(self, track, shares):
@@ -312,6 +322,7 @@ class IntegratedTargets:
                 "hidden": 0.0,
                 "returned": 0.0,
                 "start": place,
+                "origin": self.source,
                 "born": self.stamp,
                 "stamp": self.stamp,
                 "sources": {self.source},

@@ -8,7 +8,7 @@ import numpy as np
 from reference.fusion_many import gaussian_step
 
 LEAST = 1e-6
-STANDS, STOPS, REST = 300.0, 0.1, 0.02
+STANDS, STOPS, REST, OF_NEW = 300.0, 0.1, 0.02, 0.3
 
 
 class SomeNoises:
@@ -26,7 +26,7 @@ class SomeNoises:
         spread = np.repeat([config.initial_position**2, config.initial_speed**2], 2)
         state = (np.array([*first, 0.0, 0.0]), np.diag(spread))
         self.states = [at_rest(*state) if q is None else state for q in self.densities]
-        self.weights = self.tendencies(state[1])
+        self.weights = np.array([OF_NEW if q is None else 1.0 for q in self.densities])
         self.weights = self.weights / self.weights.sum()
 
     def tendencies(self, cov):

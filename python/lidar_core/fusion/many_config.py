@@ -31,7 +31,7 @@ class MultiTargetConfig(Config):
             method="imm",
             imm_models=("cv", "standing"),
             imm_quiet=0.1,
-            start_rows=3,
+            start_rows=1,
             initial_speed=15.0,
         ),
         description="The filter of each target; its gate decides which measurements may be one's,"

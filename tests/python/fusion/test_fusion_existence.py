@@ -266,6 +266,23 @@ def test_a_crowd_makes_a_bounded_number_of_hypotheses():
     assert np.isfinite(tracks.existence).all()
 
 
+@pytest.mark.parametrize(
+    ("count", "side", "speed", "share"), [(300, 10, 0, 0.9), (100, 10, 1, 0.8)]
+)
+def test_crowds_are_found_within_twelve_scans(count, side, speed, share):
+    """Three targets per square metre, which stand; one, which move with 1 m/s."""
+    rng, tracker = np.random.default_rng([8911, count]), MultiTargetTracker()
+    truth, heading = rng.uniform(0, side, (count, 2)), rng.uniform(-np.pi, np.pi, count)
+    for number in range(12):
+        stamp = number * 100_000_000
+        place = truth + 0.1 * number * speed * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        seen = place + rng.normal(0, 0.1, place.shape)
+        tracker.process(stamp, lidar(stamp, seen), source="lidar")
+    away = np.linalg.norm(tracker.tracks_at(stamp).position[:, None] - place, axis=2)
+    assert (away.min(axis=0) < 0.4).mean() >= share
+    assert (away.min(axis=1) > 0.4).mean() < 0.1
+
+
 def test_reports_hold_targets_and_no_clutter():
     """By the default configuration; counts and ages report tens of false tracks there."""
     config, scores = MultiTargetConfig(), {}

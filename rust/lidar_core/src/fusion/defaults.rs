@@ -139,7 +139,7 @@ impl Default for ManyParameters {
                     quiet: Some(0.1),
                 },
                 prior: Prior { speed: 225.0, ..Prior::default() },
-                life: LifecycleRules { start_rows: 3, ..LifecycleRules::default() },
+                life: LifecycleRules { start_rows: 1, ..LifecycleRules::default() },
                 ..FusionParameters::default()
             },
             confirm_hits: 3,

@@ -50,6 +50,8 @@ pub struct Surroundings {
     widths: [f64; AXES],
     scans: f64,
     clutter: f64,
+    /// Of the measurements in `clutter`, those which are now thought to be the first of a target.
+    first: f64,
     looks: f64,
     hits: f64,
     arrivals: f64,
@@ -85,6 +87,17 @@ impl Surroundings {
         self.clutter += clutter;
     }
 
+    /// Take in how many measurements that no track explained were the first of a target: the sum of
+    /// the probabilities of existence of all tracks that began with them.
+    pub fn count_first(&mut self, first: f64) {
+        self.first = first;
+    }
+
+    /// Number of false measurements.
+    fn false_ones(&self) -> f64 {
+        (self.clutter - self.first).max(0.0)
+    }
+
     /// Take in a look at a target that is observable with probability `observable`, and was
     /// measured with probability `hit`.
     pub fn count_look(&mut self, observable: f64, hit: f64) {
@@ -104,7 +117,8 @@ impl Surroundings {
     }
 
     /// Volume of the space that the scanner is known to see, in the units of its measurements.
-    fn volume(&self, axes: usize) -> f64 {
+    #[must_use]
+    pub fn volume(&self, axes: usize) -> f64 {
         self.widths.iter().take(axes).product()
     }
 
@@ -112,7 +126,7 @@ impl Surroundings {
     #[must_use]
     pub fn clutter(&self, prior: &ScannerPrior, axes: usize) -> f64 {
         let exposure = CLUTTER_PRIOR / prior.clutter;
-        (CLUTTER_PRIOR + self.clutter) / (exposure + self.scans * self.volume(axes))
+        (CLUTTER_PRIOR + self.false_ones()) / (exposure + self.scans * self.volume(axes))
     }
 
     /// Probability that a scan measures a target.
@@ -125,7 +139,8 @@ impl Surroundings {
     /// Probability that a measurement which no track explains is of a new target.
     #[must_use]
     pub fn share(&self, prior: &ScannerPrior) -> f64 {
-        (prior.share * SHARE_PRIOR + self.arrivals) / (SHARE_PRIOR + self.clutter + self.arrivals)
+        (prior.share * SHARE_PRIOR + self.arrivals)
+            / (SHARE_PRIOR + self.false_ones() + self.arrivals)
     }
 }
 

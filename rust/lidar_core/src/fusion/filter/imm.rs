@@ -36,6 +36,8 @@ type CorrectedModes = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
 pub trait Mode: Send + Sync {
     /// Mean time for which a target follows this model [s]; None for that of the filter.
     fn sojourn(&self) -> Option<f64>;
+    /// How often a new target follows this model, relative to the others.
+    fn of_new(&self) -> f64;
     /// How much a target of this covariance tends to this model when it leaves another one,
     /// relative to the others.
     fn tendency(&self, covariance: &Matrix6<f64>) -> f64;
@@ -83,6 +85,10 @@ impl<const N: usize, M: StateConversion<N>> Member<N, M> {
 impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
     fn sojourn(&self) -> Option<f64> {
         M::SOJOURN
+    }
+
+    fn of_new(&self) -> f64 {
+        M::OF_NEW
     }
 
     fn tendency(&self, covariance: &Matrix6<f64>) -> f64 {
@@ -154,14 +160,8 @@ impl Imm {
 
     /// Every model with the weight that it has before measurements.
     fn begun(&self, make: impl Fn(&dyn Mode) -> Arc<dyn Mode>) -> Modes {
-        let begun = self.modes.iter().map(|mode| {
-            let mode = make(&**mode);
-            (mode.tendency(&mode.cartesian(None).covariance), mode)
-        });
-        let mut begun: Modes = begun.collect();
-        let all: f64 = begun.iter().map(|(weight, _)| weight).sum();
-        begun.iter_mut().for_each(|(weight, _)| *weight /= all);
-        begun
+        let all: f64 = self.modes.iter().map(|mode| mode.of_new()).sum();
+        self.modes.iter().map(|mode| (mode.of_new() / all, make(&**mode))).collect()
     }
 
     /// Mixing step: probability of each model after a possible switch, and its mixed state.

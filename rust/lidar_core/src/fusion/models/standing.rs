@@ -75,6 +75,8 @@ impl Motion<4> for StandingTarget {
 impl StateConversion<4> for StandingTarget {
     /// What stands goes on standing for minutes: where it was seen to stand, it is expected.
     const SOJOURN: Option<f64> = Some(300.0);
+    /// In a crowd only what stands is seen again where it was, at first.
+    const OF_NEW: f64 = 0.3;
 
     fn cartesian(&self, state: &Gaussian<4>, other: Option<&Gaussian<6>>) -> Gaussian<6> {
         let (mut mean, mut covariance) = (Vector6::zeros(), Matrix6::zeros());

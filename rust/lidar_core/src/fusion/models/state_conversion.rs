@@ -18,6 +18,8 @@ pub(super) const ANY_RATE: f64 = 4.0;
 pub trait StateConversion<const N: usize>: Motion<N> {
     /// Mean time for which a target follows this model [s]; None for that of the filter.
     const SOJOURN: Option<f64> = None;
+    /// How often a new target follows this model, relative to the others.
+    const OF_NEW: f64 = 1.0;
 
     /// State in Cartesian form; states that the model does not have are taken from `other`.
     fn cartesian(&self, state: &Gaussian<N>, other: Option<&Gaussian<6>>) -> Gaussian<6>;

@@ -60,6 +60,8 @@ pub struct Belief {
     pub last: [Option<Sighting>; 2],
     /// Position at the first measurement [m].
     pub start: [f64; 2],
+    /// Scanner and sensor of that measurement.
+    pub origin: (u8, usize),
     /// True once the track was certain.
     pub was_certain: bool,
     /// True while a track that was certain counts as ended.
@@ -77,6 +79,7 @@ impl Default for Belief {
             stamp_ns: 0,
             last: [None; 2],
             start: [f64::NAN; 2],
+            origin: (0, 0),
             was_certain: false,
             is_doubtful: false,
             will_arrive: false,
@@ -193,7 +196,7 @@ impl Tracks {
             PredictedTrack { presence: belief.presence, detection, is_in_view }
         });
         let predicted: Vec<PredictedTrack> = predicted.collect();
-        let told = self.told(space, candidates);
+        let told = self.told(space, candidates, scanner);
         let pairs = candidates.pairs.iter().zip(&candidates.innovations);
         let pairs = pairs.map(|(pair, innovation)| {
             let m = &scan.measurements[pair.column];
@@ -213,14 +216,24 @@ impl Tracks {
     ///
     /// After a long time between scans that gate is large. With a density for which false
     /// measurements are expected in it that nobody has seen, no second one would be of the target.
-    fn told(&self, space: &IntegratedScan<'_>, candidates: &Candidates) -> [[f64; AXES]; 2] {
+    fn told(
+        &self,
+        space: &IntegratedScan<'_>,
+        candidates: &Candidates,
+        scanner: &[Surroundings; 2],
+    ) -> [[f64; AXES]; 2] {
         let scan = &space.scan.measurements;
         let mut told = [[f64::INFINITY; AXES]; 2];
         let mut smallest = [[f64::INFINITY; AXES]; 2];
         for (pair, innovation) in candidates.pairs.iter().zip(&candidates.innovations) {
-            if self.all[pair.row].hits < DIVIDED {
+            let track = &self.all[pair.row];
+            if track.hits < DIVIDED {
+                // Of models together: the innovation is that of the likeliest alone.
+                let output = track.filter.output_at(space.scan.stamp_ns);
+                let place = output.filter(|_| innovation.count == 2);
+                let all = place.map_or(f64::NEG_INFINITY, |o| libm::log(determinant(&o)));
                 let own = &mut smallest[kind(&scan[pair.column])][innovation.count - 1];
-                *own = own.min(innovation.log_determinant);
+                *own = own.min(innovation.log_determinant.max(all));
             }
         }
         for (sensor, smallest) in smallest.iter().enumerate() {
@@ -231,8 +244,11 @@ impl Tracks {
                 let log_ball = libm::log(BALLS[k])
                     + 0.5 * axes * libm::log(space.parameters.filter.life.gate[k]);
                 let log_volume = log_ball + 0.5 * log_determinant;
+                let seen = scanner[sensor].volume(k + 1);
                 if log_volume.is_finite() {
-                    told[sensor][k] = count * libm::exp(-log_volume);
+                    // The others of this scan say more, where they lie in less than the gate.
+                    let others = if seen > 0.0 { (count - 1.0).max(0.0) / seen } else { 0.0 };
+                    told[sensor][k] = (count * libm::exp(-log_volume)).max(others);
                 }
             }
         }
@@ -266,6 +282,9 @@ impl Tracks {
         let used: [bool; 2] = std::array::from_fn(|k| scanner[k] != Surroundings::default());
         for (k, of) in scanner.iter_mut().enumerate().filter(|(k, _)| used[*k]) {
             of.count_scan(&unexplained[k]);
+            let own = self.all.iter().zip(&found.presence);
+            let own = own.filter(|(track, _)| track.belief.origin == (scan.source, k));
+            of.count_first(own.map(|(_, presence)| presence.existence).sum());
             for ((track, presence), hit) in self.all.iter().zip(&found.presence).zip(&seen) {
                 let is_seen = track.sources & (1 << scan.source) != 0;
                 if is_seen && track.belief.presence.existence > CERTAIN {
@@ -365,6 +384,7 @@ impl Tracks {
                 stamp_ns: scan.stamp_ns,
                 last: [Some((scan.stamp_ns, scan.source, column)), None],
                 start,
+                origin: (scan.source, kind(m)),
                 was_certain: false,
                 is_doubtful: false,
                 will_arrive: scanner[kind(m)].is_settled(),
@@ -411,7 +431,7 @@ impl Tracks {
         self.all.retain(|track| {
             let is_lost = || {
                 let output = track.filter.output_at(stamp_ns);
-                output.is_some_and(|output| spread_over(&output) > largest)
+                output.is_some_and(|output| TAU * libm::sqrt(determinant(&output)) > largest)
             };
             if track.hits > DIVIDED && is_lost() {
                 return false;
@@ -473,10 +493,10 @@ fn largest_place(space: &IntegratedScan<'_>, lidar: &Surroundings) -> f64 {
     if is_used { LOST / lidar.clutter(&prior, 2) } else { f64::INFINITY }
 }
 
-/// Area over which the position of a state spreads [m^2].
-fn spread_over(output: &Output) -> f64 {
+/// Determinant of the covariance of the position of a state [m^4].
+fn determinant(output: &Output) -> f64 {
     let [first, second, ..] = output.covariance;
-    TAU * libm::sqrt((first[0] * second[1] - first[1] * second[0]).max(0.0))
+    (first[0] * second[1] - first[1] * second[0]).max(0.0)
 }
 
 impl TargetTrack {
@@ -506,7 +526,11 @@ impl TargetTrack {
         if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
             self.see(scan);
         }
-        self.remember(scan, own);
+        // The wide gate of a hidden target holds measurements of others: they are no evidence that
+        // both tracks are of one target.
+        if presence.hidden_share() < 0.5 {
+            self.remember(scan, own);
+        }
     }
 
     /// Note the measurement that is most likely of the track. What hardly is of it does not count:
