@@ -67,7 +67,7 @@ def test_detections_and_tracks_are_the_same(name):
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["dense", "sparse"])
 def test_detections_and_tracks_are_the_same_over_a_thousand_scans(name):
-    run = play({"dense": lidar(), "sparse": VLP_16}[name], ROUND, 50, rounds=10)
+    run = play({"dense": lidar(), "sparse": VLP_16}[name], ROUND, 50, rounds=20)
     assert results(run, "saturated", 2) == results(run, "none", 1)
 
 

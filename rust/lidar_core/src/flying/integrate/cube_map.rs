@@ -5,49 +5,29 @@
 //! layer of voxels across this axis, counted from the eye: set if a live cell lies there. Cells are enlarged
 //! by the eye and by more than the walk of a ray is rounded: a bit too many costs time, and none is missing.
 
-use super::accumulate::live_cells::{ALL, LiveCells};
+use super::accumulate::live_cells::{LiveCells, cubes};
 use super::accumulate::window::Window;
-use super::classified_scan::Origins;
+use super::eye_view::{EyeView, GRID};
 use super::ray_segments::{Ray, Source};
-use crate::flying::map::block_shape::{EDGE, EDGE_BITS};
-use crate::flying::map::inert::{CELL_BITS, CELLS};
-use crate::geometry::lattice::{least, whole};
-use std::ops::Range;
+use crate::flying::map::block_shape::EDGE;
+use crate::flying::map::inert::{CELL_BITS, CellBits};
+use rayon::ThreadPool;
+use rayon::prelude::*;
 
-/// Directions along the edge of a face.
-const GRID: usize = 64;
-/// Bit of the last layer, and of all behind it.
-pub(super) const LAST: u32 = u64::BITS - 1;
-/// Cells of the first brick of 2 x 2 x 2 cells in a block.
-const BRICK: u64 = 0x0033_0033;
-/// Largest eye [voxels]: seen from a larger one, too many cells overlap.
-const LARGEST_EYE: f64 = 16.0;
 /// Blocks of a window per ray above which the map costs more than it saves.
 const BLOCKS_PER_RAY: usize = 4;
-/// Distance that is added to cells on all sides [voxels], beside what rounding asks for.
-const LEAST_MARGIN: f64 = 1.0 / 256.0;
-
-/// Box in which all rays start: its lowest and highest corner [voxels].
-type Eye = [[f64; 3]; 2];
-
-/// How cells are seen.
-#[derive(Clone, Copy, Default)]
-pub(super) struct EyeView {
-    /// The eye with the margin of cells, from the first voxel of the window.
-    eye: Eye,
-    /// Longest ray with the same margin [voxels].
-    reach: f64,
-    /// Voxels across a layer, as a power of two.
-    pub(super) layer_bits: u32,
-    /// Layer of the eye along every axis, for rays that go up, and for those that go down.
-    pub(super) first: [[u32; 2]; 3],
-}
+/// Blocks that a thread takes at a time.
+const BLOCKS_AT_A_TIME: usize = 256;
 
 /// Layers with live cells, by direction.
 #[derive(Default)]
 pub(crate) struct CubeMap {
     sight: EyeView,
-    layers: Vec<u64>,
+    layers: Layers,
+    /// Those that other threads draw.
+    others: Vec<Layers>,
+    /// Indices of the blocks with live cells that rays may reach.
+    near: Vec<u32>,
     /// Blocks of the window that rays may visit.
     is_met: Vec<bool>,
 }
@@ -56,6 +36,7 @@ impl CubeMap {
     /// See the `live` cells of a window as `rays` do. False if that does not pay.
     pub(super) fn fill(
         &mut self,
+        pool: Option<&ThreadPool>,
         window: &Window,
         live: &LiveCells,
         source: &Source<'_>,
@@ -66,22 +47,48 @@ impl CubeMap {
         }
         let Some(sight) = EyeView::of(window, source, rays) else { return false };
         self.sight = sight;
-        self.layers.clear();
-        self.layers.resize(6 * GRID * GRID, 0);
-        self.is_met.clear();
-        self.is_met.resize(window.len(), false);
-        for index in window.indices() {
-            let corner = window.corner(index);
-            if live.at(index) != 0 && sight.reaches(corner) {
-                self.is_met[index] = true;
-                self.add_block(corner, live.at(index));
-            }
-        }
+        let Self { layers, others, near, is_met, .. } = self;
+        let is_near = |index: &u32| {
+            let index = *index as usize;
+            live.at(index) != 0 && sight.reaches(window.corner(index))
+        };
+        near.clear();
+        near.extend(window.indices().map(|index| index as u32).filter(is_near)); // fits 32 bits
+        is_met.clear();
+        is_met.resize(window.len(), false);
         // Rays visit other cells, too: those of the same layers, and those beside.
-        for index in window.indices().filter(|&index| live.at(index) == 0) {
+        let meets = |layers: &Layers, index: usize| {
             let corner = window.corner(index);
-            self.is_met[index] = sight.reaches(corner) && self.holds_some_of(corner);
-        }
+            sight.reaches(corner) && (live.at(index) != 0 || layers.hold_some_of(&sight, corner))
+        };
+        let draw = |part: &[u32], layers: &mut Layers| {
+            layers.clear();
+            for &index in part {
+                let index = index as usize;
+                layers.add_block(&sight, window.corner(index), live.at(index));
+            }
+        };
+        let Some(pool) = pool else {
+            draw(near, layers);
+            window.indices().for_each(|index| is_met[index] = meets(layers, index));
+            return true;
+        };
+        let n_threads = pool.current_num_threads();
+        let share = near.len().div_ceil(n_threads).max(1);
+        let parts = || near.chunks(share).chain(std::iter::repeat(&[][..]));
+        others.resize_with(n_threads - 1, Layers::default);
+        pool.install(|| {
+            let all: Vec<_> =
+                [&mut *layers].into_iter().chain(others.iter_mut()).zip(parts()).collect();
+            all.into_par_iter().for_each(|(layers, part)| draw(part, layers));
+            others.iter().for_each(|other| layers.join(other));
+            is_met.par_chunks_mut(BLOCKS_AT_A_TIME).enumerate().for_each(|(chunk, is_met)| {
+                for (at, is_met) in is_met.iter_mut().enumerate() {
+                    // Blocks beside the window are of no use, and do no harm.
+                    *is_met = meets(layers, chunk * BLOCKS_AT_A_TIME + at);
+                }
+            });
+        });
         true
     }
 
@@ -93,180 +100,53 @@ impl CubeMap {
     /// Layers that hold live cells in a direction.
     #[inline(always)]
     pub(super) fn layers(&self, direction: u32) -> u64 {
-        self.layers[direction as usize]
+        self.layers.0[direction as usize]
     }
 
     /// True if rays may visit the block at `index` of the window.
     pub(crate) fn meets(&self, index: usize) -> bool {
         self.is_met[index]
     }
+}
 
-    /// Add the live cells of a block: together where that adds no others.
-    fn add_block(&mut self, corner: [u32; 3], live: u64) {
-        if live == ALL {
-            return self.add(corner, EDGE as u32);
-        }
-        for brick in 0..8 {
-            let at = [brick & 1, brick >> 1 & 1, brick >> 2].map(|at| at * CELLS / 2);
-            let mut cells = live >> (at[0] + CELLS * (at[1] + CELLS * at[2])) & BRICK;
-            let corner: [u32; 3] =
-                std::array::from_fn(|axis| corner[axis] + (at[axis] << CELL_BITS));
-            if cells == BRICK {
-                self.add(corner, EDGE as u32 / 2);
-                continue;
-            }
-            while cells != 0 {
-                let cell = cells.trailing_zeros();
-                let at = [cell % CELLS, cell / CELLS % CELLS, cell / (CELLS * CELLS)];
-                self.add(
-                    std::array::from_fn(|axis| corner[axis] + (at[axis] << CELL_BITS)),
-                    1 << CELL_BITS,
-                );
-                cells &= cells - 1;
-            }
-        }
+/// A word for every direction, with a bit for every layer.
+#[derive(Default)]
+struct Layers(Vec<u64>);
+
+impl Layers {
+    fn clear(&mut self) {
+        self.0.clear();
+        self.0.resize(6 * GRID * GRID, 0);
+    }
+
+    /// Hold what the other holds, too.
+    fn join(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(layers, other)| *layers |= other);
+    }
+
+    /// Add the live cells of a block.
+    fn add_block(&mut self, sight: &EyeView, corner: [u32; 3], live: CellBits) {
+        cubes(live, |at, edge| {
+            let low = std::array::from_fn(|axis| corner[axis] + (at[axis] << CELL_BITS));
+            self.add(sight, low, edge << CELL_BITS);
+        });
     }
 
     /// Add a cube of voxels.
-    fn add(&mut self, low: [u32; 3], edge: u32) {
-        let layers = &mut self.layers;
-        self.sight.look_at(low, edge, |directions, seen| {
-            layers[directions].iter_mut().for_each(|layers| *layers |= seen);
+    fn add(&mut self, sight: &EyeView, low: [u32; 3], edge: u32) {
+        sight.look_at(low, edge, |directions, seen| {
+            self.0[directions].iter_mut().for_each(|layers| *layers |= seen);
         });
     }
 
     /// True if a ray through live layers may visit a block.
-    fn holds_some_of(&self, corner: [u32; 3]) -> bool {
+    fn hold_some_of(&self, sight: &EyeView, corner: [u32; 3]) -> bool {
         let mut met = 0;
-        self.sight.look_at(corner, EDGE as u32, |directions, seen| {
-            met |= self.layers[directions].iter().fold(0, |all, layers| all | layers & seen);
+        sight.look_at(corner, EDGE as u32, |directions, seen| {
+            met |= self.0[directions].iter().fold(0, |all, layers| all | layers & seen);
         });
         met != 0
     }
-}
-
-impl EyeView {
-    /// None if the rays start too far apart.
-    fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Option<Self> {
-        let size: [u32; 3] = std::array::from_fn(|axis| window.extent(axis));
-        // In sub-units of a ray, of which its length has 2^30 at least, a wall is rounded by at most three
-        // for each wall before it.
-        let walls = f64::from(size.iter().sum::<u32>());
-        let margin = LEAST_MARGIN + 4.0 * walls * walls / f64::from(1u32 << 30);
-        let [low, high] = eye(source, rays);
-        // Floors as those of the rays themselves: a difference may be rounded to the next voxel.
-        let layer = |at: f64, axis: usize| whole(at.floor() - f64::from(window.first(axis)));
-        if (0..3).any(|axis| high[axis] - low[axis] + 2.0 * margin > LARGEST_EYE) {
-            return None;
-        }
-        let first: [[u32; 2]; 3] =
-            std::array::from_fn(|axis| [layer(low[axis], axis), layer(high[axis], axis)]);
-        let reach = source.parameters.max_range / source.lattice.voxel_size() + 1.0;
-        // Rays go from the eye to an end of the window at most.
-        let furthest =
-            (0..3).map(|axis| size[axis].saturating_sub(first[axis][0]).max(first[axis][1]));
-        let furthest = furthest.max().unwrap_or(0);
-        let layer_bits = (CELL_BITS..EDGE_BITS as u32)
-            .find(|bits| furthest >> bits < LAST)
-            .unwrap_or(EDGE_BITS as u32);
-        let first = first.map(|ends| ends.map(|voxel| voxel >> layer_bits));
-        let relative = |corner: [f64; 3], margin: f64| {
-            std::array::from_fn(|axis| corner[axis] - f64::from(window.first(axis)) + margin)
-        };
-        let eye = [relative(low, -margin), relative(high, margin)];
-        Some(Self { eye, reach, layer_bits, first })
-    }
-
-    /// Distances along every axis at which rays may meet a cube of voxels: the least and the greatest.
-    #[inline(always)]
-    fn away(&self, low: [u32; 3], edge: u32) -> [[f64; 3]; 2] {
-        let near = std::array::from_fn(|axis| f64::from(low[axis]) - self.eye[1][axis]);
-        let far = std::array::from_fn(|axis| f64::from(low[axis] + edge) - self.eye[0][axis]);
-        [near, far]
-    }
-
-    /// True if a ray may be long enough for a block.
-    fn reaches(&self, corner: [u32; 3]) -> bool {
-        let [near, far] = self.away(corner, EDGE as u32);
-        let gap = |axis: usize| near[axis].max(-far[axis]).max(0.0);
-        (0..3).map(|axis| gap(axis) * gap(axis)).sum::<f64>() <= self.reach * self.reach
-    }
-
-    /// Visit the directions of the rays that may meet a cube of voxels, row by row, with its layers.
-    #[inline(always)]
-    fn look_at(&self, low: [u32; 3], edge: u32, mut visit: impl FnMut(Range<usize>, u64)) {
-        let [near, far] = self.away(low, edge);
-        for face in 0..6 {
-            let (axis, is_down) = (face / 2, face % 2 == 1);
-            let (from, to) =
-                if is_down { (-far[axis], -near[axis]) } else { (near[axis], far[axis]) };
-            let [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
-            // Rays of this face go no further along the other axes.
-            let is_beside = |axis: usize| near[axis] > to || -far[axis] > to;
-            if to <= 0.0 || is_beside(u) || is_beside(v) {
-                continue;
-            }
-            let Some(layers) = self.layers(axis, is_down, low[axis], edge) else { continue };
-            let (close, distant) = (1.0 / from.max(f64::MIN_POSITIVE), 1.0 / to);
-            let span = |axis: usize| {
-                let low = near[axis] * if near[axis] < 0.0 { close } else { distant };
-                let high = far[axis] * if far[axis] > 0.0 { close } else { distant };
-                [low, high].map(|slope| grid_at(slope) as usize)
-            };
-            let ([first_u, last_u], [first_v, last_v]) = (span(u), span(v));
-            for v in first_v..=last_v {
-                let row = (face * GRID + v) * GRID;
-                visit(row + first_u..row + last_u + 1, layers);
-            }
-        }
-    }
-
-    /// Bits of the layers of a cube, None if it lies behind the eye.
-    #[inline(always)]
-    fn layers(&self, axis: usize, is_down: bool, low: u32, edge: u32) -> Option<u64> {
-        let (low, high) = (low >> self.layer_bits, (low + edge - 1) >> self.layer_bits);
-        let [up, down] = self.first[axis];
-        let (from, to) = if is_down {
-            (down.saturating_sub(high), down.checked_sub(low)?)
-        } else {
-            (low.saturating_sub(up), high.checked_sub(up)?)
-        };
-        Some(u64::MAX << from.min(LAST) & u64::MAX >> (LAST - to.min(LAST)))
-    }
-}
-
-/// Number of the face of rays along `axis`, and the place of a direction there, given as distances
-/// along the next two axes per distance along this one.
-#[inline(always)]
-pub(super) fn direction(face: u32, [u, v]: [u32; 2]) -> u32 {
-    const EDGE: u32 = GRID as u32;
-    (face * EDGE + v) * EDGE + u
-}
-
-/// Place of a slope along an edge of the grid.
-#[inline(always)]
-pub(super) fn grid_at(slope: f64) -> u32 {
-    const HALF: f64 = GRID as f64 / 2.0;
-    let slope = -least(-least(slope, 1.0), 1.0);
-    whole(least((slope + 1.0) * HALF, GRID as f64 - 1.0).floor())
-}
-
-/// The box in which rays start.
-fn eye(source: &Source<'_>, rays: &[Ray]) -> Eye {
-    let [low, high] = match source.scan.origins {
-        Origins::One(origin) => [origin; 2],
-        Origins::Each(origins) => {
-            let (mut low, mut high) = ([f64::MAX; 3], [f64::MIN; 3]);
-            for ray in rays {
-                let origin = origins[ray.index as usize];
-                low = std::array::from_fn(|axis| low[axis].min(origin[axis]));
-                high = std::array::from_fn(|axis| high[axis].max(origin[axis]));
-            }
-            [low, high]
-        }
-    };
-    // Scaling keeps the order of numbers.
-    [low, high].map(|corner| source.lattice.scaled(corner))
 }
 
 #[cfg(test)]
@@ -317,7 +197,7 @@ mod tests {
         let window = Window::spanning([0; 3], high)?;
         let mut map = CubeMap::default();
         let worth =
-            with_rays(segments, |source, rays| Ok(map.fill(&window, cells, source, &rays)))?;
+            with_rays(segments, |source, rays| Ok(map.fill(None, &window, cells, source, &rays)))?;
         assert!(worth);
         assert_eq!(map.sight().layer_bits, layer_bits);
         let (whole, all) = lengths(window, segments, None)?;
@@ -389,7 +269,7 @@ mod tests {
         let cells = LiveCells::of(vec![1; window.len()]);
         for (spread, number, pays) in [(0.0, 2000, true), (40.0, 2000, false), (0.0, 100, false)] {
             let is_made = with_rays(&rays(high, spread, number), |source, rays| {
-                Ok(CubeMap::default().fill(&window, &cells, source, &rays))
+                Ok(CubeMap::default().fill(None, &window, &cells, source, &rays))
             })?;
             assert_eq!(is_made, pays);
         }

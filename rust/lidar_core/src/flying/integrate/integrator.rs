@@ -40,6 +40,8 @@ pub struct Integrator {
     blocks: Vec<MarkedBlock>,
     /// True while the accumulators hold marks.
     is_open: bool,
+    /// Space is passed also where the search for it may take longer than the visits.
+    passes_always: bool,
 }
 
 impl Integrator {
@@ -56,6 +58,12 @@ impl Integrator {
     pub fn on(workers: Workers) -> Self {
         let accumulators = (0..workers.count()).map(|_| Accumulator::default()).collect();
         Self { workers, accumulators, ..Self::default() }
+    }
+
+    /// An integrator that passes space also in scans that are too small to gain by it.
+    #[cfg(test)]
+    pub(super) fn that_always_passes(threads: usize) -> Result<Self, Error> {
+        Ok(Self { passes_always: true, ..Self::new(threads)? })
     }
 
     /// Update `map` with one classified scan.
@@ -82,7 +90,7 @@ impl Integrator {
     /// # Errors
     /// As [`Integrator::integrate`].
     pub(crate) fn cast(&mut self, map: &VoxelMap, scan: &ClassifiedScan<'_>) -> Result<(), Error> {
-        let Self { workers, plan, cells, live, accumulators, is_open, .. } = self;
+        let Self { workers, plan, cells, live, accumulators, is_open, passes_always, .. } = self;
         if std::mem::replace(is_open, true) {
             accumulators.fill_with(Accumulator::default); // a scan that was given up
         }
@@ -97,7 +105,10 @@ impl Integrator {
         let mut skips = map.parameters().skip == Skip::Saturated;
         if skips {
             cells.fill(&window, map);
-            skips = cells.is_worth_it() && live.fill(&window, cells, &source, &plan.rays);
+            let reach = source.parameters.max_range / source.lattice.voxel_size();
+            let visits = plan.rays.len() as f64 * reach;
+            skips = (*passes_always || cells.is_worth_it(visits))
+                && live.fill(workers.pool(), &window, cells, &source, &plan.rays);
         }
         let task = CastTask { window: &window, source: &source, live: skips.then_some(live) };
         cast_all(workers.pool(), accumulators, &task, &plan.rays, most);

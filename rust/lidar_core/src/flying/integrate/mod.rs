@@ -5,6 +5,7 @@ pub(crate) mod block_update;
 pub(crate) mod bundle;
 pub mod classified_scan;
 pub(crate) mod cube_map;
+mod eye_view;
 pub mod integrator;
 pub(crate) mod plan;
 pub mod pose_weights;

@@ -239,7 +239,7 @@ fn cases() -> Vec<(&'static str, Case)> {
 fn compare(name: &str, case: &Case, threads: usize) -> Result<(), Error> {
     let make = |skip| VoxelMap::new(MapParameters { skip, ..case.map.clone() });
     let (mut plain, mut passing) = (make(Skip::Nothing)?, make(Skip::Saturated)?);
-    let (mut one, mut other) = (Integrator::new(1)?, Integrator::new(threads)?);
+    let (mut one, mut other) = (Integrator::new(1)?, Integrator::that_always_passes(threads)?);
     let mut sums = [0, 0];
     for step in 0..case.scans {
         let made = OwnedScan::of(case, step);
@@ -272,12 +272,40 @@ fn maps_are_the_same_to_the_bit_with_saturated_space_passed() -> Result<(), Erro
     compare("usual", &Case { scans: 80, passed: 0.5, ..Case::default() }, 1)
 }
 
+/// `cargo test --release -p lidar_core -- --ignored over_a_thousand_scans`
+#[test]
+#[ignore = "minutes"]
+fn maps_are_the_same_to_the_bit_over_a_thousand_scans_of_every_kind() -> Result<(), Error> {
+    for (name, case) in cases() {
+        // Where nothing is passed in the short test, the map takes longer to saturate.
+        let scans = if case.scans < 40 { 60 } else { 1000 };
+        let made = Case { scans, rays: case.rays.min(RAYS), ..case };
+        compare(name, &made, 2)?;
+    }
+    Ok(())
+}
+
+#[test]
+fn small_scans_visit_every_voxel_where_the_search_takes_longer() -> Result<(), Error> {
+    let case = Case { rays: 200, ..Case::default() };
+    let mut map = VoxelMap::new(case.map.clone())?;
+    let mut integrator = Integrator::new(1)?;
+    for step in 0..40 {
+        let many = Case { rays: 12_000, ..case.clone() };
+        let stats = integrator.integrate(&mut map, &OwnedScan::of(&many, step).scan(&many))?;
+        assert!(step < 30 || stats.visits_skipped > stats.visits / 4, "scan {step}");
+    }
+    let few = integrator.integrate(&mut map, &OwnedScan::of(&case, 40).scan(&case))?;
+    assert_eq!(few.visits_skipped, 0);
+    Ok(())
+}
+
 #[test]
 fn voxels_that_are_wrongly_held_inert_are_noticed() -> Result<(), Error> {
     let case = Case { map: MapParameters::default(), ..Case::default() };
     let make = |skip| VoxelMap::new(MapParameters { skip, ..case.map.clone() });
     let (mut plain, mut passing) = (make(Skip::Nothing)?, make(Skip::Saturated)?);
-    let mut integrator = Integrator::new(1)?;
+    let mut integrator = Integrator::that_always_passes(1)?;
     for step in 0..3 {
         let made = OwnedScan::of(&case, step);
         for map in [&mut plain, &mut passing] {

@@ -6,7 +6,8 @@
 
 use super::accumulate::window::Window;
 use super::bundle::Bundle;
-use super::cube_map::{CubeMap, LAST, direction, grid_at};
+use super::cube_map::CubeMap;
+use super::eye_view::{LAST, direction, grid_at};
 use super::ray_segments::{LANES, Lanes, RaySegments};
 use crate::flying::map::block_shape::EDGE_BITS;
 use crate::geometry::lattice::whole;

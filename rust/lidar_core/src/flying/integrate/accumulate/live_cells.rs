@@ -1,7 +1,7 @@
 //! CellBits of a window that hold a voxel which rays may change.
 
 use super::window::Window;
-use crate::flying::map::inert::CellBits;
+use crate::flying::map::inert::{CELLS, CellBits};
 use crate::flying::map::voxel_map::VoxelMap;
 
 /// All cells of a block.
@@ -15,6 +15,37 @@ pub(crate) struct LiveCells {
     n_inert: usize,
     /// CellBits of the blocks that the map holds or refuses.
     n_known: usize,
+    /// Cubes in which cells are drawn that are not passed.
+    n_cubes: usize,
+}
+
+/// What it takes to draw a cube, in visits of a ray.
+const VISITS_PER_CUBE: usize = 32;
+/// Cells of the first brick of 2 x 2 x 2 cells in a block.
+const BRICK: CellBits = 0x0033_0033;
+
+/// Call `visit` for the cubes that the cells of a block make up, together where they fill a larger one: the
+/// lowest corner of each in cells, and its edge in cells.
+#[inline(always)]
+pub(in crate::flying::integrate) fn cubes(live: CellBits, mut visit: impl FnMut([u32; 3], u32)) {
+    if live == ALL {
+        return visit([0; 3], CELLS);
+    }
+    for brick in 0..8 {
+        let corner = [brick & 1, brick >> 1 & 1, brick >> 2].map(|at| at * CELLS / 2);
+        let first = corner[0] + CELLS * (corner[1] + CELLS * corner[2]);
+        let mut cells = live >> first & BRICK;
+        if cells == BRICK {
+            visit(corner, CELLS / 2);
+            continue;
+        }
+        while cells != 0 {
+            let cell = cells.trailing_zeros();
+            let at = [cell % CELLS, cell / CELLS % CELLS, cell / (CELLS * CELLS)];
+            visit([corner[0] + at[0], corner[1] + at[1], corner[2] + at[2]], 1);
+            cells &= cells - 1;
+        }
+    }
 }
 
 impl LiveCells {
@@ -29,7 +60,7 @@ impl LiveCells {
         self.blocks.clear();
         // A block that is missing was never observed.
         self.blocks.resize(window.len(), ALL);
-        (self.n_inert, self.n_known) = (0, 0);
+        (self.n_inert, self.n_known, self.n_cubes) = (0, 0, 0);
         // The cost follows the lesser of the two: neither the map nor the window may be walked for nothing.
         if map.blocks.len() < window.len() {
             for block in map.blocks.iter() {
@@ -55,17 +86,50 @@ impl LiveCells {
     fn set(&mut self, index: usize, live: CellBits) {
         self.n_inert += live.count_zeros() as usize;
         self.n_known += CellBits::BITS as usize;
+        cubes(live, |_, _| self.n_cubes += 1);
         self.blocks[index] = live;
     }
 
-    /// True if enough of what is known is passed to pay for the search of what is not: one cell in
-    /// sixteen.
-    pub(in crate::flying::integrate) fn is_worth_it(&self) -> bool {
-        16 * self.n_inert > self.n_known
+    /// True if enough of what is known is passed to pay for the search of what is not, given the number of
+    /// visits that rays make at most: one cell in sixteen, and more visits than the search takes.
+    pub(in crate::flying::integrate) fn is_worth_it(&self, visits: f64) -> bool {
+        let passed = visits * self.n_inert as f64 / self.n_known.max(1) as f64;
+        16 * self.n_inert > self.n_known && passed > (VISITS_PER_CUBE * self.n_cubes) as f64
     }
 
     /// CellBits of the block at `index` of the window.
     pub(in crate::flying::integrate) fn at(&self, index: usize) -> CellBits {
         self.blocks[index]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cubes_make_up_the_cells_of_a_block() {
+        for seed in 0..3000u64 {
+            let word =
+                |salt: u64| (seed * 9 + salt).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(23);
+            let live = match seed % 4 {
+                0 => word(1) & word(2) & word(3),
+                1 => word(1),
+                2 => word(1) | word(2) | word(3),
+                _ => [0, ALL, BRICK, 1 << 63, !BRICK][seed as usize / 4 % 5],
+            };
+            let (mut covered, mut count) = (0, 0);
+            cubes(live, |[x, y, z], edge| {
+                count += 1;
+                for cell in 0..edge * edge * edge {
+                    let at = [x + cell % edge, y + cell / edge % edge, z + cell / (edge * edge)];
+                    let bit: CellBits = 1 << (at[0] + CELLS * (at[1] + CELLS * at[2]));
+                    assert_eq!(covered & bit, 0);
+                    covered |= bit;
+                }
+            });
+            assert_eq!(covered, live);
+            assert!(live != ALL || count == 1);
+        }
     }
 }
