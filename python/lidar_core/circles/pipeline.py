@@ -218,7 +218,11 @@ class CirclePipeline(FullState):
     def _note(self, values: dict[str, Any]) -> None:
         """Keep in `health` what a scan told about its scanner."""
         with self._counting:
-            self._health = replace(self._health, range_std_estimated=values["range_std"])
+            self._health = replace(
+                self._health,
+                range_std_estimated=values["range_std"],
+                pose_offset_s=values["pose_offset"],
+            )
 
     def map_at(self, stamp_ns: int) -> CircleElements:
         """Confirmed elements, predicted to any time [ns]; nothing changes."""

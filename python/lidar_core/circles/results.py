@@ -95,6 +95,10 @@ class CirclesHealth:
     range_std_estimated : float, optional
         Standard deviation of the ranges of the scanner that sent the last scan [m], estimated from
         neighbouring rays; none before the scans tell enough, and in paper mode.
+    pose_offset_s : float, optional
+        How late the poses of this scanner are, estimated from what stands [s]; none before the
+        motion of the scanner tells it to 5 ms, and in paper mode. In best mode poses are moved on
+        by an offset that is clearly not zero.
     """
 
     received: int = 0
@@ -102,6 +106,7 @@ class CirclesHealth:
     rejected: int = 0
     reasons: Mapping[str, int] = field(default_factory=dict)
     range_std_estimated: float | None = None
+    pose_offset_s: float | None = None
 
     def one_more(self, name: str, reason: str | None = None) -> Self:
         """Count one more scan as `name`, for a reason if it is rejected."""

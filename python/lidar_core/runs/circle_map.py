@@ -46,6 +46,8 @@ from lidar_core.viz.scan_log import log_circles
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
 FILM_FRAMES, FILM_RATE = 120, 10.0
+NOTED_OFFSET_S = 0.01  # of poses that a run is told about
+NOTED_RATIO = 1.5  # of the noise of ranges to the configured one
 SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect
 
 
@@ -214,8 +216,22 @@ class CirclesRun:
 
     @property
     def notes(self) -> list[str]:
-        """Nothing: a map of circles has no budget."""
-        return []
+        """What the scans tell that the recording or the configuration has otherwise."""
+        health, told = self.pipeline.health(), self.pipeline.config.fit.range_std
+        offset, noise = health.pose_offset_s, health.range_std_estimated
+        notes = []
+        if offset is not None and abs(offset) >= NOTED_OFFSET_S:
+            when = "late" if offset > 0 else "early"
+            notes.append(
+                f"poses are {abs(offset) * 1e3:.0f} ms {when}: what stands turns with the scanner;"
+                " the map moves them on, check the clocks"
+            )
+        if noise is not None and not 1 / NOTED_RATIO < noise / told < NOTED_RATIO:
+            notes.append(
+                f"ranges have a standard deviation of {noise:.3f} m, not {told:g} m as in"
+                " fit.range_std; the map uses it"
+            )
+        return notes
 
     @property
     def element_ids(self) -> list[int]:
@@ -258,6 +274,8 @@ class CirclesRun:
             "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
             "shapes_at_end": len(self.shapes[-1].id) if self.shapes else 0,
             "ms_per_scan": self._times.ms_per_scan,
+            "range_std_estimated": health.range_std_estimated,
+            "pose_offset_s": health.pose_offset_s,
         }
 
     def write(self, folder: RunFolder) -> list[str]:

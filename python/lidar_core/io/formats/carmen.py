@@ -1,4 +1,4 @@
-"""CARMEN logs, .clf or .clf.bz2: one message a line, 2D scans with the odometry they belong to.
+"""CARMEN logs, plain or packed: one message a line, 2D scans with the odometry they belong to.
 
 Line formats are those that the header of such a log states. Old scans (FLASER, RLASER) carry no
 bearings and no limits: bearings follow from the number of readings, as CARMEN's own drivers set
@@ -6,6 +6,7 @@ them, and the readings that mean "no return" are those at the limit that the who
 """
 
 import bz2
+import gzip
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -52,6 +53,8 @@ LAYOUTS = {
 """Bearing of the first reading, and between two [deg], by the number of readings."""
 LINES_TO_RECOGNISE = 1000
 MAX_UNPACKED_BYTES = 4 * 2**30
+PACKED = {".bz2": bz2.BZ2File, ".gz": gzip.GzipFile}
+"""How packed logs are opened, by the end of their names."""
 LATEST_S = 9.2e9  # what int64 [ns] can hold
 
 
@@ -93,7 +96,10 @@ class _Line(NamedTuple):
         return stamp_from_text(self.words[end])
 
 
-@register_reader("CARMEN log", [".clf", ".clf.bz2"])
+@register_reader(
+    "CARMEN log",
+    [f"{name}{packed}" for name in (".clf", ".log") for packed in ("", *PACKED)],
+)
 class CarmenRecording(Recording):
     """One CARMEN log; one pass finds its topics, a second pass reads its messages."""
 
@@ -219,7 +225,7 @@ class CarmenRecording(Recording):
     def _lines(self) -> Iterator[_Line]:
         """Messages with the numbers of their lines; comments and empty lines left out."""
         limit, total = self.options.max_record_bytes, 0
-        is_packed, size = self.path.suffix.lower() == ".bz2", self.path.stat().st_size
+        is_packed, size = self.path.suffix.lower() in PACKED, self.path.stat().st_size
         with self._open() as stream:
             for number in range(1, 2**62):
                 place = f"{self.path}, line {number}"
@@ -241,10 +247,9 @@ class CarmenRecording(Recording):
                 if words and not words[0].startswith("#"):
                     yield _Line(place, words[0], words[1:])
 
-    def _open(self) -> IO[bytes] | bz2.BZ2File:
-        if self.path.suffix.lower() == ".bz2":
-            return bz2.BZ2File(self.path)
-        return self.path.open("rb")
+    def _open(self) -> IO[bytes] | bz2.BZ2File | gzip.GzipFile:
+        packed = PACKED.get(self.path.suffix.lower())
+        return self.path.open("rb") if packed is None else packed(self.path)
 
 
 class _Parts(NamedTuple):

@@ -27,6 +27,8 @@ pub struct PreparedSweep {
     pub(super) range_limits: [f64; 2],
     /// Standard deviation of its ranges [m].
     pub(super) range_std: f64,
+    /// Pose at the stamp as it was given.
+    pub(super) given: Transform,
     pub(super) timing: CircleTiming,
 }
 
@@ -113,6 +115,8 @@ pub struct CircleFrame {
     pub map_shapes: Vec<MapShape>,
     /// Standard deviation of the scanner's ranges, once it is estimated [m].
     pub range_std: Option<f64>,
+    /// How late the poses of the scanner are, once it is known [s].
+    pub pose_offset: Option<f64>,
     /// Time per stage.
     pub timing: CircleTiming,
 }

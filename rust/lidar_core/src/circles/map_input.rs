@@ -2,10 +2,13 @@
 
 use super::fit::circle::CircleEstimate;
 use super::frame::PreparedSweep;
-use super::map::{CircleMap, MapStats, OutlineEstimate};
+use super::map::{CircleMap, MapElement, MapStats, OutlineEstimate};
 use super::parameters::PipelineParameters;
 use super::selection::{MapUse, doubted, is_piece, part};
 use super::shape::{ShapeEstimate, ShapeKind};
+
+/// Speed below which an element stands [m/s].
+const STILL: f64 = 0.02;
 
 /// Segments that go into the map, by number.
 #[derive(Default)]
@@ -89,4 +92,18 @@ impl Parts {
         }
         elements
     }
+}
+
+/// Circles of what stands, each with the number of its element.
+pub(super) fn standing<'a>(
+    map: &[MapElement],
+    elements: &[Option<i64>],
+    circles: &'a [CircleEstimate],
+) -> impl Iterator<Item = (i64, &'a CircleEstimate)> {
+    let still = |one: &&MapElement| {
+        one.confirmed && libm::hypot(one.state.mean[2], one.state.mean[3]) < STILL
+    };
+    let ids: Vec<i64> = map.iter().filter(still).map(|one| one.id).collect();
+    let pairs = elements.iter().zip(circles);
+    pairs.filter_map(move |(&id, circle)| id.filter(|id| ids.contains(id)).map(|id| (id, circle)))
 }

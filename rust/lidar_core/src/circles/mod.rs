@@ -43,6 +43,7 @@ pub mod map;
 mod map_input;
 pub mod parameters;
 pub mod pipeline;
+mod pose_offset;
 pub mod preprocess;
 mod range_noise;
 mod raw_sweep;

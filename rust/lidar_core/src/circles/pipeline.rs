@@ -5,8 +5,9 @@ use super::fit::circle::CircleEstimate;
 use super::frame::{CircleFrame, CircleTiming, PreparedSweep};
 use super::map::SavedCircleMap;
 use super::map::{CircleMap, CircleScan, MapElement, MapShape, MapStats, ScanWithLimits};
-use super::map_input::{ByKind, Parts};
+use super::map_input::{ByKind, Parts, standing};
 use super::parameters::PipelineParameters;
+use super::pose_offset::PoseOffset;
 use super::preprocess::projection;
 use super::preprocess::sweep_poses::SweepPoses;
 use super::range_noise::RangeNoise;
@@ -18,7 +19,6 @@ use super::segment::segmentation::segment;
 use super::selection::ShapeParameters;
 use super::shape::ShapeEstimate;
 use crate::Error;
-use crate::geometry::motion::ScanPoses;
 use crate::geometry::transform::Transform;
 use crate::util::full_state::{impossible, opened, sealed};
 use crate::util::stopwatch::Clock;
@@ -60,8 +60,10 @@ impl CirclePipeline {
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
     pub fn to_state(&self) -> Result<Vec<u8>, Error> {
-        let scanners: Vec<(&str, RangeNoise)> =
-            self.scanners.iter().map(|(name, scanner)| (name.as_str(), scanner.noise)).collect();
+        let saved =
+            |(name, one): &'_ (String, Scanner)| (name.clone(), one.noise, one.offset.clone());
+        let scanners: Vec<(String, RangeNoise, PoseOffset)> =
+            self.scanners.iter().map(saved).collect();
         sealed(KIND, &self.parameters, &(scanners, self.map.state()))
     }
 
@@ -72,10 +74,10 @@ impl CirclePipeline {
     /// [`CirclePipeline::to_state`] did not make, [`Error::Parameter`] for the state of a pipeline
     /// with other parameters.
     pub fn from_state(parameters: PipelineParameters, bytes: &[u8]) -> Result<Self, Error> {
-        let (scanners, map): (Vec<(String, RangeNoise)>, SavedCircleMap) =
+        let (scanners, map): (Vec<(String, RangeNoise, PoseOffset)>, SavedCircleMap) =
             opened(KIND, &parameters, bytes)?;
         let mut pipeline = Self::new(parameters)?;
-        for (place, (name, noise)) in scanners.into_iter().enumerate() {
+        for (place, (name, noise, offset)) in scanners.into_iter().enumerate() {
             match pipeline.number(&name) {
                 Some(known) if known == place => {}
                 None if pipeline.scanners.len() == place => {
@@ -88,6 +90,7 @@ impl CirclePipeline {
                 return Err(impossible("a noise of ranges that is not positive"));
             }
             pipeline.scanners[place].1.hear(noise)?;
+            pipeline.scanners[place].1.offset = offset;
         }
         pipeline.map.restore(map)?;
         Ok(pipeline)
@@ -129,8 +132,7 @@ impl CirclePipeline {
         self.map
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;
-        let motion = ScanPoses::new(raw.poses, raw.pose_stamps_ns)?;
-        let sweep = SweepPoses::new(&motion, raw.stamp_ns, raw.ray_time_ns)?;
+        let (given, sweep) = scanner.sweep(raw)?;
         let upright = upright(&sweep)?;
         let (level, seen) = scanner.level(raw, &sweep, parameters)?;
         let prepare = clock.lap();
@@ -146,12 +148,13 @@ impl CirclePipeline {
             segments,
             world_from_lidar: *sweep.at_stamp(),
             world_from_level: sweep.world_from_level(),
-            pose_covariance: raw.pose_covariance,
+            pose_covariance: scanner.offset.covariance(raw.stamp_ns, &given, raw.pose_covariance),
             stamp_ns: raw.stamp_ns,
             scanner: raw.scanner.into(),
             number,
             range_limits,
             range_std,
+            given,
             timing: CircleTiming { prepare, segment: clock.lap(), ..CircleTiming::default() },
         })
     }
@@ -234,8 +237,14 @@ impl CirclePipeline {
             self.update(&prepared, &circles, &shapes)?;
         let map = self.map.map_at(prepared.stamp_ns);
         let map_shapes = self.map.shapes_at(prepared.stamp_ns);
-        let noise = self.scanners[prepared.number].1.noise;
+        let (_, scanner) = &mut self.scanners[prepared.number];
+        if self.parameters.estimates_noise() {
+            let standing = standing(&map, &elements, &circles);
+            scanner.offset.add(prepared.stamp_ns, &prepared.given, standing);
+        }
+        let noise = scanner.noise;
         Ok(CircleFrame {
+            pose_offset: scanner.offset.known(),
             range_std: noise.is_known().then(|| noise.estimate()),
             circles_world: in_world(&circles, &prepared.world_from_level),
             times_ns: prepared.times_ns(),

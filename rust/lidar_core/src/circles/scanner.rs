@@ -2,6 +2,7 @@
 
 use super::fit::{FitParameters, Fitter};
 use super::parameters::{PipelineParameters, ScannerParameters};
+use super::pose_offset::PoseOffset;
 use super::preprocess::polar_scan::PolarScan;
 use super::preprocess::projection::{self, LevelScan};
 use super::preprocess::sweep_poses::SweepPoses;
@@ -10,6 +11,8 @@ use super::raw_sweep::RawSweep;
 use super::segment::segments::Segments;
 use super::shape::ShapeFitter;
 use crate::Error;
+use crate::geometry::motion::ScanPoses;
+use crate::geometry::transform::Transform;
 
 /// One scanner: its rays, its range limits and its estimators.
 pub(super) struct Scanner {
@@ -19,6 +22,7 @@ pub(super) struct Scanner {
     pub(super) fitter: Fitter,
     pub(super) shaper: ShapeFitter,
     pub(super) noise: RangeNoise,
+    pub(super) offset: PoseOffset,
 }
 
 impl Scanner {
@@ -39,7 +43,23 @@ impl Scanner {
             fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
             shaper: ShapeFitter::new(FitParameters { range_limits, ..parameters.fit })?,
             noise: RangeNoise::new(parameters.fit.range_std),
+            offset: PoseOffset::default(),
         })
+    }
+
+    /// Pose of a sweep at its stamp as given, and its poses, moved on if they are known to be late.
+    ///
+    /// # Errors
+    /// Errors of [`ScanPoses::new`] and [`SweepPoses::new`].
+    pub(super) fn sweep(&self, raw: &RawSweep<'_>) -> Result<(Transform, SweepPoses), Error> {
+        let with = |poses: &[[f64; 16]]| {
+            let motion = ScanPoses::new(poses, raw.pose_stamps_ns)?;
+            SweepPoses::new(&motion, raw.stamp_ns, raw.ray_time_ns)
+        };
+        let sweep = with(raw.poses)?;
+        let given = *sweep.at_stamp();
+        let shifted = self.offset.shifted(raw.stamp_ns, &given, raw.poses);
+        Ok((given, shifted.map_or(Ok(sweep), |poses| with(&poses))?))
     }
 
     /// Learn the noise of the ranges from a sweep, and fit with it.

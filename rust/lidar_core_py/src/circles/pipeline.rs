@@ -231,6 +231,7 @@ fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, B
     values.set_item("map_shapes", map_shape_arrays(py, &frame.map_shapes)?)?;
     values.set_item("events", event_arrays(py, frame.stats)?)?;
     values.set_item("range_std", frame.range_std)?;
+    values.set_item("pose_offset", frame.pose_offset)?;
     let timing_ms = PyDict::new(py);
     let timing = frame.timing;
     for (stage, milliseconds) in [

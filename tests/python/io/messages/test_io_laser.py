@@ -1,6 +1,7 @@
 """2D scans: conventions of drivers, ROS messages, CARMEN logs, round trips, poses."""
 
 import bz2
+import gzip
 import json
 import re
 
@@ -279,7 +280,8 @@ def flaser(ranges, pose=(1.0, 2.0, 0.5), stamp="100.000000001", name="FLASER"):
 def log(tmp_path, text, name="a.clf"):
     path = tmp_path / name
     data = text.encode()
-    path.write_bytes(bz2.compress(data) if name.endswith("bz2") else data)
+    pack = {"bz2": bz2.compress, "gz": gzip.compress}.get(name.rsplit(".")[-1], bytes)
+    path.write_bytes(pack(data))
     return path
 
 
@@ -288,7 +290,7 @@ def read(path, **options):
         return list(recording)
 
 
-@pytest.mark.parametrize("name", ["a.clf", "a.clf.bz2"])
+@pytest.mark.parametrize("name", ["a.clf", "a.clf.bz2", "a.log", "a.gfs.log", "a.log.gz"])
 def test_a_log_gives_scans_and_the_odometry_they_belong_to(tmp_path, name):
     text = HEADER + "ODOM 1 2 0.5 0 0 0 99.5 host 0\n" + flaser([2.0] * 180)
     odometry, pose, scan = read(log(tmp_path, text, name))

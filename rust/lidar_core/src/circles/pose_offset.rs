@@ -1,0 +1,337 @@
+//! Offset in time between the scans of a scanner and the poses that come with them, estimated from
+//! what stands.
+//!
+//! With poses that are late by `o`, what stands at `m` is measured at `m - o d`, where `d` is the
+//! velocity that the pose's motion gives to the place. Over time `d` changes, and `m` hardly does.
+//! A Kalman filter of slow drift, as poses have, runs over the places of every object and, with the
+//! same gains, over its `d`: the innovations of the one are `-o` times those of the other, and
+//! noise. A scanner that turns steadily shows nothing, since `d` is constant too.
+
+use super::fit::circle::CircleEstimate;
+use super::map::PoseCovariance;
+use crate::circles::preprocess::polar_scan::turn;
+use crate::geometry::transform::Transform;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Longest time between scans over which the motion of the pose is taken [s].
+const LONGEST: f64 = 0.5;
+/// Time without a measurement after which an object begins anew [s].
+const MEMORY: f64 = 5.0;
+/// Variance of the drift of places [m^2/s^2], and densities of random walks of places [m^2/s] and of
+/// their drift [m^2/s^3].
+const DRIFT: f64 = 0.05 * 0.05;
+const WANDER: f64 = 0.002 * 0.002;
+const CHANGE: f64 = 0.002 * 0.002;
+/// Number of measurements that the regression remembers.
+const MOST: f64 = 20_000.0;
+/// Variance of a place beyond that of its fit [m^2].
+const ROUGH: f64 = 0.005 * 0.005;
+/// Squared innovation, in variances, above which it is no error of a fit.
+const FAR: f64 = 16.0;
+/// Standard deviation from which on the offset is known [s].
+const KNOWN: f64 = 0.005;
+/// Measurements of which one tells something new: errors of neighbouring scans are alike.
+const ALIKE: f64 = 8.0;
+/// Standard deviations, and time [s], that an offset has at least to be used.
+const SURE: f64 = 4.0;
+const LEAST: f64 = 0.004;
+/// Least standard deviation of an offset in use [s]: clocks are no better.
+const RESOLUTION: f64 = 0.001;
+/// Largest offset that is used [s].
+const LARGEST: f64 = 0.5;
+/// Largest change of the used offset from scan to scan [s]: the map follows it.
+const STEP: f64 = 0.002;
+/// Number of objects above which old ones are forgotten.
+const MANY: usize = 500;
+
+/// A pose as it was given.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct GivenPose {
+    stamp_ns: i64,
+    place: [f64; 3],
+    yaw: f64,
+}
+
+impl GivenPose {
+    fn new(stamp_ns: i64, pose: &Transform) -> Self {
+        let yaw = libm::atan2(pose.rotation[1][0], pose.rotation[0][0]);
+        Self { stamp_ns, place: pose.translation, yaw }
+    }
+
+    /// Velocity [m/s] and turn rate [rad/s] up to another pose.
+    fn motion(&self, next: &Self) -> Option<([f64; 3], f64)> {
+        let dt = (i128::from(next.stamp_ns) - i128::from(self.stamp_ns)) as f64 * 1e-9;
+        let velocity = [0, 1, 2].map(|axis| (next.place[axis] - self.place[axis]) / dt);
+        (dt > 0.0 && dt < LONGEST).then(|| (velocity, turn(next.yaw - self.yaw) / dt))
+    }
+
+    /// Place in the world of a point of the level frame.
+    fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = (libm::sin(self.yaw), libm::cos(self.yaw));
+        [self.place[0] + cos * x - sin * y, self.place[1] + sin * x + cos * y]
+    }
+}
+
+/// A measurement of what stands, in the level frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct StandingCircle {
+    element: i64,
+    center: [f64; 2],
+    weight: f64,
+}
+
+/// Filter of one object.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Thing {
+    stamp_ns: i64,
+    /// Filtered place x, y and velocity x, y by the pose's motion, each with its drift.
+    values: [f64; 4],
+    drifts: [f64; 4],
+    /// Covariance of a value and its drift: the same for all, up to their unit.
+    covariance: [f64; 3],
+}
+
+/// Estimate of the offset of one scanner's poses.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct PoseOffset {
+    /// Poses of the two last scans.
+    before: Option<GivenPose>,
+    last: Option<GivenPose>,
+    /// What stands in the last scan; the motion at its time is known after the next one.
+    waiting: Vec<StandingCircle>,
+    things: BTreeMap<i64, Thing>,
+    /// Sums of products of innovations over their variance: rates, both, places; and their number.
+    rates: f64,
+    both: f64,
+    places: f64,
+    count: f64,
+    used: f64,
+}
+
+impl PoseOffset {
+    /// How late the poses are, once that is known to a few milliseconds [s].
+    pub(super) fn known(&self) -> Option<f64> {
+        let (offset, std) = self.estimate()?;
+        (std < KNOWN).then_some(offset)
+    }
+
+    /// Estimate and its standard deviation [s].
+    fn estimate(&self) -> Option<(f64, f64)> {
+        let offset = -self.both / self.rates;
+        let rest = (self.places - self.both * self.both / self.rates) / self.count;
+        let std = (rest.max(1.0) * ALIKE / self.rates).sqrt();
+        (offset.is_finite() && std.is_finite()).then_some((offset, std))
+    }
+
+    /// Velocity and turn rate in the time that the poses are moved on by, from those since the last
+    /// scan and before it; None if poses are used as given.
+    fn coming(&self, now: &GivenPose) -> Option<([f64; 3], f64)> {
+        let last = self.last.filter(|_| self.used != 0.0)?;
+        let (velocity, rate) = last.motion(now)?;
+        let Some((earlier, slower)) = self.before.and_then(|before| before.motion(&last)) else {
+            return Some((velocity, rate));
+        };
+        // The motion is that in the middle of its time, of which a half and a half of the offset
+        // is to come.
+        let ahead = (0.5 * (1.0 + self.used / age(last.stamp_ns, now.stamp_ns))).clamp(0.0, 1.0);
+        let faster = |now: f64, before: f64| now + ahead * (now - before);
+        let velocity = [0, 1, 2].map(|axis| faster(velocity[axis], earlier[axis]));
+        Some((velocity, faster(rate, slower)))
+    }
+
+    /// Covariance of a pose with that of the part by which it is moved on; None for an exact pose.
+    pub(super) fn covariance(
+        &self,
+        stamp_ns: i64,
+        given: &Transform,
+        of_pose: Option<PoseCovariance>,
+    ) -> Option<PoseCovariance> {
+        let moved = self.coming(&GivenPose::new(stamp_ns, given)).zip(self.estimate());
+        let Some(((velocity, rate), (_, std))) = moved else { return of_pose };
+        let mut covariance = of_pose.unwrap_or_default();
+        let rates = [velocity[0], velocity[1], velocity[2], 0.0, 0.0, rate];
+        let std = std.max(RESOLUTION);
+        for (axis, rate) in rates.into_iter().enumerate() {
+            covariance[axis][axis] += (rate * std) * (rate * std);
+        }
+        Some(covariance)
+    }
+
+    /// Poses moved on by the offset that is in use; None if they are to be used as given.
+    pub(super) fn shifted(
+        &self,
+        stamp_ns: i64,
+        given: &Transform,
+        poses: &[[f64; 16]],
+    ) -> Option<Vec<[f64; 16]>> {
+        let now = GivenPose::new(stamp_ns, given);
+        let (velocity, rate) = self.coming(&now)?;
+        let (sin, cos) = (libm::sin(rate * self.used), libm::cos(rate * self.used));
+        let moved = |pose: &[f64; 16]| {
+            let mut moved = *pose;
+            for column in 0..4 {
+                let from = if column == 3 { now.place } else { [0.0; 3] };
+                let [x, y] = [pose[column] - from[0], pose[4 + column] - from[1]];
+                moved[column] = from[0] + cos * x - sin * y;
+                moved[4 + column] = from[1] + sin * x + cos * y;
+            }
+            for axis in 0..3 {
+                moved[4 * axis + 3] += velocity[axis] * self.used;
+            }
+            moved
+        };
+        Some(poses.iter().map(moved).collect())
+    }
+
+    /// Take in a scan with its pose as given, and the circles of what stands, in the level frame.
+    pub(super) fn add<'a>(
+        &mut self,
+        stamp_ns: i64,
+        given: &Transform,
+        standing: impl Iterator<Item = (i64, &'a CircleEstimate)>,
+    ) {
+        let now = GivenPose::new(stamp_ns, given);
+        if self.last.is_some_and(|last| last.stamp_ns >= stamp_ns) {
+            return; // a late scan
+        }
+        if let (Some(before), Some(last)) = (self.before, self.last)
+            && let Some((velocity, rate)) = before.motion(&now)
+        {
+            for seen_circle in std::mem::take(&mut self.waiting) {
+                let place = last.place(seen_circle.center);
+                let [x, y] = [place[0] - last.place[0], place[1] - last.place[1]];
+                let rate = [velocity[0] - rate * y, velocity[1] + rate * x];
+                self.learn(&seen_circle, last.stamp_ns, place, rate);
+            }
+        }
+        let seen_circle = |(element, circle): (i64, &CircleEstimate)| StandingCircle {
+            element,
+            center: circle.circle.center,
+            weight: 1.0 / (0.5 * (circle.covariance[0][0] + circle.covariance[1][1]) + ROUGH),
+        };
+        self.waiting = standing.map(seen_circle).collect();
+        (self.before, self.last) = (self.last, Some(now));
+        if self.things.len() > MANY {
+            self.things.retain(|_, thing| age(thing.stamp_ns, stamp_ns) < MEMORY);
+        }
+        let wanted = self
+            .estimate()
+            .filter(|&(offset, std)| {
+                std < KNOWN && offset.abs() > LEAST.max(SURE * std) && offset.abs() < LARGEST
+            })
+            .map_or(0.0, |(offset, _)| offset);
+        self.used += (wanted - self.used).clamp(-STEP, STEP);
+    }
+
+    /// Take in where an object was measured, and how fast the pose's motion moves that place.
+    fn learn(&mut self, seen: &StandingCircle, stamp_ns: i64, place: [f64; 2], rate: [f64; 2]) {
+        let offset = self.known().unwrap_or(0.0);
+        let values = [place[0], place[1], rate[0], rate[1]];
+        let noise = 1.0 / seen.weight;
+        let fresh = Thing { stamp_ns, values, drifts: [0.0; 4], covariance: [noise, 0.0, DRIFT] };
+        let thing = self.things.entry(seen.element).or_insert(fresh);
+        let dt = age(thing.stamp_ns, stamp_ns);
+        if dt <= 0.0 || dt > MEMORY {
+            *thing = fresh;
+            return;
+        }
+        let [p, c, v] = thing.covariance;
+        let [p, c, v] = [p + dt * (2.0 * c + dt * v) + WANDER * dt, c + dt * v, v + CHANGE * dt];
+        let variance = p + noise;
+        let gains = [p / variance, c / variance];
+        let mut off = [0.0; 4];
+        for (axis, off) in off.iter_mut().enumerate() {
+            let expected = thing.values[axis] + dt * thing.drifts[axis];
+            *off = values[axis] - expected;
+            thing.values[axis] = expected + gains[0] * *off;
+            thing.drifts[axis] += gains[1] * *off;
+        }
+        let rest = [0, 1].map(|axis| off[axis] + offset * off[axis + 2]);
+        if rest.iter().any(|rest| rest * rest > FAR * variance) {
+            *thing = fresh; // another object, or another part of it
+            return;
+        }
+        thing.covariance = [p * (1.0 - gains[0]), c * (1.0 - gains[0]), v - gains[1] * c];
+        thing.stamp_ns = stamp_ns;
+        let faded = 1.0 - 1.0 / MOST;
+        let sum = |before: f64, now: f64| before * faded + now / variance;
+        self.rates = sum(self.rates, off[2] * off[2] + off[3] * off[3]);
+        self.both = sum(self.both, off[0] * off[2] + off[1] * off[3]);
+        self.places = sum(self.places, off[0] * off[0] + off[1] * off[1]);
+        self.count = self.count * faded + 2.0;
+    }
+}
+
+/// Time from one stamp to a later one [s].
+fn age(from_ns: i64, to_ns: i64) -> f64 {
+    ((i128::from(to_ns) - i128::from(from_ns)) as f64 * 1e-9).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::circles::fit::circle::Circle;
+
+    fn pose(yaw: f64) -> Transform {
+        let (sin, cos) = (libm::sin(yaw), libm::cos(yaw));
+        let rotation = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
+        Transform { rotation, translation: [0.0; 3] }
+    }
+
+    /// Estimate after 20 s with two posts, seen with a jitter of 5 mm from a scanner of this yaw at
+    /// a time, with poses that are late.
+    fn found(yaw: impl Fn(f64) -> f64, late: f64) -> PoseOffset {
+        let mut offset = PoseOffset::default();
+        for scan in 0..400_i32 {
+            let time = 0.05 * f64::from(scan);
+            let error = 0.005 * if scan % 2 == 0 { 1.0 } else { -1.0 };
+            let (truth, given) = (pose(yaw(time)), pose(yaw(time - late)));
+            let seen = [[4.0, 0.0, 0.0], [-1.0, 3.0, 0.0]].map(|post| {
+                let [x, y, _] = truth.inverse().apply(post);
+                let covariance = [[2.5e-5, 0.0, 0.0], [0.0, 2.5e-5, 0.0], [0.0, 0.0, 2.5e-5]];
+                let circle = Circle { center: [x + error, y - error], radius: 0.1 };
+                CircleEstimate { circle, covariance, n_hits: 20, is_fallback: false }
+            });
+            let standing = seen.iter().enumerate().map(|(id, circle)| (id as i64, circle));
+            offset.add(i64::from(scan) * 50_000_000, &given, standing);
+        }
+        offset
+    }
+
+    #[test]
+    fn late_and_early_poses_are_found_and_right_ones_stay_as_they_are() {
+        for late in [0.05, -0.03] {
+            let offset = found(|time| 1.2 * libm::sin(0.5 * time), late);
+            assert!(offset.known().is_some_and(|known| (known - late).abs() < 0.002), "{late}");
+            assert!((offset.used - late).abs() < 0.003);
+        }
+        let right = found(|time| 1.2 * libm::sin(0.5 * time), 0.0);
+        assert!(right.known().is_some_and(|known| known.abs() < 0.002) && right.used == 0.0);
+    }
+
+    #[test]
+    fn a_steady_turn_and_a_scanner_at_rest_tell_nothing() {
+        for rate in [0.4, 0.0] {
+            let offset = found(|time| rate * time, 0.05);
+            assert!(offset.used == 0.0 && offset.known().is_none(), "{rate}: {offset:?}");
+        }
+    }
+
+    #[test]
+    fn poses_move_on_by_the_offset_in_use() {
+        let yaw = |time: f64| 1.2 * libm::sin(0.5 * time);
+        let offset = found(yaw, 0.05);
+        let given = pose(yaw(20.0 - 0.05));
+        let matrix = |pose: &Transform| {
+            let [a, b, c] = pose.rotation;
+            [a[0], a[1], a[2], 0., b[0], b[1], b[2], 0., c[0], c[1], c[2], 0., 0., 0., 0., 1.]
+        };
+        let moved = offset.shifted(400 * 50_000_000, &given, &[matrix(&given)]);
+        let right = matrix(&pose(yaw(20.0)));
+        let apart = |moved: Vec<[f64; 16]>| {
+            moved[0].iter().zip(right).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        };
+        assert!(moved.is_some_and(|moved| apart(moved) < 0.003));
+    }
+}
