@@ -35,6 +35,7 @@ for _name in (
     "reproduce",
     "view",
     "report",
+    "events",
     "batch",
     "live",
 ):
