@@ -12,7 +12,7 @@ TORCH_INDEX ?= $(LIDAR_CORE_TORCH_INDEX)
 # A built wheel to test; without it `make test` builds one from the working tree.
 WHEEL ?=
 
-EXTRAS := cluster,eval,io,live,odometry,velodyne,tables,plot,rerun,viz
+EXTRAS := cloud,cluster,eval,io,live,odometry,velodyne,tables,plot,rerun,viz
 PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
 

@@ -3,17 +3,20 @@
 import glob
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, LimitError
+from lidar_core.io.remote import fetched, is_remote, matching
+from lidar_core.io.tables.columns import read_columns
 
 Value: TypeAlias = str | int | float | bool
 OUTPUT = "output"
@@ -47,15 +50,23 @@ class BatchGroup(Config):
     files: dict[str, str] = Field(
         default_factory=dict,
         description="Files and folders, as patterns with * and **, from the folder of the batch"
-        " file (no unit).",
+        " file, or addresses such as s3://bucket/*.mcap (no unit).",
     )
-    rows: tuple[dict[str, Value], ...] = Field(
-        (), description="Values that belong together (no unit)."
+    rows: tuple[dict[str, Value], ...] | str = Field(
+        (),
+        description="Values that belong together, or a table of them: a .csv or .parquet file,"
+        " from the folder of the batch file, or an address such as s3://bucket/a.csv (no unit).",
     )
 
     @model_validator(mode="after")
     def _names_are_known_and_used(self) -> Self:
-        named = [*self.grid, *self.ranges, *self.files, *(self.rows[0] if self.rows else ())]
+        if isinstance(self.rows, str):
+            return self  # the table has the names: `jobs_of` looks at them
+        self._check(self.rows)
+        return self
+
+    def _check(self, rows: Sequence[Mapping[str, Value]]) -> None:
+        named = [*self.grid, *self.ranges, *self.files, *(rows[0] if rows else ())]
         twice = sorted({name for name in named if named.count(name) > 1})
         if twice or OUTPUT in named:
             raise ValueError(f"expected every name once, none of them output, got {named}")
@@ -63,7 +74,7 @@ class BatchGroup(Config):
         empty += [name for name, (first, end) in self.ranges.items() if first >= end]
         if empty:
             raise ValueError(f"expected a value at least, got none for {', '.join(empty)}")
-        if any(set(row) != set(self.rows[0]) for row in self.rows):
+        if any(set(row) != set(rows[0]) for row in rows):
             raise ValueError("rows: expected the same names in every row")
         used = {name for command in self.commands for name in _PLACE.findall(command)}
         if used - {OUTPUT} != set(named):
@@ -73,7 +84,25 @@ class BatchGroup(Config):
             )
         for command in self.commands:
             shlex.split(command)
-        return self
+
+    def rows_from(self, folder: Path) -> Sequence[Mapping[str, Value]]:
+        """The rows; those of a table are checked like those of the batch file.
+
+        Raises
+        ------
+        ConfigError
+            The table has no rows, or other names than the commands.
+        """
+        if not isinstance(self.rows, str):
+            return self.rows
+        rows = _rows_of(self.rows, folder)
+        try:
+            if not rows:
+                raise ValueError("expected rows, got none")
+            self._check(rows)
+        except ValueError as error:
+            raise ConfigError(f"jobs.{self.name}.rows: {self.rows}: {error}") from None
+        return rows
 
 
 class BatchConfig(Config):
@@ -133,15 +162,16 @@ def _of_group(group: BatchGroup, folder: Path) -> Iterator[BatchJob]:
         name: _matching(group.name, name, pattern, folder) for name, pattern in group.files.items()
     }
     choices |= group.grid
+    rows = group.rows_from(folder)
     counts = [len(values) for values in choices.values()]
     counts += [end - first for first, end in group.ranges.values()]
-    if (count := prod(counts) * max(len(group.rows), 1)) > MOST_JOBS:
+    if (count := prod(counts) * max(len(rows), 1)) > MOST_JOBS:
         raise LimitError(
             f"jobs.{group.name}: {count} jobs of all combinations, limit {MOST_JOBS}; give fewer"
             " values in grid, ranges, files and rows, or split it into several batches"
         )
     choices |= {name: tuple(range(*limits)) for name, limits in group.ranges.items()}
-    for row in group.rows or ({},):
+    for row in rows or ({},):
         for chosen in product(*choices.values()):
             values = {**row, **dict(zip(choices, chosen, strict=True))}
             yield BatchJob(
@@ -150,13 +180,33 @@ def _of_group(group: BatchGroup, folder: Path) -> Iterator[BatchJob]:
 
 
 def _matching(group: str, name: str, pattern: str, folder: Path) -> tuple[str, ...]:
+    if is_remote(pattern):
+        addresses = matching(pattern)
+        if not addresses:
+            raise ConfigError(f"jobs.{group}.files.{name}: nothing matches {pattern}")
+        return tuple(addresses)
     found = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
     if not found:
         raise ConfigError(f"jobs.{group}.files.{name}: nothing matches {folder / pattern}")
     return tuple(str(folder / one) for one in found)
 
 
-def _filled(command: str, values: dict[str, Value]) -> tuple[str, ...]:
+def _rows_of(table: str, folder: Path) -> list[dict[str, Value]]:
+    """Rows of a table, by the names of its columns; nested values count as texts."""
+    with TemporaryDirectory(prefix="lidar-core-table-") as scratch:
+        place = fetched(table, Path(scratch)) if is_remote(table) else folder / table
+        columns = read_columns(place)
+    lists = [values.tolist() for values in columns.values()]
+    return [
+        {
+            name: value if isinstance(value, str | int | float | bool) else str(value)
+            for name, value in zip(columns, row, strict=True)
+        }
+        for row in zip(*lists, strict=True)
+    ]
+
+
+def _filled(command: str, values: Mapping[str, Value]) -> tuple[str, ...]:
     """Arguments of a command: split first, so that values may hold spaces."""
 
     def value(match: re.Match[str]) -> str:

@@ -1,7 +1,7 @@
 """Tasks that need nothing of each other, over the processes of a machine or of a Ray cluster."""
 
 import os
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -11,6 +11,8 @@ from lidar_core.errors import ConfigError
 from lidar_core.extras import require
 
 Executor: TypeAlias = Literal["local", "ray"]
+ATTEMPTS = 3
+"""How often a task is begun whose process dies: others end processes, too, for want of memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,8 @@ def completed(
 ) -> Generator[tuple[int, Any], None, None]:
     """Do all tasks; yield the number of each and its result, or a `Failure`, as they end.
 
-    A task that fails, or whose process dies, leaves the others alone. Closing the iterator, as
-    Ctrl-C does, ends what is running.
+    A task that fails, or whose process dies `ATTEMPTS` times, leaves the others alone. Closing the
+    iterator, as Ctrl-C does, ends what is running.
 
     Parameters
     ----------
@@ -72,6 +74,7 @@ def completed(
 def _local(tasks: Sequence[Task], workers: int) -> Generator[tuple[int, Any], None, None]:
     left, idle = deque(range(len(tasks))), list[Worker]()
     busy: dict[Worker, int] = {}
+    deaths: Counter[int] = Counter()
     try:
         while left or busy:
             while left and len(busy) < workers:
@@ -84,6 +87,11 @@ def _local(tasks: Sequence[Task], workers: int) -> Generator[tuple[int, Any], No
                 is_result, value = worker.outcome()
                 if worker.is_alive:
                     idle.append(worker)
+                else:
+                    deaths[number] += 1
+                    if deaths[number] < ATTEMPTS:
+                        left.append(number)
+                        continue
                 yield number, value if is_result else Failure(value)
     finally:
         for worker in (*idle, *busy):
@@ -100,6 +108,7 @@ def _ray(tasks: Sequence[Task], workers: int) -> Generator[tuple[int, Any], None
         ray.init(include_dashboard=False, log_to_driver=False, logging_level="ERROR", **where)
     remote = ray.remote(max_retries=0)(called)
     left, busy = deque(range(len(tasks))), dict[Any, int]()
+    deaths: Counter[int] = Counter()
     try:
         while left or busy:
             while left and len(busy) < workers:
@@ -111,6 +120,10 @@ def _ray(tasks: Sequence[Task], workers: int) -> Generator[tuple[int, Any], None
                 try:
                     is_result, value = ray.get(reference)
                 except ray.exceptions.RayError as error:
+                    deaths[number] += 1
+                    if deaths[number] < ATTEMPTS:
+                        left.append(number)
+                        continue
                     is_result, value = False, ended(str(error).strip().splitlines()[0])
                 yield number, value if is_result else Failure(value)
     finally:

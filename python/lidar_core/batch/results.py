@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
-from lidar_core.files import read_text
+from lidar_core.files import check_regular
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.tables.long_table import write_long_table
 
@@ -38,6 +38,8 @@ class JobRecord:
         Of every {NAME}.
     numbers : dict
         What the commands tell as JSON, by dotted path.
+    events : list of dict
+        What happened to the objects of its runs, a row each.
     """
 
     job: str
@@ -48,13 +50,22 @@ class JobRecord:
     error: str = ""
     values: dict[str, Any] = field(default_factory=dict)
     numbers: dict[str, Any] = field(default_factory=dict)
+    events: list[dict[str, Any]] = field(default_factory=list)
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
         """The record of a folder; None where there is none that can be read."""
         try:
-            return cls(**json.loads(read_text(folder / NOTE)))
-        except (OSError, ValueError, TypeError):
+            return cls.parsed(check_regular(folder / NOTE).read_bytes())
+        except (OSError, ValueError):
+            return None
+
+    @classmethod
+    def parsed(cls, data: bytes) -> Self | None:
+        """The record that a job.json holds; None where it is none."""
+        try:
+            return cls(**json.loads(data))
+        except (ValueError, TypeError, RecursionError):
             return None
 
     def write(self, folder: Path) -> None:

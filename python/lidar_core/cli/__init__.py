@@ -38,6 +38,7 @@ for _name in (
     "reproduce",
     "view",
     "report",
+    "events",
     "batch",
     "live",
 ):

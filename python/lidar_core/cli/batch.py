@@ -30,9 +30,11 @@ def command(
     jobs: Annotated[Path, typer.Argument(help="Batch file (TOML): groups of jobs.")],
     *,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="Folder: results.parquet, a folder per job."),
-    ] = Path("runs/batch"),
+        str,
+        typer.Option(
+            "--output", "-o", help="Folder or s3://bucket/folder: tables, a folder per job."
+        ),
+    ] = "runs/batch",
     executor: Annotated[Literal["local", "ray"], typer.Option(help=EXECUTOR)] = "local",
     workers: Annotated[
         int,
@@ -53,7 +55,7 @@ def command(
 
     def tell(record: "JobRecord") -> None:
         if record.status == "failed":
-            text = f"{output / record.job}: {record.error}"
+            text = f"{output.rstrip('/')}/{record.job}: {record.error}"
             errors.print(text, markup=False, highlight=False, soft_wrap=True)
 
     with shown_progress(errors, counts="jobs") as on_progress:

@@ -3,19 +3,16 @@
 import hashlib
 import json
 import os
+import re
 import shutil
-import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, redirect_stderr, redirect_stdout
+from contextlib import closing
 from dataclasses import dataclass, replace
-from pathlib import Path
-from pkgutil import resolve_name
-from time import perf_counter
-from typing import Annotated, Any, Self, cast
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Self
 
 from pydantic import Field
-from typer import BadParameter
-from typer.main import get_command
 
 from lidar_core.batch import (
     BatchConfig,
@@ -27,28 +24,23 @@ from lidar_core.batch import (
     jobs_of,
     write_results,
 )
-from lidar_core.batch.config import OUTPUT
 from lidar_core.batch.executors import Executor
-from lidar_core.batch.results import NOTE, flat
+from lidar_core.batch.results import NOTE
 from lidar_core.config import Config, checked
-from lidar_core.errors import ConfigError, LidarCoreError
+from lidar_core.errors import ConfigError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
+from lidar_core.io.remote import is_remote, joined, seen, stored_file, texts
+from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
+from lidar_core.runs.catalogue import EVENTS
+from lidar_core.runs.jobs.commands import check_commands
+from lidar_core.runs.jobs.run import TRACKS, Workplace, run_job, told_error
 from lidar_core.runs.result import OnProgress, RunResult
 from lidar_core.util.threads import all_threads
 
-COMMAND_LINE = "lidar_core.cli:app"
-"""Runs the commands of a job. Found by name: the command line is built on `lidar_core.runs`."""
-LOG, RESULTS = "log.txt", "results.parquet"
-KEY_LENGTH = 12
-OVERFLIGHT = "overflight"
-"""Scene of `simulate` that takes no threads."""
-WITHOUT = ("batch", "view")
-"""Commands that are no jobs: they do not end by themselves, or would start jobs of their own."""
-UsageError = cast("type[Exception]", BadParameter.__base__)
-"""What a parser raises; typer hands out this one of its errors alone."""
-WRITTEN = {("export", "model")}
-"""Arguments, besides those called output, that name what a command writes."""
+RESULTS, EVENTS_TABLE = "results.parquet", "events.parquet"
+KEY_LENGTH, NAME_LENGTH = 8, 80
+"""Letters of the digest in the name of a job, and of the whole name at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +76,9 @@ def batch(
     jobs : str or Path
         Batch file (TOML), as `BatchConfig` describes it.
     output : str or Path
-        Folder to write: results.parquet (or .csv) with a row per job, a folder per job.
+        Folder to write: results.parquet (or .csv) with a row per job, events.parquet with the
+        events of all tracks, tracks/ with a table per job, a folder per job. An address such as
+        s3://bucket/folder (extra `cloud`) gets the same.
     executor : str
         "local": processes of this machine. "ray": a Ray cluster (extra `cluster`).
     workers : int, optional
@@ -109,25 +103,46 @@ def batch(
     FileExistsError
         Another batch is being written there.
     """
-    file, folder = Path(jobs), Path(output)
+    file, target = Path(jobs), os.fspath(output)
+    if isinstance(output, Path) and is_remote(target.replace(":/", "://", 1)):
+        raise ConfigError(f"output: expected an address as text, got the path {target}")
     config = BatchConfig.read(file)
-    made = Batch.of(folder, jobs_of(config, file.parent), is_fresh=fresh)
+    made_jobs = jobs_of(config, file.parent)
+    if not is_remote(target):
+        work = Batch.of(Path(target), made_jobs, is_fresh=fresh)
+        return _done(work, config, file, executor, workers, on_progress, on_job)
+    with tempfile.TemporaryDirectory(prefix="lidar-core-batch-") as folder:
+        work = Batch.of(Path(folder), made_jobs, is_fresh=fresh, remote=target)
+        return _done(work, config, file, executor, workers, on_progress, on_job)
+
+
+def _done(
+    work: "Batch",
+    config: BatchConfig,
+    file: Path,
+    executor: Executor,
+    workers: int | None,
+    on_progress: OnProgress,
+    on_job: Callable[[JobRecord], None],
+) -> BatchResult:
+    """Do the jobs that are left, and write the tables."""
+    folder = work.folder
     folder.mkdir(parents=True, exist_ok=True)
     lock(folder)
-    done, ended_by = len(made.kept), None
-    on_progress("batch", done, len(made.jobs))
+    done, ended_by = len(work.kept), None
+    on_progress("batch", done, len(work.jobs))
     try:
-        for record in made.run(executor=executor, workers=workers or all_threads()):
+        for record in work.run(executor=executor, workers=workers or all_threads()):
             done += 1
-            on_progress("batch", done, len(made.jobs))
+            on_progress("batch", done, len(work.jobs))
             on_job(record)
     except KeyboardInterrupt as interrupt:
         ended_by = interrupt
-    table = made.write({"batch": config}, file)
+    files = work.write({"batch": config}, file)
     unlock(folder)
-    files = (table.name, "batch.toml")
-    records = tuple(made.records())
-    summary = {**made.summary(), "results": str(table)}
+    records = tuple(work.records())
+    results = str(folder / files[0]) if work.remote is None else joined(work.remote, files[0])
+    summary = {**work.summary(), "results": results}
     return BatchResult(folder, summary, files, (), ended_by, records)
 
 
@@ -138,20 +153,30 @@ class Batch:
     Attributes
     ----------
     folder : Path
-        Of the results.
+        Of the results on this machine.
     jobs : dict of str to BatchJob
         By the names of their folders.
+    keys : dict of str to str
+        Digests of what makes their results.
     kept : dict of str to JobRecord
         Those that an earlier run did.
+    made : dict of str to JobRecord
+        Those that this run did.
+    remote : str or None
+        Address that the results go to, if it is not the folder.
     """
 
     folder: Path
     jobs: dict[str, BatchJob]
+    keys: dict[str, str]
     kept: dict[str, JobRecord]
     made: dict[str, JobRecord]
+    remote: str | None = None
 
     @classmethod
-    def of(cls, folder: Path, jobs: Sequence[BatchJob], *, is_fresh: bool) -> Self:
+    def of(
+        cls, folder: Path, jobs: Sequence[BatchJob], *, is_fresh: bool, remote: str | None = None
+    ) -> Self:
         """Name the jobs, and see which are done.
 
         Raises
@@ -160,20 +185,17 @@ class Batch:
             A command is not known, or cannot be a job.
         """
         for job in jobs:
-            _check(job)
-        named = {f"{job.group}-{_key(job)[:KEY_LENGTH]}": job for job in jobs}
-        kept = (
-            {}
-            if is_fresh
-            else {
-                name: record
-                for name, job in named.items()
-                if (record := JobRecord.read(folder / name)) is not None
-                and record.status == "done"
-                and record.key == _key(job)
-            }
-        )
-        return cls(folder, named, kept, {})
+            check_commands(job)
+        keys = [_key(job) for job in jobs]
+        names = [_name(job, key) for job, key in zip(jobs, keys, strict=True)]
+        key_of = dict(zip(names, keys, strict=True))
+        found = {} if is_fresh else _found(folder, names, remote)
+        kept = {
+            name: record
+            for name, record in found.items()
+            if record.status == "done" and record.key == key_of[name]
+        }
+        return cls(folder, dict(zip(names, jobs, strict=True)), key_of, kept, {}, remote)
 
     def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
         """Do what is left; yield each record as the job ends."""
@@ -205,32 +227,47 @@ class Batch:
         done = sum(record.status == "done" for record in records)
         return {"jobs": len(self.jobs), "done": done, "kept": len(self.kept), "failed": failed}
 
-    def write(self, config: Mapping[str, Config], file: Path) -> Path:
-        """Write the table and what made it; return the table."""
+    def write(self, config: Mapping[str, Config], file: Path) -> tuple[str, ...]:
+        """Write the tables and what made them; return their names, that of the results first."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with written_whole(self.folder / "batch.toml") as temporary:
             temporary.write_text(note_of({"jobs": str(file)}, config), encoding="utf-8")
-        return write_results(self.folder / RESULTS, self.records())
+        records = self.records()
+        results = write_results(self.folder / RESULTS, records)
+        rows = [[event[name] for name in EVENTS] for one in records for event in one.events]
+        events = write_long_table(self.folder / EVENTS_TABLE, EVENTS, rows)
+        files = (results.name, events.name, "batch.toml")
+        if self.remote is None:
+            _remove_others(self.folder / TRACKS, set(self.jobs))
+        else:
+            for name in files:
+                stored_file(self.folder / name, joined(self.remote, name))
+        return files
 
     def _failed(self, name: str, failure: Failure) -> JobRecord:
-        error = _told(failure.error)
+        error = told_error(failure.error)
         record = replace(self._record(name), status="failed", error=error)
-        record.write(self.folder / name)
+        workplace = self._workplace(name)
+        workplace.clear_tracks()
+        workplace.deliver(record)
         return record
 
     def _record(self, name: str) -> JobRecord:
         job = self.jobs[name]
-        return JobRecord(name, job.group, _key(job), "running", values=job.values)
+        return JobRecord(name, job.group, self.keys[name], "running", values=job.values)
+
+    def _workplace(self, name: str) -> Workplace:
+        return Workplace(self.folder.resolve(), name, self.remote)
 
     def _task(self, name: str, threads: int) -> Task:
-        folder = (self.folder / name).resolve()
+        workplace = self._workplace(name)
         return Task(
             name,
             run_job,
             {
                 "record": self._record(name),
-                "commands": self.jobs[name].commands_into(folder),
-                "folder": folder,
+                "commands": self.jobs[name].commands_into(workplace.folder),
+                "workplace": workplace,
                 "place": Path.cwd(),
                 "threads": threads,
                 "build": build_digest(),
@@ -238,145 +275,60 @@ class Batch:
         )
 
 
-def run_job(
-    *,
-    record: JobRecord,
-    commands: Sequence[Sequence[str]],
-    folder: Path,
-    place: Path,
-    threads: int,
-    build: str,
-) -> JobRecord:
-    """Do the commands of a job in `folder`, seen from `place`; return how it ended.
-
-    What they print goes into log.txt.
-    """
-    start = perf_counter()
-    numbers: dict[str, Any] = {}
-    try:
-        if build != build_digest():
-            raise ConfigError("batch: this worker has another build of lidar_core")
-        os.chdir(place)
-        with (
-            (folder / LOG).open("w", encoding="utf-8") as log,
-            redirect_stdout(log),
-            redirect_stderr(log),
-        ):
-            for number, command in enumerate(commands, start=1):
-                told = folder / f"{number}-{command[0]}.json"
-                numbers |= flat(_told_by(command, told, threads), _prefix(commands, number - 1))
-    except Exception as error:  # whatever it is, it is what the record is for
-        ended = replace(record, status="failed", error=_told(error))
+def _found(folder: Path, names: Sequence[str], remote: str | None) -> dict[str, JobRecord]:
+    """Records of jobs that an earlier run left."""
+    if remote is None:
+        read = {name: JobRecord.read(folder / name) for name in names}
     else:
-        ended = replace(record, status="done", numbers=numbers)
-    ended = replace(ended, seconds=round(perf_counter() - start, 3))
-    ended.write(folder)
-    return ended
-
-
-def _prefix(commands: Sequence[Sequence[str]], index: int) -> str:
-    """What the numbers of a command begin with: its name; counted, if the job has it again."""
-    names = [command[0] for command in commands]
-    name = names[index]
-    return f"{name}-{names[: index + 1].count(name)}" if names.count(name) > 1 else name
-
-
-def _told_by(command: Sequence[str], told: Path, threads: int) -> Any:
-    """Do one command; return what it told as JSON in the file `told`, if it can."""
-    options = _options(command[0])
-    more = ["--json", str(told)] if "--json" in options and "--json" not in command else []
-    if "--threads" in options and not {"--threads", OVERFLIGHT} & set(command):
-        more += ["--threads", str(threads)]
-    arguments = [*command, *more]
-    sys.argv = ["lidar-core", *arguments]
-    status = resolve_name(COMMAND_LINE)(arguments, standalone_mode=False)
-    if status:
-        raise ChildProcessError(f"lidar-core {' '.join(command)}: exit status {status}, see {LOG}")
-    if not told.is_file():
-        return {}
-    return json.loads(told.read_text(encoding="utf-8"))
-
-
-def _options(command: str) -> set[str]:
-    """Options of a command that take a value."""
-    parameters = _commands()[command].params
-    return {name for one in parameters if not getattr(one, "is_flag", False) for name in one.opts}
-
-
-def _commands() -> Mapping[str, Any]:
-    known: Mapping[str, Any] = vars(get_command(resolve_name(COMMAND_LINE)))["commands"]
-    return known
-
-
-def _check(job: BatchJob) -> None:
-    known = sorted(set(_commands()) - set(WITHOUT))
-    for command in job.commands:
-        if not command or command[0] not in known:
-            named = command[0] if command else ""
-            raise ConfigError(
-                f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
-            )
-        outside = [where for where, value in _written(command) if not _is_inside(value)]
-        if outside:
-            raise ConfigError(
-                f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}, as the"
-                f" beginning of {outside[0]}: what it writes elsewhere is no part of the job"
-            )
-
-
-def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
-    """Options and arguments of a command that name what it writes, with their values.
-
-    An option that is not there has its default, which is no place of the job: None.
-    """
-    known, name, arguments = _commands()[command[0]], command[0], list(command[1:])
-    below: Mapping[str, Any] = getattr(known, "commands", {})
-    if arguments and arguments[0] in below:
-        known, name, arguments = below[arguments[0]], arguments[0], arguments[1:]
-    context = known.make_context(name, [], resilient_parsing=True)
-    context.resilient_parsing = False
-    try:
-        values = known.make_parser(context).parse_args(arguments)[0]
-    except UsageError:
-        return []  # the job itself says what is wrong with its options
-    found = []
-    for one in known.params:
-        value = values.get(one.name)
-        if one.name == "output" or (command[0], one.name) in WRITTEN:
-            found.append((max(one.opts, key=len), None if value is None else str(value)))
-        elif "--json" in one.opts and value not in (None, False, True) and str(value) != "-":
-            found.append(("--json", str(value)))
-    return found
-
-
-def _is_inside(value: str | None) -> bool:
-    """Whether a place is in the folder of the job."""
-    if value is None or not value.startswith(f"{{{OUTPUT}}}"):
-        return False
-    folder = Path(os.sep) / "job"
-    place = Path(os.path.normpath(value.replace(f"{{{OUTPUT}}}", str(folder))))
-    return place.is_relative_to(folder)
+        held = texts(joined(remote, f"*/{NOTE}"))
+        by_name = {PurePosixPath(address).parent.name: data for address, data in held.items()}
+        read = {name: JobRecord.parsed(by_name[name]) for name in names if name in by_name}
+    return {name: record for name, record in read.items() if record is not None}
 
 
 def _begin(folder: Path, record: JobRecord) -> None:
-    """An empty folder that says whose it is."""
+    """An empty folder that says whose it is, also while it is emptied."""
     if folder.exists() and not all(is_temporary(one.name) for one in folder.iterdir()):
         if not (folder / NOTE).is_file():
             raise FileExistsError(f"{folder}: holds files that no job wrote")
-        shutil.rmtree(folder)
+        for one in folder.iterdir():
+            if one.name != NOTE:
+                shutil.rmtree(one) if one.is_dir() and not one.is_symlink() else one.unlink()
     remove_stale(folder)
     folder.mkdir(parents=True, exist_ok=True)
     record.write(folder)
 
 
+def _remove_others(folder: Path, names: set[str]) -> None:
+    """Remove tables of jobs that the batch no longer has."""
+    for table in folder.glob("*.*"):
+        if table.stem not in names and table.suffix in {".parquet", ".csv"}:
+            table.unlink()
+
+
+def _name(job: BatchJob, key: str) -> str:
+    """What a person can read: the group and the values, then the beginning of the digest."""
+    told = [_short(value) for value in job.values.values()]
+    readable = "-".join([job.group, *(one for one in told if one)])
+    return f"{readable[: NAME_LENGTH - KEY_LENGTH - 1].rstrip('-.')}-{key[:KEY_LENGTH]}"
+
+
+def _short(value: Any) -> str:
+    """A value in the name of a folder: of a path or an address the last part, without ending."""
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    if isinstance(value, str) and "/" in text:
+        text = PurePosixPath(text.rstrip("/")).stem
+    return re.sub(r"[^A-Za-z0-9._+=]+", "-", text).strip("-.")
+
+
 def _key(job: BatchJob) -> str:
     """Digest of what makes the result: build, commands, and size and time of the files named."""
-    files = {
-        part: _seen(Path(part))
-        for command in job.commands
-        for part in command
-        if os.path.exists(part)
-    }
+    files: dict[str, Any] = {}
+    for part in dict.fromkeys(part for command in job.commands for part in command):
+        if is_remote(part):
+            files[part] = seen(part)
+        elif os.path.exists(part):
+            files[part] = _seen(Path(part))
     made_of = json.dumps([build_digest(), job.commands, files], sort_keys=True)
     return hashlib.sha256(made_of.encode()).hexdigest()
 
@@ -384,12 +336,3 @@ def _key(job: BatchJob) -> str:
 def _seen(path: Path) -> list[tuple[str, int, int]]:
     found = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.is_file())
     return [(str(one), (at := one.stat()).st_size, at.st_mtime_ns) for one in found]
-
-
-def _told(error: Exception) -> str:
-    text = (
-        str(error)
-        if isinstance(error, LidarCoreError | OSError)
-        else (f"{type(error).__name__}: {error}")
-    )
-    return text.strip() or type(error).__name__

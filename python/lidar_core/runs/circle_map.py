@@ -248,8 +248,9 @@ class CirclesRun:
 
     def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
         """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
-        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
-        self._note(frame, item.world_from_lidar.reshape(-1, 4, 4)[0])
+        pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, pose)
+        self._note(frame, pose)
         if self._mcap is not None:
             log_circles(self._mcap, item, frame, frame_id=self.frame_id)
 

@@ -204,8 +204,8 @@ class FlyingRun:
 
     def keep(self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float) -> None:
         """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
-        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms)
         poses = item.world_from_lidar.reshape(-1, 4, 4)
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, poses[0])
         self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
         self._last = frame

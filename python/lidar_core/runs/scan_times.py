@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_core.evaluation import Latency
 
@@ -15,9 +16,17 @@ class ScanTimes:
         self._stamps_ns: list[int] = []
         self._wall_ms: list[float] = []
         self._stages_ms: dict[str, list[float]] = {}
+        self._sensor: list[NDArray[np.float64]] = []
 
-    def add(self, stamp_ns: int, wall_ms: float, stages_ms: Mapping[str, float]) -> None:
-        """Append one scan; all of them have the same stages."""
+    def add(
+        self,
+        stamp_ns: int,
+        wall_ms: float,
+        stages_ms: Mapping[str, float],
+        world_from_lidar: NDArray[np.float64],
+    ) -> None:
+        """Append one scan with its first pose; all of them have the same stages."""
+        self._sensor.append(world_from_lidar[:3, 3])
         self._stamps_ns.append(stamp_ns)
         self._wall_ms.append(wall_ms)
         for name, value in stages_ms.items():
@@ -44,7 +53,10 @@ class ScanTimes:
         return {"total": latency.total.mean, **stages}
 
     def table(self) -> dict[str, Any]:
-        """Columns of the timing table, one row per processed scan [ms]."""
+        """Columns of the timing table: times [ms] and the place of the sensor [m] per scan."""
         stages = {f"{name}_ms": np.array(values) for name, values in self._stages_ms.items()}
         stamps = np.array(self._stamps_ns, np.int64)
-        return {"t_ns": stamps, "total_ms": np.array(self._wall_ms, np.float64), **stages}
+        sensor = np.array(self._sensor, np.float64).reshape(-1, 3)
+        places = {f"sensor_{axis}": sensor[:, column] for column, axis in enumerate("xyz")}
+        total = np.array(self._wall_ms, np.float64)
+        return {"t_ns": stamps, "total_ms": total, **stages, **places}

@@ -286,6 +286,16 @@ def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -
     return table
 
 
+def aligned(columns: Mapping[str, Sequence[str]]) -> list[str]:
+    """Lines of a table with a headline, as wide as they need: programs cut and sort them."""
+    widths = [max(map(len, (name, *values))) for name, values in columns.items()]
+    rows = [tuple(columns), *zip(*columns.values(), strict=True)]
+    return [
+        "  ".join(one.ljust(width) for one, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
 def stage_rows(ms_per_scan: Mapping[str, float]) -> list[Row]:
     """Rows of the mean time per scan: the total, then every stage."""
     total = ms_per_scan["total"]

@@ -1,0 +1,88 @@
+"""`lidar-core events`: rows of the tables of runs and batches for which a query is true."""
+
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar_core.cli.shared.common import (
+    JsonFile,
+    OverwriteFile,
+    aligned,
+    consoles,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from lidar_core.io.tables.columns import Columns
+
+SHOWN = ("recording", "track_id", "event", "time", "x", "y", "z", "speed", "distance", "duration")
+"""Columns on the console, as far as the table has them; files get all."""
+MOST_ROWS = 40
+QUERY = "Such as \"distance < 20 and event == 'lost'\"; columns: see `lidar-core events all TABLE`."
+TABLE = "Folder of a run or a batch, table (.parquet, .csv), or folder of tables such as tracks/."
+
+
+def command(
+    query: Annotated[str, typer.Argument(help=QUERY)],
+    table: Annotated[str, typer.Argument(help=TABLE)],
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Also write the rows: .csv, or .parquet."),
+    ] = None,
+    overwrite: OverwriteFile = False,
+    json: JsonFile = None,
+) -> None:
+    """List the rows of TABLE for which QUERY is true: what happened, when, how near.
+
+    Events are first_sight, closest_approach and lost. With `all` as QUERY every row is listed.
+    """
+    from tempfile import TemporaryDirectory
+
+    from lidar_core.io.remote import fetched, is_remote
+    from lidar_core.runs.catalogue import matching_rows, read_table
+
+    with TemporaryDirectory(prefix="lidar-core-events-") as scratch:
+        place = fetched(table, Path(scratch)) if is_remote(table) else Path(table)
+        columns = read_table(place)
+    rows = columns if query == "all" else matching_rows(columns, query)
+    count, total = (len(next(iter(one.values()), ())) for one in (rows, columns))
+    out, _ = consoles(json)
+    shown = [name for name in SHOWN if name in rows] or list(rows)[: len(SHOWN)]
+    lines = aligned({name: _texts(rows[name][:MOST_ROWS]) for name in shown})
+    out.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+    more = f", the first {MOST_ROWS} are shown" if count > MOST_ROWS else ""
+    out.print(f"{count} of {total} rows{more}; columns: {', '.join(columns)}", soft_wrap=True)
+    if output is not None:
+        _write(rows, output, overwrite=overwrite)
+    write_json([_plain_row(rows, row) for row in range(count)] if json else [], json)
+
+
+def _texts(values: Any) -> list[str]:
+    return [f"{one:.2f}" if isinstance(one, float) else str(one) for one in values.tolist()]
+
+
+def _plain_row(rows: "Columns", row: int) -> dict[str, Any]:
+    """One row as JSON takes it: a value that is not known is null."""
+    values = {name: column[row : row + 1].tolist()[0] for name, column in rows.items()}
+    return {
+        name: None if isinstance(value, float) and isnan(value) else value
+        for name, value in values.items()
+    }
+
+
+def _write(rows: "Columns", output: Path, *, overwrite: bool) -> None:
+    from lidar_core.errors import ConfigError
+    from lidar_core.io.tables.long_table import write_long_table
+
+    if output.suffix not in {".csv", ".parquet"}:
+        raise ConfigError(f"output: expected a file that ends in .csv or .parquet, got {output}")
+    if output.exists() and not overwrite:
+        raise FileExistsError(f"{output}: exists; --overwrite replaces it")
+    kinds = {"i": int, "u": int, "f": float, "b": bool}
+    columns = {name: kinds.get(values.dtype.kind, str) for name, values in rows.items()}
+    write_long_table(
+        output, columns, zip(*(values.tolist() for values in rows.values()), strict=True)
+    )

@@ -1,0 +1,133 @@
+"""Files of other machines (s3, gs, http, ...), through fsspec: listed, fetched and stored whole."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from lidar_core.errors import FormatError, MissingExtraError
+from lidar_core.extras import install_command, require
+
+_ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*)://")
+EXTRA, PURPOSE = "cloud", "files of other machines"
+
+
+def is_remote(text: str) -> bool:
+    """Whether a text is an address such as s3://bucket/a.mcap; file:// counts, too."""
+    return _ADDRESS.match(text) is not None
+
+
+def joined(address: str, name: str) -> str:
+    """Address of a file in a folder."""
+    return f"{address.rstrip('/')}/{name}"
+
+
+def matching(pattern: str) -> list[str]:
+    """Addresses that match a pattern with * and **, in order.
+
+    Raises
+    ------
+    MissingExtraError
+        fsspec, or the package for this kind of address, is not installed.
+    """
+    files, path = _opened(pattern)
+    found: list[str] = files.glob(path)
+    return sorted(str(files.unstrip_protocol(one)) for one in found)
+
+
+def seen(address: str) -> list[tuple[str, int, str]]:
+    """Name, size and version (or time) of a file, or of all files of a folder."""
+    files, path = _opened(address)
+    if files.isfile(path):
+        return [_told(address, files.info(path))]
+    found = files.find(path, detail=True)
+    return [_told(name, info) for name, info in sorted(found.items())]
+
+
+def fetched(address: str, folder: Path) -> Path:
+    """Copy a file, or a folder with all its files, into `folder`; return where it is.
+
+    Raises
+    ------
+    FileNotFoundError
+        Nothing is there.
+    """
+    files, path = _opened(address)
+    place = folder / _name(path)
+    folder.mkdir(parents=True, exist_ok=True)
+    if files.isfile(path):
+        files.get_file(path, str(place))
+        return place
+    names = files.find(path)
+    if not names:
+        raise FileNotFoundError(f"{address}: nothing is there")
+    root = str(files._strip_protocol(path)).rstrip("/")
+    for name in names:
+        inner = PurePosixPath(str(name).removeprefix(root).lstrip("/"))
+        if inner.is_absolute() or ".." in inner.parts:
+            raise FormatError(f"{address}: a file named {name!r} would leave its folder")
+        target = place / inner
+        target.parent.mkdir(parents=True, exist_ok=True)
+        files.get_file(name, str(target))
+    return place
+
+
+def texts(pattern: str) -> dict[str, bytes]:
+    """What the files hold that match a pattern, by address; they are read together."""
+    files, path = _opened(pattern)
+    files.invalidate_cache()
+    names = files.glob(path)
+    held: dict[str, bytes] = files.cat(names) if names else {}
+    return {str(files.unstrip_protocol(name)): data for name, data in held.items()}
+
+
+def stored(folder: Path, address: str, *, last: Sequence[str] = ()) -> None:
+    """Copy a folder to an address; what was there goes first, the files `last` come last."""
+    files, path = _opened(address)
+    files.invalidate_cache()
+    if files.exists(path):
+        files.rm(path, recursive=True)
+    found = sorted(one for one in folder.rglob("*") if one.is_file())
+    found.sort(key=lambda one: one.name in last and one.parent == folder)
+    for one in found:
+        stored_file(one, joined(address, one.relative_to(folder).as_posix()))
+
+
+def stored_file(file: Path, address: str) -> None:
+    """Copy a file to an address."""
+    files, path = _opened(address)
+    files.makedirs(path.rsplit("/", 1)[0], exist_ok=True)
+    files.put_file(str(file), path)
+
+
+def removed(address: str) -> None:
+    """Remove a file, if it is there."""
+    files, path = _opened(address)
+    if files.exists(path):
+        files.rm(path, recursive=True)
+
+
+def _opened(address: str) -> tuple[Any, str]:
+    core = require("fsspec.core", extra=EXTRA, purpose=PURPOSE)
+    try:
+        files, path = core.url_to_fs(address)
+    except ImportError as error:
+        kind = address.partition("://")[0]
+        raise MissingExtraError(
+            f"{kind}:// needs a package of its own ({error}): {install_command(EXTRA)}"
+        ) from error
+    except ValueError as error:
+        raise FormatError(f"{address}: {error}") from error
+    return files, str(path)
+
+
+def _name(path: str) -> str:
+    name = PurePosixPath(path.rstrip("/").partition("?")[0]).name
+    if name in {"", ".."}:
+        raise FormatError(f"{path}: expected an address that ends in the name of a file")
+    return name
+
+
+def _told(name: str, info: dict[str, Any]) -> tuple[str, int, str]:
+    version = next((info[key] for key in ("ETag", "etag", "mtime", "created") if key in info), "")
+    return name, int(info.get("size") or 0), str(version)

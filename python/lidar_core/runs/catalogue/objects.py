@@ -1,0 +1,182 @@
+"""Objects of a run as rows that name their recording, and events: first sight, closest, lost."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.files import read_text
+from lidar_core.io.tables.columns import Columns, read_columns
+from lidar_core.io.tables.covariance import covariance_titles
+from lidar_core.run_folder import RUN_FILE, table_in
+
+_STATE = ("x", "y", "z", "vx", "vy", "vz")
+_SIZE = ("extent_x", "extent_y", "extent_z")
+_MEASURED = (*_STATE, "speed", "distance", *_SIZE, *covariance_titles(("x", "y", "z")))
+OBJECTS: Final[dict[str, type]] = {
+    "recording": str,
+    "run": str,
+    "t_ns": int,
+    "time": float,
+    "track_id": int,
+    **dict.fromkeys(_MEASURED, float),
+}
+"""Columns of the table of objects: SI units, world frame; NaN where a run does not know a value.
+
+time is since the first scan of the run, distance from the sensor at that time.
+"""
+EVENTS: Final[dict[str, type]] = {
+    "recording": str,
+    "run": str,
+    "track_id": int,
+    "event": str,
+    "t_ns": int,
+    "time": float,
+    **dict.fromkeys((*_STATE, "speed", "distance"), float),
+    "duration": float,
+    "rows": int,
+}
+"""Columns of the table of events. duration and rows are those of the whole track.
+
+event is first_sight, closest_approach, or lost: the track ends before the run does.
+"""
+
+
+def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "") -> Columns:
+    """All objects of a run at all times.
+
+    Parameters
+    ----------
+    folder : str or Path
+        That `detect`, `circles`, `fuse` or `demo` wrote.
+    recording : str, optional
+        Name of the recording; without it that of run.toml.
+    run : str
+        Name of the run.
+
+    Returns
+    -------
+    columns : dict of ndarray
+        As `OBJECTS` names them.
+
+    Raises
+    ------
+    FormatError
+        No run of these commands.
+    """
+    place = Path(folder)
+    table = table_in(place, "circles") or table_in(place, "tracks")
+    if table is None or not (place / RUN_FILE).is_file():
+        raise FormatError(f"{place}: expected the folder of a run, with tracks or circles")
+    columns = read_columns(table)
+    count = len(columns["t_ns"])
+    stamps = np.asarray(columns["t_ns"], np.int64)
+
+    def of(name: str) -> NDArray[np.float64]:
+        unknown = np.full(count, np.nan)
+        return np.asarray(columns[name], np.float64) if name in columns else unknown
+
+    state = {name: of(name) for name in _STATE}
+    if "radius" in columns:  # a map in the plane
+        state |= {"z": np.zeros(count), "vz": np.zeros(count)}
+    sizes = {name: of(name) for name in _SIZE}
+    if "radius" in columns:
+        sizes |= {"extent_x": 2 * of("radius"), "extent_y": 2 * of("radius")}
+    covariance = {name: of(name) for name in covariance_titles(("x", "y", "z"))}
+    velocity = np.stack([state[name] for name in _STATE[3:]])
+    position = np.stack([state[name] for name in _STATE[:3]], axis=1)
+    first = int(min(stamps.min(initial=2**62), _scan_stamps(place).min(initial=2**62)))
+    name = _recording_of(place) if recording is None else recording
+    return {
+        "recording": np.full(count, name),
+        "run": np.full(count, run),
+        "t_ns": stamps,
+        "time": (stamps - first) * 1e-9,
+        "track_id": np.asarray(columns["track_id"], np.int64),
+        **state,
+        "speed": np.sqrt(np.square(velocity).sum(axis=0)),
+        "distance": _distances(place, stamps, position),
+        **sizes,
+        **covariance,
+    }
+
+
+def events_of(folder: str | Path, *, recording: str | None = None, run: str = "") -> Columns:
+    """What happened to the objects of a run: three rows per track at most.
+
+    Parameters
+    ----------
+    folder : str or Path
+        That `detect`, `circles`, `fuse` or `demo` wrote.
+    recording : str, optional
+        Name of the recording; without it that of run.toml.
+    run : str
+        Name of the run.
+
+    Returns
+    -------
+    columns : dict of ndarray
+        As `EVENTS` names them, by track and time.
+
+    Raises
+    ------
+    FormatError
+        No run of these commands.
+    """
+    objects = objects_of(folder, recording=recording, run=run)
+    last = int(max(objects["t_ns"].max(initial=0), _scan_stamps(Path(folder)).max(initial=0)))
+    chosen: list[tuple[int, str, float, int]] = []
+    for number in np.unique(objects["track_id"]).tolist():
+        rows = np.flatnonzero(objects["track_id"] == number)
+        rows = rows[np.argsort(objects["t_ns"][rows], kind="stable")]
+        seconds = float(objects["time"][rows[-1]] - objects["time"][rows[0]])
+        chosen.append((int(rows[0]), "first_sight", seconds, len(rows)))
+        distance = objects["distance"][rows]
+        if np.isfinite(distance).any():
+            nearest = int(rows[np.nanargmin(distance)])
+            chosen.append((nearest, "closest_approach", seconds, len(rows)))
+        if objects["t_ns"][rows[-1]] < last:
+            chosen.append((int(rows[-1]), "lost", seconds, len(rows)))
+    picked = np.array([row for row, *_ in chosen], np.int64)
+    told: dict[str, NDArray[Any]] = {
+        "event": np.array([one[1] for one in chosen], np.str_),
+        "duration": np.array([one[2] for one in chosen], np.float64),
+        "rows": np.array([one[3] for one in chosen], np.int64),
+    }
+    return {name: told[name] if name in told else objects[name][picked] for name in EVENTS}
+
+
+def _recording_of(folder: Path) -> str:
+    """Name of the recording in run.toml; that of the folder where the run read none."""
+    note = tomllib.loads(read_text(folder / RUN_FILE)).get("input", {})
+    read = note.get("recording", {})
+    return str(read["path"]) if isinstance(read, dict) and "path" in read else folder.name
+
+
+def _scan_stamps(folder: Path) -> NDArray[np.int64]:
+    table = table_in(folder, "timing")
+    empty = np.empty(0, np.int64)
+    return empty if table is None else np.asarray(read_columns(table)["t_ns"], np.int64)
+
+
+def _distances(
+    folder: Path, stamps: NDArray[np.int64], position: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """From the sensor; from the origin for `fuse` with a sensor that stands; else unknown."""
+    planar = np.nan_to_num(position)
+    timing, states = table_in(folder, "timing"), table_in(folder, "states")
+    if timing is not None:
+        columns = read_columns(timing)
+        if "sensor_x" not in columns or not len(columns["t_ns"]):
+            return np.full(len(stamps), np.nan)
+        sensor = np.stack([columns[f"sensor_{axis}"] for axis in "xyz"], axis=1)
+        if table_in(folder, "circles") is not None:
+            sensor[:, 2] = 0.0
+        at = np.searchsorted(columns["t_ns"], stamps, side="right") - 1
+        return np.asarray(np.linalg.norm(planar - sensor[np.maximum(at, 0)], axis=1))
+    if states is not None and not np.isin(read_columns(states)["sensor"], ["pose"]).any():
+        return np.asarray(np.linalg.norm(planar, axis=1))
+    return np.full(len(stamps), np.nan)

@@ -1,0 +1,93 @@
+"""Which commands a job may hold: they end by themselves, and write to the folder of the job."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any, cast
+
+from typer import BadParameter
+from typer.main import get_command
+
+from lidar_core.batch import BatchJob
+from lidar_core.batch.config import OUTPUT
+from lidar_core.errors import ConfigError
+
+COMMAND_LINE = "lidar_core.cli:app"
+"""Runs the commands of a job. Found by name: the command line is built on `lidar_core.runs`."""
+OVERFLIGHT = "overflight"
+"""Scene of `simulate` that takes no threads."""
+WITHOUT = ("batch", "view")
+"""Commands that are no jobs: they do not end by themselves, or would start jobs of their own."""
+UsageError = cast("type[Exception]", BadParameter.__base__)
+"""What a parser raises; typer hands out this one of its errors alone."""
+WRITTEN = {("export", "model")}
+"""Arguments, besides those called output, that name what a command writes."""
+
+
+def options_of(command: str) -> set[str]:
+    """Options of a command that take a value."""
+    parameters = _commands()[command].params
+    return {name for one in parameters if not getattr(one, "is_flag", False) for name in one.opts}
+
+
+def _commands() -> Mapping[str, Any]:
+    known: Mapping[str, Any] = vars(get_command(resolve_name(COMMAND_LINE)))["commands"]
+    return known
+
+
+def check_commands(job: BatchJob) -> None:
+    """Refuse commands that are no jobs, and those that write outside of the folder of the job.
+
+    Raises
+    ------
+    ConfigError
+        One of these.
+    """
+    known = sorted(set(_commands()) - set(WITHOUT))
+    for command in job.commands:
+        if not command or command[0] not in known:
+            named = command[0] if command else ""
+            raise ConfigError(
+                f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
+            )
+        outside = [where for where, value in _written(command) if not _is_inside(value)]
+        if outside:
+            raise ConfigError(
+                f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}, as the"
+                f" beginning of {outside[0]}: what it writes elsewhere is no part of the job"
+            )
+
+
+def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
+    """Options and arguments of a command that name what it writes, with their values.
+
+    An option that is not there has its default, which is no place of the job: None.
+    """
+    known, name, arguments = _commands()[command[0]], command[0], list(command[1:])
+    below: Mapping[str, Any] = getattr(known, "commands", {})
+    if arguments and arguments[0] in below:
+        known, name, arguments = below[arguments[0]], arguments[0], arguments[1:]
+    context = known.make_context(name, [], resilient_parsing=True)
+    context.resilient_parsing = False
+    try:
+        values = known.make_parser(context).parse_args(arguments)[0]
+    except UsageError:
+        return []  # the job itself says what is wrong with its options
+    found = []
+    for one in known.params:
+        value = values.get(one.name)
+        if one.name == "output" or (command[0], one.name) in WRITTEN:
+            found.append((max(one.opts, key=len), None if value is None else str(value)))
+        elif "--json" in one.opts and value not in (None, False, True) and str(value) != "-":
+            found.append(("--json", str(value)))
+    return found
+
+
+def _is_inside(value: str | None) -> bool:
+    """Whether a place is in the folder of the job."""
+    if value is None or not value.startswith(f"{{{OUTPUT}}}"):
+        return False
+    folder = Path(os.sep) / "job"
+    place = Path(os.path.normpath(value.replace(f"{{{OUTPUT}}}", str(folder))))
+    return place.is_relative_to(folder)

@@ -1,0 +1,187 @@
+"""`lidar-core events`: what happened in runs, found again by queries that never run as code."""
+
+import json
+
+import numpy as np
+import pytest
+from commands import invoke
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_core.errors import ConfigError, FormatError
+from lidar_core.io import read_columns
+from lidar_core.runs.catalogue import EVENTS, OBJECTS, events_of, matching_rows, objects_of
+from lidar_core.runs.catalogue.query import MOST_LETTERS, read_table
+
+
+def made(*arguments):
+    done = invoke(*arguments)
+    assert done.exit_code == 0, done.output
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    made("demo", "-o", folder / "flying", "--scans", 30, "--no-picture")
+    made("simulate", "circles", "-o", folder / "a.npz", "--scans", 20)
+    made("circles", folder / "a.npz", "-o", folder / "circles", "--no-picture")
+    made("simulate", "overflight", "-o", folder / "b.csv", "--scans", 50)
+    made("fuse", folder / "b.csv", "-o", folder / "fusion", "--no-picture")
+    return folder
+
+
+def tracks_by_hand(folder):
+    """Rows of each track, by a loop over the table."""
+    table = read_columns(next(folder.glob("tracks.*")))
+    found = {}
+    for row, number in enumerate(table["track_id"].tolist()):
+        found.setdefault(number, []).append(row)
+    return table, found
+
+
+def test_every_track_has_its_first_sight_and_its_closest_approach(runs):
+    folder = runs / "flying"
+    table, rows = tracks_by_hand(folder)
+    timing = read_columns(next(folder.glob("timing.*")))
+    sensor = {
+        stamp: np.array([timing[f"sensor_{axis}"][row] for axis in "xyz"])
+        for row, stamp in enumerate(timing["t_ns"].tolist())
+    }
+    assert len({tuple(place) for place in sensor.values()}) > 1  # it moves
+    events = events_of(folder)
+    assert list(events) == list(EVENTS)
+    assert len(rows) == 2
+    for number, mine in rows.items():
+        places = np.stack([table[axis][mine] for axis in "xyz"], axis=1)
+        stamps = [int(table["t_ns"][row]) for row in mine]
+        away = [
+            np.linalg.norm(place - sensor[stamp])
+            for place, stamp in zip(places, stamps, strict=True)
+        ]
+        of = {
+            events["event"][row]: row
+            for row in range(len(events["event"]))
+            if events["track_id"][row] == number
+        }
+        assert events["t_ns"][of["first_sight"]] == stamps[0]
+        nearest = of["closest_approach"]
+        assert events["distance"][nearest] == pytest.approx(min(away))
+        assert events["t_ns"][nearest] == stamps[int(np.argmin(away))]
+        assert events["rows"][nearest] == len(mine)
+        assert "lost" not in of  # both are in sight at the end
+
+
+def test_a_track_that_ends_before_the_run_is_lost(runs, tmp_path):
+    """The same run with the last scans of one track taken out."""
+    source = runs / "flying"
+    for name in ("run.toml", next(source.glob("timing.*")).name):
+        (tmp_path / name).write_bytes((source / name).read_bytes())
+    table, rows = tracks_by_hand(source)
+    cut = rows[min(rows)][-5:]
+    kept = [row for row in range(len(table["t_ns"])) if row not in cut]
+    lines = [",".join(table)]
+    lines += [",".join(str(values[row]) for values in table.values()) for row in kept]
+    (tmp_path / "tracks.csv").write_text("\n".join(lines) + "\n")
+    events = events_of(tmp_path)
+    lost = matching_rows(events, "event == 'lost'")
+    assert lost["track_id"].tolist() == [min(rows)]
+    assert lost["t_ns"].tolist() == [int(table["t_ns"][rows[min(rows)][-6]])]
+
+
+@pytest.mark.parametrize("kind", ["flying", "circles", "fusion"])
+def test_objects_of_all_commands_have_the_same_columns(runs, kind):
+    objects = objects_of(runs / kind, recording="a", run="b")
+    assert list(objects) == list(OBJECTS)
+    assert {len(values) for values in objects.values()} == {len(objects["t_ns"])}
+    assert set(objects["recording"].tolist()) == {"a"}
+    assert (objects["time"] >= 0).all()
+    speed = np.hypot(objects["vx"], objects["vy"])
+    assert (objects["speed"] >= speed - 1e-12).all()
+    known = np.isfinite(objects["distance"])
+    assert known.all() if kind != "fusion" else not known.any()  # its sensor moves
+    if kind == "circles":
+        assert (objects["extent_x"] > 0).all()
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    with pytest.raises(FormatError, match="expected the folder of a run, with tracks or circles"):
+        objects_of(tmp_path)
+    with pytest.raises(FormatError, match="expected a table, the folder of a run or of a batch"):
+        read_table(tmp_path)
+
+
+TABLE = {
+    "distance": np.array([5.0, 25.0, np.nan, 12.0]),
+    "track_id": np.array([1, 2, 3, 4]),
+    "event": np.array(["lost", "first_sight", "lost", "closest_approach"]),
+}
+
+
+@pytest.mark.parametrize(
+    ("query", "rows"),
+    [
+        ("distance < 20", [1, 4]),
+        ("not distance < 20", [2, 3]),
+        ("distance < 20 and event == 'lost'", [1]),
+        ("distance < 10 or track_id >= 4", [1, 4]),
+        ("event in ('lost', 'first_sight')", [1, 2, 3]),
+        ("event not in ['lost']", [2, 4]),
+        ("10 < distance <= 12", [4]),
+        ("-distance + 2 * track_id / 2 > -5", [1]),
+        ("True == True", [1, 2, 3, 4]),
+        ("distance < 20 and (event == 'lost' or track_id == 4)", [1, 4]),
+    ],
+)
+def test_queries_choose_rows(query, rows):
+    assert matching_rows(TABLE, query)["track_id"].tolist() == rows
+
+
+@pytest.mark.parametrize(
+    ("query", "text"),
+    [
+        ("distanc < 3", "did you mean distance"),
+        ("distance <", "cannot read"),
+        ("distance", "expected a comparison"),
+        ("distance and event", "expected comparisons between"),
+        ("__import__('os').system('true')", "cannot use"),
+        ("distance.__class__ == 3", "cannot use"),
+        ("[one for one in distance] == 3", "cannot use"),
+        ("distance ** 2 > 3", "cannot use"),
+        ("distance is None", "cannot use"),
+        ("event < 3", "compares a text with a number"),
+        ("(" * 300 + "distance" + ")" * 300 + " < 1", "cannot read"),
+        ("not " * 60 + "distance < 1", "nested deeper"),
+        ("distance < 1 " * MOST_LETTERS, f"expected {MOST_LETTERS} letters at most"),
+        ("", "cannot read"),
+    ],
+)
+def test_what_is_no_query_is_refused_in_words(query, text):
+    with pytest.raises(ConfigError, match=text):
+        matching_rows(TABLE, query)
+
+
+@given(st.text("distance<>=()'\"andornt_i 0123.-+*/[]{}:@\\\n", max_size=60))
+def test_any_text_is_a_query_or_an_error(query):
+    try:
+        found = matching_rows(TABLE, query)
+    except ConfigError:
+        return
+    assert len(found["track_id"]) <= 4
+
+
+def test_the_command_prints_and_writes_rows(runs, tmp_path):
+    done = invoke("events", "distance < 20", runs / "flying", "--json", "-")
+    assert done.exit_code == 0, done.output
+    rows = json.loads(done.stdout)
+    assert {row["event"] for row in rows} <= {"first_sight", "closest_approach"}
+    assert all(row["distance"] < 20 for row in rows)
+    assert rows
+    made("events", "all", runs / "fusion", "-o", tmp_path / "a.csv", "--json", tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text())[0]["distance"] is None
+    table = read_table(tmp_path / "a.csv")
+    assert list(table) == list(EVENTS)
+    again = invoke("events", "all", tmp_path / "a.csv", "-o", tmp_path / "a.csv")
+    assert isinstance(again.exception, FileExistsError)
+    made("events", "time >= 0", tmp_path / "a.csv", "-o", tmp_path / "a.csv", "--overwrite")
+    refused = invoke("events", "all", tmp_path / "a.csv", "-o", tmp_path / "a.txt")
+    assert "expected a file that ends in .csv or .parquet" in str(refused.exception)
