@@ -36,20 +36,23 @@ def cost(pair):
 # something that stands, and what comes and goes; and the other numbers of `existence.rs`.
 LIKELIHOOD = {
     "unseen": (1, 1, 1, 1),
-    "missed": (0.06, 0.42, 0.10, 0.42),
-    "barely missed": (0.20, 0.42, 0.10, 0.42),
+    "missed": (0.06, 0.42, 0.10, 0.60),
+    "barely missed": (0.20, 0.42, 0.10, 0.60),
     "followed": (0.25, 0.03, 0.55, 0.16),
     "few": (0.04, 0.02, 0.005, 0.015),
     "weak": (0.33, 0.03, 0.15, 0.20),
     "sure": (0.33, 0.02, 0.02, 0.08),
 }
-HAS_MOVED = (0.9, 0.9, 0.03, 0.3)
-NEAREST, NEAR_BOUNDS = 25.0, (0.1, 3.0)
+HAS_MOVED = (0.9, 0.9, 0.03, 0.6)
+NEAREST, NEAR_BOUNDS = 25.0, (0.4, 2.5)
+IS_FAST = (0.3, 0.3, 1.0, 1.0)
+SPEEDS, TIMES = (8.0, 60.0), (0.02, 0.25)  # [m/s], [s]
 AMONG_STRAYS = 0.02
 SURE, MANY_RAYS, FEW_RAYS = 0.7, 12, 3
-DELETED, KEPT = 0.01, 0.2
+DELETED, KEPT = 0.01, 0.5
 LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
-MEMORY, TARGETS, FEWEST = 300, 0.03, 0.02
+MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
+USUAL, CLUTTER_BOUNDS = 0.1, (0.5, 1.8)
 
 
 class Births:
@@ -57,8 +60,17 @@ class Births:
 
     sets = without = 0.0
 
-    def prior(self):
-        return TARGETS / (TARGETS + max((1 + self.without) / (10 + self.sets), FEWEST))
+    def expected(self, tracks):
+        """Probability that a new track has a target; clutter over the usual."""
+        alive = sum(1 - track.existence() for track in tracks if not track.was_confirmed)
+        without = (1 + self.without + alive) / (10 + self.sets)
+        prior = TARGETS / (TARGETS + max(without, FEWEST))
+        return prior, np.clip(np.sqrt(without / USUAL), *CLUTTER_BOUNDS)
+
+
+def likelihood(sight, clutter):
+    is_free = sight in ("few", "weak", "sure")
+    return LIKELIHOOD[sight] * np.array([1, 1, 1, clutter if is_free else 1])
 
 
 @dataclass
@@ -78,6 +90,7 @@ class Track:
     sight: str = "unseen"
     nis: float = None  # of its newest cluster
     shown: str = "sure"  # by the detection that it began with
+    before: str = None  # by the one before that, if it began with two
     there: float = 0.25  # probability of a target that gives returns
     hidden: float = 0.0  # of one that gives none
     standing: float = 0.5  # that something stands there, if there is no target
@@ -445,6 +458,7 @@ class Tracker:
             if index is None:
                 if not self.is_seen_twice(new, known):
                     self.tracks.append(new)
+                    self.tracks.extend(self.fast_pair(new, known))
                 continue
             track = self.tracks[index]
             track.n_detections += 1
@@ -461,6 +475,36 @@ class Tracker:
                 else:
                     self.correct(track, new.r, new.P[:3, :3], new.extent)
         return fed
+
+    def fast_pair(self, new, known):
+        """A track of a detection and the nearest earlier one from which only a fast target comes."""
+        if self.c.report_existence is None or new.stamp != new.born:
+            return []
+        pairs = []
+        for number, track in enumerate(known):
+            dt = (new.born - track.born) * 1e-9 + new.delay - track.delay
+            if track.n_detections != 1 or track.sight in ("followed", "few") or dt <= 0:
+                continue
+            speed = np.linalg.norm(new.place - track.place) / dt
+            if TIMES[0] <= dt <= TIMES[1] and SPEEDS[0] <= speed <= SPEEDS[1]:
+                pairs.append((np.linalg.norm(new.place - track.place), number, dt))
+        if not pairs:
+            return []
+        _, number, dt = min(pairs)
+        other = known[number]
+        R = new.P[:3, :3] - new.delay**2 * new.P[3, 3] * EYE
+        # [r, v] from the two places, the second at `delay` after the stamp
+        J = np.array([[new.delay / dt, 1 - new.delay / dt], [-1 / dt, 1 / dt]])
+        P = np.zeros((9, 9))
+        P[:6, :6] = np.kron(J @ J.T, np.ones((3, 3))) * np.tile(R, (2, 2))
+        P[3:6, 3:6] += (self.c.initial_std[2] * dt) ** 2 * EYE
+        P[6:, 6:] = self.c.initial_std[2] ** 2 * EYE
+        velocity = (new.place - other.place) / dt
+        r = new.place - velocity * new.delay
+        changes = {"born": other.born, "place": other.place, "seen_at": r, "n_detections": 2}
+        changes |= {"seen_speed": np.linalg.norm(velocity), "before": other.shown}
+        x = np.r_[r, velocity, np.zeros(3)]
+        return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
     def ways(self, waiting, x, P):
         """Offsets of a detection from where its target would be: ahead, or where it turned."""
@@ -503,11 +547,11 @@ class Tracker:
         shown = dict(fed)
         self.births.sets = (1 - 1 / MEMORY) * self.births.sets + 1
         self.births.without *= 1 - 1 / MEMORY
-        prior = self.births.prior()
+        around = self.births.expected(self.tracks[:known])
         for index, track in enumerate(self.tracks):
             if index < known:
                 track.history.append(index in shown)
-            self.believe(track, index >= known, shown.get(index), stamp, prior)
+            self.believe(track, index >= known, shown.get(index), stamp, *around)
             report = self.c.report_existence
             if report is None:
                 hits = sum(track.history[-self.c.confirm_window :])
@@ -527,10 +571,13 @@ class Tracker:
             return not track.confirmed and not any(track.history[-self.c.confirm_window :])
         return track.existence() < DELETED
 
-    def believe(self, track, is_new, shown, stamp, prior):
+    def believe(self, track, is_new, shown, stamp, prior, clutter):
         if is_new:
             track.there, track.hidden, track.believed = prior, 0.0, stamp
-            track.take(LIKELIHOOD[track.shown])
+            for sight in filter(None, (track.before, track.shown)):
+                track.take(likelihood(sight, clutter))
+            if track.before is not None:
+                track.take(IS_FAST)
             return
         track.there, track.hidden = track.later(stamp)
         track.believed = max(stamp, track.believed)
@@ -545,7 +592,7 @@ class Tracker:
             track.standing = 0.0
         if sight == ("followed" if track.has_moved else "few"):
             return
-        track.take(LIKELIHOOD[sight])
+        track.take(likelihood(sight, clutter))
         if nis is not None and shown:
             near = np.clip(NEAREST * np.exp(-nis / 2), *NEAR_BOUNDS)
             track.take((near, near, near, 1))

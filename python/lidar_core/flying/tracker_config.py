@@ -152,7 +152,7 @@ class TrackerConfig(Config):
         gt=0,
         lt=1,
         description="A track is reported from this probability of existence on, until it falls"
-        " below a fifth of it (no unit); none, as in the paper: by `confirm_hits` and"
+        " below half of it (no unit); none, as in the paper: by `confirm_hits` and"
         " `confirm_window`.",
     )
     confirm_hits: int = Field(
@@ -187,7 +187,7 @@ class TrackerConfig(Config):
         " `visible`.",
     )
     report_coast: float = Field(
-        1.0,
+        0.5,
         gt=0,
         description="A track without measurement for longer is kept but not reported [s]; ageing"
         " `visible`.",

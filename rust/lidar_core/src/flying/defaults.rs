@@ -239,7 +239,7 @@ impl Default for TrackerParameters {
             split_distance: Some(0.8),
             confirmation: Confirmation::Existence { report: 0.9 },
             merging: Some(Merging::default()),
-            ageing: Ageing::Visible { max_coast: 3.0, report_coast: 1.0 },
+            ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.5 },
         }
     }
 }

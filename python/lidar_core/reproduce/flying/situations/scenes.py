@@ -66,8 +66,8 @@ def _between(way: NDArray[np.float64]) -> NDArray[np.float64]:
     for start, end in pairwise(way):
         steps = max(2, int(np.linalg.norm(end - start)))
         parts.append(start + np.linspace(0, 1, steps)[:, None] * (end - start))
-    places: NDArray[np.float64] = np.concatenate(parts)
-    return places[np.linalg.norm(places, axis=1) < 40.0]
+    places = np.concatenate(parts)
+    return np.asarray(places[np.linalg.norm(places, axis=1) < 40.0], np.float64)
 
 
 def _contents(

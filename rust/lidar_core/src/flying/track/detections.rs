@@ -4,7 +4,9 @@ use super::buffer::Buffer;
 use super::existence::SURE;
 use super::measurement::{CloudScan, Evidence, Measurement};
 use super::motion::{position, position_block, position_matrix};
-use super::parameters::{Association, MAX_TRACKS, MeasurementForm, Motion, TrackerParameters};
+use super::parameters::{
+    Association, Confirmation, MAX_TRACKS, MeasurementForm, Motion, TrackerParameters,
+};
 use super::state::PointTrack;
 use super::update::Updater;
 use super::visibility::occupancy::Occupancy;
@@ -341,7 +343,9 @@ impl Updater {
         for (hypothesis, track) in hypotheses.into_iter().zip(track_of) {
             let Some(index) = *track else {
                 if !self.is_seen_twice(&hypothesis, &tracks[..known]) {
+                    let fast = self.fast_pair(&hypothesis, &tracks[..known]);
                     tracks.push(hypothesis);
+                    tracks.extend(fast);
                 }
                 continue;
             };
@@ -371,6 +375,16 @@ impl Updater {
             let expected = position_matrix(delay) * track.at(hypothesis.stamp_ns, model).mean;
             (hypothesis.position() - expected).norm() <= self.parameters.clustering.max_distance
         })
+    }
+
+    /// A track of a detection and one before it that is too far away for the gate of a new track: a
+    /// target so fast that it was seen once in each of two places. None where tracks are confirmed by
+    /// counts.
+    fn fast_pair(&self, hypothesis: &PointTrack, tracks: &[PointTrack]) -> Option<PointTrack> {
+        let Confirmation::Existence { .. } = self.parameters.confirmation else { return None };
+        let pairs = tracks.iter().filter_map(|track| Some((hypothesis.way_from(track)?, track)));
+        let nearest = pairs.min_by(|(one, _), (other, _)| one.length().total_cmp(&other.length()));
+        nearest.map(|(way, track)| hypothesis.paired(track, &way, self.parameters.initial_std[2]))
     }
 
     fn learn(&self, track: &mut PointTrack, mut hypothesis: PointTrack) -> bool {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// A track is removed if its target is less probable.
 pub(super) const DELETED: f64 = 0.01;
 /// Share of the probability from which on a track is reported, below which it is not any more.
-pub(super) const KEPT: f64 = 0.2;
+pub(super) const KEPT: f64 = 0.5;
 /// Detections of less confidence are weak.
 pub(super) const SURE: f64 = 0.7;
 /// A track this far from where it began has moved, with two standard deviations on top [m] ...
@@ -82,11 +82,17 @@ impl Sight {
 
     /// Shares of what was seen of tracks, with and without targets, of simulated sensors as their
     /// drivers deliver them and in rain, dust, leaves and among insects.
-    fn likelihood(self) -> Likelihood {
+    fn likelihood(self, around: Surroundings) -> Likelihood {
+        let [target, hidden, standing, fleeting] = self.shares();
+        let more = if self.is_in_free_space() { around.clutter } else { 1.0 };
+        [target, hidden, standing, more * fleeting]
+    }
+
+    fn shares(self) -> Likelihood {
         match self {
             Self::Unseen => [1.0; 4],
-            Self::Missed => [0.06, 0.42, 0.10, 0.42],
-            Self::BarelyMissed => [0.20, 0.42, 0.10, 0.42],
+            Self::Missed => [0.06, 0.42, 0.10, 0.60],
+            Self::BarelyMissed => [0.20, 0.42, 0.10, 0.60],
             Self::Followed => [0.25, 0.03, 0.55, 0.16],
             Self::Few => [0.04, 0.02, 0.005, 0.015],
             Self::Weak => [0.33, 0.03, 0.15, 0.20],
@@ -99,13 +105,15 @@ impl Sight {
 /// those of parts.
 const JOINED: Likelihood = [0.033, 0.033, 0.5, 0.033];
 /// Of having moved.
-const HAS_MOVED: Likelihood = [0.9, 0.9, 0.03, 0.3];
+const HAS_MOVED: Likelihood = [0.9, 0.9, 0.03, 0.6];
 /// What comes and goes does so anywhere in the gate of a track; what is there is found near its
 /// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
 /// two at no distance, for the largest distance of default gates, and its bounds: neither are targets
 /// that well described, nor is the rest that scattered.
 const NEAREST: f64 = 25.0;
-const NEAR_BOUNDS: [f64; 2] = [0.1, 3.0];
+const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
+/// Of two detections that only a fast target explains: few targets are that fast.
+const IS_FAST: Likelihood = [0.3, 0.3, 1.0, 1.0];
 /// Of having more points around it than its own.
 const AMONG_STRAYS: f64 = 0.02;
 
@@ -126,12 +134,18 @@ impl Belief {
         Self { presence, standing: 0.5, stamp_ns, has_moved: false }
     }
 
-    /// Of a track that begins with a detection.
-    pub(super) fn born(prior: f64, first: Evidence, stamp_ns: i64) -> Self {
-        let mut belief = Self { presence: Presence::measured(prior), ..Self::unknown(stamp_ns) };
-        belief.take(Sight::of_detection(first).likelihood());
-        if first.is_joined {
-            belief.take(JOINED);
+    /// Of a new track.
+    pub(super) fn born(around: Surroundings, track: &PointTrack, stamp_ns: i64) -> Self {
+        let presence = Presence::measured(around.prior);
+        let mut belief = Self { presence, ..Self::unknown(stamp_ns) };
+        for evidence in track.before.into_iter().chain([track.first]) {
+            belief.take(Sight::of_detection(evidence).likelihood(around));
+            if evidence.is_joined {
+                belief.take(JOINED);
+            }
+        }
+        if track.before.is_some() {
+            belief.take(IS_FAST);
         }
         belief
     }
@@ -168,7 +182,12 @@ impl Belief {
 }
 
 /// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that.
-pub(super) fn weigh(track: &mut PointTrack, evidence: Option<Evidence>, stamp_ns: i64) {
+pub(super) fn weigh(
+    track: &mut PointTrack,
+    evidence: Option<Evidence>,
+    around: Surroundings,
+    stamp_ns: i64,
+) {
     let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
     let sight = evidence.map_or(seen, Sight::of_detection);
     let mut belief = track.belief.at(stamp_ns.max(track.belief.stamp_ns));
@@ -179,7 +198,7 @@ pub(super) fn weigh(track: &mut PointTrack, evidence: Option<Evidence>, stamp_ns
         belief.standing = 0.0; // it may be something else yet, but it does not stand
     }
     if sight.tells(belief.has_moved) {
-        belief.take(sight.likelihood());
+        belief.take(sight.likelihood(around));
         if let Some(near) = near.filter(|_| evidence.is_some()) {
             let near = near.clamp(NEAR_BOUNDS[0], NEAR_BOUNDS[1]);
             belief.take([near, near, near, 1.0]);
@@ -201,12 +220,25 @@ fn has_moved(track: &PointTrack) -> bool {
 /// Number of sets after which one counts 1/e.
 const MEMORY: f64 = 300.0;
 /// Tracks that begin with a target, in a set of detections.
-const TARGETS: f64 = 0.03;
+const TARGETS: f64 = 0.05;
 /// Tracks that begin without one, and the sets in which they did, before tracks tell.
 const FALSE_PRIOR: f64 = 1.0;
 const SETS_PRIOR: f64 = 10.0;
+/// Tracks without a target that a set begins where the likelihoods of what comes and goes hold; where
+/// there are more of them, more detections of it fall into the gate of a track.
+const USUAL: f64 = 0.1;
+const CLUTTER_BOUNDS: [f64; 2] = [0.5, 1.8];
 /// Fewest tracks without a target that a set is expected to begin.
 const FEWEST: f64 = 0.02;
+
+/// What new tracks, and detections in the gates of tracks, are expected to be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Surroundings {
+    /// Probability that a new track has a target.
+    prior: f64,
+    /// Detections of what comes and goes, over the usual.
+    clutter: f64,
+}
 
 /// How often tracks begin that have no target.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -230,9 +262,15 @@ impl Births {
         }
     }
 
-    /// Probability that a new track has a target.
-    pub(super) fn prior(&self) -> f64 {
-        let without = (FALSE_PRIOR + self.without_target) / (SETS_PRIOR + self.sets);
-        TARGETS / (TARGETS + without.max(FEWEST))
+    /// What is expected of the next set, beside tracks that are there already.
+    pub(super) fn expected(&self, tracks: &[PointTrack]) -> Surroundings {
+        let new = tracks.iter().filter(|track| !track.was_confirmed);
+        let alive: f64 = new.map(|track| 1.0 - track.belief.existence(track)).sum();
+        let without = (FALSE_PRIOR + self.without_target + alive) / (SETS_PRIOR + self.sets);
+        let [low, high] = CLUTTER_BOUNDS;
+        Surroundings {
+            prior: TARGETS / (TARGETS + without.max(FEWEST)),
+            clutter: (without / USUAL).sqrt().clamp(low, high),
+        }
     }
 }

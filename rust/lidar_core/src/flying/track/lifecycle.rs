@@ -1,6 +1,6 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::existence::{self, Belief, Births, DELETED, KEPT};
+use super::existence::{self, Belief, Births, DELETED, KEPT, Surroundings};
 use super::measurement::Evidence;
 use super::motion;
 use super::pairs::AlongX;
@@ -36,8 +36,8 @@ pub(super) struct SetOfDetections<'a> {
     pub(super) fed: &'a [(usize, Evidence)],
     /// Place of the first new track.
     pub(super) known: usize,
-    /// Probability that a new track has a target.
-    pub(super) prior: f64,
+    /// What is expected of it.
+    pub(super) around: Surroundings,
 }
 
 /// Enter a set of detections into all tracks. Returns the numbers of those that are confirmed by it.
@@ -61,9 +61,9 @@ pub(super) fn confirm(
             }
             Confirmation::Existence { report } => {
                 if index < set.known {
-                    existence::weigh(track, evidence, set.stamp_ns);
+                    existence::weigh(track, evidence, set.around, set.stamp_ns);
                 } else {
-                    track.belief = Belief::born(set.prior, track.first, set.stamp_ns);
+                    track.belief = Belief::born(set.around, track, set.stamp_ns);
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
                 track.belief.existence(track) >= limit

@@ -9,6 +9,7 @@ mod cluster_assignment;
 mod detections;
 mod existence;
 mod full_state;
+mod initiation;
 mod lifecycle;
 mod measurement;
 mod motion;
@@ -199,7 +200,8 @@ impl PointCloudTracker {
         }
         let mut births = self.births;
         births.count_set();
-        let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, prior: births.prior() };
+        let around = births.expected(&tracks[..known]);
+        let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, around };
         let stats = Stats {
             born: lifecycle::number(&mut tracks, &mut next_id),
             confirmed: lifecycle::confirm(&mut tracks, &set, self.parameters()),

@@ -99,8 +99,8 @@ pub enum Confirmation {
         /// Sets looked back on, `hits` to [`MAX_WINDOW`].
         window: u32,
     },
-    /// Once the probability that its target exists reaches `report`, until it falls below a fifth
-    /// of that. Improbable tracks are removed.
+    /// Once the probability that its target exists reaches `report`, until it falls below half of
+    /// that. Improbable tracks are removed.
     Existence {
         /// Probability from which on a track is reported, above 0 and below 1.
         report: f64,

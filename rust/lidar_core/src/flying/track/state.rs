@@ -40,6 +40,8 @@ pub(super) struct PointTrack {
     pub(super) history: u64,
     /// What the detection showed that it began with.
     pub(super) first: Evidence,
+    /// What the detection before that showed, if it began with two.
+    pub(super) before: Option<Evidence>,
     /// What the newest scan shows of it.
     pub(super) sight: Sight,
     /// Squared Mahalanobis distance of its cluster in the newest scan, if that had one.
@@ -94,6 +96,7 @@ impl PointTrack {
             n_detections: 1,
             history: 1,
             first: Evidence { is_sure: true, is_joined: false },
+            before: None,
             sight: Sight::Unseen,
             nis: None,
             belief: Belief::unknown(stamp_ns),
