@@ -477,7 +477,7 @@ class Tracker:
         return fed
 
     def fast_pair(self, new, known):
-        """A track of a detection and the nearest earlier one from which only a fast target comes."""
+        """A new track and the nearest earlier detection from which only a fast target comes."""
         if self.c.report_existence is None or new.stamp != new.born:
             return []
         pairs = []
