@@ -72,8 +72,10 @@ hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: C
 
 # One good file per format, cut at every STEP-th offset and with every byte there damaged.
 STEP ?= 1
-corrupt: ## Cut and damage a file of every format at every offset: STEP=n.
-	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.exhaustive --step $(STEP)
+corrupt: ## Cut and damage a file of every format at every offset: STEP=n, EVIDENCE=1.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.exhaustive --step $(STEP) \
+	    $(if $(EVIDENCE),--evidence)
+	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
 
 # The tests run on an installed wheel, never on the working tree. ouster-sdk pins versions that
 # the other extras cannot live with, so it has an environment of its own.

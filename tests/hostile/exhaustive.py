@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from hostile import entries
+from hostile import entries, evidence
 from hostile.__main__ import warm_up
 from hostile.child import CPU, MEMORY, _said, run_limited
 from hostile.seeds import Seed, seeds_of
@@ -114,6 +114,7 @@ def main() -> int:
     parser.add_argument("--step", type=int, default=1, help="only every n-th offset")
     parser.add_argument("--format", action="append", default=[], help="only these endings")
     parser.add_argument("--json", type=Path, help="file for the counts")
+    parser.add_argument("--evidence", action="store_true", help="add to docs/evidence")
     chosen = parser.parse_args()
     warm_up()
     found, failed = {}, 0
@@ -131,6 +132,8 @@ def main() -> int:
             told = ", ".join(f"{count} {kind}" for kind, count in sorted(totals.items()))
             print(f"{name} ({len(seed.data)} bytes): {told}, {time.monotonic() - start:.0f} s")
             print(*bad[:20], sep="\n", flush=True)
+            if chosen.evidence:
+                evidence.add("every offset", {name: totals})
             if chosen.json:
                 chosen.json.write_text(json.dumps(found, indent=2) + "\n")
     return 1 if failed else 0

@@ -42,19 +42,17 @@ class Attempt:
     """One call, and a signal some time after its beginning."""
 
     def __init__(self, call, delay):
-        self.cpu = 0.0
         killer = threading.Thread(target=self._kill, args=(delay,))
-        self.is_stopped = False
+        end, self.is_stopped = None, False
         try:
             killer.start()
-            try:
-                call()
-            finally:
-                end = time.process_time()
+            call()
+            end = time.process_time()
             killer.join()  # the call was faster: the signal comes here
             time.sleep(0.01)
         except KeyboardInterrupt:
-            self.is_stopped = True
+            self.is_stopped = end is None
+            end = end or time.process_time()
         killer.join()
         self.cpu = end - self.sent
 
@@ -108,11 +106,11 @@ def main(points):
     CALL[FlyingObjectDetector] = lambda item: item.process(cloud, np.eye(4), now[0])
     found["process"] = attempts(process, detector)
     grid = VoxelMap(threads=1)
-    classes = np.full(points, 2, np.uint8)
+    classes = np.full(len(cloud), 2, np.uint8)
     CALL[VoxelMap] = lambda item: item.integrate(cloud, classes, np.zeros(3))
     found["integrate"] = attempts(lambda: CALL[VoxelMap](grid), grid)
-    found["cluster"] = attempts(lambda: cluster_points(cloud, max_distance=0.3))
-    labels = cluster_points(cloud, max_distance=0.02)
+    found["cluster"] = attempts(lambda: cluster_points(cloud, max_distance=0.3, min_points=1))
+    labels = cluster_points(cloud, max_distance=0.02, min_points=1)
     found["classify"] = attempts(lambda: grid.classify(cloud, labels, np.zeros(3)))
     ranges = np.full((points // 10, 90), 3.0, np.float32)
     circles = CircleDetector()

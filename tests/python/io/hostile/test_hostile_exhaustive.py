@@ -8,6 +8,7 @@ import sys
 import pytest
 from repository import ROOT
 
+from hostile import evidence
 from hostile.exhaustive import corruptions
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and fork as on Linux")
@@ -81,3 +82,14 @@ def test_a_reader_that_ends_badly_is_found(tmp_path):
 def test_every_offset_of_every_format(tmp_path):
     status, _, told = exhaustive(tmp_path)
     assert status == 0, told
+
+
+def test_counts_add_up_and_the_guide_shows_them(tmp_path):
+    file = tmp_path / "evidence" / "evidence.json"
+    for outcomes in ({"a": {"ok": 1, "abort": 2}}, {"a": {"ok": 3}, "b": {"typed": 4}}):
+        evidence.add("attack", outcomes, file)
+    known = json.loads(file.read_text())
+    assert known == {"attack": {"a": {"abort": 2, "ok": 4}, "b": {"typed": 4}}}
+    page = evidence.PAGE.read_text()
+    assert "| attack | `a` | 6 | 4 | 0 | 2 |" in evidence.shown(page, known)
+    assert evidence.shown(page, json.loads(evidence.FILE.read_text())) == page
