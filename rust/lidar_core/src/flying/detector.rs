@@ -260,7 +260,7 @@ impl FlyingObjectDetector {
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
         let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
-        add_followed(&input, classifier, &mut found, &followed);
+        add_followed(&input, &local.map, classifier, &mut found, &followed);
         Ok(found)
     }
 
