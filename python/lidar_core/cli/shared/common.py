@@ -93,6 +93,7 @@ OPTIONS = {
         for name in (
             "allow_origin",
             "angle_unit",
+            "checkpoint",
             "fixed_frame",
             "force",
             "gate",
@@ -102,6 +103,7 @@ OPTIONS = {
             "overwrite",
             "pose",
             "replay",
+            "resume",
             "scan_rate",
             "stamps",
             "trusted",
