@@ -21,7 +21,7 @@ from lidar_core.runs.settings import ConfigChoice, config_of_run
 SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
 OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE"
 OTHER_SENSORS = ("hesai", "livox", "ouster", "robosense")
-"""Whose packets nobody decodes here: ouster-sdk needs an environment of its own."""
+"""Whose packets are not read from the network."""
 FOXGLOVE_PORT, PAGE_PORT = 8765, 9090
 
 
