@@ -23,6 +23,7 @@ from lidar_core.cli.shared.common import (
     write_json,
 )
 from lidar_core.cli.shared.run_options import PipelineOptions, with_options
+from lidar_core.cli.shared.voice import tell as say
 from lidar_core.cli.view import ALLOW_ORIGIN
 from lidar_core.errors import ConfigError
 from lidar_core.util.rows import Row, number
@@ -141,7 +142,7 @@ def command(options: LiveOptions) -> None:
     out, errors = consoles(options.json)
 
     def tell(text: str) -> None:
-        errors.print(as_options(text), markup=False, highlight=False, soft_wrap=True)
+        say(errors, as_options(text))
 
     result = runs.live(
         options.source,
@@ -214,7 +215,15 @@ def _tell(console: "Console", report: "Report") -> None:
         f"{report.objects} objects",
         *([report.trouble] if report.trouble else []),
     ]
-    console.print(" | ".join(parts), markup=False, highlight=False, soft_wrap=True)
+    say(
+        console,
+        " | ".join(parts),
+        seconds=round(report.elapsed_s, 3),
+        scans_per_second=round(report.rate_hz, 3),
+        latency_ms=None if report.from_arrival is None else round(report.from_arrival.p95, 3),
+        objects=report.objects,
+        **{name.replace(" ", "_"): count for name, count in report.counts.items()},
+    )
 
 
 def _since_stamp(report: "Report") -> str:
