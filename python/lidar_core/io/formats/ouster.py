@@ -16,13 +16,12 @@ from lidar_core.io.ouster.frames import (
 )
 from lidar_core.io.ouster.osf import OsfFile
 from lidar_core.io.ouster.packets import Frame, FrameCollector, PacketLayout
-from lidar_core.io.ouster.sensor import Sensor, parse_sensor
+from lidar_core.io.ouster.sensor import MOST_METADATA_BYTES, Sensor, parse_sensor
 from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic, decoded
 
 SENSOR_KEY = b'"beam_altitude_angles"'
-MOST_METADATA_BYTES = 4 * 2**20
 
 
 def is_ouster_capture(path: Path, options: ReadOptions) -> bool:

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 MILLIMETRE = 1e-3
 MOST_ROWS, MOST_COLUMNS, MOST_IN_PACKET = 1024, 65_535, 64
 LEGACY = "LEGACY"
+MOST_METADATA_BYTES = 4 * 2**20
 BEAM_ORIGINS_MM = {"OS-0": 27.67, "OS-1": 15.806, "OS-2": 13.762}
 """Distance of the beams' origin from the axis of rotation, where a file leaves it out."""
 LIDAR_TO_SENSOR = (-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1)

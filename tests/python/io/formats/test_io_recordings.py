@@ -11,7 +11,7 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError
 from lidar_core.io import ReadOptions
-from lidar_core.io.messages.velodyne import PacketStream
+from lidar_core.io.messages.velodyne import VelodyneStream
 from lidar_core.io.records import Findings
 from lidar_core.messages import Pose, Scan
 
@@ -163,7 +163,7 @@ def test_info_command_prints_a_table(recordings):
 
 def test_velodyne_packets_that_arrive_one_by_one_give_the_same_scans(recordings):
     path = recordings / "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap"
-    stream = PacketStream("velodyne", "lidar", ReadOptions(), Findings())
+    stream = VelodyneStream(ReadOptions(), Findings())
     scans = []
     for stamp_ns, packet in packets_of(path):
         scan = stream.scan(stamp_ns, packet, place="packet")
@@ -173,7 +173,7 @@ def test_velodyne_packets_that_arrive_one_by_one_give_the_same_scans(recordings)
     assert len(scans) == len(whole) - 1  # the last revolution is not complete
     for live, read in zip(scans, whole, strict=False):
         np.testing.assert_array_equal(live.points, read.points)
-        assert live.frame_id == "lidar"
+        assert live.frame_id == "velodyne"
         assert abs(live.stamp_ns - read.stamp_ns) < 1000
     with pytest.raises(FormatError, match=r"packet: 3 bytes, a Velodyne data packet has 1206"):
         stream.scan(0, b"abc", place="packet")
