@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -69,6 +69,13 @@ SEED ?= 1
 hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: COUNT=n, SEED=n.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile --count $(COUNT) \
 	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile
+
+# One good file per format, cut at every STEP-th offset and with every byte there damaged.
+STEP ?= 1
+corrupt: ## Cut and damage a file of every format at every offset: STEP=n, EVIDENCE=1.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.exhaustive --step $(STEP) \
+	    $(if $(EVIDENCE),--evidence)
+	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
 
 # The tests run on an installed wheel, never on the working tree. ouster-sdk, with which the own
 # reader is compared, pins versions that the extras cannot live with: it has an environment alone.

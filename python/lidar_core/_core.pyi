@@ -16,6 +16,7 @@ __all__ = [
     "Measurement",
     "Measurements",
     "MultiTargetTracker",
+    "PlantedPanic",
     "PointCloudTracker",
     "PreparedSweep",
     "SimScene",
@@ -56,6 +57,14 @@ __all__ = [
 
 CIRCLE_CUT_MARGINS: list[float]
 __version__: str
+
+@final
+class PlantedPanic:
+    """Panics on purpose, for tests."""
+
+    def __new__(cls) -> Self: ...
+    def fall(self, place: str) -> None: ...
+    def stand(self) -> int: ...
 
 def vector_unit() -> str: ...
 def vector_units() -> list[str]: ...

@@ -94,6 +94,7 @@ OPTIONS = {
         for name in (
             "allow_origin",
             "angle_unit",
+            "checkpoint",
             "fixed_frame",
             "force",
             "gate",
@@ -103,6 +104,7 @@ OPTIONS = {
             "overwrite",
             "pose",
             "replay",
+            "resume",
             "scan_rate",
             "stamps",
             "trusted",

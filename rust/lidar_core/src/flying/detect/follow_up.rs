@@ -4,6 +4,7 @@ use super::detections::{ScanDetections, ScanToDetect, detect};
 use super::visibility::ScanView;
 use crate::Error;
 use crate::flying::classify::scan_classifier::{ScanClassifier, ScanToClassify};
+use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::flying::track::{Detections, PointCloudTracker};
 use crate::geometry::transform::{minus, norm};
@@ -55,9 +56,11 @@ pub(crate) fn update_tracks(
 }
 
 /// Make the unknown clusters that confirmed tracks follow, given a row of each, flying objects and add
-/// them to the detections: what flew into a place of which little is known still flies.
+/// them to the detections: what flew into a place of which little is known still flies. Outside the
+/// operating volume nothing does, though tracks that left it go on for a while.
 pub(crate) fn add_followed(
     input: &ScanToDetect<'_>,
+    map: &VoxelMap,
     classifier: &mut ScanClassifier,
     found: &mut ScanDetections,
     rows: &[u32],
@@ -69,6 +72,7 @@ pub(crate) fn add_followed(
         let cluster = classifier.clusters().get(index);
         let distance = norm(minus(cluster.centroid, scan.pose.translation));
         let is_target = classifier.classifications()[index].class == PointClass::Unknown
+            && map.parameters().holds(cluster.centroid)
             && cluster.members.len() >= p.min_points
             && p.max_distance.is_none_or(|far| distance <= far)
             && p.max_extent.is_none_or(|extent| cluster.diagonal() <= extent);
