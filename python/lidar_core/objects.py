@@ -242,6 +242,9 @@ class CircleElements(ObjectTable):
         Time of its last measurement [ns].
     visible : ndarray, shape (M,), bool
         A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
+    person_probability : ndarray, shape (M,), float64
+        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs
+        where the scan meets them. 0 with the filter of the paper.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -256,6 +259,7 @@ class CircleElements(ObjectTable):
     age: NDArray[np.float64]
     seen_ns: NDArray[np.int64]
     visible: NDArray[np.bool_]
+    person_probability: NDArray[np.float64]
     stamp_ns: int
 
 

@@ -28,7 +28,7 @@ app = typer.Typer(
     context_settings={"auto_envvar_prefix": "LIDAR_CORE"},
 )
 
-for _name in (
+for _file in (
     "demo",
     "info",
     "convert",
@@ -36,16 +36,17 @@ for _name in (
     "detect",
     "circles",
     "fuse",
-    "evaluate",
+    "results.evaluate",
     "doctor",
     "reproduce",
-    "view",
-    "report",
-    "events",
+    "results.view",
+    "results.report",
+    "results.events",
     "batch",
     "live",
 ):
-    _command = import_module(f"lidar_core.cli.{_name}").command
+    _command = import_module(f"lidar_core.cli.{_file}").command
+    _name = _file.rpartition(".")[2]
     _told = help_text(_command)
     if _name in READING:
         _command = with_trust(_command)

@@ -9,6 +9,7 @@ import typer
 
 from lidar_core.cli.circles import NO_RETURN, TrustModel
 from lidar_core.cli.detect import MAP, POINT_TIME
+from lidar_core.cli.results.view import ALLOW_ORIGIN
 from lidar_core.cli.shared.common import (
     INTERRUPTED,
     NOTHING_CAME,
@@ -24,7 +25,6 @@ from lidar_core.cli.shared.common import (
 )
 from lidar_core.cli.shared.run_options import PipelineOptions, with_options
 from lidar_core.cli.shared.voice import tell as say
-from lidar_core.cli.view import ALLOW_ORIGIN
 from lidar_core.errors import ConfigError
 from lidar_core.util.rows import Row, number
 

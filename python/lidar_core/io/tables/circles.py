@@ -12,7 +12,7 @@ from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.objects import CircleElements
 
 STATE = ("x", "y", "vx", "vy", "radius")
-COLUMNS = element_columns(STATE)
+COLUMNS = element_columns(STATE, more=("person_probability",))
 """Columns of the circles table: SI units, world frame."""
 
 
@@ -46,4 +46,5 @@ def write_circles_tum(folder: str | Path, maps: Iterable[CircleElements]) -> lis
 
 def _values(state: CircleElements, row: int) -> Sequence[Any]:
     place, velocity = state.center[row].tolist(), state.velocity[row].tolist()
-    return (*place, *velocity, float(state.radius[row]))
+    person = float(state.person_probability[row])
+    return (*place, *velocity, float(state.radius[row]), person)
