@@ -2,9 +2,10 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::{RoundBody, STAYED};
+use super::{KNOWN, RoundBody, STAYED};
 use crate::Error;
 use crate::circles::map::circle_measurement::{CircleMeasurement, Measures};
+use crate::circles::map::element::exceeds;
 use crate::circles::map::modes::{Distances, LN_2_PI, joined};
 use crate::circles::map::rules::Rules;
 use crate::circles::map::view::earlier::Trace;
@@ -13,24 +14,26 @@ use nalgebra::{Matrix3, Vector2};
 
 /// Probability of standing above which a body is where it was, whatever its fit says.
 const LIKELY: f64 = 0.2;
-/// Largest squared distance of its centre then: the centre tells less than the trace.
+/// Squared distance that is left of a larger one then: the centre tells less than the trace.
 const STAYING: f64 = 1.0;
-/// Largest squared distance of the centre of what is not surely round.
+/// Largest squared distance of the centre of what is not surely round, or has stayed.
 const NEAR: f64 = 9.0;
 /// Probability that another part of a body is seen, and how far its circle is then: a length and a
 /// share of the radius, one standard deviation [m].
-pub(super) const OTHER: f64 = 0.05;
+const OTHER: f64 = 0.05;
 const PART: f64 = 0.03;
 const PART_SHARE: f64 = 0.5;
-/// Distance from its predicted place, and speed, above which a measurement is of another body
-/// [m], [m/s].
+/// The same of what is surely round, for the decision if it stands.
+const OTHER_OF_ROUND: f64 = 0.001;
+/// Distance from its predicted place, and speed since the last scan, above which a measurement is
+/// of another body [m], [m/s]; since its last measurement, where its place is not known.
 const FARTHEST: f64 = 0.8;
 const FASTEST: f64 = 3.0;
-/// Squared distance up to which something is a body that comes back into sight: 98 % of where it
+/// Squared distance up to which something is a body that comes back into sight: 99.7 % of where it
 /// may be, chi-square of 2 degrees of freedom.
-const RETURN: f64 = 7.8;
+const RETURN: f64 = 11.8;
 /// Mean time for which a body is out of sight, if it comes back at all [s].
-const HIDDEN: f64 = 1.5;
+const HIDDEN: f64 = 5.0;
 
 /// Weight of the newest radius in the variance of radii, and its largest square [m^2].
 const ROUGHNESS: f64 = 0.1;
@@ -63,12 +66,13 @@ impl RoundBody {
         let Distances { least, calm, first } = self.circle.distances(&seen, motion)?;
         let has_stayed =
             trace.is_some_and(|trace| trace >= STAYED) && self.circle.standing(motion) > LIKELY;
-        let (from, most) = if has_stayed {
-            (first, STAYING)
-        } else if self.outline.is_surely_round() {
-            (least, rules.gate())
-        } else {
-            (calm, NEAR)
+        // What is round and leaves departs from its place before its trace tells it.
+        let is_round = self.outline.is_surely_round();
+        let (from, most, left) = match (has_stayed, is_round) {
+            (true, false) => (first, NEAR, STAYING),
+            (true, true) => (first, NEAR, NEAR),
+            (false, true) => (least, rules.gate(), rules.gate()),
+            (false, false) => (calm, NEAR, NEAR),
         };
         if from.squared <= most {
             return Ok(seen);
@@ -78,9 +82,9 @@ impl RoundBody {
         if growth * growth > NEAR * (covariance[(4, 4)] + seen.R[(2, 2)]) {
             // Another radius: the fit is of another part. Its covariance tells how errors of the
             // centre and of the radius hang together, and this is none of them.
-            seen.R += Matrix3::identity() * (from.length / most);
+            seen.R += Matrix3::identity() * (from.length / left);
         } else {
-            seen.R *= from.squared / most;
+            seen.R *= from.squared / left;
         }
         Ok(seen)
     }
@@ -101,7 +105,13 @@ impl RoundBody {
         }
         let state = self.circle();
         let apart = libm::hypot(seen.z[0] - state.mean[0], seen.z[1] - state.mean[1]);
-        if apart > FARTHEST.max(FASTEST * self.waiting) {
+        let place = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        let time = if exceeds(&place, KNOWN * KNOWN) {
+            self.waiting
+        } else {
+            self.waiting / f64::from(self.waits.max(1))
+        };
+        if apart > FARTHEST.max(FASTEST * time) {
             return Ok(None);
         }
         let wide = self.of_part(&noisy);
@@ -123,6 +133,11 @@ impl RoundBody {
             (Some(whole), Some(part)) => Some(joined(whole, part) + gone),
             (whole, part) => whole.or(part).map(|cost| cost + gone),
         })
+    }
+
+    /// Probability that a measurement shows another part of this body, for the decision if it stands.
+    pub(super) fn share_of_parts(&self) -> f64 {
+        if self.outline.is_surely_round() { OTHER_OF_ROUND } else { OTHER }
     }
 
     /// A measurement if it shows another part of this body.

@@ -11,7 +11,6 @@ mod places;
 
 use self::legs::Legs;
 use self::look::{Look, Looks};
-use self::measured::OTHER;
 use self::outline::{Outline, OutlineMeasurement};
 use self::person::{Gait, Person};
 use self::places::{axes, is_one};
@@ -279,7 +278,7 @@ impl State for RoundBody {
             return self.circle.correct(&weighted, None);
         }
         let part = self.of_part(&self.noisy(&used));
-        self.circle.correct(&weighted, Some((&part, OTHER, seen.evidence())))
+        self.circle.correct(&weighted, Some((&part, self.share_of_parts(), seen.evidence())))
     }
 
     /// At most one measurement per body: the assignment that explains all of them best.
@@ -349,7 +348,9 @@ impl State for RoundBody {
     }
 
     fn is_lost(&self, rules: &Rules) -> bool {
-        let (state, mut limit) = (self.reported(), rules.parameters().limits.position);
+        // The circle of what is large is not reported.
+        let state = if self.outline.is_large() { self.circle() } else { self.reported() };
+        let mut limit = rules.parameters().limits.position;
         if self.waits > 0 && rules.has_standing() {
             limit = limit.min(KNOWN);
         }
