@@ -122,7 +122,7 @@ def test_curves_are_those_of_the_cards():
     rows = {row.name: row for row in fig5.ITEM.run(Request(seed=0, scans=1, threads=1)).rows}
     cards = {model: CircleNetwork(model).card for model in ("cnn", "paper-cnn")}
     small = min(row["validation_mse"] for row in cards["cnn"]["metrics"])
-    paper = cards["paper-cnn"]["metrics"][-1]["validation_loss"]  # whole validation: docs/training.md
+    paper = cards["paper-cnn"]["metrics"][-1]["validation_loss"]  # see docs/training.md
     assert rows["loss of the shipped weights, validation"].best_mode == pytest.approx(3 * small)
     assert rows["loss of the shipped weights, validation"].paper_mode == paper
 
