@@ -336,6 +336,7 @@ class CircleMap:
         NDArray[np.int64],
         NDArray[np.bool_],
         NDArray[np.bool_],
+        NDArray[np.float64],
     ]: ...
     def reset(self) -> None: ...
 
@@ -392,6 +393,7 @@ class CirclePipeline:
         NDArray[np.int64],
         NDArray[np.bool_],
         NDArray[np.bool_],
+        NDArray[np.float64],
     ]: ...
     def shapes_at(
         self, stamp_ns: int

@@ -34,6 +34,7 @@ from lidar_core.io import (
     write_circles_tum,
     write_shapes_table,
 )
+from lidar_core.io.tables.circles import map_columns
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
@@ -308,10 +309,11 @@ class CirclesRun:
         shapes = write_shapes_table(
             folder.path / "shapes.parquet", self.shapes, frame_id=self.frame_id
         )
+        whole = folder.write_table("map", map_columns(self.maps, self.frame_id))
         found = folder.write_table("detections", self._detections())
         timing = folder.write_table("timing", self._times.table())
         write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
-        return [table.name, shapes.name, found.name, timing.name, TRACKS_FOLDER]
+        return [table.name, shapes.name, whole.name, found.name, timing.name, TRACKS_FOLDER]
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
         """The picture of a run on the recording `name`, and the film where it is wanted."""

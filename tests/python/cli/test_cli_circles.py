@@ -64,6 +64,7 @@ def test_the_folder_is_complete_and_noted(recording, run):
     assert {
         "circles.parquet",
         "detections.parquet",
+        "map.parquet",
         "shapes.parquet",
         "timing.parquet",
         "tracks_tum",
