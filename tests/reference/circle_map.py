@@ -23,12 +23,8 @@ MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
 LEAST_MISSES, LEAST_RAYS = 3, 4
 ABSENT_TIME, UNMATCHED_TIME = 0.25, 0.5  # [s]
 SEE_MARGIN = 0.15  # [m]
-OTHER, OTHER_OF_ROUND, PART, PART_SHARE = (
-    0.05,
-    0.001,
-    0.03,
-    0.5,
-)  # probabilities; [m], of the radius
+OTHER, OTHER_OF_ROUND = 0.05, 0.001  # probabilities
+PART, PART_SHARE = 0.03, 0.5  # [m], of the radius
 FARTHEST, FASTEST = 0.8, 3.0  # [m], [m/s]
 RETURN, HIDDEN = 11.8, 5.0  # squared distance, [s]
 ORDER = ["seen through", "returns", "occluded", "out of view"]

@@ -24,6 +24,8 @@ GATE = 0.5
 """Elements within this distance of an object are its own [m]."""
 SHARE = 0.5
 """Measures begin after this share of a run."""
+START = 1.1
+"""Those of people begin after this time: before, no earlier scan tells what moves [s]."""
 PLACES = ((2.5, 1.5), (2.0, -2.0), (4.5, 3.0), (5.0, -1.0), (-1.5, 3.5), (7.0, 1.0))
 RADII = (0.1, 0.2, 0.3, 0.15, 0.25, 0.35)
 LARGE = (1.0, 1.5, 2.0, 2.5)
@@ -214,7 +216,7 @@ def _measure(request: Request) -> Measured:
         scans=sum(job.scans for job in jobs),
         note="Default configuration in every situation. NEES: of x, y and radius in the frame of"
         " the scanner, 3 is right. An element is of an object within 0.5 m. Second half of every"
-        " run; people: all of it.",
+        " run; people: from 1.1 s on.",
         config={"best": CirclesConfig()},
     )
 
@@ -258,12 +260,13 @@ def _people(parts: list[Part]) -> list[tuple[str, str, float | None]]:
     numbers = minutes = 0.0
     near, slips, likely = [], [], []
     for one in parts:
-        rows = one["person"] > 0
+        seconds = 60 * float(one["minutes"])
+        rows = (one["person"] > 0) & (one["scan"] * seconds / one["scans"] >= START)
         for target in np.unique(one["object"][rows]):
             own = rows & (one["object"] == target)
             ids = one["id"][own]
             numbers += len(np.unique(ids[np.isfinite(ids)]))
-            minutes += float(one["minutes"])
+            minutes += (seconds - START) / 60
         near.append(one["near"][rows])
         slips.append(one["slip"][rows])
         likely.append(one["likely"][rows])
