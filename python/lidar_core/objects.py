@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, fields
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import MissingExtraError
 from lidar_core.extras import require
+from lidar_core.messages import TrackKind
 
 __all__ = [
     "Boxes",
@@ -29,6 +30,7 @@ _AXES = {
     "center": ("x", "y"),
     "velocity": ("vx", "vy", "vz"),
     "acceleration": ("ax", "ay", "az"),
+    "kind_probability": tuple(f"p_{kind.name.lower()}" for kind in TrackKind),
 }
 """Names of the columns of vectors; those of others are numbered from 0."""
 
@@ -58,6 +60,16 @@ class ObjectTable:
             more.insert(0, f"id={numbers}")
         return f"{type(self).__name__}({', '.join([f'{len(self)} rows', *more])})"
 
+    def where(self, mask: NDArray[np.bool_]) -> Self:
+        """Rows for which `mask`, shape (K,), is true, such as `tracks.kind == TrackKind.FLYING`."""
+        chosen: dict[str, Any] = {}
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            if isinstance(value, tuple):
+                value = tuple(part for part, is_in in zip(value, mask, strict=True) if is_in)
+            chosen[one.name] = value[mask] if isinstance(value, np.ndarray) else value
+        return type(self)(**chosen)
+
     def to_dict(self) -> dict[str, Any]:
         """Every field by its name as plain values: numbers, texts and nested lists."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}  # type: ignore[arg-type]
@@ -70,7 +82,8 @@ class ObjectTable:
         """One array of shape (K,) per column of a table, one row per object.
 
         Positions are x, y, z, velocities vx, vy, vz, accelerations ax, ay, az; of covariances
-        the upper triangle is cov_A_B, as in the tables of runs; the parts of other vectors are
+        the upper triangle is cov_A_B, as in the tables of runs; probabilities of kinds are
+        p_unknown to p_clutter; the parts of other vectors are
         numbered, such as extent_0; a time of all rows is repeated.
         """
         columns: dict[str, NDArray[Any]] = {}
@@ -162,6 +175,12 @@ class Tracks(Boxes):
         Time since its first detection [s].
     existence : ndarray, shape (T,), float64
         Probability that there is a target; NaN where tracks are confirmed by counts.
+    kind : ndarray, shape (T,), uint8
+        A `lidar_core.TrackKind` each: the one that is more probable than all others together,
+        UNKNOWN if there is none; FLYING where tracks are confirmed by counts.
+    kind_probability : ndarray, shape (T, 5), float64
+        Probability of every `TrackKind`, by number, if there is a target; NaN where tracks are
+        confirmed by counts.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -173,6 +192,13 @@ class Tracks(Boxes):
     n_detections: NDArray[np.int64]
     age: NDArray[np.float64]
     existence: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    kind_probability: NDArray[np.float64]
+
+    @property
+    def flying(self) -> "Tracks":
+        """The tracks of kind FLYING: what pictures, viewers and evaluations show."""
+        return self.where(self.kind == TrackKind.FLYING)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -231,6 +257,9 @@ class CircleElements(ObjectTable):
         Time of its last measurement [ns].
     visible : ndarray, shape (M,), bool
         A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
+    person_probability : ndarray, shape (M,), float64
+        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs
+        where the scan meets them. 0 with the filter of the paper.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -245,6 +274,7 @@ class CircleElements(ObjectTable):
     age: NDArray[np.float64]
     seen_ns: NDArray[np.int64]
     visible: NDArray[np.bool_]
+    person_probability: NDArray[np.float64]
     stamp_ns: int
 
 

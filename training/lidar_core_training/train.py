@@ -29,8 +29,8 @@ from lidar_core_training.config import TrainConfig
 from lidar_core_training.metrics import breakdown, errors_of, summary
 from lidar_core_training.one_step import compared
 from lidar_core_training.optimiser import Optimiser
-from lidar_core_training.tasks import Data, OneStepTask, Task, task_of
-from lidar_core_training.weights import take_weights
+from lidar_core_training.tasks import Data, OneStepTask, Task, resident, task_of
+from lidar_core_training.weights import start_of, take_weights
 
 METRICS = "metrics.csv"
 TEST = "test.json"
@@ -104,7 +104,7 @@ def train(
         with written_whole(folder / NOTE) as temporary:
             temporary.write_text(config.to_toml(), encoding="utf-8")
         with written_whole(folder / ORIGIN) as temporary:
-            temporary.write_text(json.dumps(_origin(), indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(_origin(config), indent=1) + "\n", encoding="utf-8")
         _datasets(config, folder, on_data)
     group.wait()
     run = Run(config, folder, group)
@@ -112,14 +112,15 @@ def train(
     return run.finish() if group.rank == 0 else {}
 
 
-def _origin() -> dict[str, str]:
-    """What trains: commit of the checkout ("unknown" outside of one) and versions."""
+def _origin(config: TrainConfig) -> dict[str, Any]:
+    """What trains: commit of the checkout ("unknown" outside of one), versions, first weights."""
     command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
     try:
         commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         commit = "unknown"
-    return {"training_commit": commit, "torch": torch.__version__, "lidar_core": __version__}
+    origin = {"training_commit": commit, "torch": torch.__version__, "lidar_core": __version__}
+    return origin if config.start is None else origin | {"start": start_of(config.start)}
 
 
 def _datasets(
@@ -163,6 +164,12 @@ class Run:
         if config.start is not None:
             take_weights(self.network, config.start)
         self.network.to(group.device)
+        self.resident = None
+        if group.device.type == "cuda":
+            free = torch.cuda.mem_get_info(group.device)[0]  # a third, since joining takes it twice
+            self.resident = resident(
+                self.task, self.data["train"], group.device, most_bytes=free // 3
+            )
         self.optimiser = Optimiser(
             self.network,
             self.network.hidden() if config.optimiser == "muon" else [],
@@ -232,8 +239,12 @@ class Run:
         """One step on this process's share of a batch."""
         size, group, progress = self.config.batch_size, self.group, self.progress
         chosen = order[progress.step * size : (progress.step + 1) * size]
-        batch = self.task.batch(self.data["train"], np.sort(chosen[group.rank :: group.size]))
-        batch = batch.to(group.device)
+        rows = np.sort(chosen[group.rank :: group.size])
+        batch = (
+            self.task.batch(self.data["train"], rows).to(group.device)
+            if self.resident is None
+            else self.resident.rows(rows)
+        )
         mixed = self.config.precision == "mixed" and group.device.type == "cuda"
         with torch.autocast("cuda", torch.bfloat16) if mixed else nullcontext():
             answer = self.model(*batch.inputs)

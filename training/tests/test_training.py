@@ -19,6 +19,7 @@ from lidar_core_training import checkpoint
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.curves import draw
 from lidar_core_training.export import PARITY, export
+from lidar_core_training.tasks import Batch, Data, resident
 from lidar_core_training.train import Group, Run, train
 
 CIRCLES = {"kind": "continuous", "draws": 1, "split_by": "circle", "circles": 400}
@@ -174,6 +175,9 @@ def test_a_run_begins_with_an_exported_network(run, tmp_path):
     again = train(config, tmp_path / "again")
     for key, value in weights(folder).items():
         assert torch.allclose(weights(tmp_path / "again")[key], value, atol=1e-6), key
+    before, after = (export(one, tmp_path / "n.onnx") for one in (folder, tmp_path / "again"))
+    assert after["passes"] == 2 * before["passes"]
+    assert after["start"]["passes"] == before["passes"]
     error = again["test"][0]["errors"]["all"]["mse"]
     assert error == pytest.approx(results["test"][0]["errors"]["all"]["mse"], rel=1e-3)
 
@@ -215,3 +219,19 @@ def test_parts_of_a_pass_show_every_sample_once(tmp_path):
 def test_a_wrong_value_is_named():
     with pytest.raises(ConfigError, match="epochs"):
         TrainConfig(epochs=0)
+
+
+def test_resident_samples_are_those_that_are_prepared_per_step(run, monkeypatch):
+    name, folder, _ = run
+    monkeypatch.setattr("lidar_core_training.tasks._PREPARED", 7)  # several parts
+    one = Run(CONFIGS[name], folder, Group(0, 1, torch.device("cpu")))
+    data, rows = one.data["train"], np.array([0, 3, 8, 11, 40])
+    everything = resident(one.task, data, torch.device("cpu"), most_bytes=2**30)
+    assert isinstance(everything, Batch)
+    assert len(everything.truth) == len(data)
+    expected, got = one.task.batch(data, rows), everything.rows(rows)
+    for a, b in zip((*expected.inputs, expected.truth), (*got.inputs, got.truth), strict=True):
+        torch.testing.assert_close(b, a, rtol=0, atol=0)
+    assert torch.equal(got.scale, expected.scale)
+    assert resident(one.task, data, torch.device("cpu"), most_bytes=everything.n_bytes // 2) is None
+    assert resident(one.task, Data.of([]), torch.device("cpu"), most_bytes=2**30) is None

@@ -3,7 +3,7 @@
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::fusion::config::FusionConfig;
-use crate::guard::{Guarded, detached, keep_going};
+use crate::guard::{Guarded, detached, stoppable};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::SimplexSearch;
 use lidar_core::fusion::filter::engine::Output;
@@ -264,7 +264,7 @@ pub(crate) fn fusion_run<'py>(
     measurements: PyRef<'py, PyMeasurements>,
 ) -> Result<RunArrays<'py>, BorderError> {
     let measurements = &measurements.0;
-    run_arrays(py, detached(py, || run(&config.parameters()?, measurements))?)
+    run_arrays(py, stoppable(py, || run(&config.parameters()?, measurements))?)
 }
 
 #[pyfunction]
@@ -276,7 +276,7 @@ pub(crate) fn fusion_smooth<'py>(
     lag_ns: Option<i64>,
 ) -> Result<RunArrays<'py>, BorderError> {
     let measurements = &measurements.0;
-    run_arrays(py, detached(py, || smooth(&config.parameters()?, measurements, lag_ns))?)
+    run_arrays(py, stoppable(py, || smooth(&config.parameters()?, measurements, lag_ns))?)
 }
 
 #[pyfunction]
@@ -289,7 +289,7 @@ pub(crate) fn fusion_run_batch<'py>(
 ) -> Result<Vec<RunArrays<'py>>, BorderError> {
     let targets: Vec<&[Measurement]> = targets.iter().map(|target| &target.0[..]).collect();
     let records =
-        detached(py, || run_batch(&threads::pool(threads.0)?, &config.parameters()?, &targets))?;
+        stoppable(py, || run_batch(&threads::pool(threads.0)?, &config.parameters()?, &targets))?;
     records.into_iter().map(|record| run_arrays(py, record)).collect()
 }
 
@@ -310,10 +310,10 @@ pub(crate) fn fusion_fit_noise(
     let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
     let evaluations = arrays::count("evaluations", evaluations)?;
     let search = SimplexSearch { step: 0.5, tolerance: 1e-6, evaluations };
-    let (best, likelihood) = detached(py, || {
+    let (best, likelihood) = stoppable(py, || {
         let start = config.parameters()?;
         let fitted = quantities(&start, &targets, sensors);
-        fit(&start, &targets, &fitted, least_rate, &search, &keep_going)
+        fit(&start, &targets, &fitted, least_rate, &search)
     })?;
     let (noise, sensing) = (best.strengths, best.sensing);
     Ok((

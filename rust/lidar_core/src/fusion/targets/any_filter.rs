@@ -19,6 +19,7 @@ use crate::fusion::models::platform::Platform;
 use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::sensors::observation::Sensing;
+use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
 
@@ -341,6 +342,7 @@ pub fn smooth_into(
     let mut filter = Filter::new(&parameters.without_buffer())?;
     let (mut rows, mut steps) = (Vec::new(), Vec::new());
     for m in measurements {
+        cancel::check()?;
         let link = filter.0.link(m.stamp_ns());
         let before = filter.output();
         let step = filter.step(m);
