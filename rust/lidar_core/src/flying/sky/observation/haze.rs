@@ -251,7 +251,7 @@ mod tests {
     fn free_map() -> Result<VoxelMap, Error> {
         let mut map = VoxelMap::new(parameters())?;
         let middle = |index: usize| (index as f32 - 25.0) * 0.25 + 0.1;
-        let grid = |index| [index / 2601, index / 51 % 51, index % 51].map(middle);
+        let grid = |index: usize| [index / 2601, index / 51 % 51, index % 51].map(middle);
         map.set_free(&(0..51 * 51 * 51).map(grid).collect::<Vec<_>>())?;
         Ok(map)
     }
