@@ -181,9 +181,10 @@ def _scatter(measurements: Sequence[Measurement], config: FusionConfig) -> float
     """
     rows = [m for m in measurements[:HEAD] if m.sensor == "lidar" and np.isfinite(m.values).all()]
     told = [
-        np.square(config.lidar_std) if m.covariance is None else np.diag(m.covariance) for m in rows
+        np.square(config.lidar_std[:2]) if m.covariance is None else np.diag(m.covariance)[:2]
+        for m in rows
     ]
-    variance = np.var([m.values for m in rows], axis=0) / np.mean(told, axis=0)
+    variance = np.var([m.values[:2] for m in rows], axis=0) / np.mean(told, axis=0)
     return float(np.mean(variance))
 
 

@@ -2,3 +2,6 @@
 
 pub mod measurement;
 pub mod observation;
+pub mod sight;
+pub mod space;
+pub mod told_pose;

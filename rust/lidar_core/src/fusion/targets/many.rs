@@ -92,6 +92,12 @@ impl ManyTargets {
         })
     }
 
+    /// Parameters of the tracker and of the filters of its tracks.
+    #[must_use]
+    pub fn parameters(&self) -> &ManyParameters {
+        &self.parameters
+    }
+
     /// Process one scan of one scanner; returns the outcome of every measurement.
     ///
     /// A scan that comes late, but within the buffer, is inserted at its time, and the later scans
