@@ -36,12 +36,14 @@ if TYPE_CHECKING:
     from lidar_core.flying.voxel_map import IntegrateStats as IntegrateStats
     from lidar_core.flying.voxel_map import VoxelMap as VoxelMap
     from lidar_core.messages import PointClass as PointClass
+    from lidar_core.messages import TrackKind as TrackKind
 
 _HOMES = {
     "VoxelMapConfig": "flying.config",
     "IntegrateStats": "flying.voxel_map",
     "VoxelMap": "flying.voxel_map",
     "PointClass": "messages",
+    "TrackKind": "messages",
 }
 _LAZY = (
     "batch",
@@ -73,6 +75,7 @@ __all__ = [
     "NumericalError",
     "PluginError",
     "PointClass",
+    "TrackKind",
     "VoxelMap",
     "VoxelMapConfig",
     "__version__",

@@ -481,6 +481,7 @@ _TrackArrays: TypeAlias = tuple[
     NDArray[np.float64],
     NDArray[np.bool_],
     NDArray[np.float64],
+    tuple[NDArray[np.uint8], NDArray[np.float64]],
 ]
 
 @final

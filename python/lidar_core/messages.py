@@ -35,6 +35,30 @@ class PointClass(IntEnum):
     MOVING = 4
 
 
+class TrackKind(IntEnum):
+    """Kind of the target of a track; arrays of kinds hold its numbers as uint8.
+
+    Attributes
+    ----------
+    UNKNOWN
+        None of the others, or not decided.
+    FLYING
+        It flies.
+    GROUND
+        It moves on the ground.
+    STATIC
+        It stands.
+    CLUTTER
+        It moves, but is no target: insects, leaves, dust, rain.
+    """
+
+    UNKNOWN = 0
+    FLYING = 1
+    GROUND = 2
+    STATIC = 3
+    CLUTTER = 4
+
+
 class ShownClass(IntEnum):
     """Class of a point in pictures and written clouds: a `PointClass`, or OWN_BODY.
 

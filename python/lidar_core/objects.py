@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import MissingExtraError
 from lidar_core.extras import require
+from lidar_core.messages import TrackKind
 
 __all__ = [
     "Boxes",
@@ -29,6 +30,7 @@ _AXES = {
     "center": ("x", "y"),
     "velocity": ("vx", "vy", "vz"),
     "acceleration": ("ax", "ay", "az"),
+    "kind_probability": tuple(f"p_{kind.name.lower()}" for kind in TrackKind),
 }
 """Names of the columns of vectors; those of others are numbered from 0."""
 
@@ -70,7 +72,8 @@ class ObjectTable:
         """One array of shape (K,) per column of a table, one row per object.
 
         Positions are x, y, z, velocities vx, vy, vz, accelerations ax, ay, az; of covariances
-        the upper triangle is cov_A_B, as in the tables of runs; the parts of other vectors are
+        the upper triangle is cov_A_B, as in the tables of runs; probabilities of kinds are
+        p_unknown to p_clutter; the parts of other vectors are
         numbered, such as extent_0; a time of all rows is repeated.
         """
         columns: dict[str, NDArray[Any]] = {}
@@ -162,6 +165,12 @@ class Tracks(Boxes):
         Time since its first detection [s].
     existence : ndarray, shape (T,), float64
         Probability that there is a target; NaN where tracks are confirmed by counts.
+    kind : ndarray, shape (T,), uint8
+        A `lidar_core.TrackKind` each: the one that is more probable than all others together,
+        UNKNOWN if there is none; FLYING where tracks are confirmed by counts.
+    kind_probability : ndarray, shape (T, 5), float64
+        Probability of every `TrackKind`, by number, if there is a target; NaN where tracks are
+        confirmed by counts.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -173,6 +182,8 @@ class Tracks(Boxes):
     n_detections: NDArray[np.int64]
     age: NDArray[np.float64]
     existence: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    kind_probability: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, repr=False)

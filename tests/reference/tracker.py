@@ -52,6 +52,8 @@ SURE, MANY_RAYS, FEW_RAYS = 0.7, 12, 3
 DELETED, KEPT = 0.01, 0.5
 LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
 MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
+# Kinds: unknown, flying, ground, static, clutter.
+KIND_SHARES, LEAST_KIND = (0.05, 0.5, 0.05, 0.2, 0.2), 1e-6
 USUAL, CLUTTER_BOUNDS = 0.1, (0.5, 1.8)
 
 
@@ -105,10 +107,16 @@ class Track:
     own: float = 0.0  # points of its clusters
     stray: float = 0.0  # points around it that belong to no track
     points: np.ndarray = None  # of its last cluster
+    kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
 
     @property
     def r(self):
         return self.x[:3]
+
+    @property
+    def kind(self):
+        """Number of the kind that outweighs all others; 0, unknown, if there is none."""
+        return int(np.argmax(self.kinds)) if self.kinds.max() > 0.5 else 0
 
     def existence(self, stamp=None):
         """Probability that there is a target, at another time if that is given."""
@@ -123,6 +131,13 @@ class Track:
         return expm((rates - EYE[:2, :2] / LIFETIME) * dt) @ (self.there, self.hidden)
 
     def take(self, likelihood):
+        target, hidden, standing, fleeting = likelihood
+        mixed = (self.there * target + self.hidden * hidden) / (self.there + self.hidden)
+        any_kind = (mixed + standing + fleeting) / 3
+        made = np.array([any_kind, mixed, mixed, standing, fleeting])
+        self.kinds = self.kinds * np.maximum(made / made.max(), LEAST_KIND)
+        for _ in range(2):
+            self.kinds = np.maximum(self.kinds / self.kinds.sum(), LEAST_KIND)
         weights = [
             self.there,
             self.hidden,
@@ -634,6 +649,7 @@ class Tracker:
                 standing=best.standing,
                 believed=best.believed,
                 has_moved=best.has_moved,
+                kinds=best.kinds,
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

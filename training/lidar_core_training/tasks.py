@@ -16,6 +16,8 @@ from lidar_core_training.losses import four_points, gaussian, whitened
 from lidar_core_training.networks import PaperNet, WindowNet
 from lidar_core_training.one_step import OneStepNet, loss_of, shown, truth_of
 
+_PREPARED = 16_384  # samples that are prepared at a time
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -29,6 +31,18 @@ class Batch:
         """The same on a device."""
         inputs = tuple(array.to(device) for array in self.inputs)
         return Batch(inputs, self.truth.to(device), self.scale.to(device))
+
+    def rows(self, numbers: NDArray[np.int64]) -> "Batch":
+        """Some of the samples, on the same device."""
+        index = torch.from_numpy(numbers).to(self.truth.device)
+        return Batch(
+            tuple(array[index] for array in self.inputs), self.truth[index], self.scale[index]
+        )
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory that the samples take."""
+        return sum(array.nbytes for array in (*self.inputs, self.truth, self.scale))
 
 
 Network: TypeAlias = PaperNet | WindowNet | OneStepNet
@@ -193,6 +207,28 @@ class OneStepTask:
         """Of the votes of rays that met circles, along and across the ray."""
         is_circle = batch.truth[:, 0] > 0
         return (answer - batch.truth)[:, 1:].transpose(1, 2)[is_circle], None
+
+
+def resident(task: Task, data: Data, device: torch.device, *, most_bytes: int) -> Batch | None:
+    """All samples in the memory of a device, as the network sees them.
+
+    A GPU learns faster than one CPU prepares scans, so each sample is prepared once and not once
+    per pass. None where the samples do not fit, or differ from batch to batch.
+    """
+    if isinstance(task, OneStepTask) or not len(data):
+        return None
+    if task.batch(data, np.arange(1)).n_bytes * len(data) > most_bytes:
+        return None
+    parts = [
+        task.batch(data, np.arange(start, min(start + _PREPARED, len(data)))).to(device)
+        for start in range(0, len(data), _PREPARED)
+    ]
+    inputs = tuple(
+        torch.cat(arrays) for arrays in zip(*(part.inputs for part in parts), strict=True)
+    )
+    return Batch(
+        inputs, torch.cat([part.truth for part in parts]), torch.cat([part.scale for part in parts])
+    )
 
 
 def task_of(config: TrainConfig, data: Data) -> Task:

@@ -29,7 +29,7 @@ from lidar_core_training.config import TrainConfig
 from lidar_core_training.metrics import breakdown, errors_of, summary
 from lidar_core_training.one_step import compared
 from lidar_core_training.optimiser import Optimiser
-from lidar_core_training.tasks import Data, OneStepTask, Task, task_of
+from lidar_core_training.tasks import Data, OneStepTask, Task, resident, task_of
 from lidar_core_training.weights import take_weights
 
 METRICS = "metrics.csv"
@@ -163,6 +163,12 @@ class Run:
         if config.start is not None:
             take_weights(self.network, config.start)
         self.network.to(group.device)
+        self.resident = None
+        if group.device.type == "cuda":
+            free = torch.cuda.mem_get_info(group.device)[0]  # a third, since joining takes it twice
+            self.resident = resident(
+                self.task, self.data["train"], group.device, most_bytes=free // 3
+            )
         self.optimiser = Optimiser(
             self.network,
             self.network.hidden() if config.optimiser == "muon" else [],
@@ -232,8 +238,12 @@ class Run:
         """One step on this process's share of a batch."""
         size, group, progress = self.config.batch_size, self.group, self.progress
         chosen = order[progress.step * size : (progress.step + 1) * size]
-        batch = self.task.batch(self.data["train"], np.sort(chosen[group.rank :: group.size]))
-        batch = batch.to(group.device)
+        rows = np.sort(chosen[group.rank :: group.size])
+        batch = (
+            self.task.batch(self.data["train"], rows).to(group.device)
+            if self.resident is None
+            else self.resident.rows(rows)
+        )
         mixed = self.config.precision == "mixed" and group.device.type == "cuda"
         with torch.autocast("cuda", torch.bfloat16) if mixed else nullcontext():
             answer = self.model(*batch.inputs)

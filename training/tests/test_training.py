@@ -19,6 +19,7 @@ from lidar_core_training import checkpoint
 from lidar_core_training.config import TrainConfig
 from lidar_core_training.curves import draw
 from lidar_core_training.export import PARITY, export
+from lidar_core_training.tasks import Batch, Data, resident
 from lidar_core_training.train import Group, Run, train
 
 CIRCLES = {"kind": "continuous", "draws": 1, "split_by": "circle", "circles": 400}
@@ -215,3 +216,19 @@ def test_parts_of_a_pass_show_every_sample_once(tmp_path):
 def test_a_wrong_value_is_named():
     with pytest.raises(ConfigError, match="epochs"):
         TrainConfig(epochs=0)
+
+
+def test_resident_samples_are_those_that_are_prepared_per_step(run, monkeypatch):
+    name, folder, _ = run
+    monkeypatch.setattr("lidar_core_training.tasks._PREPARED", 7)  # several parts
+    one = Run(CONFIGS[name], folder, Group(0, 1, torch.device("cpu")))
+    data, rows = one.data["train"], np.array([0, 3, 8, 11, 40])
+    everything = resident(one.task, data, torch.device("cpu"), most_bytes=2**30)
+    assert isinstance(everything, Batch)
+    assert len(everything.truth) == len(data)
+    expected, got = one.task.batch(data, rows), everything.rows(rows)
+    for a, b in zip((*expected.inputs, expected.truth), (*got.inputs, got.truth), strict=True):
+        torch.testing.assert_close(b, a, rtol=0, atol=0)
+    assert torch.equal(got.scale, expected.scale)
+    assert resident(one.task, data, torch.device("cpu"), most_bytes=everything.n_bytes // 2) is None
+    assert resident(one.task, Data.of([]), torch.device("cpu"), most_bytes=2**30) is None

@@ -233,7 +233,7 @@ def tracks_from(
     confirmed: bool = True,
 ) -> Tracks:
     """Tracks of the core, moved back to the world's origin; `confirmed`: only reported ones."""
-    number, mean, covariance, extent, n_detections, age, reported, existence = arrays
+    number, mean, covariance, extent, n_detections, age, reported, existence, kinds = arrays
     if not confirmed:
         reported = np.ones_like(reported)
     mean = mean[reported]
@@ -248,6 +248,8 @@ def tracks_from(
         n_detections=n_detections[reported],
         age=age[reported],
         existence=existence[reported],
+        kind=kinds[0][reported],
+        kind_probability=kinds[1][reported],
         stamp_ns=stamp_ns,
     )
 

@@ -9,6 +9,7 @@ mod flying;
 mod fusion;
 mod geometry;
 mod guard;
+mod kinds;
 mod sim;
 mod vector_unit;
 

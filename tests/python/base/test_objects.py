@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lidar_core import MissingExtraError, objects
+from lidar_core import MissingExtraError, TrackKind, objects
 from lidar_core.circles import CircleElements, ShapeElements
 from lidar_core.flying import FlyingDetections, Tracks
 from lidar_core.fusion import Measurement, MultiTargetTracker
@@ -25,7 +25,9 @@ def filled(kind, rows):
     at = 1_500_000_000
     make = {
         Tracks: lambda: Tracks(
-            numbers, vector, vector, vector, at, vector, squares[9], numbers, scalar
+            *(numbers, vector, vector, vector, at, vector, squares[9], numbers, scalar, scalar),
+            numbers.astype(np.uint8),
+            rng.random((rows, 5)),
         ),
         FlyingDetections: lambda: FlyingDetections(
             vector, squares[3], scalar, vector, numbers, scalar, numbers
@@ -84,6 +86,7 @@ def test_columns_are_named_as_in_the_tables_of_runs():
     np.testing.assert_array_equal(columns["extent_2"], tracks.extent[:, 2])
     assert columns["stamp_ns"].tolist() == [1_500_000_000] * 3
     assert "cov_vy_x" not in columns
+    np.testing.assert_array_equal(columns["p_ground"], tracks.kind_probability[:, TrackKind.GROUND])
     circles = filled(CircleElements, 3)
     np.testing.assert_array_equal(
         circles.to_columns()["cov_radius_radius"], circles.covariance[:, 4, 4]

@@ -149,6 +149,9 @@ def states(columns):
             extent=np.ones((1, 3)),
             n_detections=np.ones(1, np.int64),
             age=np.ones(1),
+            existence=np.ones(1),
+            kind=np.ones(1, np.uint8),
+            kind_probability=np.full((1, 5), 0.2),
             stamp_ns=int(columns["t_ns"][row]),
         )
 
@@ -189,7 +192,7 @@ def test_a_covariance_that_is_none_is_named(place, tracks, tmp_path):
     path = tmp_path / "tracks.npz"
     np.savez(
         path,
-        **{name: column for name, column in tracks.items() if name != "frame_id"}
+        **{name: column for name, column in tracks.items() if name not in ("frame_id", "kind")}
         | {"cov_x_x": -tracks["cov_x_x"]},
     )
     text = str(refusal_of(path, place / "yard.npz"))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist, pdist
 from scipy.stats import chi2
 
-from lidar_core import flying
+from lidar_core import TrackKind, flying
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.flying import PointCloudTracker, TrackerConfig
 from reference import tracker as oracle
@@ -68,9 +68,14 @@ def assert_same_state(tracker, reference, stamp):
     assert all_tracks.id.tolist() == [track.id for track in reference.tracks]
     if reference.c.report_existence is None:
         assert np.isnan(all_tracks.existence).all()
+        assert np.isnan(all_tracks.kind_probability).all()
+        assert (all_tracks.kind == TrackKind.FLYING).all()
     else:
         existence = [track.existence(stamp) for track in reference.tracks]
         np.testing.assert_allclose(all_tracks.existence, existence, rtol=0, atol=ORACLE_TOLERANCE)
+        kinds = np.array([track.kinds for track in reference.tracks]).reshape(-1, len(TrackKind))
+        np.testing.assert_allclose(all_tracks.kind_probability, kinds, atol=ORACLE_TOLERANCE)
+        assert all_tracks.kind.tolist() == [track.kind for track in reference.tracks]
     tracks = tracker.tracks_at(stamp)
     expected = [track for track in reference.tracks if track.confirmed]
     assert tracks.id.tolist() == [track.id for track in expected]

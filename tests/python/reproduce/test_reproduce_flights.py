@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidar_core import evaluation, sim
+from lidar_core import TrackKind, evaluation, sim
 from lidar_core.flying import Tracks
 from lidar_core.reproduce.common import GATE, evaluation_config
 from lidar_core.reproduce.flying import fig8
@@ -117,6 +117,9 @@ def tracks(ids, places):
         extent=0 * places,
         n_detections=np.ones(count, np.int64),
         age=np.ones(count),
+        existence=np.ones(count),
+        kind=np.full(count, TrackKind.FLYING, np.uint8),
+        kind_probability=np.full((count, 5), 0.2),
         stamp_ns=0,
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from lidar_core import MissingExtraError
+from lidar_core import MissingExtraError, TrackKind
 from lidar_core.extras import install_command
 from lidar_core.flying import Tracks
 from lidar_core.viz import FlyingView, draw_flying
@@ -31,6 +31,9 @@ def tracks_at(number, ids, position):
         extent=np.ones((count, 3)),
         n_detections=np.ones(count, np.int64),
         age=np.ones(count),
+        existence=np.ones(count),
+        kind=np.full(count, TrackKind.FLYING, np.uint8),
+        kind_probability=np.full((count, 5), 0.2),
         stamp_ns=number * 100_000_000,
     )
 

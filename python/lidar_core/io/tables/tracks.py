@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.tables.covariance import covariance_titles, upper_triangle
 from lidar_core.io.tables.long_table import write_long_table
+from lidar_core.messages import TrackKind
 from lidar_core.objects import Tracks
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
+KIND_PROBABILITIES = tuple(f"p_{kind.name.lower()}" for kind in TrackKind)
+"""Columns of the probabilities of kinds, in every table of tracks that has them."""
 COLUMNS: dict[str, type] = {
     "t_ns": int,
     "track_id": int,
@@ -25,6 +28,8 @@ COLUMNS: dict[str, type] = {
     "n_detections": int,
     "age": float,
     "existence": float,
+    "kind": str,
+    **dict.fromkeys(KIND_PROBABILITIES, float),
     **dict.fromkeys(covariance_titles(STATE), float),
 }
 """Columns of the tracks table: SI units; covariance is of position and velocity."""
@@ -107,5 +112,7 @@ def _rows(tracks: Iterable[Tracks], frame_id: str) -> Iterator[Sequence[Any]]:
                 int(state.n_detections[row]),
                 float(state.age[row]),
                 float(state.existence[row]),
+                TrackKind(state.kind[row]).name.lower(),
+                *state.kind_probability[row].tolist(),
                 *covariance[row],
             )

@@ -3,6 +3,7 @@
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
+use crate::kinds::{KindArrays, kind_arrays};
 use lidar_core::Error;
 use lidar_core::flying::track::{
     Ageing, Association, CloudView, Confirmation, Detections, Hiding, MeasurementForm, Merging,
@@ -128,7 +129,8 @@ type Events<'py> = (
     usize,
 );
 
-/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, reported, existence.
+/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, reported, existence,
+/// kinds.
 pub(crate) type TrackArrays<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
@@ -138,6 +140,7 @@ pub(crate) type TrackArrays<'py> = (
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<f64>>,
+    KindArrays<'py>,
 );
 
 #[pyclass(frozen, name = "PointCloudTracker", module = "lidar_core._core")]
@@ -285,5 +288,6 @@ pub(crate) fn track_arrays(
         tracks.iter().map(|track| track.age).collect::<Vec<f64>>().into_pyarray(py),
         tracks.iter().map(|track| track.reported).collect::<Vec<bool>>().into_pyarray(py),
         tracks.iter().map(|track| track.existence).collect::<Vec<f64>>().into_pyarray(py),
+        kind_arrays(py, tracks.iter().map(|track| (track.kind, track.kind_probability)))?,
     ))
 }

@@ -29,6 +29,9 @@ class Tracks:
     extent: np.ndarray
     n_detections: np.ndarray
     age: np.ndarray
+    existence: np.ndarray
+    kind: np.ndarray
+    kind_probability: np.ndarray
     stamp_ns: int
 
 
@@ -44,6 +47,9 @@ def make_tracks(numbers, stamp_ns):
         extent=rng.random((count, 3)),
         n_detections=np.arange(count, dtype=np.int64) + 3,
         age=rng.random(count),
+        existence=rng.random(count),
+        kind=np.arange(count, dtype=np.uint8) + 1,
+        kind_probability=rng.dirichlet(np.ones(5), size=count),
         stamp_ns=stamp_ns,
     )
 
@@ -68,6 +74,10 @@ def check_rows(rows, tracks):
         assert float(row["cov_y_vz"]) == state.covariance[k, 1, 5]
         assert float(row["extent_z"]) == state.extent[k, 2]
         assert int(row["n_detections"]) == state.n_detections[k]
+        assert float(row["existence"]) == state.existence[k]
+        assert row["kind"] == ("flying", "ground")[k]
+        shares = [float(row[f"p_{one.name.lower()}"]) for one in lc.TrackKind]
+        assert shares == state.kind_probability[k].tolist()
 
 
 def test_parquet_table(tmp_path, tracks):

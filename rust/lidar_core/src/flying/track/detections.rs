@@ -1,7 +1,7 @@
 //! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
 
+use super::belief::existence::SURE;
 use super::buffer::Buffer;
-use super::existence::SURE;
 use super::measurement::{CloudScan, Evidence, Measurement};
 use super::motion::{position, position_block, position_matrix};
 use super::parameters::{

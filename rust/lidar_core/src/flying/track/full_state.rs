@@ -1,8 +1,8 @@
 //! The whole state of the tracker.
 
 use super::PointCloudTracker;
+use super::belief::existence::Births;
 use super::buffer::Cloud;
-use super::existence::Births;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
 use crate::Error;

@@ -1,6 +1,6 @@
 //! Tracks that begin with two detections of a fast target: its speed comes from the data.
 
-use super::existence::Sight;
+use super::belief::existence::Sight;
 use super::motion::{Matrix9, position_block};
 use super::state::{PointTrack, seconds};
 use nalgebra::Vector3;

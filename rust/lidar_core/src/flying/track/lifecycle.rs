@@ -1,6 +1,6 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::existence::{self, Belief, Births, DELETED, KEPT, Surroundings};
+use super::belief::existence::{self, Belief, Births, DELETED, KEPT, Surroundings};
 use super::measurement::Evidence;
 use super::motion;
 use super::pairs::AlongX;

@@ -3,11 +3,11 @@
 //! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III-F and
 //! Algorithm 2, and what goes beyond it: see [`TrackerParameters`].
 
+mod belief;
 mod buffer;
 mod candidates;
 mod cluster_assignment;
 mod detections;
-mod existence;
 mod full_state;
 mod initiation;
 mod lifecycle;
@@ -35,9 +35,10 @@ pub use visibility::view::CloudView;
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
+use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::util::budget::check_points;
+use belief::existence::{Births, Sight};
 use buffer::Buffer;
-use existence::{Births, Sight};
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
 use nalgebra::{Matrix3, SMatrix};
@@ -67,6 +68,11 @@ pub struct Track {
     pub reported: bool,
     /// Probability that its target exists; not a number where tracks are confirmed by counts.
     pub existence: f64,
+    /// What the target is; Flying where tracks are confirmed by counts.
+    pub kind: TrackKind,
+    /// Probability of every kind, in the order of [`TrackKind::ALL`], if the target exists; not
+    /// numbers where tracks are confirmed by counts.
+    pub kind_probability: [f64; KINDS],
 }
 
 /// Changes of the tracks by one call, by their numbers.
@@ -231,6 +237,10 @@ impl PointCloudTracker {
                 confirmed: track.confirmed,
                 reported: track.confirmed && self.is_recent(track),
                 existence: self.existence(track, stamp_ns),
+                kind: self.kinds(track).map_or(TrackKind::Flying, KindBelief::kind),
+                kind_probability: self
+                    .kinds(track)
+                    .map_or([f64::NAN; KINDS], KindBelief::probabilities),
             })
             .collect()
     }
@@ -306,6 +316,14 @@ impl PointCloudTracker {
         match self.parameters().confirmation {
             Confirmation::Counts { .. } => f64::NAN,
             Confirmation::Existence { .. } => track.belief.at(stamp_ns).existence(track),
+        }
+    }
+
+    /// Kinds of the target of a track; None where tracks are confirmed by counts.
+    fn kinds<'a>(&self, track: &'a PointTrack) -> Option<&'a KindBelief> {
+        match self.parameters().confirmation {
+            Confirmation::Counts { .. } => None,
+            Confirmation::Existence { .. } => Some(track.belief.kinds()),
         }
     }
 

@@ -1,6 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::existence::{Belief, Sight};
+use super::belief::existence::{Belief, Sight};
 use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};

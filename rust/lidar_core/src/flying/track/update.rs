@@ -1,8 +1,8 @@
 //! updateTrack of Algorithm 2: prediction, association with clusters, correction.
 
+use super::belief::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
 use super::candidates::candidates;
 use super::cluster_assignment::ClusterAssignment;
-use super::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
 use super::measurement::{CloudScan, Measurement, SearchRegion};
 use super::motion::position_block;
 use super::pairs::AlongX;

@@ -1,36 +1,40 @@
-//! How probable it is that the target of a track exists.
+//! How probable it is that the target of a track exists, and what it is.
 //!
 //! Besides a target, two other causes make detections: something that stands still and has just come
 //! into view, such as a part of a surface, and returns that come and go, such as rain, dust and leaves.
 //! Every set of detections says how well each of the three explains what was seen of a track. How often
 //! tracks begin that have no target is learnt from those that end.
+//!
+//! The same evidence tells about the kind, if there is something: what flies and what moves on the
+//! ground is a target; what is static stands; clutter comes and goes.
 
-use super::measurement::Evidence;
-use super::motion::position_block;
-use super::state::{PointTrack, seconds};
-use super::visibility::occupancy::ENOUGH_RAYS;
+use super::super::measurement::Evidence;
+use super::super::motion::position_block;
+use super::super::state::{PointTrack, seconds};
+use super::super::visibility::occupancy::ENOUGH_RAYS;
 use crate::tracking::existence::{Presence, Sojourn};
+use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
 
 /// A track is removed if its target is less probable.
-pub(super) const DELETED: f64 = 0.01;
+pub(in crate::flying::track) const DELETED: f64 = 0.01;
 /// Share of the probability from which on a track is reported, below which it is not any more.
-pub(super) const KEPT: f64 = 0.5;
+pub(in crate::flying::track) const KEPT: f64 = 0.5;
 /// Detections of less confidence are weak.
-pub(super) const SURE: f64 = 0.7;
+pub(in crate::flying::track) const SURE: f64 = 0.7;
 /// A track this far from where it began has moved, with two standard deviations on top [m] ...
-pub(super) const MOVED: f64 = 0.5;
+pub(in crate::flying::track) const MOVED: f64 = 0.5;
 /// ... if nothing is left this near to its start [m].
-pub(super) const CLEARED: f64 = 0.3;
+pub(in crate::flying::track) const CLEARED: f64 = 0.3;
 /// Rays through the place of a target that hardly ever miss it.
-pub(super) const MANY_RAYS: usize = 12;
+pub(in crate::flying::track) const MANY_RAYS: usize = 12;
 
 /// Mean times for which a target stays, gives returns, and gives none although it is in view [s].
 const MEAN: Sojourn = Sojourn { lifetime: 30.0, visible: 5.0, hidden: 0.3 };
 
 /// What a set of detections, and the scan before it, show of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Sight {
+pub(in crate::flying::track) enum Sight {
     /// It is out of the field of view, or something is in front of it: nothing is said.
     Unseen,
     /// Many rays went through its place and met nothing.
@@ -53,7 +57,7 @@ type Likelihood = [f64; 4];
 
 impl Sight {
     /// Of a track without points, through whose place so many rays went.
-    pub(super) fn without(rays: usize) -> Self {
+    pub(in crate::flying::track) fn without(rays: usize) -> Self {
         match rays {
             MANY_RAYS.. => Self::Missed,
             ENOUGH_RAYS.. => Self::BarelyMissed,
@@ -117,25 +121,34 @@ const IS_FAST: Likelihood = [0.3, 0.3, 1.0, 1.0];
 /// Of having more points around it than its own.
 const AMONG_STRAYS: f64 = 0.02;
 
+/// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`.
+const KIND_SHARES: [f64; KINDS] = [0.05, 0.5, 0.05, 0.2, 0.2];
+
 /// What is known of the causes of a track.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(super) struct Belief {
+pub(in crate::flying::track) struct Belief {
     presence: Presence,
     /// Probability that something stands there, if there is no target.
     standing: f64,
     stamp_ns: i64,
     has_moved: bool,
+    kinds: KindBelief,
 }
 
 impl Belief {
     /// Before anything was seen.
-    pub(super) fn unknown(stamp_ns: i64) -> Self {
+    pub(in crate::flying::track) fn unknown(stamp_ns: i64) -> Self {
         let presence = Presence::measured(0.5);
-        Self { presence, standing: 0.5, stamp_ns, has_moved: false }
+        let kinds = KindBelief::prior(KIND_SHARES);
+        Self { presence, standing: 0.5, stamp_ns, has_moved: false, kinds }
     }
 
     /// Of a new track.
-    pub(super) fn born(around: Surroundings, track: &PointTrack, stamp_ns: i64) -> Self {
+    pub(in crate::flying::track) fn born(
+        around: Surroundings,
+        track: &PointTrack,
+        stamp_ns: i64,
+    ) -> Self {
         let presence = Presence::measured(around.prior);
         let mut belief = Self { presence, ..Self::unknown(stamp_ns) };
         for evidence in track.before.into_iter().chain([track.first]) {
@@ -151,30 +164,39 @@ impl Belief {
     }
 
     /// At another time, without anything seen.
-    pub(super) fn at(&self, stamp_ns: i64) -> Self {
+    pub(in crate::flying::track) fn at(&self, stamp_ns: i64) -> Self {
         let presence = self.presence.predicted(seconds(self.stamp_ns, stamp_ns), &MEAN);
         Self { presence, stamp_ns, ..*self }
     }
 
     /// Probability that the target of `track` exists: one among many returns that belong to nothing is
     /// rather one of them.
-    pub(super) fn existence(&self, track: &PointTrack) -> f64 {
+    pub(in crate::flying::track) fn existence(&self, track: &PointTrack) -> f64 {
         let is_among_strays = track.stray_points > track.own_points;
         let odds = if is_among_strays { AMONG_STRAYS } else { 1.0 };
         self.presence.weighed(odds, odds).existence
     }
 
     /// Whether the track was seen away from where it began.
-    pub(super) fn has_moved(&self) -> bool {
+    pub(in crate::flying::track) fn has_moved(&self) -> bool {
         self.has_moved
     }
 
     /// Of two tracks of one target.
-    pub(super) fn more_probable(self, other: Self) -> Self {
+    pub(in crate::flying::track) fn more_probable(self, other: Self) -> Self {
         if other.presence.existence > self.presence.existence { other } else { self }
     }
 
+    /// Probabilities of what the target is.
+    pub(in crate::flying::track) fn kinds(&self) -> &KindBelief {
+        &self.kinds
+    }
+
     fn take(&mut self, [target, hidden, standing, fleeting]: Likelihood) {
+        let share = self.presence.hidden / self.presence.existence;
+        let of_target = share * hidden + (1.0 - share) * target;
+        let of_any = (of_target + standing + fleeting) / 3.0;
+        self.kinds = self.kinds.weighed([of_any, of_target, of_target, standing, fleeting]);
         let without = self.standing * standing + (1.0 - self.standing) * fleeting;
         self.standing *= standing / without;
         self.presence = self.presence.weighed(target / without, hidden / without);
@@ -182,7 +204,7 @@ impl Belief {
 }
 
 /// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that.
-pub(super) fn weigh(
+pub(in crate::flying::track) fn weigh(
     track: &mut PointTrack,
     evidence: Option<Evidence>,
     around: Surroundings,
@@ -233,7 +255,7 @@ const FEWEST: f64 = 0.02;
 
 /// What new tracks, and detections in the gates of tracks, are expected to be.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Surroundings {
+pub(in crate::flying::track) struct Surroundings {
     /// Probability that a new track has a target.
     prior: f64,
     /// Detections of what comes and goes, over the usual.
@@ -242,28 +264,28 @@ pub(super) struct Surroundings {
 
 /// How often tracks begin that have no target.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub(super) struct Births {
+pub(in crate::flying::track) struct Births {
     sets: f64,
     without_target: f64,
 }
 
 impl Births {
     /// Take in a set of detections.
-    pub(super) fn count_set(&mut self) {
+    pub(in crate::flying::track) fn count_set(&mut self) {
         let kept = 1.0 - 1.0 / MEMORY;
         self.sets = kept * self.sets + 1.0;
         self.without_target *= kept;
     }
 
     /// Take in the end of a track.
-    pub(super) fn count_end(&mut self, track: &PointTrack) {
+    pub(in crate::flying::track) fn count_end(&mut self, track: &PointTrack) {
         if !track.was_confirmed {
             self.without_target += 1.0 - track.belief.existence(track);
         }
     }
 
     /// What is expected of the next set, beside tracks that are there already.
-    pub(super) fn expected(&self, tracks: &[PointTrack]) -> Surroundings {
+    pub(in crate::flying::track) fn expected(&self, tracks: &[PointTrack]) -> Surroundings {
         let new = tracks.iter().filter(|track| !track.was_confirmed);
         let alive: f64 = new.map(|track| 1.0 - track.belief.existence(track)).sum();
         let without = (FALSE_PRIOR + self.without_target + alive) / (SETS_PRIOR + self.sets);
