@@ -87,10 +87,9 @@ class FusionConfig(Config):
     model: ModelName = Field("ctrv", description=f"How targets move (no unit): {_MEANINGS}.")
     method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
         "ekf",
-        description="Linear Kalman filter, which takes radar as a position, of models cv, ca, cv-3d,"
-        " ca-3d;"
-        " extended; unscented and cubature, both in square-root form; interacting multiple models,"
-        " whose state is that of ca or ca-3d (no unit).",
+        description="Linear Kalman filter, which takes radar as a position, of models cv, ca,"
+        " cv-3d, ca-3d; extended; unscented and cubature, both in square-root form; interacting"
+        " multiple models, whose state is that of ca or ca-3d (no unit).",
     )
     sigma_spread: float | None = Field(
         None,

@@ -112,10 +112,17 @@ class Measurement:
         named = "" if usual else f", measures={self.measures}"
         return f"Measurement({self.stamp_ns}, {self.sensor!r}, {self.values.tolist()}{named})"
 
-    def with_values(self, values: ArrayLike) -> "Measurement":
-        """Another measurement of the same kind, time and covariance."""
+    def with_values(self, values: ArrayLike, *, stamp_ns: int | None = None) -> "Measurement":
+        """Return another measurement of the same kind and covariance, of the same time or another.
+
+        Raises
+        ------
+        InputError
+            Another number of values.
+        """
         other = self.measures if self.measures not in (None, FLAT, MEASURES) else None
-        return Measurement(self.stamp_ns, self.sensor, values, self.covariance, measures=other)
+        stamp = self.stamp_ns if stamp_ns is None else stamp_ns
+        return Measurement(stamp, self.sensor, values, self.covariance, measures=other)
 
 
 class Measurements:

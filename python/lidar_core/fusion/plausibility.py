@@ -1,6 +1,6 @@
 """Whether measurements can be what a filter takes them for, and what may be wrong with them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
-from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.measurement import Measurement, SensorName
+from lidar_core.fusion.repairs import LATE, REPAIRS, Change, later
 from lidar_core.fusion.run import Run, run
 
 LEAST = 20
@@ -26,10 +27,11 @@ KEPT_SUM = 0.56
 KEPT_SPREAD = 1.6
 """Relative variance of that part over that of the whole sum: 1.57, 1.38 and 1.31 for one, two and
 three values, by the variance of values that are cut at their 80 % quantile."""
-DEGREES = np.pi / 180
 TURN = 2 * np.pi
 HEAD = 5000
 """Measurements among which causes are looked for (count)."""
+CLOCK_HEAD = 1000
+"""The same for clocks."""
 WIDEST_BEARING = 0.5
 """Noise of bearings above which they hardly tell a direction [rad]."""
 FAR = 3.0
@@ -188,52 +190,10 @@ def _scatter(measurements: Sequence[Measurement], config: FusionConfig) -> float
     return float(np.mean(variance))
 
 
-Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-
-def _of(place: int, new: Callable[[float], float]) -> Change:
-    """A change of one value."""
-
-    def changed(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = values.copy()
-        values[place] = new(float(values[place]))
-        return values
-
-    return changed
-
-
-_ANGLES: tuple[tuple[str, Callable[[float], float]], ...] = (
-    ("clockwise: they fit with the other sign", lambda a: -a),
-    ("compass angles, clockwise from y: they fit as pi/2 minus the angle", lambda a: np.pi / 2 - a),
-    ('degrees: they fit times pi/180 (angle_unit="deg")', lambda a: a * DEGREES),
-    ("degrees, clockwise: they fit times -pi/180", lambda a: -a * DEGREES),
-    (
-        "compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
-        lambda a: np.pi / 2 - a * DEGREES,
-    ),
-    ('radians that were taken as degrees (angle_unit="rad")', lambda a: a / DEGREES),
-)
-REPAIRS: tuple[tuple[str, str, Change], ...] = (
-    *(("radar", f"bearings are {what}", _of(1, change)) for what, change in _ANGLES),
-    *(("pose", f"yaws of the platform are {what}", _of(2, change)) for what, change in _ANGLES),
-    ("gyro", "turn rates are clockwise: they fit with the other sign", _of(0, lambda w: -w)),
-    (
-        "lidar",
-        "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
-        _of(1, lambda y: -y),
-    ),
-    (
-        "lidar",
-        "x and y of the LiDAR are exchanged",
-        lambda values: values[[1, 0, *range(2, len(values))]],
-    ),
-    (
-        "radar",
-        "range rates are positive when the range shrinks: they fit with the other sign",
-        _of(2, lambda rate: -rate),
-    ),
-)
-"""Mistakes, by the sensor that makes them, and what undoes them."""
+def _changed(
+    measurements: Sequence[Measurement], sensor: str, change: Change
+) -> Sequence[Measurement]:
+    return [change(m) if m.sensor == sensor else m for m in measurements]
 
 
 def _repairs(
@@ -243,34 +203,54 @@ def _repairs(
     known = {m.sensor for m in measurements}
     found = []
     for sensor, text, change in REPAIRS:
-        if sensor not in known:
-            continue
-        changed = [
-            Measurement(m.stamp_ns, sensor, change(m.values), m.covariance)
-            if m.sensor == sensor
-            else m
-            for m in measurements
-        ]
-        again = _ratio(run(changed, config))
-        if again is not None and again[0] <= min(limit, ratio / 10):
-            found.append((again[0], text))
+        if sensor in known:
+            again = _ratio(run(_changed(measurements, sensor, change), config))
+            if again is not None and again[0] <= min(limit, ratio / 10):
+                found.append((again[0], text))
+    late = None if found else _clock(measurements[:CLOCK_HEAD], config)
+    if late is not None:
+        again = _ratio(run(_changed(measurements, late[0], later(-late[1])), config))
+        if again is not None and again[0] <= min(limit, ratio / 3):
+            what = "ahead of" if late[1] > 0 else "behind"
+            text = f"the clock of the {late[0]} is {abs(late[1]):g} s {what} the others"
+            found.append((again[0], f'{text} (clock={{"{late[0]}": {late[1]:g}}})'))
     # Those about as good as the best one cannot be told apart from it.
     least = min(found, default=(0.0, ""))[0]
     shown = [text for value, text in sorted(found) if value <= 2 * least]
-    largest = max(
-        (
-            abs(float(m.values[1]))
-            for m in measurements
-            if m.sensor == "radar" and np.isfinite(m.values[1])
-        ),
-        default=0.0,
-    )
+    bearings = [
+        abs(float(m.values[m.measures.index("bearing")]))
+        for m in measurements
+        if m.measures is not None and "bearing" in m.measures
+    ]
+    largest = max((value for value in bearings if np.isfinite(value)), default=0.0)
     if largest > TURN and not any("degrees" in text for text in shown):
         shown.append(
             f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
             ' (angle_unit="deg")'
         )
     return shown
+
+
+def _clock(
+    measurements: Sequence[Measurement], config: FusionConfig
+) -> tuple[SensorName, float] | None:
+    """The sensor whose clock is most likely off, and by how much it is ahead [s]."""
+    known = sorted({m.sensor for m in measurements})
+    sensors: list[SensorName] = [name for name in known if name in ("lidar", "radar")]
+    if len(known) < 2:
+        return None
+
+    def cost(sensor: SensorName, ahead: float) -> float:
+        found = _ratio(run(_changed(measurements, sensor, later(-ahead)), config))
+        return np.inf if found is None else found[0]
+
+    # Of two sensors either may be wrong; the radar, which often has a clock of its own, is named.
+    sensor: SensorName = "radar" if "radar" in sensors else sensors[0]
+    costs = {ahead: cost(sensor, ahead) for late in LATE for ahead in (late, -late)}
+    best = min(costs, key=lambda ahead: costs[ahead])
+    # The grid is coarse: a golden section would not help where the cost has several minima.
+    finer = {best + step: cost(sensor, best + step) for step in 0.1 * best * np.arange(-4, 5)}
+    return sensor, round(float(min(finer, key=lambda ahead: finer[ahead])), 3)
 
 
 def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
@@ -325,10 +305,10 @@ def _several(measurements: Sequence[Measurement]) -> list[str]:
 
 def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
     """Places (K, 2) that a sensor measured, finite ones."""
-    rows = [
-        m.values[:2] for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()
-    ]
-    values = np.array(rows, np.float64).reshape(-1, 2)
+    rows = [m for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()]
+    if sensor == "radar":
+        rows = [m for m in rows if (m.measures or ())[:2] == ("range", "bearing")]
+    values = np.array([m.values[:2] for m in rows], np.float64).reshape(-1, 2)
     if sensor == "radar":
         c, s = np.cos(values[:, 1]), np.sin(values[:, 1])
         values = values[:, :1] * np.stack([c, s], axis=1)
@@ -344,5 +324,6 @@ CAUSES: Mapping[str, str] = {
     "noise": "noise of the sensors, or of the target's motion, that is set much too small"
     " (set lidar_std=..., or find it with `config fit`)",
     "platform": "a platform that moves or turns, of which no pose or gyro tells",
+    "clock": "clocks of the sensors that differ",
 }
 """What is likely, by a word that says that the data shows it."""

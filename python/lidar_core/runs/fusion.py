@@ -53,6 +53,8 @@ def fuse(
     topics: Mapping[str, Sequence[str]] | None = None,
     time_unit: str | None = None,
     angle_unit: str | None = None,
+    azimuth: Mapping[str, str] | None = None,
+    clock: Mapping[str, float] | None = None,
     span: Span | None = None,
     fit_noise: bool = False,
     force: bool = False,
@@ -81,6 +83,10 @@ def fuse(
         Topics of a ROS recording, such as {"radar": ["/front"]}.
     time_unit, angle_unit : str, optional
         Of a table: ns, us, ms or s; rad or deg.
+    azimuth : mapping of str to str, optional
+        Of a table: what does not count counter-clockwise from x, such as {"bearing": "clockwise"}.
+    clock : mapping of str to float, optional
+        Of a table: how far the clock of a sensor is ahead [s], such as {"radar": 0.5}.
     span : Span, optional
         Part of the recording to use, from its first measurement [s].
     fit_noise : bool
@@ -110,7 +116,14 @@ def fuse(
         source,
         config,
         {name: value for name, value in ways.items() if value is not None},
-        _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit),
+        _given(
+            columns=columns,
+            topics=topics,
+            time_unit=time_unit,
+            angle_unit=angle_unit,
+            azimuth=azimuth,
+            clock=clock,
+        ),
         span or Span(),
         lag,
         force,
@@ -144,6 +157,8 @@ def fit_config(
     topics: Mapping[str, Sequence[str]] | None = None,
     time_unit: str | None = None,
     angle_unit: str | None = None,
+    azimuth: Mapping[str, str] | None = None,
+    clock: Mapping[str, float] | None = None,
     span: Span | None = None,
     force: bool = False,
 ) -> FusionConfig:
@@ -157,7 +172,7 @@ def fit_config(
         Model and method, and where the search begins; None is best mode.
     model, method : str, optional
         These values of the configuration instead of its own.
-    columns, topics, time_unit, angle_unit, span
+    columns, topics, time_unit, angle_unit, azimuth, clock, span
         As in `fuse`, for every recording.
     force : bool
         Take mistakes in the measurements, such as exchanged axes, for noise.
@@ -184,7 +199,14 @@ def fit_config(
     places = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     if not places:
         raise InputError("recordings: expected at least one, got none")
-    read = _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit)
+    read = _given(
+        columns=columns,
+        topics=topics,
+        time_unit=time_unit,
+        angle_unit=angle_unit,
+        azimuth=azimuth,
+        clock=clock,
+    )
     jobs = [_FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
     chosen = _with(config, _given(model=model, method=method))
@@ -242,7 +264,7 @@ class _FuseJob:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
         is_table = recording.suffix in TABLES
-        of_tables = ("columns", "time_unit", "angle_unit")
+        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
         self._check_read(*(("a table", of_tables) if is_table else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
         return read_measurements(recording, options), {"fusion_table": options}

@@ -7,28 +7,25 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 
-Azimuth: TypeAlias = Literal["counter-clockwise", "clockwise", "compass"]
-"""How angles count. Compass: headings of the platform clockwise from north, and bearings clockwise
-from its axis; from north without a platform."""
+Azimuth: TypeAlias = Literal["clockwise", "compass"]
+"""How angles count that are not counter-clockwise from x: clockwise from x, or from north (y)."""
+Turned: TypeAlias = Literal["bearing", "pose_yaw", "turn_rate", "lidar"]
+"""What may count otherwise; lidar stands for x and y of a LiDAR."""
 SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563
 """Of the ellipsoid of WGS84: [m], and no unit."""
 
 
-def counter_clockwise(
-    angles: NDArray[np.float64], azimuth: Azimuth, *, from_north: bool
-) -> NDArray[np.float64]:
-    """Angles [rad] counter-clockwise from x; x is east and y north where they count from north.
+def turned(values: NDArray[np.float64], azimuth: Azimuth | None) -> NDArray[np.float64]:
+    """Angles [rad] counter-clockwise from x, of angles that count otherwise.
 
     Examples
     --------
-    >>> counter_clockwise(np.array([np.pi / 2]), "compass", from_north=True).tolist()
+    >>> turned(np.array([np.pi / 2]), "compass").tolist()
     [0.0]
     """
-    if azimuth == "counter-clockwise":
-        return angles
-    if azimuth == "compass" and from_north:
-        return np.pi / 2 - angles
-    return -angles
+    if azimuth is None:
+        return values
+    return -values if azimuth == "clockwise" else np.pi / 2 - values
 
 
 def earth_fixed(

@@ -14,9 +14,10 @@ from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
 from lidar_core.fusion.recordings.conventions import (
     Azimuth,
-    counter_clockwise,
+    Turned,
     local_places,
     stamps_of_texts,
+    turned,
 )
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
 from lidar_core.io.tables.columns import Columns, read_columns
@@ -77,11 +78,11 @@ class TableOptions(Config):
         description="Unit of bearing, elevation, angles of the pose, pose_std_yaw and, per second,"
         " turn_rate (no unit of its own).",
     )
-    azimuth: Azimuth = Field(
-        "counter-clockwise",
-        description="How bearing, pose_yaw and turn_rate count (no unit): counter-clockwise from"
-        " x; clockwise from x; or compass: pose_yaw clockwise from north, which becomes y, and"
-        " bearing clockwise from the axis of the platform, or from north without a pose.",
+    azimuth: dict[Turned, Azimuth] = Field(
+        {},
+        description="What does not count counter-clockwise from x (no unit): bearing, pose_yaw,"
+        " turn_rate or lidar (x and y of a LiDAR), each clockwise (from x; y to the right) or"
+        " compass (clockwise from y, which is north; x and y exchanged).",
     )
     clock: dict[SensorName, float] = Field(
         {},
@@ -273,7 +274,7 @@ def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
 
 
 def _values(
-    place: Path, columns: Columns, angle: float, azimuth: Azimuth
+    place: Path, columns: Columns, angle: float, azimuth: Mapping[Turned, Azimuth]
 ) -> dict[SensorName, NDArray[np.float64]]:
     """Values (K, n) of every sensor whose columns are there; NaN for those of a radar that are not.
 
@@ -281,20 +282,16 @@ def _values(
     of `IN_SPACE` if there are such columns.
     """
     angles = ("bearing", "elevation", "turn_rate", "pose_yaw", "pose_roll", "pose_pitch")
-    has_pose = "pose_yaw" in columns
-    counts = {
-        "bearing": azimuth == "compass" and not has_pose,
-        "pose_yaw": azimuth == "compass",
-        "turn_rate": False,
-    }
 
     def numbers(name: str) -> NDArray[np.float64]:
         if name not in columns:
             return np.full(count, np.nan)
         column = _numbers(place, columns, name) * (angle if name in angles else 1.0)
-        if name in counts:
-            return counter_clockwise(column, azimuth, from_north=counts[name])
-        return column
+        if name == "turn_rate":
+            return -column if "turn_rate" in azimuth else column
+        if name == "bearing":
+            return turned(column, azimuth.get("bearing"))
+        return turned(column, azimuth.get("pose_yaw")) if name == "pose_yaw" else column
 
     count = len(columns["t_ns"])
     found: dict[SensorName, NDArray[np.float64]] = {}
@@ -305,6 +302,10 @@ def _values(
         if there:
             own = (*wanted, *(further if set(further) <= set(columns) else ()))
             found[sensor] = np.stack([numbers(name) for name in own], axis=1)
+    way = azimuth.get("lidar")
+    if "lidar" in found and way is not None:
+        x, y = found["lidar"][:, 0].copy(), found["lidar"][:, 1].copy()
+        found["lidar"][:, :2] = np.stack([x, -y] if way == "clockwise" else [y, x], axis=1)
     if not found:
         wanted_names = "; ".join(f"{one}: {', '.join(names)}" for one, names in VALUES.items())
         raise FormatError(

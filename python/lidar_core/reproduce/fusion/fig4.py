@@ -65,9 +65,9 @@ def _measure(request: Request) -> Measured:
         note="Simulated: the paper shows a sketch. The drone swings in yaw and pitch. Paper mode:"
         " the equations as printed in the frame of the sensors, every elevation by itself. Best"
         " mode: poses told, heights filtered. In space: defaults with model ctrv-3d; the level"
-        " drone keeps its height, the other one rolls by up to 0.2 rad, climbs and sinks by up to 1 m/s,"
-        " and has its sensors 0.2 m off its origin. RMSE over all draws, without the first"
-        f" {SETTLED} rows.",
+        " drone keeps its height, the other one rolls by up to 0.2 rad, climbs and sinks by up"
+        " to 1 m/s, and has its sensors 0.2 m off its origin. RMSE over all draws, without"
+        f" the first {SETTLED} rows.",
         config={
             "paper": FusionConfig.paper(),
             "best": FusionConfig(),
