@@ -226,6 +226,17 @@ def as_measurements(measurements: Iterable[Measurement] | Measurements) -> Measu
     return Measurements(measurements)
 
 
+def measured_place(m: Measurement) -> list[float]:
+    """Level position that a LiDAR or a radar measured, in its frame; NaN without one."""
+    if m.sensor == "lidar":
+        x, y = m.values[:2].tolist()
+        return [x, y]
+    told = dict(zip(m.measures or (), m.values.tolist(), strict=False))
+    far = told.get("range", np.nan) * np.cos(told.get("elevation", 0.0))
+    bearing = told.get("bearing", np.nan)
+    return [far * np.cos(bearing), far * np.sin(bearing)]
+
+
 def _measures(sensor: str, measures: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
     """What the values of a radar are; None for other sensors."""
     if sensor != "radar":

@@ -118,3 +118,5 @@ REPAIRS: tuple[tuple[str, str, Change], ...] = (
     ),
 )
 """Mistakes, by the sensor that makes them, and what undoes them."""
+LENGTHS = 2 * len(_LENGTHS)
+"""Number of those about units of lengths, the last ones."""

@@ -10,7 +10,6 @@ from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion import (
     BagOptions,
-    DetectionScan,
     FusionConfig,
     MeasurementLog,
     Measurements,
@@ -24,6 +23,7 @@ from lidar_core.fusion import (
     fit_noise as fit_noise_of,
 )
 from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
+from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import TABLES
 from lidar_core.io import Span
 from lidar_core.io.options import NS
@@ -74,7 +74,8 @@ def fuse(
         Folder to write: tables of states with covariances, innovations and NIS, and of tracks,
         SI units; trajectories, summary.json, run.toml, run.mcap, picture.png.
     model, method, association : str, optional
-        These values of the configuration instead of its own; `association` is for many targets.
+        These values of the configuration instead of its own; `association` is for many targets,
+        also of a table.
     lag : float, optional
         Smooth: every state uses what came up to this much later [s]; for one target.
     columns : mapping of str to str, optional
@@ -214,14 +215,6 @@ def fit_config(
 
 
 @dataclass(frozen=True, slots=True)
-class _Scans:
-    """Detections of many targets, and what wrote them."""
-
-    scans: list[DetectionScan]
-    source: str
-
-
-@dataclass(frozen=True, slots=True)
 class _FuseJob:
     """A recording of measurements, and how to fuse them."""
 
@@ -254,12 +247,12 @@ class _FuseJob:
             raise ConfigError(f"{self.recording}: many targets; noise is found from one")
         return self._within(found)
 
-    def _found(self) -> tuple[MeasurementLog | _Scans, Mapping[str, Config]]:
+    def _found(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
         """What the recording holds, and how it was read."""
         recording = self.recording
         if recording.suffix == ".json":
             self._check_read("detections of Autoferry", ())
-            return _Scans(read_autoferry(recording), "Autoferry"), {}
+            return TargetScans(read_autoferry(recording), "Autoferry"), {}
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
@@ -267,23 +260,27 @@ class _FuseJob:
         of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
         self._check_read(*(("a table", of_tables) if is_table else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
-        return read_measurements(recording, options), {"fusion_table": options}
+        log, reading = read_measurements(recording, options), {"fusion_table": options}
+        if is_table and self._of_many:
+            return TargetScans(scans_of(log), log.format), reading
+        return log, reading
 
-    def _bag(self) -> tuple[MeasurementLog | _Scans, Mapping[str, Config]]:
+    @property
+    def _of_many(self) -> bool:
+        """Whether many targets were asked for."""
+        return "association" in self.ways or isinstance(self.config, MultiTargetConfig)
+
+    def _bag(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
         """One target, unless a message holds several or an association was asked for."""
         options = BagOptions.load(dict(self.read))
         scans, reading = read_bag(self.recording, options), {"fusion_bag": options}
-        if (
-            "association" in self.ways
-            or isinstance(self.config, MultiTargetConfig)
-            or any(len(scan.measurements) > 1 for scan in scans)
-        ):
-            return _Scans(scans, "ROS"), reading
+        if self._of_many or any(len(scan.measurements) > 1 for scan in scans):
+            return TargetScans(scans, "ROS"), reading
         measurements = [m for scan in scans for m in scan.measurements]
         return MeasurementLog(measurements, None, "ROS"), reading
 
     def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
-        if "association" in self.ways or isinstance(self.config, MultiTargetConfig):
+        if self._of_many:
             raise ConfigError(f"{self.recording}: one target; association is for many")
         chosen = config_of_run(_with(self.config, self.ways), FusionConfig, "fusion")
         kept = self._within(log)
@@ -300,7 +297,7 @@ class _FuseJob:
             raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
-    def _many(self, found: _Scans, reading: Mapping[str, Config]) -> ManyRun:
+    def _many(self, found: TargetScans, reading: Mapping[str, Config]) -> ManyRun:
         choice = self.config
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
         of_one = self.lag is not None or self.fit_noise

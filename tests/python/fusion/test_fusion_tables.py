@@ -6,6 +6,8 @@ import pytest
 from lidar_core.errors import ConfigError, FormatError, InputError
 from lidar_core.fusion import FusionConfig, TableOptions, read_measurements, run
 from lidar_core.fusion.recordings.conventions import earth_fixed, local_places
+from lidar_core.io.tables.columns import read_columns
+from lidar_core.runs import fuse
 
 
 def table(folder, text):
@@ -112,3 +114,35 @@ def test_local_axes_are_east_north_and_up():
     np.testing.assert_allclose(higher, [[0, 0, 1]], atol=1e-8)
     pole = earth_fixed(np.array([90.0]), np.array([0.0]), np.array([0.0]))
     np.testing.assert_allclose(pole, [[0, 0, 6356752.3142]], atol=1e-3)
+
+
+def test_several_targets_of_a_table_are_tracked_and_scored(tmp_path):
+    rng = np.random.default_rng(9210)
+    lines = ["t_ns,x,y,true_x,true_y,true_vx,true_vy,true_id"]
+    for k in range(60):
+        for number, start in ((3, (0.0, 0.0)), (7, (20.0, 5.0))):
+            x, y = start[0] + 0.1 * k, start[1] - 0.05 * k
+            seen = np.array([x, y]) + rng.normal(0, 0.1, 2)
+            lines.append(f"{k * 10**8},{seen[0]},{seen[1]},{x},{y},1,-.5,{number}")
+        lines.append(f"{k * 10**8},{rng.uniform(-40, 40)},{rng.uniform(-40, 40)},0,0,0,0,")
+    path = table(tmp_path, "\n".join(lines) + "\n")
+    result = fuse(path, None, tmp_path / "run", association="integrated", picture=False)
+    targets = result.summary["targets"]
+    assert sorted(targets) == ["3", "7"]
+    assert all(one["share"] > 0.9 and one["rmse"] < 0.2 for one in targets.values())
+    assert result.summary["gospa"]["distance"] < result.summary["gospa_empty"]["distance"] / 3
+    with pytest.raises(InputError, match="several targets"):
+        fuse(path, None, tmp_path / "one", picture=False)
+
+
+def test_a_table_in_space_gives_tracks_with_heights(tmp_path):
+    lines = ["t_ns,x,y,z"] + [
+        f"{k * 10**8},{k * 0.2},{5 + k * 0.1},{2 + 0.05 * k}" for k in range(40)
+    ]
+    path = table(tmp_path, "\n".join(lines) + "\n")
+    result = fuse(path, None, tmp_path / "run", model="ctrv-3d", picture=False)
+    assert result.summary["states"] == ["x", "y", "z", "v", "theta", "w", "vz"]
+    tracks = read_columns(next((tmp_path / "run").glob("tracks.*")))
+    np.testing.assert_allclose(tracks["z"][20:], 2 + 0.05 * np.arange(20, 40), atol=0.1)
+    np.testing.assert_allclose(tracks["vz"][30:], 0.5, atol=0.1)
+    assert {"cov_x_z", "cov_z_z"} <= set(tracks)

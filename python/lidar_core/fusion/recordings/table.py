@@ -35,6 +35,7 @@ ON_EARTH = {"": ("x", "y", "z"), "pose_": ("pose_x", "pose_y", "pose_z")}
 """What latitude, longitude and altitude are turned into, by the start of their names."""
 POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
 TRUTH = ("true_x", "true_y", "true_vx", "true_vy")
+TRUE_ID = "true_id"
 NAMES = (
     "t_ns",
     "sensor",
@@ -43,6 +44,7 @@ NAMES = (
     *(start + name for start in ON_EARTH for name in ("lat", "lon", "alt")),
     *POSE_STD,
     *TRUTH,
+    TRUE_ID,
 )
 """Columns that a table may have."""
 WORDS: dict[str, SensorName] = {
@@ -106,17 +108,22 @@ class MeasurementLog:
     origin : tuple of float, or None
         Latitude, longitude [deg] and altitude [m] of x = y = z = 0, with x to the east and y to
         the north, where the file has places on the Earth (WGS84).
+    targets : ndarray, shape (K,), int64, or None
+        Number of the target that each measurement is of, -1 for none, where the file says it.
     """
 
     measurements: list[Measurement]
     truth: TargetTruth | None
     format: str
     origin: tuple[float, float, float] | None = None
+    targets: NDArray[np.int64] | None = None
 
     def rows(self, chosen: list[int]) -> "MeasurementLog":
         """Those measurements, in that order."""
         truth = None if self.truth is None else self.truth.rows(np.array(chosen, np.int64))
-        return replace(self, measurements=[self.measurements[row] for row in chosen], truth=truth)
+        targets = None if self.targets is None else self.targets[np.array(chosen, np.int64)]
+        kept = [self.measurements[row] for row in chosen]
+        return replace(self, measurements=kept, truth=truth, targets=targets)
 
 
 def read_measurements(path: str | Path, options: TableOptions | None = None) -> MeasurementLog:
@@ -130,10 +137,10 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         bearing, elevation, range_rate of a radar; turn_rate of a gyro; pose_x, pose_y, pose_yaw of
         the platform, or these with pose_z, pose_roll, pose_pitch; their standard deviations
         pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y, true_vx,
-        true_vy. lat, lon and alt stand for x, y, z, and pose_lat, pose_lon, pose_alt for those of
-        the platform: places on WGS84 become metres to the east, north and up of the first one.
-        Without a column `sensor`, a row gives a measurement of every sensor whose values are
-        there.
+        true_vy, and true_id of the target in tables of several. lat, lon and alt stand for x, y,
+        z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84 become
+        metres to the east, north and up of the first one. Without a column `sensor`, a row gives a
+        measurement of every sensor whose values are there.
     options : TableOptions, optional
 
     Raises
@@ -166,7 +173,11 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     kept = np.array([row for row, _ in made])
     truth = _truth(place, columns, stamps, kept)
     kind = f"table ({place.suffix[1:]})"
-    return MeasurementLog([m for _, m in made], truth, kind, origin)
+    targets = None
+    if TRUE_ID in columns:
+        numbers = _numbers(place, columns, TRUE_ID)[kept]
+        targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
+    return MeasurementLog([m for _, m in made], truth, kind, origin, targets)
 
 
 def _measurement(

@@ -21,6 +21,7 @@ from lidar_core.fusion import (
     run,
     smooth,
 )
+from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
 from lidar_core.io.tables.covariance import covariance_columns
@@ -351,17 +352,6 @@ def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray
             if np.isfinite(place).all():
                 found.setdefault(m.sensor, []).append(place)
     return {sensor: np.array(places) for sensor, places in found.items()}
-
-
-def measured_place(m: Measurement) -> list[float]:
-    """Level position that a LiDAR or a radar measured, in its frame; NaN without one."""
-    if m.sensor == "lidar":
-        x, y = m.values[:2].tolist()
-        return [x, y]
-    told = dict(zip(m.measures or (), m.values.tolist(), strict=False))
-    far = told.get("range", np.nan) * np.cos(told.get("elevation", 0.0))
-    bearing = told.get("bearing", np.nan)
-    return [far * np.cos(bearing), far * np.sin(bearing)]
 
 
 def _in_order(log: MeasurementLog) -> MeasurementLog:
