@@ -30,6 +30,9 @@ three values, by the variance of values that are cut at their 80 % quantile."""
 TURN = 2 * np.pi
 HEAD = 5000
 """Measurements among which causes are looked for (count)."""
+SUSPICIOUS = 2.0
+"""Ratio above which a mistake is named that makes it ten times less: noise does not explain both,
+the measurements as they are and as they would be."""
 CLOCK_HEAD = 1000
 """The same for clocks."""
 WIDEST_BEARING = 0.5
@@ -66,7 +69,9 @@ class Implausible:
         """What is wrong, what the data shows of it, and what else it may be."""
         how = f"{self.ratio:.3g} times what is expected"
         bound = (
-            f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told"
+            "and ten times less without a mistake"
+            if SUSPICIOUS < self.ratio <= self.limit
+            else f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told"
             if self.ratio > 1
             else "far less than any target at rest would give"
         )
@@ -101,7 +106,8 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     what the filter is told, which makes it nine times as large; a fifth of the measurements, those
     with the largest NIS, is left out, and with it about half of the sum (`KEPT_SUM`). What is left
     is beyond reason above the quantile of 1 - 1e-6 of a chi-square variable with its variance. A
-    sum, or a scatter of a LiDAR's places, below the quantile of 1e-6 with noise 30 times smaller
+    sum that one of the mistakes makes ten times larger is refused from `SUSPICIOUS` on. A sum, or a
+    scatter of a LiDAR's places, below the quantile of 1e-6 with noise 30 times smaller
     than told is refused only where places look like geographic coordinates: simulated
     measurements without any noise are no mistake.
     """
@@ -120,6 +126,10 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
         shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
         likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
         return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
+    if ratio > SUSPICIOUS:
+        shown = _repairs(measurements[:HEAD], config, ratio, limit)
+        if shown:
+            return Implausible(count, ratio, limit, tuple(shown), ())
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
     if geographic and min(ratio, _scatter(measurements, config)) < least:
         return Implausible(count, ratio, least, tuple(geographic), ())
@@ -212,7 +222,8 @@ def _repairs(
     late = None if found else _clock(measurements[:CLOCK_HEAD], config)
     if late is not None:
         again = _ratio(run(_changed(measurements, late[0], later(-late[1])), config))
-        if again is not None and again[0] <= min(limit, ratio / 3):
+        less = 3 if ratio > limit else 10
+        if again is not None and again[0] <= min(limit, ratio / less):
             what = "ahead of" if late[1] > 0 else "behind"
             text = f"the clock of the {late[0]} is {abs(late[1]):g} s {what} the others"
             found.append((again[0], f'{text} (clock={{"{late[0]}": {late[1]:g}}})'))
@@ -225,7 +236,7 @@ def _repairs(
         if m.measures is not None and "bearing" in m.measures
     ]
     largest = max((value for value in bearings if np.isfinite(value)), default=0.0)
-    if largest > TURN and not any("degrees" in text for text in shown):
+    if ratio > limit and largest > TURN and not any("degrees" in text for text in shown):
         shown.append(
             f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
             ' (angle_unit="deg")'
