@@ -6,7 +6,7 @@
 use super::filter::paper::{Paper, Reading};
 use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
-use super::sensors::observation::Sensing;
+use super::sensors::sensing::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Strengths};
 use super::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
 use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};

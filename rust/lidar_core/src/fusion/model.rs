@@ -11,7 +11,7 @@ use super::models::space::{ClimbingCtrv, SpaceAcceleration, SpaceVelocity};
 use super::models::standing::StandingTarget;
 use super::models::state_conversion::StateConversion;
 use super::models::world::{Plane, Space};
-use super::sensors::sight::Seen;
+use super::sensors::sight::SeenMotion;
 
 /// Motion model of the targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,8 +145,11 @@ pub const MIXABLE: [Model; 9] = [
 /// Computation that needs the motion of a model, whatever its number of states.
 pub(crate) trait ForMotion {
     type Output;
-    fn run<const N: usize, M: Seen<N, World = Plane>>(self, motion: M) -> Self::Output;
-    fn run_in_space<const N: usize, M: Seen<N, World = Space>>(self, motion: M) -> Self::Output;
+    fn run<const N: usize, M: SeenMotion<N, World = Plane>>(self, motion: M) -> Self::Output;
+    fn run_in_space<const N: usize, M: SeenMotion<N, World = Space>>(
+        self,
+        motion: M,
+    ) -> Self::Output;
     /// The published model is a filter of its own.
     fn published(self, paper: Paper) -> Self::Output;
 }
@@ -155,7 +158,7 @@ pub(crate) trait ForMotion {
 /// plane or space W.
 pub(crate) trait ForMixable<W> {
     type Output;
-    fn run<const N: usize, M: StateConversion<N, World = W> + Seen<N>>(
+    fn run<const N: usize, M: StateConversion<N, World = W> + SeenMotion<N>>(
         self,
         motion: M,
     ) -> Self::Output;
@@ -166,11 +169,11 @@ struct NoisesOf;
 impl ForMotion for NoisesOf {
     type Output = Vec<Noise>;
 
-    fn run<const N: usize, M: Seen<N, World = Plane>>(self, _: M) -> Self::Output {
+    fn run<const N: usize, M: SeenMotion<N, World = Plane>>(self, _: M) -> Self::Output {
         M::NOISES.to_vec()
     }
 
-    fn run_in_space<const N: usize, M: Seen<N, World = Space>>(self, _: M) -> Self::Output {
+    fn run_in_space<const N: usize, M: SeenMotion<N, World = Space>>(self, _: M) -> Self::Output {
         M::NOISES.to_vec()
     }
 

@@ -5,7 +5,7 @@ use lidar_core::Error;
 use lidar_core::fusion::filter::paper::{Paper, Reading};
 use lidar_core::fusion::model::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
-use lidar_core::fusion::sensors::observation::Sensing;
+use lidar_core::fusion::sensors::sensing::Sensing;
 use lidar_core::fusion::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;

@@ -9,8 +9,8 @@ use crate::fusion::models::platform::Platform;
 use crate::fusion::models::turn::wrapped;
 use crate::fusion::models::world::World;
 use crate::fusion::sensors::measurement::Measurement;
-use crate::fusion::sensors::observation::Sensing;
-use crate::fusion::sensors::sight::{Observer, Seen, SeenIn, SeenValues, Sights};
+use crate::fusion::sensors::sensing::Sensing;
+use crate::fusion::sensors::sight::{Observer, SeenIn, SeenMotion, SeenValues, Sights};
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
@@ -211,7 +211,7 @@ impl<const N: usize> Observer<N> for Corrected<'_, '_, N> {
     }
 }
 
-impl<const N: usize, M: Seen<N>> Engine for Single<N, M> {
+impl<const N: usize, M: SeenMotion<N>> Engine for Single<N, M> {
     type State = Gaussian<N>;
     type World = M::World;
 

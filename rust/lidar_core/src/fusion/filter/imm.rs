@@ -10,7 +10,7 @@ use crate::fusion::models::platform::Platform;
 use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::models::world::World;
 use crate::fusion::sensors::measurement::Measurement;
-use crate::fusion::sensors::sight::{Seen, Sights};
+use crate::fusion::sensors::sight::{SeenMotion, Sights};
 use nalgebra::{SMatrix, SVector};
 use std::sync::Arc;
 
@@ -74,20 +74,20 @@ struct Member<const N: usize, M> {
 }
 
 /// A model for [`Imm`].
-pub fn mode<const N: usize, M: StateConversion<N> + Seen<N>>(
+pub fn mode<const N: usize, M: StateConversion<N> + SeenMotion<N>>(
     engine: Single<N, M>,
 ) -> Arc<dyn Mode<M::World>> {
     let state = Gaussian { mean: SVector::zeros(), covariance: SMatrix::identity() };
     Arc::new(Member { engine, state })
 }
 
-impl<const N: usize, M: StateConversion<N> + Seen<N>> Member<N, M> {
+impl<const N: usize, M: StateConversion<N> + SeenMotion<N>> Member<N, M> {
     fn with(&self, state: Gaussian<N>) -> Arc<dyn Mode<M::World>> {
         Arc::new(Self { engine: self.engine.clone(), state })
     }
 }
 
-impl<const N: usize, M: StateConversion<N> + Seen<N>> Mode<M::World> for Member<N, M> {
+impl<const N: usize, M: StateConversion<N> + SeenMotion<N>> Mode<M::World> for Member<N, M> {
     fn sojourn(&self) -> Option<f64> {
         M::SOJOURN
     }

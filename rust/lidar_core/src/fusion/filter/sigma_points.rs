@@ -10,7 +10,7 @@ use crate::fusion::models::motion::First;
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::world::World;
 use crate::fusion::sensors::measurement::Measurement;
-use crate::fusion::sensors::sight::{Observer, Seen, SeenIn, SeenValues};
+use crate::fusion::sensors::sight::{Observer, SeenIn, SeenMotion, SeenValues};
 use nalgebra::SVector;
 
 /// A filter that moves sigma points through the models of `base`.
@@ -107,7 +107,7 @@ impl<const N: usize> Observer<N> for SigmaCorrected<'_, '_, N> {
     }
 }
 
-impl<const N: usize, M: Seen<N>> Sigma<N, M> {
+impl<const N: usize, M: SeenMotion<N>> Sigma<N, M> {
     /// Predicted sigma points of the state and of its noise.
     fn carried(
         &self,
@@ -158,7 +158,7 @@ fn posterior<const N: usize, const K: usize>(
     (SigmaState::new(rooted), innovation)
 }
 
-impl<const N: usize, M: Seen<N>> Engine for Sigma<N, M> {
+impl<const N: usize, M: SeenMotion<N>> Engine for Sigma<N, M> {
     type State = SigmaState<N>;
     type World = M::World;
 

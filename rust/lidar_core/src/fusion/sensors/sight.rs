@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::measurement::Measurement;
-use super::observation::Sensing;
+use super::sensing::Sensing;
 use super::told_pose::TellPose;
 use crate::fusion::models::motion::{First, Motion};
 use crate::fusion::models::platform::Platform;
@@ -60,17 +60,17 @@ pub trait SeenIn<const N: usize, M>: Sights {
 }
 
 /// A motion that sensors see.
-pub trait Seen<const N: usize>: Motion<N, World: SeenIn<N, Self>> {}
+pub trait SeenMotion<const N: usize>: Motion<N, World: SeenIn<N, Self>> {}
 
-impl<const N: usize, M: Motion<N, World: SeenIn<N, M>>> Seen<N> for M {}
+impl<const N: usize, M: Motion<N, World: SeenIn<N, M>>> SeenMotion<N> for M {}
 
 /// Some of P values.
-struct Part<'a, const P: usize, const K: usize, V> {
+struct ChosenValues<'a, const P: usize, const K: usize, V> {
     whole: &'a V,
     rows: [usize; K],
 }
 
-impl<const P: usize, const K: usize, V> Part<'_, P, K, V> {
+impl<const P: usize, const K: usize, V> ChosenValues<'_, P, K, V> {
     fn chosen(&self, all: &SVector<f64, P>) -> SVector<f64, K> {
         SVector::from_fn(|k, _| all[self.rows[k]])
     }
@@ -83,7 +83,7 @@ impl<const P: usize, const K: usize, V> Part<'_, P, K, V> {
 }
 
 impl<const N: usize, const P: usize, const K: usize, V: SeenValues<N, P>> SeenValues<N, K>
-    for Part<'_, P, K, V>
+    for ChosenValues<'_, P, K, V>
 {
     fn measured(&self) -> SVector<f64, K> {
         self.chosen(&self.whole.measured())
@@ -115,9 +115,9 @@ pub(super) fn observe_part<const N: usize, const P: usize, V: SeenValues<N, P>, 
     observer: T,
 ) -> Option<T::Output> {
     match *rows {
-        [a] => Some(observer.observe(&Part::<P, 1, V> { whole, rows: [a] })),
-        [a, b] => Some(observer.observe(&Part::<P, 2, V> { whole, rows: [a, b] })),
-        [a, b, c] => Some(observer.observe(&Part::<P, 3, V> { whole, rows: [a, b, c] })),
+        [a] => Some(observer.observe(&ChosenValues::<P, 1, V> { whole, rows: [a] })),
+        [a, b] => Some(observer.observe(&ChosenValues::<P, 2, V> { whole, rows: [a, b] })),
+        [a, b, c] => Some(observer.observe(&ChosenValues::<P, 3, V> { whole, rows: [a, b, c] })),
         _ => None,
     }
 }

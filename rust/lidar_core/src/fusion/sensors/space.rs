@@ -3,7 +3,8 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::measurement::{Measurement, PolarValues, Sensor};
-use super::observation::{NEAREST, Sensing, all_values};
+use super::observation::{NEAREST, all_values};
+use super::sensing::Sensing;
 use super::sight::{Observer, SeenIn, SeenValues, Sights, observe_part};
 use crate::fusion::models::motion::{First, SpaceMotion};
 use crate::fusion::models::platform::Platform;

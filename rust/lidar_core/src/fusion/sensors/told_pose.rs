@@ -1,7 +1,7 @@
 //! Poses of the platform as measurements tell them.
 
 use super::measurement::{Measurement, Sensor};
-use super::observation::Sensing;
+use super::sensing::Sensing;
 use crate::fusion::models::platform::{Platform, Pose};
 use crate::fusion::models::space_pose::SpacePose;
 use crate::fusion::models::turn::wrapped;

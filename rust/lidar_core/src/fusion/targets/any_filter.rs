@@ -21,8 +21,8 @@ use crate::fusion::models::space::SpaceVelocity;
 use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::models::world::{Plane, Space, World};
 use crate::fusion::sensors::measurement::Measurement;
-use crate::fusion::sensors::observation::Sensing;
-use crate::fusion::sensors::sight::Seen;
+use crate::fusion::sensors::sensing::Sensing;
+use crate::fusion::sensors::sight::SeenMotion;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
 
@@ -412,7 +412,7 @@ impl FusionParameters {
 
     fn tracked<E: Engine, const N: usize, M>(&self, engine: E, start: M) -> Box<dyn Tracked>
     where
-        M: Seen<N, World = E::World>,
+        M: SeenMotion<N, World = E::World>,
         E::World: World<Cv = Gaussian<N>>,
     {
         let strength = M::NOISES.map(|noise| match noise {
@@ -429,7 +429,7 @@ impl FusionParameters {
         Box::new(Target::new(engine, starter, self.sensing, self.life, platform))
     }
 
-    fn single<const N: usize, M: Seen<N>>(&self, motion: M) -> Single<N, M> {
+    fn single<const N: usize, M: SeenMotion<N>>(&self, motion: M) -> Single<N, M> {
         let noise = ProcessNoise {
             form: self.strengths.form,
             strength: M::NOISES.map(|noise| self.strengths.of(noise)),
@@ -439,9 +439,9 @@ impl FusionParameters {
 
     fn target<const N: usize, const S: usize, M, C>(&self, motion: M, start: C) -> Box<dyn Tracked>
     where
-        M: Seen<N>,
+        M: SeenMotion<N>,
         M::World: World<Cv = Gaussian<S>>,
-        C: Seen<S, World = M::World>,
+        C: SeenMotion<S, World = M::World>,
     {
         let base = self.single(motion);
         match self.method {
@@ -464,11 +464,14 @@ struct TargetOf<'a>(&'a FusionParameters);
 impl ForMotion for TargetOf<'_> {
     type Output = Box<dyn Tracked>;
 
-    fn run<const N: usize, M: Seen<N, World = Plane>>(self, motion: M) -> Self::Output {
+    fn run<const N: usize, M: SeenMotion<N, World = Plane>>(self, motion: M) -> Self::Output {
         self.0.target(motion, ConstantVelocity)
     }
 
-    fn run_in_space<const N: usize, M: Seen<N, World = Space>>(self, motion: M) -> Self::Output {
+    fn run_in_space<const N: usize, M: SeenMotion<N, World = Space>>(
+        self,
+        motion: M,
+    ) -> Self::Output {
         self.0.target(motion, SpaceVelocity)
     }
 
@@ -485,7 +488,7 @@ struct ModeOf<'a>(&'a FusionParameters);
 impl<W: World> ForMixable<W> for ModeOf<'_> {
     type Output = Arc<dyn Mode<W>>;
 
-    fn run<const N: usize, M: StateConversion<N, World = W> + Seen<N>>(
+    fn run<const N: usize, M: StateConversion<N, World = W> + SeenMotion<N>>(
         self,
         motion: M,
     ) -> Self::Output {

@@ -260,7 +260,7 @@ mod tests {
     use super::*;
     use crate::fusion::model::Model;
     use crate::fusion::sensors::measurement::Sensor;
-    use crate::fusion::sensors::observation::Sensing;
+    use crate::fusion::sensors::sensing::Sensing;
     use crate::fusion::targets::any_filter::Strengths;
 
     fn parameters() -> Result<ManyParameters, Error> {

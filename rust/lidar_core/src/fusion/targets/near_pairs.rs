@@ -4,7 +4,8 @@ use super::any_filter::Filter;
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::models::turn::{direction, wrapped};
 use crate::fusion::sensors::measurement::{Measurement, PolarValues, Sensor};
-use crate::fusion::sensors::observation::{Observation, Sensing};
+use crate::fusion::sensors::observation::Observation;
+use crate::fusion::sensors::sensing::Sensing;
 use crate::tracking::near::{NearIndex, Rectangle};
 use std::f64::consts::{PI, TAU};
 

@@ -2,7 +2,7 @@
 
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::Sensing;
+use crate::fusion::sensors::sensing::Sensing;
 use crate::tracking::sensor_noise::{InnovationStatistics, NoiseFactor};
 use serde::{Deserialize, Serialize};
 

@@ -7,7 +7,7 @@ use crate::fusion::filter::engine::{AcceptInnovation, Engine, Innovation, Link, 
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::world::World;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::Sensing;
+use crate::fusion::sensors::sensing::Sensing;
 use crate::fusion::sensors::sight::Sights;
 use crate::fusion::sensors::told_pose::TellPose;
 use crate::util::full_state::impossible;
