@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -70,21 +70,24 @@ hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: C
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile --count $(COUNT) \
 	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile
 
-# The tests run on an installed wheel, never on the working tree. ouster-sdk pins versions that
-# the other extras cannot live with, so it has an environment of its own.
+# One good file per format, cut at every STEP-th offset and with every byte there damaged.
+STEP ?= 1
+corrupt: ## Cut and damage a file of every format at every offset: STEP=n, EVIDENCE=1.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.exhaustive --step $(STEP) \
+	    $(if $(EVIDENCE),--evidence)
+	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+
+# The tests run on an installed wheel, never on the working tree. ouster-sdk, with which the own
+# reader is compared, pins versions that the extras cannot live with: it has an environment alone.
 test-env:
 	$(PYTHON) -m venv $(TEST_VENV)
 	$(PYTHON) -m venv $(OUSTER_VENV)
-	for venv in $(TEST_VENV) $(OUSTER_VENV); do \
-	    $$venv/bin/python $(PIP_INSTALL) --upgrade 'pip>=25.1' || exit 1; \
-	done
+	$(TEST_VENV)/bin/python $(PIP_INSTALL) --upgrade 'pip>=25.1'
+	$(OUSTER_VENV)/bin/python $(PIP_INSTALL) 'ouster-sdk>=1.0.1'
 	$(if $(WHEEL),,rm -f dist/lidar_core-*.whl; $(TEST_VENV)/bin/pip wheel --no-deps --wheel-dir dist .)
 	wheel=$$(ls $(or $(WHEEL),dist/lidar_core-*.whl)) && \
-	for venv in $(TEST_VENV) $(OUSTER_VENV); do \
-	    $$venv/bin/python $(PIP_INSTALL) --force-reinstall --no-deps "$$wheel" || exit 1; \
-	done && \
-	$(TEST_VENV)/bin/python $(PIP_INSTALL) "$$wheel[$(EXTRAS)]" --group test && \
-	$(OUSTER_VENV)/bin/python $(PIP_INSTALL) "$$wheel[ouster]"
+	$(TEST_VENV)/bin/python $(PIP_INSTALL) --force-reinstall --no-deps "$$wheel" && \
+	$(TEST_VENV)/bin/python $(PIP_INSTALL) "$$wheel[$(EXTRAS)]" --group test
 
 # On Linux on x86-64 the usual index has torch with CUDA: some 6 GB on the disk.
 test-training: ## Install torch into an environment of its own and test the training of networks.
@@ -94,10 +97,12 @@ test-training: ## Install torch into an environment of its own and test the trai
 	$(TRAINING_VENV)/bin/python $(PIP_INSTALL) "$(or $(WHEEL),.)[plot]" ./training --group test
 	$(TRAINING_VENV)/bin/pytest training/tests
 
-# With ouster-sdk (`make test-env`) and recordings in LIDAR_CORE_DATA, real scans are measured, too.
+# With `make dev` or `make test-env` and recordings in LIDAR_CORE_DATA, real scans are measured, too.
 bench: ## Measure every stage (criterion); needs no Python.
-	[ ! -x $(OUSTER_VENV)/bin/python ] || \
-	    $(OUSTER_VENV)/bin/python -W ignore benches/recorded.py $(CARGO_TARGET_DIR)/recorded
+	for venv in $(VENV) $(TEST_VENV); do \
+	    [ ! -x $$venv/bin/python ] || \
+	        ! $$venv/bin/python -W ignore benches/recorded.py $(CARGO_TARGET_DIR)/recorded || break; \
+	done
 	if [ -d $(CARGO_TARGET_DIR)/recorded ]; then \
 	    export LIDAR_CORE_SCANS=$(CARGO_TARGET_DIR)/recorded; \
 	fi; cargo bench --locked

@@ -1,6 +1,6 @@
 """Leave scans of a real OS1-128 where the benches look for them: `make bench` calls this.
 
-Needs the environment with ouster-sdk, and recordings in the folder that LIDAR_CORE_DATA names.
+Needs recordings in the folder that LIDAR_CORE_DATA names.
 """
 
 import os

@@ -101,33 +101,39 @@ class NodeOutput(Output):
         """Publishers end with their node."""
 
 
-def loop_of(node, parameters, message_of, quality_of):
-    """Loop that does the work of the node."""
+def loop_of(node, parameters, message_of, quality_of, more=()):
+    """Loop that does the work of the node; `more` are classes of further outputs."""
     topics = wanted_topics(parameters)
     options = {key: parameters[key] for key in ("pose", "fixed_frame") if parameters.get(key)}
     source = NodeSource(node, topics, message_of, quality_of)
-    outputs = [NodeOutput(node, message_of)]
+    outputs = [make(node, message_of) for make in (NodeOutput, *more)]
     poses = LivePoses(PoseOptions(**options), LiveConfig())
     return LiveLoop(source, pipeline_for, poses, outputs, LiveConfig())
 
 
-def main():
-    """Spin in one thread, work in another; the end of either ends both."""
-    import rclpy
-    from rclpy.executors import ExternalShutdownException
+def qualities():
+    """Quality of service of a topic, by its name."""
     from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-    from rosidl_runtime_py.utilities import get_message
 
     def quality_of(name):
         if name.endswith("tf_static"):
             return QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         return QoSProfile(depth=100) if name == "/tf" else qos_profile_sensor_data
 
+    return quality_of
+
+
+def main():
+    """Spin in one thread, work in another; the end of either ends both."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+    from rosidl_runtime_py.utilities import get_message
+
     rclpy.init()
     node = rclpy.create_node(NAME)
     names = ("cloud", "scan", "odom", "fixed_frame", "pose")
     parameters = {name: node.declare_parameter(name, "").value for name in names}
-    loop = loop_of(node, parameters, get_message, quality_of)
+    loop = loop_of(node, parameters, get_message, qualities())
 
     def spin():
         try:

@@ -16,6 +16,7 @@ __all__ = [
     "Measurement",
     "Measurements",
     "MultiTargetTracker",
+    "PlantedPanic",
     "PointCloudTracker",
     "PreparedSweep",
     "SimScene",
@@ -56,6 +57,14 @@ __all__ = [
 
 CIRCLE_CUT_MARGINS: list[float]
 __version__: str
+
+@final
+class PlantedPanic:
+    """Panics on purpose, for tests."""
+
+    def __new__(cls) -> Self: ...
+    def fall(self, place: str) -> None: ...
+    def stand(self) -> int: ...
 
 def vector_unit() -> str: ...
 def vector_units() -> list[str]: ...
@@ -327,6 +336,7 @@ class CircleMap:
         NDArray[np.int64],
         NDArray[np.bool_],
         NDArray[np.bool_],
+        NDArray[np.float64],
     ]: ...
     def reset(self) -> None: ...
 
@@ -383,6 +393,7 @@ class CirclePipeline:
         NDArray[np.int64],
         NDArray[np.bool_],
         NDArray[np.bool_],
+        NDArray[np.float64],
     ]: ...
     def shapes_at(
         self, stamp_ns: int

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,16 @@ class ObjectTable:
             numbers = np.array2string(self.id, threshold=6, edgeitems=3, separator=", ")
             more.insert(0, f"id={numbers}")
         return f"{type(self).__name__}({', '.join([f'{len(self)} rows', *more])})"
+
+    def where(self, mask: NDArray[np.bool_]) -> Self:
+        """Rows for which `mask`, shape (K,), is true, such as `tracks.kind == TrackKind.FLYING`."""
+        chosen: dict[str, Any] = {}
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            if isinstance(value, tuple):
+                value = tuple(part for part, is_in in zip(value, mask, strict=True) if is_in)
+            chosen[one.name] = value[mask] if isinstance(value, np.ndarray) else value
+        return type(self)(**chosen)
 
     def to_dict(self) -> dict[str, Any]:
         """Every field by its name as plain values: numbers, texts and nested lists."""
@@ -185,6 +195,11 @@ class Tracks(Boxes):
     kind: NDArray[np.uint8]
     kind_probability: NDArray[np.float64]
 
+    @property
+    def flying(self) -> "Tracks":
+        """The tracks of kind FLYING: what pictures, viewers and evaluations show."""
+        return self.where(self.kind == TrackKind.FLYING)
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class FlyingDetections(ObjectTable):
@@ -242,6 +257,9 @@ class CircleElements(ObjectTable):
         Time of its last measurement [ns].
     visible : ndarray, shape (M,), bool
         A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
+    person_probability : ndarray, shape (M,), float64
+        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs
+        where the scan meets them. 0 with the filter of the paper.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -256,6 +274,7 @@ class CircleElements(ObjectTable):
     age: NDArray[np.float64]
     seen_ns: NDArray[np.int64]
     visible: NDArray[np.bool_]
+    person_probability: NDArray[np.float64]
     stamp_ns: int
 
 

@@ -30,6 +30,8 @@ from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 RUN_FILE = "run.toml"
 UNFINISHED = "run.unfinished"
 """File that a run writes first and removes when run.toml is there."""
+CHECKPOINT = "run.checkpoint"
+"""File of a run that can go on after it was killed; its parts lie beside it."""
 FILES = (
     "circles.csv",
     "circles.parquet",
@@ -37,7 +39,9 @@ FILES = (
     "detections.parquet",
     "film.gif",
     "film.mp4",
+    "map.csv",
     "map.lcvm",
+    "map.parquet",
     "picture.png",
     "report.html",
     "run.mcap",
@@ -69,6 +73,8 @@ class RunFolder:
         Whether to replace what an earlier run left there. Other files are never touched.
     reads : Path, optional
         Recording that the run reads.
+    resume : bool
+        Whether to go on with a run that did not come to its end.
 
     Raises
     ------
@@ -76,11 +82,14 @@ class RunFolder:
         Its name is no UTF-8.
     FileExistsError
         There is something in it, and `overwrite` is not given, or no run wrote it; or the
-        recording lies in it.
+        recording lies in it; or the run is complete, and `resume` is given.
     """
 
-    def __init__(self, path: Path, *, overwrite: bool, reads: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, *, overwrite: bool, reads: Path | None = None, resume: bool = False
+    ) -> None:
         self.path = path
+        self._resumes = resume
         check_name(path)
         if not path.exists():
             return
@@ -94,14 +103,17 @@ class RunFolder:
         if is_cut:
             lock(path)  # refuses where the run is still being written
             unlock(path)
-        if not overwrite:
+        if resume and not is_cut and not (path / CHECKPOINT).exists():
+            raise FileExistsError(f"{path}: holds a complete run; there is nothing to resume")
+        if not overwrite and not resume:
             told = "a run that did not come to its end" if is_cut else "an earlier run"
-            raise FileExistsError(f"{path}: holds {told}; overwrite=True replaces it")
+            goes_on = ", resume=True goes on" if (path / CHECKPOINT).exists() else ""
+            raise FileExistsError(f"{path}: holds {told}; overwrite=True replaces it{goes_on}")
         if reads is not None and reads.resolve().is_relative_to(path.resolve()):
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
     def begin(self) -> None:
-        """Make the folder, and remove what an earlier run left in it.
+        """Make the folder, and remove what an earlier run left in it, save what is resumed.
 
         Raises
         ------
@@ -113,6 +125,8 @@ class RunFolder:
         remove_stale(self.path)
         # First of all files, and the last to go: by it a run that was killed is known.
         self.write_text(UNFINISHED, f"{command_line()}\n".encode("utf-8", "replace").decode())
+        if not self._resumes:
+            remove_checkpoint(self.path)
         for name in (RUN_FILE, *FILES):
             (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
@@ -152,6 +166,13 @@ class RunFolder:
         with written_whole(path) as temporary:
             parquet.write_table(arrow.table(dict(columns)), temporary)
         return path
+
+
+def remove_checkpoint(folder: Path) -> None:
+    """Remove what a run left to go on from: first of all what names its parts."""
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    for part in folder.glob(".checkpoint-*"):
+        part.unlink(missing_ok=True)
 
 
 _LOCKS: dict[Path, int] = {}

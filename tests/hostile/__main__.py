@@ -21,7 +21,7 @@ LIBRARIES = (
     *("trimesh", "velodyne_decoder", "zstandard", "lz4.frame", "google.protobuf", "onnxruntime"),
     *("lidar_core.flying", "lidar_core.circles", "lidar_core.fusion", "lidar_core.io"),
     *("lidar_core.evaluation", "lidar_core.viz.report", "lidar_core.batch", "lidar_core.sim"),
-    *("ouster.sdk.pcap", "ouster.sdk.osf", "lidar_core.io.readers", "lidar_core.runs.settings"),
+    *("lidar_core.io.ouster.osf", "lidar_core.io.readers", "lidar_core.runs.settings"),
 )
 
 

@@ -37,7 +37,7 @@ def recordings() -> Path:
 
 @pytest.fixture(scope="session")
 def ouster_python() -> Path:
-    """Interpreter of the environment that holds lidar_core and ouster-sdk."""
+    """Interpreter of the environment that holds ouster-sdk."""
     default = ROOT / ".venv-ouster" / "bin" / "python"
     return _present(
         Path(os.environ.get("LIDAR_CORE_OUSTER_PYTHON", default)), "environment with ouster-sdk"

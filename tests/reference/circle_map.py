@@ -23,6 +23,14 @@ MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
 LEAST_MISSES, LEAST_RAYS = 3, 4
 ABSENT_TIME, UNMATCHED_TIME = 0.25, 0.5  # [s]
 SEE_MARGIN = 0.15  # [m]
+OTHER, OTHER_OF_ROUND, PART, PART_SHARE = (
+    0.05,
+    0.001,
+    0.03,
+    0.5,
+)  # probabilities; [m], of the radius
+FARTHEST, FASTEST = 0.8, 3.0  # [m], [m/s]
+RETURN, HIDDEN = 11.8, 5.0  # squared distance, [s]
 ORDER = ["seen through", "returns", "occluded", "out of view"]
 
 
@@ -196,6 +204,9 @@ class Element:
     same: float = 0.0
     lasting: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     share: float = 0.0
+    rough: float = 0.0
+    waits: int = 0
+    waiting: float = 0.0
 
     def look(self, R, pose, spacing):
         """Errors of the sides between rays: evenly spread, the same while the rays are the same."""
@@ -222,8 +233,15 @@ class Element:
         kept = np.array([1.0, 1.0, 0.0, 0.0, 1.0]) * (np.sqrt(1 - self.share * self.same) - 1) + 1
         return P * np.outer(kept, kept) + H.T @ (self.lasting * self.same) @ H
 
+    def of_part(self, z, R):
+        """Covariance of a measurement of another part of the body."""
+        return R + (PART + PART_SHARE * max(self.combined()[0][4], z[2])) ** 2 * np.eye(3)
+
     def listen(self, z, R, stamp):
         """Mean excess of minus the products of departures in a row from constant velocity."""
+        x, P = self.combined()
+        excess = min((z[2] - x[4]) ** 2 - R[2, 2] - P[4, 4], 0.01)
+        self.rough += 0.1 * (excess - self.rough)
         self.places = [*self.places[-3:], (stamp * 1e-9, z[:2], np.trace(R[:2, :2]) / 2)]
         if len(self.places) < 4:
             return
@@ -243,7 +261,8 @@ class Element:
         self.excess += (np.clip(sample, -(0.08**2), 0.08**2) - self.excess) / self.weight
 
     def noisy(self, R):
-        return R + max(self.excess, 0.0) * np.diag([1, 1, 0])
+        rough = max(self.rough - R[2, 2], 0.0)
+        return R + max(self.excess, 0.0) * np.diag([1, 1, 0]) + rough * np.diag([0, 0, 1])
 
     def reported(self):
         """Standing: no velocity; the error of that is in the covariance."""
@@ -350,6 +369,7 @@ class IndependentMap:
         for element in self.elements:
             if dt:
                 element.x, element.P, element.mu = self.predicted(element, dt)
+                element.waits, element.waiting = element.waits + 1, element.waiting + dt
         wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
         whole = sum(one == row for row, one in enumerate(wholes))
         density = max(BIRTH_DENSITY, max(whole, 1) / ((area + 1) * 0.5))
@@ -359,8 +379,7 @@ class IndependentMap:
             if k in row_of:
                 numbers[row_of[k]] = element.id
                 z, R = measurements[row_of[k]]
-                element.look(R, pose, spacing)
-                self.correct(element, z, R, stamp)
+                self.correct(element, z, R, stamp, (pose, spacing))
                 element.history.append(True)
                 element.seen, element.last, element.count = "measured", stamp, element.count + 1
                 element.absent = element.unmatched = element.hidden = 0.0
@@ -381,12 +400,27 @@ class IndependentMap:
     def likelihood(self, element, z, R):
         """Of a measurement, or 0 outside all gates."""
         total, inside, R = 0.0, False, element.noisy(R)
+        prior = 1.0
+        if self.stops:
+            x, P = element.combined()
+            S, y = H @ P @ H.T + element.of_part(z, R), z - H @ x
+            is_known = np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
+            time = element.waiting / max(element.waits, 1) if is_known else element.waiting
+            if np.hypot(*y[:2]) > max(FARTHEST, FASTEST * time):
+                return 0.0
+            if element.waits > 1:
+                if y[:2] @ np.linalg.solve(S[:2, :2], y[:2]) > RETURN:
+                    return 0.0
+                prior = np.exp(-element.waiting / HIDDEN)
+            if y @ np.linalg.solve(S, y) <= self.gate:
+                total = OTHER * multivariate_normal(np.zeros(3), S).pdf(y)
+        whole = 0.0
         for x, P, m in zip(element.x, element.P, element.mu, strict=True):
             S = H @ P @ H.T + R
             y = z - H @ x
             inside |= bool(y @ np.linalg.solve(S, y) <= self.gate)
-            total += m * multivariate_normal(np.zeros(3), S).pdf(y)
-        return total if inside else 0.0
+            whole += m * multivariate_normal(np.zeros(3), S).pdf(y)
+        return prior * (total + (whole if inside else 0.0))
 
     def associate(self, measurements, wholes, density):
         n, m = len(self.elements), len(measurements)
@@ -413,9 +447,12 @@ class IndependentMap:
                 row_of[min(near)[1]] = row
         return row_of
 
-    def correct(self, element, z, R, stamp):
+    def correct(self, element, z, R, stamp, view):
         element.listen(z, R, stamp)
+        element.waits, element.waiting = 0, 0.0
+        element.look(R, *view)
         R = element.noisy(R)
+        wide = element.of_part(z, R)
         far = []
         for x, P in zip(element.x, element.P, strict=True):
             y = z - H @ x
@@ -429,10 +466,15 @@ class IndependentMap:
                 R = R * squared / self.gate
         scores = []
         for j, (x, P) in enumerate(zip(element.x, element.P, strict=True)):
-            S = H @ P @ H.T + R
+            y, S = z - H @ x, H @ P @ H.T + R
+            likelihood = multivariate_normal(np.zeros(3), S).logpdf(y)
+            if self.stops and j == 0:
+                S_part = H @ P @ H.T + wide
+                part = np.log(OTHER_OF_ROUND) + multivariate_normal(np.zeros(3), S_part).logpdf(y)
+                S = S_part if part > likelihood else S
+                likelihood = np.logaddexp(likelihood, part)
             K = P @ H.T @ np.linalg.inv(S)
-            y = z - H @ x
-            scores.append(np.log(element.mu[j]) + multivariate_normal(np.zeros(3), S).logpdf(y))
+            scores.append(np.log(element.mu[j]) + likelihood)
             element.x[j] = x + K @ y
             element.P[j] = (np.eye(5) - K @ H) @ P
         weight = np.exp(np.array(scores) - max(scores))
@@ -477,8 +519,11 @@ class IndependentMap:
             if self.stops:
                 stood, p = element.stands, element.mu[0]
                 element.stands = p > STANDS or (stood and p >= MOVES)
-            worst = np.linalg.eigvalsh(element.combined()[1][:2, :2]).max()
-            element.lost = worst >= config.max_position_std**2
+            worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
+            most = config.max_position_std
+            if element.waits and self.stops:
+                most = min(most, 0.5)
+            element.lost = worst >= most**2
             vague = False
             if element.seen == "measured":
                 x, P = element.combined()
@@ -543,7 +588,7 @@ def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
         names = "x P mu seen last absent unmatched hidden misses stands places excess weight"
-        names += " sides same lasting share"
+        names += " sides same lasting share rough waits waiting"
         for name in names.split():
             setattr(kept, name, getattr(dropped, name))
     kept.count = max(kept.count, dropped.count)

@@ -14,6 +14,7 @@ use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::Beams;
 use lidar_core::flying::track::{Confirmation, TrackerParameters};
 use lidar_core::geometry::cluster::Clustering;
+use lidar_core::util::cancel::Cancel;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -139,9 +140,9 @@ fn refused(detector: &mut FlyingObjectDetector, stamp_ns: i64) -> Vec<bool> {
     if stamp_ns > 0 {
         outcome.push(detector.process(&scan(&all, &far, stamp_ns)).is_err());
         outcome.push(detector.process(&scan(&all, &here, stamp_ns - STEP_NS)).is_err());
-        outcome.push(
-            detector.process_while(&scan(&all, &here, stamp_ns), &|| false).is_err(), // interrupted
-        );
+        let cancel = Cancel::default();
+        assert!(cancel.ask_if(|| true));
+        outcome.push(cancel.run(|| detector.process(&scan(&all, &here, stamp_ns))).is_err());
     }
     outcome
 }

@@ -230,14 +230,16 @@ def _card(
             {key: float(value) for key, value in row.items()} for row in csv.DictReader(file)
         ]
     best = min(metrics, key=lambda row: row.get("validation_loss", row["train_loss"]))
+    origin = json.loads((run / ORIGIN).read_text(encoding="utf-8"))
+    passes = len(metrics) / config.parts + origin.get("start", {}).get("passes", 0.0)
     return {
         "name": name,
         "sha256": sha256(model.read_bytes()).hexdigest(),
         "bytes": model.stat().st_size,
         "parameters": sum(weight.numel() for weight in network.parameters()),
         "opset": OPSET,
-        **json.loads((run / ORIGIN).read_text(encoding="utf-8")),
-        "passes": len(metrics) / config.parts,
+        **origin,
+        "passes": passes,
         "best_epoch": best["epoch"],
         "metrics": metrics,
         "largest_difference_from_torch": difference,

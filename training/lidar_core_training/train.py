@@ -30,7 +30,7 @@ from lidar_core_training.metrics import breakdown, errors_of, summary
 from lidar_core_training.one_step import compared
 from lidar_core_training.optimiser import Optimiser
 from lidar_core_training.tasks import Data, OneStepTask, Task, resident, task_of
-from lidar_core_training.weights import take_weights
+from lidar_core_training.weights import start_of, take_weights
 
 METRICS = "metrics.csv"
 TEST = "test.json"
@@ -104,7 +104,7 @@ def train(
         with written_whole(folder / NOTE) as temporary:
             temporary.write_text(config.to_toml(), encoding="utf-8")
         with written_whole(folder / ORIGIN) as temporary:
-            temporary.write_text(json.dumps(_origin(), indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(_origin(config), indent=1) + "\n", encoding="utf-8")
         _datasets(config, folder, on_data)
     group.wait()
     run = Run(config, folder, group)
@@ -112,14 +112,15 @@ def train(
     return run.finish() if group.rank == 0 else {}
 
 
-def _origin() -> dict[str, str]:
-    """What trains: commit of the checkout ("unknown" outside of one) and versions."""
+def _origin(config: TrainConfig) -> dict[str, Any]:
+    """What trains: commit of the checkout ("unknown" outside of one), versions, first weights."""
     command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
     try:
         commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         commit = "unknown"
-    return {"training_commit": commit, "torch": torch.__version__, "lidar_core": __version__}
+    origin = {"training_commit": commit, "torch": torch.__version__, "lidar_core": __version__}
+    return origin if config.start is None else origin | {"start": start_of(config.start)}
 
 
 def _datasets(

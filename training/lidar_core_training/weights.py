@@ -1,6 +1,8 @@
 """Weights of exported networks: a run may begin with them."""
 
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -13,6 +15,12 @@ from lidar_core.errors import FormatError
 
 TURNED = "^T"
 """At the end of the name of weights that lie in a file transposed."""
+
+
+def start_of(model: str) -> dict[str, Any]:
+    """SHA-256 of an exported network, and the passes over training data that its card names."""
+    _, content, card = checked_model(model)
+    return {"sha256": sha256(content).hexdigest(), "passes": card.get("passes", 0.0)}
 
 
 def take_weights(network: nn.Module, model: str) -> None:

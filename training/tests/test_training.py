@@ -175,6 +175,9 @@ def test_a_run_begins_with_an_exported_network(run, tmp_path):
     again = train(config, tmp_path / "again")
     for key, value in weights(folder).items():
         assert torch.allclose(weights(tmp_path / "again")[key], value, atol=1e-6), key
+    before, after = (export(one, tmp_path / "n.onnx") for one in (folder, tmp_path / "again"))
+    assert after["passes"] == 2 * before["passes"]
+    assert after["start"]["passes"] == before["passes"]
     error = again["test"][0]["errors"]["all"]["mse"]
     assert error == pytest.approx(results["test"][0]["errors"]["all"]["mse"], rel=1e-3)
 

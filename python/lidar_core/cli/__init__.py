@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -13,6 +14,7 @@ import typer
 
 from lidar_core.cli import config, train
 from lidar_core.cli.shared.common import help_text, printing, stoppable, with_trust
+from lidar_core.cli.shared.voice import Command, print_error, voice, with_voice
 from lidar_core.errors import LidarCoreError, OdometryWarning, PluginWarning, PoseFrameWarning
 
 READING = ("info", "convert", "detect", "circles", "fuse", "evaluate", "view", "live")
@@ -23,9 +25,10 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=True,
+    context_settings={"auto_envvar_prefix": "LIDAR_CORE"},
 )
 
-for _name in (
+for _file in (
     "demo",
     "info",
     "convert",
@@ -33,21 +36,24 @@ for _name in (
     "detect",
     "circles",
     "fuse",
-    "evaluate",
+    "results.evaluate",
     "doctor",
     "reproduce",
-    "view",
-    "report",
-    "events",
+    "results.view",
+    "results.report",
+    "results.events",
     "batch",
     "live",
 ):
-    _command = import_module(f"lidar_core.cli.{_name}").command
+    _command = import_module(f"lidar_core.cli.{_file}").command
+    _name = _file.rpartition(".")[2]
     _told = help_text(_command)
     if _name in READING:
         _command = with_trust(_command)
-    app.command(_name, help=_told)(stoppable(_command))
-app.command("export", help=help_text(train.export))(stoppable(train.export))
+    app.command(_name, help=_told, cls=Command)(with_voice(stoppable(_command)))
+app.command("export", help=help_text(train.export), cls=Command)(
+    with_voice(stoppable(train.export))
+)
 app.add_typer(config.app, name="config")
 app.add_typer(train.app, name="train")
 
@@ -63,7 +69,11 @@ def options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=printing(_print_version), is_eager=True, help="Print the version."
+            "--version",
+            callback=printing(_print_version),
+            is_eager=True,
+            allow_from_autoenv=False,  # LIDAR_CORE_VERSION may say something else
+            help="Print the version.",
         ),
     ] = False,
 ) -> None:
@@ -85,7 +95,9 @@ def main() -> None:
     try:
         app()
     except (LidarCoreError, OSError, MemoryError) as error:
-        print(f"error: {_text(error)}", file=sys.stderr)
+        print_error(_text(error))
+        if voice().is_verbose:
+            traceback.print_exception(error)
         sys.exit(2)
 
 

@@ -13,6 +13,7 @@ from lidar_core.cli.shared.common import (
     shown_progress,
     write_json,
 )
+from lidar_core.cli.shared.voice import tell as say
 from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def command(
     def tell(record: "JobRecord") -> None:
         if record.status == "failed":
             text = f"{output.rstrip('/')}/{record.job}: {record.error}"
-            errors.print(text, markup=False, highlight=False, soft_wrap=True)
+            say(errors, text)
 
     with shown_progress(errors, counts="jobs") as on_progress:
         result = runs.batch(

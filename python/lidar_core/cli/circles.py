@@ -66,6 +66,8 @@ def command(
             picture=options.picture,
             film=film,
             overwrite=options.overwrite,
+            checkpoint=options.checkpoint,
+            resume=options.resume,
             on_progress=on_progress,
         )
     table = _table(result.summary, options.recording.name)

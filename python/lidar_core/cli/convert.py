@@ -12,7 +12,7 @@ from lidar_core.cli.shared.common import (
     consoles,
     given,
     printing,
-    progress_on,
+    shown_progress,
     write_json,
 )
 from lidar_core.cli.shared.run_options import DecodingOptions, End, Start, with_options
@@ -145,15 +145,14 @@ def _write_recording(
     written: Counter[str] = Counter()
     with (
         open_recording(source, options) as opened,
-        progress_on(console, counts="messages") as progress,
+        shown_progress(console, counts="messages") as on_progress,
     ):
         _check_topics(opened, topics)
-        task = progress.add_task("convert", total=None)
 
         def counted() -> Iterator["Message"]:
             for message in _chosen(opened, topics, span):
                 written[message.topic or NAMELESS] += 1
-                progress.advance(task)
+                on_progress("convert", written.total(), None)
                 yield message
 
         write_recording(output, counted())

@@ -11,11 +11,12 @@ from lidar_core.cli.shared.common import (
     Threads,
     consoles,
     map_rows,
-    progress_on,
     result_table,
+    shown_progress,
     stage_rows,
     write_json,
 )
+from lidar_core.cli.shared.voice import tell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -56,11 +57,10 @@ def command(
     simulator = Simulator(scenes.demo(seed, scans=scans), seed=seed, threads=threads)
     run = FlyingRun(FlyingObjectDetector(FlyingConfig(), threads=threads))
     truth = _Truth()
-    with progress_on(errors) as progress:
-        task = progress.add_task("simulate and detect", total=scans)
-        for made in simulator:
+    with shown_progress(errors) as on_progress:
+        for number, made in enumerate(simulator, 1):
             truth.add(made, run.take(made.posed))
-            progress.advance(task)
+            on_progress("simulate and detect", number, scans)
     rule = EvaluationConfig(burn_in_scans=run.burn_in_scans)
     report = _compared(run, truth, rule)
     summary = {"command": "demo", "seed": seed, **report.to_dict(), **run.summary()}
@@ -72,7 +72,7 @@ def command(
         drawn, notes = draw([(path, lambda: draw_flying(view, path))])
         files += drawn
         for note in notes:
-            errors.print(note, markup=False, soft_wrap=True)
+            tell(errors, note)
     out.print(_table(view.title, summary, report, rule))
     out.print(f"{output}: {', '.join(sorted(files))}", highlight=False, soft_wrap=True)
     write_json(summary, json)

@@ -73,6 +73,8 @@ def command(
             mcap=options.mcap,
             picture=options.picture,
             overwrite=options.overwrite,
+            checkpoint=options.checkpoint,
+            resume=options.resume,
             on_progress=on_progress,
         )
     table = _table(result.summary, options.recording.name)

@@ -15,8 +15,6 @@ from lidar_core.util.threads import all_threads
 
 _REQUIREMENT = re.compile(r"(?P<name>[A-Za-z0-9._-]+).*;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 _CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")
-_ALONE = ("ouster",)
-"""Extras whose pins clash with other extras: they go into an environment of their own."""
 
 
 def command(
@@ -127,7 +125,7 @@ def _print(report: dict[str, Any]) -> None:
     table = Table("extra", "packages", "to install")
     table.add_row("-", _listed(report["packages"]), "")
     for extra, packages in report["extras"].items():
-        cure = _cure(extra) if None in packages.values() else ""
+        cure = install_command(extra) if None in packages.values() else ""
         table.add_row(extra, _listed(packages), escape(cure))
     console.print(table)
 
@@ -141,8 +139,3 @@ def _told(recordings: dict[str, Any]) -> str:
 
 def _listed(packages: dict[str, str | None]) -> str:
     return ", ".join(f"{name} {version or '(missing)'}" for name, version in packages.items())
-
-
-def _cure(extra: str) -> str:
-    command = install_command(extra)
-    return f"in a separate environment: {command}" if extra in _ALONE else command

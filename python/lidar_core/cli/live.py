@@ -9,6 +9,7 @@ import typer
 
 from lidar_core.cli.circles import NO_RETURN, TrustModel
 from lidar_core.cli.detect import MAP, POINT_TIME
+from lidar_core.cli.results.view import ALLOW_ORIGIN
 from lidar_core.cli.shared.common import (
     INTERRUPTED,
     NOTHING_CAME,
@@ -23,7 +24,7 @@ from lidar_core.cli.shared.common import (
     write_json,
 )
 from lidar_core.cli.shared.run_options import PipelineOptions, with_options
-from lidar_core.cli.view import ALLOW_ORIGIN
+from lidar_core.cli.shared.voice import tell as say
 from lidar_core.errors import ConfigError
 from lidar_core.util.rows import Row, number
 
@@ -33,17 +34,16 @@ if TYPE_CHECKING:
 
     from lidar_core.io import ReadOptions
     from lidar_core.live import LiveConfig
-    from lidar_core.live.loop import Report
-    from lidar_core.live.stats import Delay
+    from lidar_core.live.stats import Delay, Report
 
 
 _IN = (
-    "zenoh, zenoh:tcp/HOST:PORT, foxglove, foxglove:ws://HOST:PORT, udp, udp:PORT (Velodyne's"
-    " packets)."
+    "zenoh, zenoh:tcp/HOST:PORT, foxglove, foxglove:ws://HOST:PORT; packets of a sensor: velodyne,"
+    " ouster:HOST or ouster:FILE.json, livox; :PORT, of Ouster @PORT."
 )
 _OUT = (
     "foxglove, foxglove:PORT, zenoh, zenoh:tcp/HOST:PORT, rerun, rerun:web, rerun:web:PORT,"
-    " rerun:FILE.rrd, mcap:FILE; may be repeated."
+    " rerun:FILE.rrd, mcap:FILE, arrow:FILE; may be repeated."
 )
 _STREAM = "Single value of the model `live`, such as pose_wait=0.5; may be repeated."
 _FOLDER = (
@@ -97,6 +97,18 @@ Folder: TypeAlias = Annotated[
 ]
 
 
+Tape: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--record", help="Also write what comes in: .mcap, .npz.", rich_help_panel=WRITTEN
+    ),
+]
+Metrics: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="PORT or HOST:PORT for Prometheus, at /metrics.", rich_help_panel=WRITTEN),
+]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions(PipelineOptions):
     """What it listens to, what it makes of that, and where that goes."""
@@ -117,6 +129,8 @@ class LiveOptions(PipelineOptions):
     seconds: Seconds = None
     trust_model: TrustModel = False
     output: Folder = None
+    record: Tape = None
+    metrics: Metrics = None
     overwrite: OverwriteFile = False
     threads: Threads
 
@@ -141,7 +155,7 @@ def command(options: LiveOptions) -> None:
     out, errors = consoles(options.json)
 
     def tell(text: str) -> None:
-        errors.print(as_options(text), markup=False, highlight=False, soft_wrap=True)
+        say(errors, as_options(text))
 
     result = runs.live(
         options.source,
@@ -161,6 +175,8 @@ def command(options: LiveOptions) -> None:
         threads=options.threads,
         allow_untrusted=options.trust_model,
         seconds=options.seconds,
+        record=options.record,
+        metrics=options.metrics,
         overwrite=options.overwrite,
         on_message=tell,
         on_report=lambda report: _tell(errors, report),
@@ -214,7 +230,15 @@ def _tell(console: "Console", report: "Report") -> None:
         f"{report.objects} objects",
         *([report.trouble] if report.trouble else []),
     ]
-    console.print(" | ".join(parts), markup=False, highlight=False, soft_wrap=True)
+    say(
+        console,
+        " | ".join(parts),
+        seconds=round(report.elapsed_s, 3),
+        scans_per_second=round(report.rate_hz, 3),
+        latency_ms=None if report.from_arrival is None else round(report.from_arrival.p95, 3),
+        objects=report.objects,
+        **{name.replace(" ", "_"): count for name, count in report.counts.items()},
+    )
 
 
 def _since_stamp(report: "Report") -> str:

@@ -13,6 +13,7 @@ from lidar_core.cli.shared.common import (
     shown_progress,
     write_json,
 )
+from lidar_core.cli.shared.voice import tell
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,7 +60,7 @@ def command(
     for one in chosen:
         length = scans or one.scans
         text = f"{one.name}: {length:,} {one.counts}, about {one.duration(length)} on two cores"
-        errors.print(text, highlight=False, soft_wrap=True)
+        tell(errors, text)
     job = ReproduceJob(
         output, seed=seed, scans=scans, threads=threads, is_fresh=fresh, draws=picture
     )
@@ -71,7 +72,7 @@ def command(
             values, notes = job.write(one, result)
             done.append(values)
             for note in notes:
-                errors.print(note, markup=False, soft_wrap=True)
+                tell(errors, note)
             out.print(_table(one, result))
             if str(json) != "-":  # a file holds what is finished, at any time
                 write_json(done if item == ALL else done[0], json)

@@ -1,11 +1,12 @@
 """`lidar-core simulate`: a scene into a recording, with the truth beside it."""
 
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import JsonFile, consoles, given, progress_on, write_json
+from lidar_core.cli.shared.common import JsonFile, consoles, given, shown_progress, write_json
 from lidar_core.errors import ConfigError, meant
 
 if TYPE_CHECKING:
@@ -67,15 +68,16 @@ def command(
     if sensor is not None:
         model = with_sensor(model, sensor)
     out, errors = consoles(json)
-    with progress_on(errors) as progress:
-        task = progress.add_task("simulate", total=model.scans if scans is None else scans)
+    total = model.scans if scans is None else scans
+    made = count(1)
+    with shown_progress(errors) as on_progress:
         done = record(
             model,
             output,
             seed=seed,
             scans=scans,
             threads=threads or 1,
-            on_scan=lambda made: progress.advance(task),
+            on_scan=lambda _: on_progress("simulate", next(made), total),
         )
     told = {
         name: str(value) if isinstance(value, Path) else value

@@ -21,6 +21,12 @@ from lidar_core.evaluation.reading import Prediction, read_prediction, read_trut
 from lidar_core.evaluation.report import Evaluation, evaluate
 from lidar_core.evaluation.scoring import eligible, score_detections, score_tracks
 from lidar_core.evaluation.spread import Spread
+from lidar_core.evaluation.static_map import (
+    StaticScores,
+    read_labelled_cloud,
+    read_static_map,
+    score_static_map,
+)
 from lidar_core.evaluation.types import (
     DetectionScores,
     DistanceScores,
@@ -47,6 +53,7 @@ __all__ = [
     "Prediction",
     "SetScores",
     "Spread",
+    "StaticScores",
     "TrackScores",
     "Truth",
     "aligned",
@@ -65,11 +72,14 @@ __all__ = [
     "ospa",
     "overlap_warnings",
     "pair",
+    "read_labelled_cloud",
     "read_prediction",
+    "read_static_map",
     "read_truth",
     "register_metric",
     "score_detections",
     "score_identities",
+    "score_static_map",
     "score_tracks",
     "truth_of",
 ]

@@ -13,9 +13,9 @@ Kind: TypeAlias = Literal[
 
 PACKETS: dict[str, str] = {
     "velodyne_msgs/msg/VelodyneScan": "Velodyne packets",
-    "ouster_msgs/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
-    "ouster_ros/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
-    "ouster_sensor_msgs/msg/PacketMsg": "Ouster packets: readable where ouster-sdk is installed",
+    "ouster_msgs/msg/PacketMsg": "Ouster packets",
+    "ouster_ros/msg/PacketMsg": "Ouster packets",
+    "ouster_sensor_msgs/msg/PacketMsg": "Ouster packets",
     "pandar_msgs/msg/PandarScan": "Hesai packets: no library decodes them; record the"
     " driver's PointCloud2",
     "nebula_msgs/msg/NebulaPackets": "Nebula packets: no library decodes them; record the"

@@ -14,38 +14,12 @@ from lidar_core.live.pipelines import LivePipeline
 from lidar_core.live.poses import LivePoses
 from lidar_core.live.sources.inbox import Arrival, Batch, Inbox
 from lidar_core.live.sources.source import Source
-from lidar_core.live.stats import Delay, LiveStats, within_limit
+from lidar_core.live.stats import LiveStats, Report, within_limit
+from lidar_core.live.tape import Tape
 from lidar_core.messages import Message, Pose, ScanT
 
 IDLE_S = 0.05  # longest sleep while nothing arrives
 SILENCE_S = 1.2  # without a scan, after which is told what there is instead
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What one line on the console says.
-
-    Attributes
-    ----------
-    elapsed_s, rate_hz : float
-        Since the start [s]; scans per second since the last report.
-    from_stamp, from_arrival : Delay or None
-        Since the last report.
-    counts : dict
-        What was left out since the start.
-    objects : int
-        Tracks or elements now.
-    trouble : str
-        What the source waits for.
-    """
-
-    elapsed_s: float
-    rate_hz: float
-    from_stamp: Delay | None
-    from_arrival: Delay | None
-    counts: dict[str, int]
-    objects: int
-    trouble: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +45,8 @@ class LiveLoop(Generic[ScanT]):
         How long to wait.
     topics : sequence of str
         Topics of the LiDARs; empty for the first that brings a scan.
+    tape : Tape, optional
+        Gets everything that arrives.
     on_report : callable
         Told how it goes, every second.
     on_silence : callable
@@ -93,11 +69,12 @@ class LiveLoop(Generic[ScanT]):
         config: LiveConfig,
         *,
         topics: Sequence[str] = (),
+        tape: Tape | None = None,
         on_report: Callable[[Report], None] = lambda report: None,
         on_silence: Callable[[list[str]], None] = lambda advertised: None,
     ) -> None:
         self.stats = LiveStats()
-        self.inbox = Inbox(max_poses=MAX_POSES)
+        self.inbox = Inbox(max_poses=MAX_POSES, tape=tape)
         self.pipeline: LivePipeline[ScanT] | None = None
         self._source = source
         self._make: Callable[[type], LivePipeline[ScanT] | None] = pipeline
@@ -304,6 +281,7 @@ class LiveLoop(Generic[ScanT]):
                 self.stats.from_stamp.recent(),
                 self.stats.from_arrival.recent(),
                 counts,
+                self.stats.processed,
                 self._objects,
                 self._source.trouble(),
             )

@@ -18,6 +18,36 @@ class Delay:
     p95: float
 
 
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What one line on the console says.
+
+    Attributes
+    ----------
+    elapsed_s, rate_hz : float
+        Since the start [s]; scans per second since the last report.
+    from_stamp, from_arrival : Delay or None
+        Since the last report.
+    counts : dict
+        What was left out since the start.
+    processed : int
+        Scans since the start.
+    objects : int
+        Tracks or elements now.
+    trouble : str
+        What the source waits for.
+    """
+
+    elapsed_s: float
+    rate_hz: float
+    from_stamp: Delay | None
+    from_arrival: Delay | None
+    counts: dict[str, int]
+    processed: int
+    objects: int
+    trouble: str
+
+
 def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) -> float | None:
     """How much later this clock is than that of the stamps [ms]; None where both may agree.
 

@@ -34,6 +34,7 @@ MODULES = (
     "circles.lab",
     "circles.shapes",
     "circles.real",
+    "circles.situations",
     "fusion.rmse",
     "fusion.fig4",
     "fusion.noisy_tracks",

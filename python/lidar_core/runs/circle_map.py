@@ -1,16 +1,17 @@
 """The circle map of a recording of 2D scans: the run, its tables, trajectories and pictures."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from lidar_core.circles import (
     CircleElements,
@@ -33,6 +34,7 @@ from lidar_core.io import (
     write_circles_tum,
     write_shapes_table,
 )
+from lidar_core.io.tables.circles import map_columns
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
@@ -65,6 +67,8 @@ def circles(
     picture: bool = True,
     film: bool = False,
     overwrite: bool = False,
+    checkpoint: Annotated[float, Field(gt=0)] | None = None,
+    resume: bool = False,
     on_progress: OnProgress = no_progress,
 ) -> RunResult:
     """Map the round obstacles in a recording of 2D scans, as `lidar-core circles` does.
@@ -74,7 +78,7 @@ def circles(
 
     Parameters
     ----------
-    recording, config, output, pose, read, mcap, picture, overwrite, on_progress
+    recording, config, output, pose, read, mcap, picture, overwrite, checkpoint, resume, on_progress
         As in `detect`; `config` is a `CirclesConfig`.
     scans : sequence of str
         Topics of the 2D LiDARs; empty for the only one.
@@ -90,12 +94,19 @@ def circles(
 
     Raises
     ------
-    ConfigError, FormatError, FileExistsError, MissingExtraError
+    ConfigError, FormatError, InputError, FileExistsError, MissingExtraError
         As in `detect`; also if a model is not trusted, or rays are configured that the recording
         states.
     """
     source = Path(recording)
-    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    folder, writes_mcap = folder_to_write(
+        output,
+        mcap=mcap,
+        overwrite=overwrite,
+        reads=source,
+        checkpoint=checkpoint,
+        resume=resume,
+    )
     reading, poses = read or ReadOptions(), pose or PoseOptions()
     chosen = _with_scanners(
         config_of_run(config, CirclesConfig, "circles"), source, reading, scans, poses
@@ -113,9 +124,11 @@ def circles(
         picture=picture,
         on_progress=on_progress,
         note={"scans": list(scans)},
+        checkpoint=checkpoint,
+        resume=resume,
     )
     pipeline = CirclePipeline(chosen, allow_untrusted=allow_untrusted)
-    return job.run(CirclesRun(pipeline, film=film))
+    return job.run(CirclesRun(pipeline, film=film, allow_untrusted=allow_untrusted))
 
 
 def _with_scanners(
@@ -192,10 +205,17 @@ class CirclesRun:
         Gets every scan.
     film : bool
         Whether a film is among the pictures.
+    allow_untrusted : bool
+        Of the pipeline that a checkpoint brings back.
     """
 
-    def __init__(self, pipeline: CirclePipeline, *, film: bool = False) -> None:
+    KINDS: tuple[type, ...] = (_Found, CircleElements, ShapeElements)
+
+    def __init__(
+        self, pipeline: CirclePipeline, *, film: bool = False, allow_untrusted: bool = False
+    ) -> None:
         self.pipeline = pipeline
+        self._allow_untrusted = allow_untrusted
         self.frame_id = "world"
         self.maps: list[CircleElements] = []
         self.shapes: list[ShapeElements] = []
@@ -249,8 +269,10 @@ class CirclesRun:
     def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
         """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
         pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
-        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, pose)
-        self._note(frame, pose)
+        self._last_points = _points_world(frame, pose)
+        self._too_near += int(frame.too_near.sum())
+        maps, found = (frame.map, frame.map_shapes), _Found.of(frame)
+        self._append(*maps, found, pose[:3, 3], self._last_points, wall_ms, frame.timing_ms)
         if self._mcap is not None:
             log_circles(self._mcap, item, frame, frame_id=self.frame_id)
 
@@ -287,10 +309,11 @@ class CirclesRun:
         shapes = write_shapes_table(
             folder.path / "shapes.parquet", self.shapes, frame_id=self.frame_id
         )
+        whole = folder.write_table("map", map_columns(self.maps, self.frame_id))
         found = folder.write_table("detections", self._detections())
         timing = folder.write_table("timing", self._times.table())
         write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
-        return [table.name, shapes.name, found.name, timing.name, TRACKS_FOLDER]
+        return [table.name, shapes.name, whole.name, found.name, timing.name, TRACKS_FOLDER]
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
         """The picture of a run on the recording `name`, and the film where it is wanted."""
@@ -317,22 +340,54 @@ class CirclesRun:
             **more,
         )
 
-    def _note(self, frame: CircleFrame, pose: NDArray[np.float64]) -> None:
-        self.maps.append(frame.map)
-        self.shapes.append(frame.map_shapes)
-        self._too_near += int(frame.too_near.sum())
-        self._found.append(_Found.of(frame))
-        self._sensor.append(pose[:2, 3])
-        self._last_points = _points_world(frame, pose)
+    def kept(self) -> dict[str, Any]:
+        """All state but the rows, for a checkpoint."""
+        last, near = self._last_points, self._too_near
+        return {"pipeline": self.pipeline.to_bytes(), "last_points": last, "too_near": near}
+
+    def rows(self, since: int) -> list[Any]:
+        """What the scans left that were kept since then."""
+        kept = (self.maps, self.shapes, self._found, self._times.places, self._points)
+        times = (self._times.wall_ms, self._times.stages_ms)
+        return [list(row) for row in zip(*(one[since:] for one in (*kept, *times)), strict=True)]
+
+    def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
+        """Take over the state of a run that was killed."""
+        content = kept["pipeline"]
+        self.pipeline = CirclePipeline.from_bytes(content, allow_untrusted=self._allow_untrusted)
+        self._last_points, self._too_near = kept["last_points"], kept["too_near"]
+        for row in rows:
+            self._append(*row)
+        self._thin_points()
+
+    def _append(
+        self,
+        elements: CircleElements,
+        shapes: ShapeElements,
+        found: _Found,
+        place: NDArray[np.float64],
+        points: NDArray[np.float64],
+        wall_ms: float,
+        timing_ms: Mapping[str, float],
+    ) -> None:
+        """Keep what tables and pictures need of a scan."""
+        self.maps.append(elements)
+        self.shapes.append(shapes)
+        self._found.append(found)
+        self._sensor.append(place[:2])
+        self._times.add(elements.stamp_ns, wall_ms, timing_ms, place)
         is_kept = (len(self._points)) % self._stride == 0
-        self._points.append(self._last_points if is_kept else np.empty((0, 2)))
+        self._points.append(points if is_kept else np.empty((0, 2)))
         self._kept += len(self._points[-1])
-        if self._kept > MOST_POINTS:
+        while self._kept > MOST_POINTS:
             self._stride *= 2
-            for number in range(len(self._points)):
-                if number % self._stride:
-                    self._points[number] = np.empty((0, 2))
-            self._kept = sum(map(len, self._points))
+            self._thin_points()
+
+    def _thin_points(self) -> None:
+        for number in range(len(self._points)):
+            if number % self._stride:
+                self._points[number] = np.empty((0, 2))
+        self._kept = sum(map(len, self._points))
 
     def _detections(self) -> dict[str, Any]:
         """Circles of all scans that went into the map, as columns; SI units, world frame."""

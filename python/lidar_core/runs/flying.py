@@ -1,7 +1,7 @@
 """Flying objects in a recording: the run, its tables, trajectories, map and picture."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from os import PathLike
@@ -15,7 +15,14 @@ from pydantic import Field
 
 from lidar_core.config import checked
 from lidar_core.evaluation import Latency
-from lidar_core.flying import FlyingConfig, FlyingFrame, FlyingObjectDetector, Tracks
+from lidar_core.flying import (
+    FlyingConfig,
+    FlyingDetections,
+    FlyingFrame,
+    FlyingObjectDetector,
+    FlyingStatus,
+    Tracks,
+)
 from lidar_core.io import (
     McapWriter,
     PosedScan,
@@ -54,6 +61,8 @@ def detect(
     mcap: bool | None = None,
     picture: bool = True,
     overwrite: bool = False,
+    checkpoint: Annotated[float, Field(gt=0)] | None = None,
+    resume: bool = False,
     on_progress: OnProgress = no_progress,
 ) -> RunResult:
     """Find and track flying objects in a recording, as `lidar-core detect` does.
@@ -86,6 +95,11 @@ def detect(
         Whether to draw picture.png (extra `plot`).
     overwrite : bool
         Whether to replace an earlier run in the folder.
+    checkpoint : float, optional
+        Write what it takes to go on into the folder, this often [s]; then there is no run.mcap.
+    resume : bool
+        Go on from the last checkpoint of a run with the same inputs that was killed or ended
+        early; the results are those of a run that was not. Without a checkpoint it starts again.
     on_progress : callable
         Is called with what is done, how many scans of it, and of how many or None.
 
@@ -100,7 +114,10 @@ def detect(
     ConfigError
         A value or topic that cannot be used.
     FormatError
-        The recording cannot be read, or has no poses; no folder is left.
+        The recording cannot be read, or has no poses; no folder is left. Or a checkpoint is
+        damaged.
+    InputError
+        The checkpoint is one of another recording, configuration or build.
     FileExistsError
         The folder holds an earlier run, or files that no run wrote.
     MissingExtraError
@@ -118,7 +135,14 @@ def detect(
     (2, True)
     """
     source = Path(recording)
-    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    folder, writes_mcap = folder_to_write(
+        output,
+        mcap=mcap,
+        overwrite=overwrite,
+        reads=source,
+        checkpoint=checkpoint,
+        resume=resume,
+    )
     chosen = config_of_run(config, FlyingConfig, "flying")
     known = None if known_map is None else Path(known_map)
     job = RecordingJob(
@@ -136,8 +160,10 @@ def detect(
         repeat=repeat,
         inputs={"map": known},
         note={"clouds": list(clouds), "repeat": repeat},
+        checkpoint=checkpoint,
+        resume=resume,
     )
-    run = FlyingRun(FlyingObjectDetector(chosen, threads=threads))
+    run = FlyingRun(FlyingObjectDetector(chosen, threads=threads), threads=threads)
     if known is not None:
         load_known_map(run.detector, known)
     return job.run(run)
@@ -159,10 +185,25 @@ class FlyingRun:
     ----------
     detector : FlyingObjectDetector
         Gets every scan.
+    threads : int
+        Threads of the detector that a checkpoint brings back.
     """
 
-    def __init__(self, detector: FlyingObjectDetector) -> None:
+    _KEPT = (
+        "gate_reason",
+        "gate_is_open",
+        "gate_opened_at",
+        "sky",
+        "rejected",
+        "_class_counts",
+        "_cloud",
+        "_last",
+    )
+    KINDS: tuple[type, ...] = (FlyingFrame, FlyingDetections, FlyingStatus, Tracks)
+
+    def __init__(self, detector: FlyingObjectDetector, *, threads: int = 1) -> None:
         self.detector = detector
+        self._threads = threads
         self.tracks: list[Tracks] = []
         self.gate_reason = "no scan was processed"
         self.gate_is_open = False
@@ -205,25 +246,58 @@ class FlyingRun:
     def keep(self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float) -> None:
         """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
         poses = item.world_from_lidar.reshape(-1, 4, 4)
-        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, poses[0])
-        self._path.append(poses[0, :3, 3])
         self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
         self._last = frame
-        self._flying.append(self._cloud[frame.point_class == PointClass.FLYING])
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
         if status.gate_open and self.gate_opened_at is None:
             self.gate_opened_at = len(self.frames)
         self.sky = status.sky if status.sky != "unknown" else self.sky
-        self._shares.append((status.sky_share, status.own_body))
         self._class_counts += np.bincount(frame.point_class, minlength=len(PointClass))
         # Classes of every point of every scan would fill the memory on a long recording.
         none, no_rows = frame.point_class[:0], frame.own_rows[:0]
-        self.frames.append(replace(frame, point_class=none, own_rows=no_rows))
-        self._sensors.append(item.scan.topic or item.scan.frame_id)
-        self.tracks.append(frame.tracks)
+        flying = self._cloud[frame.point_class == PointClass.FLYING]
+        kept = replace(frame, point_class=none, own_rows=no_rows)
+        self._append(kept, item.scan.topic or item.scan.frame_id, poses[0, :3, 3], flying, wall_ms)
         if self._mcap is not None:
             log_flying(self._mcap, item, frame, frame_id=self.frame_id)
+
+    def _append(
+        self,
+        frame: FlyingFrame,
+        sensor: str,
+        place: NDArray[np.float64],
+        flying: NDArray[np.float64],
+        wall_ms: float,
+    ) -> None:
+        """Keep what tables and pictures need of a scan."""
+        self.frames.append(frame)
+        self.tracks.append(frame.tracks)
+        self._sensors.append(sensor)
+        self._path.append(place)
+        self._flying.append(flying)
+        self._shares.append((frame.status.sky_share, frame.status.own_body))
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, place)
+
+    def kept(self) -> dict[str, Any]:
+        """All state but the rows, for a checkpoint."""
+        return {"detector": self.detector.to_bytes()} | {
+            name: getattr(self, name) for name in self._KEPT
+        }
+
+    def rows(self, since: int) -> list[Any]:
+        """What the scans left that were kept since then."""
+        lists = (self.frames, self._sensors, self._path, self._flying, self._times.wall_ms)
+        return [list(row) for row in zip(*(one[since:] for one in lists), strict=True)]
+
+    def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
+        """Take over the state of a run that was killed."""
+        content = kept["detector"]
+        self.detector = FlyingObjectDetector.from_bytes(content, threads=self._threads)
+        for name in self._KEPT:
+            setattr(self, name, kept[name])
+        for row in rows:
+            self._append(*row)
 
     @property
     def n_received(self) -> int:
@@ -276,9 +350,14 @@ class FlyingRun:
         return self._shares[-1][1] if self._shares else 0.0
 
     @property
+    def flying(self) -> list[Tracks]:
+        """Tracks of kind FLYING, scan by scan."""
+        return [tracks.flying for tracks in self.tracks]
+
+    @property
     def track_ids(self) -> list[int]:
-        """Numbers of the tracks that were reported."""
-        return sorted({number for tracks in self.tracks for number in tracks.id.tolist()})
+        """Numbers of the flying tracks that were reported."""
+        return sorted({number for one in self.flying for number in one.id.tolist()})
 
     @property
     def n_detections(self) -> int:
@@ -345,7 +424,7 @@ class FlyingRun:
         )
         table = folder.write_table("detections", self.detections_table())
         timing = folder.write_table("timing", self._times.table())
-        write_tum(folder.path / TRACKS_FOLDER, self.tracks)
+        write_tum(folder.path / TRACKS_FOLDER, self.flying)
         self.detector.save_map(folder.path / "map.lcvm")
         return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]
 
@@ -360,7 +439,7 @@ class FlyingRun:
             voxel_size=self.detector.config.voxel_map.voxel_size,
             sensor=np.array(self._path).reshape(-1, 3),
             stamp_ns=np.array([frame.stamp_ns for frame in self.frames], np.int64),
-            tracks=self.tracks,
+            tracks=self.flying,
             n_detections=np.array([len(frame.detections) for frame in self.frames], np.int64),
             **more,
         )

@@ -3,20 +3,22 @@
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, Generic, Protocol
 
 from lidar_core.config import Config
-from lidar_core.errors import LidarCoreError
+from lidar_core.errors import ConfigError, LidarCoreError
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.messages import PosedScan, ScanT
-from lidar_core.run_folder import RunFolder, fingerprint
+from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
+from lidar_core.runs.checkpoints import Checkpoints, Resumable
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult, draw, wants_mcap
 from lidar_core.runs.scan_source import ScanSource
 
 
-class ScanRun(Protocol[ScanT]):
+class ScanRun(Resumable, Protocol[ScanT]):
     """A pipeline, and what it found so far."""
 
     frame_id: str
@@ -73,6 +75,10 @@ class RecordingJob(Generic[ScanT]):
         Further files that run.toml names with their hashes.
     note : mapping of str to Any
         Further values that run.toml keeps.
+    checkpoint : float or None
+        Time between two checkpoints [s]; None writes none.
+    resume : bool
+        Whether to go on from the last checkpoint in the folder.
     mcap : bool
         Whether run.mcap is written.
     picture : bool
@@ -95,6 +101,8 @@ class RecordingJob(Generic[ScanT]):
     repeat: int = 1
     inputs: Mapping[str, Path | None] = field(default_factory=dict)
     note: Mapping[str, Any] = field(default_factory=dict)
+    checkpoint: float | None = None
+    resume: bool = False
 
     def run(self, run: ScanRun[ScanT]) -> RunResult:
         """Process the recording and write the folder.
@@ -129,6 +137,8 @@ class RecordingJob(Generic[ScanT]):
             files += drawn
         if (self.folder.path / MCAP).exists():
             files.append(MCAP)
+        if ended_by is None:
+            remove_checkpoint(self.folder.path)
         return RunResult(self.folder.path, summary, tuple(sorted(files)), tuple(notes), ended_by)
 
     def _process(
@@ -140,14 +150,18 @@ class RecordingJob(Generic[ScanT]):
             first = next(scans, None)
             if first is None:
                 return None
+            checkpoints = self._checkpoints()
+            done = checkpoints.resume(run) if self.resume else 0
             run.frame_id = source.frame_id
             self.folder.begin()
             total = source.total
             with run.open_mcap(self.folder) if self.mcap else nullcontext():
-                run.take(first)
-                for done, item in enumerate(scans, start=1):
-                    self.on_progress(self.command, done, total)
-                    run.take(item)
+                for number, item in enumerate(chain((first,), scans)):
+                    if number:
+                        self.on_progress(self.command, number, total)
+                    if number >= done:  # read, but used by the run that goes on
+                        run.take(item)
+                        checkpoints.take(run, number + 1)
         except KeyboardInterrupt as interrupt:
             return interrupt
         except (LidarCoreError, OSError) as error:  # OSError: also a run.mcap that filled the disk
@@ -156,34 +170,67 @@ class RecordingJob(Generic[ScanT]):
             return error
         return None
 
-    def _write_note(self) -> None:
-        """Write run.toml, with the hashes of everything that was read."""
+    def _checkpoints(self) -> Checkpoints:
+        """What writes checkpoints and finds the last one."""
+        if self.checkpoint is None and not self.resume:
+            return Checkpoints(self.folder.path, None, {})
+        contents = {
+            name: {key: value for key, value in found.items() if key != "path"}
+            for name, found in self._fingerprints().items()
+        }
+        models = {name: one.model_dump(mode="json") for name, one in self._configs().items()}
+        decides = {"command": self.command, **contents, **models, **self.note}
+        return Checkpoints(self.folder.path, self.checkpoint, decides)
+
+    def _fingerprints(self) -> dict[str, dict[str, Any]]:
+        """Hashes of everything that is read."""
         files = {"recording": self.recording, "poses": Path(self.pose.pose), **self.inputs}
         self.on_progress("hashing the recording", 0, None)
-        inputs = {
+        return {
             name: fingerprint(path)
             for name, path in files.items()
             if path is not None and path.exists()
         }
-        self.folder.write_note(
-            inputs, {**self.config, "read": self.read, "pose": self.pose}, **self.note
-        )
+
+    def _configs(self) -> dict[str, Config]:
+        return {**self.config, "read": self.read, "pose": self.pose}
+
+    def _write_note(self) -> None:
+        """Write run.toml, with the hashes of everything that was read."""
+        self.folder.write_note(self._fingerprints(), self._configs(), **self.note)
 
 
 def folder_to_write(
-    output: str | PathLike[str], *, mcap: bool | None, overwrite: bool, reads: Path | None
+    output: str | PathLike[str],
+    *,
+    mcap: bool | None,
+    overwrite: bool,
+    reads: Path | None,
+    checkpoint: float | None = None,
+    resume: bool = False,
 ) -> tuple[RunFolder, bool]:
     """Folder of a run, and whether it gets a run.mcap; refused before any work.
 
+    Runs with checkpoints get none: nobody can go on with a file that was cut.
+
     Raises
     ------
+    ConfigError
+        `mcap` or `overwrite` is true beside options that it contradicts.
     FileExistsError
         The folder holds other files, or an earlier run and `overwrite` is not given.
     MissingExtraError
         `mcap` is true, and the package for it is not installed.
     """
+    if overwrite and resume:
+        raise ConfigError("resume=True goes on with a run, overwrite=True replaces it: one of them")
+    if checkpoint is not None or resume:
+        if mcap:
+            raise ConfigError("mcap=True: a run.mcap that was cut cannot go on; no checkpoint=...")
+        mcap = False
     writes_mcap = wants_mcap(mcap)
-    return RunFolder(Path(output), overwrite=overwrite, reads=reads), writes_mcap
+    folder = RunFolder(Path(output), overwrite=overwrite, reads=reads, resume=resume)
+    return folder, writes_mcap
 
 
 def no_progress(what: str, done: int, total: int | None) -> None:

@@ -23,14 +23,32 @@ class ScanTimes:
         stamp_ns: int,
         wall_ms: float,
         stages_ms: Mapping[str, float],
-        world_from_lidar: NDArray[np.float64],
+        place: NDArray[np.float64],
     ) -> None:
-        """Append one scan with its first pose; all of them have the same stages."""
-        self._sensor.append(world_from_lidar[:3, 3])
+        """Append one scan with the place of its sensor; all of them have the same stages."""
+        self._sensor.append(place)
         self._stamps_ns.append(stamp_ns)
         self._wall_ms.append(wall_ms)
         for name, value in stages_ms.items():
             self._stages_ms.setdefault(name, []).append(value)
+
+    @property
+    def wall_ms(self) -> list[float]:
+        """Time of every scan [ms]."""
+        return self._wall_ms
+
+    @property
+    def places(self) -> list[NDArray[np.float64]]:
+        """Place of the sensor at every scan [m]."""
+        return self._sensor
+
+    @property
+    def stages_ms(self) -> list[dict[str, float]]:
+        """Time of every scan per stage [ms]."""
+        if not self._stages_ms:
+            return [{} for _ in self._stamps_ns]
+        values = zip(*self._stages_ms.values(), strict=True)
+        return [dict(zip(self._stages_ms, row, strict=True)) for row in values]
 
     @property
     def latency(self) -> Latency | None:

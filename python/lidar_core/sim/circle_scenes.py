@@ -137,6 +137,37 @@ def lab(seed: int, *, scans: int = 1200) -> Scene:
     )
 
 
+def walkers(seed: int, *, height: float = 0.3, scans: int = 600) -> Scene:
+    """Make three people who walk eights across each other's ways, and four thin posts.
+
+    `height` is that of the scanner, which stands [m]: at 0.3 m it meets legs, at 1.2 m trunks and
+    arms. Places, paces and sizes depend on the seed.
+    """
+    rng = np.random.default_rng([20240614, seed])
+    middles = np.array([(3.0, 0.0), (3.4, 0.8), (2.6, -1.0)]) + rng.uniform(-0.2, 0.2, (3, 2))
+    people = []
+    for x, y in middles.tolist():
+        pace = float(rng.uniform(0.6, 1.3))
+        way = FigureEight(
+            center=(x, y, 0),
+            half_size=(float(rng.uniform(0.5, 1.0)), float(rng.uniform(1.6, 2.4))),
+            speed=pace,
+        )
+        # A swing is two steps: as long as people of that pace make them.
+        person = Person(rate=0.55 + 0.3 * pace, height=float(rng.uniform(1.6, 1.9)))
+        people.append(Target(shape=person, motion=way))
+    posts = [
+        _post(0.05, _still(x, y)) for x, y in ((5.0, 2.5), (5.2, -2.4), (5.5, 0.4), (5.5, 0.9))
+    ]
+    return Scene(
+        bodies=(*_room((-1.0, -4.0), (7.0, 4.0), ENDLESS),),
+        targets=(*people, *posts),
+        lidar=scanner(),
+        sensor=Hover(position=(0.0, 0.0, height)),
+        scans=scans,
+    )
+
+
 def trees(seed: int, *, scans: int = 1200) -> Scene:
     """Make thirty trunks at rest, and a robot that drives rounds among them.
 

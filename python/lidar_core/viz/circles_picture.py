@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_core.extras import require
 from lidar_core.io.tables.shapes import outline
-from lidar_core.io.write.circle_scene import ellipse
+from lidar_core.io.write.circle_scene import ellipse, label_of
 from lidar_core.objects import ShapeElements
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
@@ -176,8 +176,10 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
     draw_labels(
         axes,
         [
-            Label(str(number), center, colour_of(number))
-            for number, center in zip(state.id.tolist(), state.center, strict=True)
+            Label(label_of(state, row), center, colour_of(number))
+            for row, (number, center) in enumerate(
+                zip(state.id.tolist(), state.center, strict=True)
+            )
         ],
         [],
     )

@@ -2,7 +2,7 @@
 
 use crate::arrays;
 use crate::errors::BorderError;
-use crate::guard::detached;
+use crate::guard::{detached, stoppable};
 use lidar_core::Error;
 use lidar_core::estimation::assignment::{Pair, assign};
 use lidar_core::estimation::chi2;
@@ -20,7 +20,7 @@ pub(crate) fn assign_columns<'py>(
 ) -> Result<Bound<'py, PyArray1<i64>>, BorderError> {
     let [rows, columns] = [cost.shape()[0], cost.shape()[1]];
     let costs = arrays::flat("cost", &cost)?;
-    let found = detached(py, || {
+    let found = stoppable(py, || {
         let near = costs.iter().enumerate().filter(|(_, cost)| **cost <= gate);
         let pairs: Vec<Pair> = near
             .map(|(at, &cost)| Pair { row: at / columns, column: at % columns, cost })

@@ -2,7 +2,7 @@
 
 use crate::arrays;
 use crate::errors::BorderError;
-use crate::guard::detached;
+use crate::guard::{detached, stoppable};
 use lidar_core::geometry::cluster::Clustering;
 use lidar_core::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use lidar_core::geometry::lattice::Lattice;
@@ -51,6 +51,6 @@ pub(crate) fn cluster_points<'py>(
     let max_points = max_points.map(|most| arrays::count("max_points", most)).transpose()?;
     let clustering = Clustering { max_distance, min_points, max_points };
     let labels =
-        detached(py, || label_seen(points, &AngularGap { origin, max_angle }, &clustering, None))?;
+        stoppable(py, || label_seen(points, &AngularGap { origin, max_angle }, &clustering, None))?;
     Ok(labels.into_pyarray(py))
 }

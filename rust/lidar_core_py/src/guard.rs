@@ -1,20 +1,37 @@
-//! Entry into the core: the GIL is released, a panic is caught once, a broken object is retired.
+//! Entry into the core: the GIL is released, a panic is caught once, a broken object is retired,
+//! and Ctrl-C stops long calls.
 
 use crate::errors::BorderError;
 use lidar_core::Error;
+use lidar_core::util::cancel::Cancel;
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Mutex;
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// Time between two looks for signals.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Result of work, or None after a panic.
+type Caught<T> = Option<Result<T, Error>>;
 
 /// Run `work` without the GIL.
 pub(crate) fn detached<T: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, Error> + Send,
 ) -> Result<T, BorderError> {
-    match py.detach(|| catch_unwind(AssertUnwindSafe(work))) {
-        Ok(result) => result.map_err(BorderError::Core),
-        Err(_) => Err(BorderError::Poisoned),
-    }
+    finished(py.detach(|| caught(|| Some(work()))))
+}
+
+/// Run `work`, which may take long, without the GIL: if a signal raises, it is asked to stop.
+pub(crate) fn stoppable<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce() -> Result<T, Error> + Send,
+) -> Result<T, BorderError> {
+    finished(watched(py, || caught(|| Some(work())))?)
 }
 
 /// A core object behind a lock: calls from several threads take turns.
@@ -34,23 +51,88 @@ impl<T: Send> Guarded<T> {
         py: Python<'_>,
         work: impl FnOnce(&mut T) -> Result<R, Error> + Send,
     ) -> Result<R, BorderError> {
-        if self.process != std::process::id() {
-            return Err(BorderError::Forked);
-        }
-        let outcome = py.detach(|| {
-            catch_unwind(AssertUnwindSafe(|| match self.inner.lock() {
-                Ok(mut object) => Some(work(&mut object)),
-                Err(_) => None,
-            }))
-        });
-        match outcome {
-            Ok(Some(result)) => result.map_err(BorderError::Core),
-            Ok(None) | Err(_) => Err(BorderError::Poisoned),
-        }
+        self.check_process()?;
+        finished(py.detach(|| self.locked(work)))
+    }
+
+    /// Like [`Self::with`], for work that may take long: if a signal raises, it is asked to stop.
+    /// Work that changes the object must say so first, by [`lidar_core::util::cancel::begin_to_write`].
+    pub(crate) fn with_stoppable<R: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut T) -> Result<R, Error> + Send,
+    ) -> Result<R, BorderError> {
+        self.check_process()?;
+        finished(watched(py, || self.locked(work))?)
+    }
+
+    fn check_process(&self) -> Result<(), BorderError> {
+        if self.process == std::process::id() { Ok(()) } else { Err(BorderError::Forked) }
+    }
+
+    fn locked<R>(&self, work: impl FnOnce(&mut T) -> Result<R, Error>) -> Caught<R> {
+        caught(|| self.inner.lock().ok().map(|mut object| work(&mut object)))
     }
 }
 
-/// A closure for long core loops: false once Python wants to handle a signal.
-pub(crate) fn keep_going() -> bool {
-    Python::attach(|py| py.check_signals().is_ok())
+fn caught<T>(work: impl FnOnce() -> Caught<T>) -> Caught<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or(None)
+}
+
+fn finished<T>(outcome: Caught<T>) -> Result<T, BorderError> {
+    outcome.ok_or(BorderError::Poisoned)?.map_err(BorderError::Core)
+}
+
+/// Run `work` on a thread of its own, while this one waits for signals.
+///
+/// Python handles signals on its main thread only: calls from others run where they are.
+fn watched<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce() -> Caught<T> + Send,
+) -> Result<Caught<T>, BorderError> {
+    if !is_main_thread(py)? {
+        return Ok(py.detach(work));
+    }
+    let cancel = Cancel::default();
+    // Taken by the thread, or by this one if the system gives none.
+    let work = Mutex::new(Some(work));
+    let run = || {
+        let taken = work.lock().unwrap_or_else(PoisonError::into_inner).take();
+        taken.and_then(|work| cancel.run(work))
+    };
+    py.detach(|| {
+        thread::scope(|scope| {
+            let (done, result) = sync_channel(1);
+            let task = move || drop(done.send(run()));
+            let worker = thread::Builder::new().name("lidar_core-call".into());
+            if worker.spawn_scoped(scope, task).is_err() {
+                return Ok(run());
+            }
+            let mut raised = None;
+            loop {
+                match result.recv_timeout(LOOK_EVERY) {
+                    Ok(outcome) => return raised.map_or(Ok(outcome), Err),
+                    Err(RecvTimeoutError::Disconnected) => return Ok(None),
+                    Err(RecvTimeoutError::Timeout) if raised.is_some() => {}
+                    Err(RecvTimeoutError::Timeout) => {
+                        cancel.ask_if(|| {
+                            let look = Python::attach(|py| py.check_signals());
+                            raised = look.err().map(BorderError::Python);
+                            raised.is_some()
+                        });
+                    }
+                }
+            }
+        })
+    })
+}
+
+fn is_main_thread(py: Python<'_>) -> PyResult<bool> {
+    static MAIN_THREAD: PyOnceLock<[Py<PyAny>; 2]> = PyOnceLock::new();
+    let [current, main] = MAIN_THREAD.get_or_try_init(py, || {
+        let threading = py.import("threading")?;
+        let function = |name| threading.getattr(name).map(Bound::unbind);
+        Ok::<_, PyErr>([function("current_thread")?, function("main_thread")?])
+    })?;
+    Ok(current.bind(py).call0()?.is(&main.bind(py).call0()?))
 }

@@ -10,6 +10,7 @@ mod fusion;
 mod geometry;
 mod guard;
 mod kinds;
+mod planted;
 mod sim;
 mod vector_unit;
 
@@ -52,6 +53,8 @@ mod _core {
     use super::fusion::many::PyMultiTargetTracker;
     #[pymodule_export]
     use super::geometry::{cluster_points, traverse};
+    #[pymodule_export]
+    use super::planted::PyPlantedPanic;
     #[pymodule_export]
     use super::sim::scene::{SimScene, SimShape, SimTrajectory};
     #[pymodule_export]

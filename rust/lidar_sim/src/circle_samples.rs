@@ -9,6 +9,7 @@ use crate::circle_beams::{Beams, CircleWindow};
 use crate::random::{self, Purpose, Stream};
 use lidar_core::Error;
 use lidar_core::circles::segment::segments::Side;
+use lidar_core::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::{Range, RangeInclusive};
@@ -106,6 +107,7 @@ pub fn lattice(
     let mut circles = Vec::new();
     for radius in radii.map(|step| f64::from(step) * radius_step) {
         for x in -steps..=steps {
+            cancel::check()?;
             for y in -steps..=steps {
                 let circle = [f64::from(x) * spacing, f64::from(y) * spacing, radius];
                 if beams.window(circle, 0.0).is_some() {
@@ -133,9 +135,12 @@ pub fn make(
     beams.check()?;
     let generator = SampleGenerator { beams, source, disturbance, seed };
     let starts: Vec<u64> = numbers.clone().step_by(SAMPLES_PER_CHUNK as usize).collect();
+    let watch = cancel::watch();
     let parts: Vec<Result<Samples, Error>> = pool.install(|| {
-        let part =
-            |&start: &u64| generator.samples(start..(start + SAMPLES_PER_CHUNK).min(numbers.end));
+        let part = |&start: &u64| {
+            watch.check()?;
+            generator.samples(start..(start + SAMPLES_PER_CHUNK).min(numbers.end))
+        };
         starts.par_iter().map(part).collect()
     });
     let mut samples = Samples::default();

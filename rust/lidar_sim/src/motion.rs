@@ -7,6 +7,7 @@ use crate::shape::refused;
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, minus, norm};
+use lidar_core::util::cancel;
 
 /// Time between control points [s].
 const STEP: f64 = 0.5;
@@ -60,7 +61,8 @@ impl RandomMotion<'_> {
     /// and its derivatives in those of their differences, so that bounds on these bound it.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if a value is out of range, or nothing free was found in the box.
+    /// [`Error::Parameter`] if a value is out of range, or nothing free was found in the box,
+    /// [`Error::Interrupted`].
     pub fn trajectory(&self, scene: &Scene) -> Result<Trajectory, Error> {
         self.check()?;
         let seconds = self.span_ns.1.abs_diff(self.span_ns.0) as f64 * 1e-9;
@@ -68,6 +70,7 @@ impl RandomMotion<'_> {
         let mut numbers = Stream::new(self.seed.0, Purpose::Motion, self.seed.1);
         let mut walks = 0;
         for attempt in 0..STARTS {
+            cancel::check()?;
             let in_view = attempt < STARTS / 2;
             let Some(start) = self.start(scene, &mut numbers, in_view) else { continue };
             if let Some(found) = self.walk(scene, &mut numbers, start, points) {
@@ -127,7 +130,11 @@ impl RandomMotion<'_> {
         needed: usize,
     ) -> Option<Vec<[f64; 3]>> {
         let mut tries = 0;
+        let watch = cancel::watch();
         for _ in 0..EFFORT * needed {
+            if watch.is_asked() {
+                return None;
+            }
             if points.len() == needed {
                 return Some(points);
             }

@@ -7,6 +7,7 @@ use crate::surface::{Surface, SurfaceInteraction, USUAL_REFLECTIVITY, is_seen, s
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot};
+use lidar_core::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -72,10 +73,11 @@ struct WorldState {
 /// Simulate one scan.
 ///
 /// # Errors
-/// Errors of [`Lidar::check`].
+/// Errors of [`Lidar::check`], [`Error::Interrupted`].
 pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<SimulatedScan, Error> {
     task.lidar.check()?;
     let sweep = task.lidar.sweep(task.scan);
+    let watch = cancel::watch();
     let parts: Vec<ScanPart> = pool.install(|| {
         let worlds: Vec<WorldState> = sweep
             .offsets_ns
@@ -84,8 +86,12 @@ pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<SimulatedScan, Error> 
             .map(|&offset| task.world_at(offset))
             .collect();
         let starts: Vec<usize> = (0..sweep.directions.len()).step_by(RAYS_PER_CHUNK).collect();
-        starts.par_iter().map(|&start| task.part(&sweep, &worlds, start)).collect()
+        let part = |&start: &usize| {
+            if watch.is_asked() { ScanPart::default() } else { task.part(&sweep, &worlds, start) }
+        };
+        starts.par_iter().map(part).collect()
     });
+    watch.check()?;
     let mut unoccluded = vec![0; task.objects()];
     let (mut ranges, mut labels) = (Vec::new(), Vec::new());
     for part in parts {
@@ -108,6 +114,7 @@ impl WorldState {
     }
 }
 
+#[derive(Default)]
 struct ScanPart {
     ranges: Vec<f64>,
     labels: Vec<i32>,

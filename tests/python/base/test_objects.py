@@ -33,7 +33,7 @@ def filled(kind, rows):
             vector, squares[3], scalar, vector, numbers, scalar, numbers
         ),
         CircleElements: lambda: CircleElements(
-            numbers, plane, plane, scalar, squares[5], scalar, numbers, hits, at
+            numbers, plane, plane, scalar, squares[5], scalar, numbers, hits, scalar, at
         ),
         ShapeElements: lambda: ShapeElements(
             numbers,

@@ -163,7 +163,8 @@ def test_a_group_that_cannot_be_done_is_refused(values, text):
 
 def test_the_batch_of_the_guide_can_be_done(tmp_path):
     text = (ROOT / "docs/batch.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    example, remote = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert BatchConfig.load(tomllib.loads(remote)).jobs[0].files["file"].startswith("s3://")
     (tmp_path / "recordings").mkdir()
     for name in ("a.bag", "b.bag"):
         (tmp_path / "recordings" / name).write_text("")

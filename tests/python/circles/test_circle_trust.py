@@ -227,6 +227,18 @@ def test_bytes_that_are_no_model_are_refused(tmp_path):
             assert "a.onnx" in str(error)  # noqa: PT017
 
 
+def test_a_model_whose_names_are_no_text_is_refused(tmp_path):
+    path, good = tmp_path / "a.onnx", (MODELS / "cnn.onnx").read_bytes()
+    told = []
+    for at in range(len(good) - 60, len(good), 2):  # here lie the names of the output
+        path.write_bytes(good[:at] + b"\xff" + good[at + 1 :])
+        try:
+            CircleNetwork(path, allow_untrusted=True)
+        except FormatError as error:
+            told.append(str(error))
+    assert [text for text in told if "a name in it is no UTF-8" in text]
+
+
 def test_a_model_is_not_larger_than_the_limit(tmp_path):
     path = tmp_path / "a.onnx"
     with path.open("wb") as file:

@@ -161,8 +161,8 @@ def test_what_is_told_about_an_archive_works(tmp_path, ending):
 
 def test_a_missing_package_is_told_with_the_command_that_brings_it(tmp_path):
     """What an extra that is not here needs is said; it cannot be done here."""
-    path = tmp_path / "a.osf"
-    path.write_bytes(b"osf")
+    path = tmp_path / "a.bag"
+    path.write_bytes(b"bag")
     _, error = answer(path)
     if isinstance(error, MissingExtraError):
-        assert "[ouster]" in str(error)
+        assert "[io]" in str(error)

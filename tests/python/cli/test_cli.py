@@ -297,7 +297,7 @@ def test_doctor_reports_versions_and_extras():
     assert report["core"] == "works"
     assert report["lidar_core"] == lidar_core.__version__
     assert report["packages"]["numpy"]
-    assert set(report["extras"]) >= {"io", "ouster", "plot", "tables", "velodyne", "viz"}
+    assert set(report["extras"]) >= {"io", "plot", "tables", "velodyne", "viz"}
     assert report["extras"]["plot"].keys() == {"matplotlib"}
     assert "core: works" in output_of("doctor")
 

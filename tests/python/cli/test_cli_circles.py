@@ -64,6 +64,7 @@ def test_the_folder_is_complete_and_noted(recording, run):
     assert {
         "circles.parquet",
         "detections.parquet",
+        "map.parquet",
         "shapes.parquet",
         "timing.parquet",
         "tracks_tum",
@@ -329,12 +330,15 @@ def test_problems_of_a_configuration_file_name_it(recording, tmp_path, text, pro
 
 def test_the_first_scan_does_not_count_for_the_time_per_scan():
     times = ScanTimes()
-    times.add(0, 500.0, {"fit": 1.0})
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 0, 3] = [1.0, 2.0, 4.0]
+    times.add(0, 500.0, {"fit": 1.0}, poses[0])
     assert times.ms_per_scan == {"total": 500.0, "fit": 1.0}
-    times.add(1, 2.0, {"fit": 1.5})
-    times.add(2, 4.0, {"fit": 2.5})
+    times.add(1, 2.0, {"fit": 1.5}, poses[1])
+    times.add(2, 4.0, {"fit": 2.5}, poses[2])
     assert times.ms_per_scan == {"total": 3.0, "fit": 2.0}
     assert times.table()["total_ms"].tolist() == [500.0, 2.0, 4.0]
+    assert times.table()["sensor_x"].tolist() == [1.0, 2.0, 4.0]
 
 
 def test_points_of_long_runs_are_thinned(recording, monkeypatch):

@@ -409,29 +409,20 @@ def test_real_recordings_without_a_flyer(name, recordings, tmp_path):
 
 
 @pytest.mark.parametrize("name", OUSTER)
-def test_real_ouster_recordings_without_a_flyer(name, recordings, ouster_python, tmp_path):
+def test_real_ouster_recordings_without_a_flyer(name, recordings, tmp_path):
     pose, scans = OUSTER[name]
     data = recordings / "3d" / "ouster"
     given = pose if pose == "static" else data / pose
-    arguments = ["detect", data / name, "-o", tmp_path / "a", "--pose", given, "--json", "-"]
-    done = subprocess.run(
-        command_line(*arguments, python=ouster_python),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    check_short(json.loads(done.stdout), scans)
+    check_short(result_of(data / name, "--pose", given, "-o", tmp_path / "a"), scans)
 
 
-def test_broken_ouster_files_are_refused(recordings, ouster_python, tmp_path):
+def test_broken_ouster_files_are_refused(recordings, tmp_path):
     files = sorted((recordings / "formats" / "ouster_broken").glob("*.osf"))
     assert len(files) == 3
     for file in files:
         arguments = ["detect", file, "-o", tmp_path / "a", "--pose", "static"]
         done = subprocess.run(
-            command_line(*arguments, python=ouster_python),
+            command_line(*arguments),
             capture_output=True,
             text=True,
             check=False,

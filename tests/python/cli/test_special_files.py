@@ -44,6 +44,7 @@ COMMANDS = {
     "view": f"view {OPENED} --png out.png",
     "report": f"report {OPENED} -o out.html",
     "batch": f"batch {OPENED} -o out",
+    "events": f"events all {OPENED}",
     "live --replay": f"live --replay {OPENED} -o out --pose static",
     "live --config": f"live --replay cloud.npz -o out --pose static --config {OPENED}",
     "live --map": f"live --replay cloud.npz -o out --pose static --map {OPENED}",

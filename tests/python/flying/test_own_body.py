@@ -12,6 +12,7 @@ from lidar_core.errors import FormatError, LimitError
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.flying.voxel_map import VoxelMap
 from lidar_core.viz import flying_picture, playback_picture
+from lidar_core.viz.drawing.frame import Window
 from lidar_core.viz.playback import Moment, Objects
 from lidar_core.viz.views import FlyingView
 
@@ -346,8 +347,7 @@ def test_the_own_body_has_a_colour_and_a_legend_entry():
     )
     moment = Moment(0, np.zeros((4, 3), np.float32), view.cloud_class, nothing)
     panel = figure_module.Figure().add_subplot()
-    playback_picture._draw_plane(
-        panel, moment, {}, (0, 1, "x", "y"), np.array([[-1.0] * 3, [1.0] * 3])
-    )
-    texts = [text.get_text() for text in panel.get_legend().get_texts()]
+    window = Window(np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
+    playback_picture._draw_points(panel, moment, (0, 1), window, (-1.0, 1.0))
+    texts = panel.get_legend_handles_labels()[1]
     assert texts == ["background", "unknown", "own body"]

@@ -17,3 +17,12 @@ class Circles:
     age: np.ndarray
     visible: np.ndarray
     stamp_ns: int
+    person_probability: np.ndarray | None = None
+    seen_ns: np.ndarray | None = None
+
+    def __post_init__(self):
+        count = len(self.id)
+        if self.person_probability is None:
+            self.person_probability = np.linspace(0.0, 0.9, count)
+        if self.seen_ns is None:
+            self.seen_ns = np.full(count, self.stamp_ns)

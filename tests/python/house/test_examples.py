@@ -100,10 +100,10 @@ def test_elements_of_the_map_are_honest():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_drone_in_a_real_scan_is_tracked_and_nothing_else(seed, recordings, ouster_python):
+def test_a_drone_in_a_real_scan_is_tracked_and_nothing_else(seed, recordings):
     recording = recordings / "3d" / "ouster" / OS1
     text = output_of(
-        ouster_python, "real_scan_with_drone.py", recording, "--scans", SCANS, "--seed", seed
+        sys.executable, "real_scan_with_drone.py", recording, "--scans", SCANS, "--seed", seed
     )
     assert figure(text, "sightings") == SCANS - 10
     assert figure(text, "recall of tracks") >= LOWEST_RECALL

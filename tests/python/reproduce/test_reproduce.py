@@ -104,6 +104,14 @@ SHORT = {
         ),
         modes=("best_mode",),
     ),
+    "circles-situations": Short(
+        (
+            "noise as told/NEES (3)",
+            "people on two legs/velocity, rms",
+            "square and elliptic posts/centre, rms",
+        ),
+        modes=("best_mode",),
+    ),
     "fusion-rmse": Short(("2-D RMSE, linear KF", "2-D RMSE, EKF-CTRV"), scans=1),
     "fusion-fig4": Short(("walking: RMSE of z", "driving: 3-D RMSE"), scans=1),
     "fusion-fig7": Short(("RMSE of x, filter", "RMSE of y, filter"), scans=1),

@@ -69,8 +69,11 @@ class CircleNetwork:
         self.path, content, self.card = checked_model(model)
         check_trusted(self.path, content, allow_untrusted=allow_untrusted)
         self._session = _session(self.path, content, threads)
-        metadata = self._session.get_modelmeta().custom_metadata_map
-        self.kind = _kind_of(self.path, self._session, metadata)
+        try:
+            metadata = self._session.get_modelmeta().custom_metadata_map
+            self.kind = _kind_of(self.path, self._session, metadata)
+        except UnicodeDecodeError as error:  # onnxruntime decodes names when it is asked for them
+            raise FormatError(f"{self.path}: a name in it is no UTF-8: {error}") from error
         if self.kind == "scans":
             self._scanner, self._limits, self._variance = _trained_on(self.path, metadata)
             beams = self._session.get_inputs()[0].shape[2]

@@ -173,7 +173,7 @@ class CircleMap(FullState):
 
 def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElements:
     """Confirmed elements of those that the core gives."""
-    number, mean, covariance, age, seen_ns, visible, confirmed = arrays
+    number, mean, covariance, age, seen_ns, visible, confirmed, person = arrays
     mean = mean[confirmed]
     return CircleElements(
         id=number[confirmed],
@@ -184,6 +184,7 @@ def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElemen
         age=age[confirmed],
         seen_ns=seen_ns[confirmed],
         visible=visible[confirmed],
+        person_probability=person[confirmed],
         stamp_ns=stamp_ns,
     )
 

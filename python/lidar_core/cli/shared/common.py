@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
+from lidar_core.cli.shared.voice import Pace, tell, voice
 from lidar_core.errors import LidarCoreError
 from lidar_core.util.rows import Row
 from lidar_core.util.threads import all_threads
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
     from rich.table import Table
 
     from lidar_core.runs.result import OnProgress, RunResult
@@ -41,6 +41,7 @@ Threads: TypeAlias = Annotated[
         min=1,
         default_factory=all_threads,
         show_default="all",
+        envvar="LIDAR_CORE_THREADS",
         help="Threads; the result is the same.",
     ),
 ]
@@ -93,6 +94,7 @@ OPTIONS = {
         for name in (
             "allow_origin",
             "angle_unit",
+            "checkpoint",
             "fixed_frame",
             "force",
             "gate",
@@ -102,6 +104,7 @@ OPTIONS = {
             "overwrite",
             "pose",
             "replay",
+            "resume",
             "scan_rate",
             "stamps",
             "trusted",
@@ -192,12 +195,20 @@ def consoles(json_file: Path | None) -> "tuple[Console, Console]":
     """Where the table goes, and where progress goes: standard output stays clean for `--json -`."""
     from rich.console import Console
 
-    errors = Console(stderr=True)
-    return (errors if str(json_file) == "-" else Console(), errors)
+    quiet = voice().is_quiet
+    errors = Console(stderr=True, quiet=quiet)
+    return (errors if str(json_file) == "-" else Console(quiet=quiet), errors)
 
 
-def progress_on(console: "Console", *, counts: str = "scans") -> "Progress":
-    """Progress bar that counts scans and goes away at the end; only on a terminal."""
+@contextmanager
+def shown_progress(console: "Console", *, counts: str = "scans") -> "Iterator[OnProgress]":
+    """What runs call to say how far they are: each of their steps gets a bar.
+
+    Bars go away at the end. Without a terminal there is a line a minute.
+    """
+    if not console.is_terminal or voice().style == "json":
+        yield Pace(console, counts).show
+        return
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -206,7 +217,7 @@ def progress_on(console: "Console", *, counts: str = "scans") -> "Progress":
         TimeRemainingColumn,
     )
 
-    return Progress(
+    bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -214,14 +225,8 @@ def progress_on(console: "Console", *, counts: str = "scans") -> "Progress":
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
     )
-
-
-@contextmanager
-def shown_progress(console: "Console", *, counts: str = "scans") -> "Iterator[OnProgress]":
-    """What runs call to say how far they are: each of their steps gets a bar."""
-    with progress_on(console, counts=counts) as progress:
+    with bars as progress:
         tasks: dict[str, Any] = {}
 
         def show(what: str, done: int, total: int | None) -> None:
@@ -238,7 +243,7 @@ def report(
     """Print the table, notes and files of a run; end the command as the run ended."""
     out, errors = consoles(json_file)
     for note in result.notes:
-        errors.print(as_options(note), markup=False, highlight=False, soft_wrap=True)
+        tell(errors, as_options(note))
     out.print(table)
     for note in notes:
         out.print(f"note: {as_options(note)}", markup=False, highlight=False, soft_wrap=True)

@@ -67,6 +67,18 @@ Overwrite: TypeAlias = Annotated[
         "--overwrite", help="Replace an earlier run in the folder.", rich_help_panel=WRITTEN
     ),
 ]
+Checkpoint: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Write what it takes to go on, this often \\[s]; leaves out run.mcap.",
+        rich_help_panel=WRITTEN,
+    ),
+]
+Resume: TypeAlias = Annotated[
+    bool,
+    typer.Option("--resume", help="Go on with a run that was cut off.", rich_help_panel=WRITTEN),
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +119,8 @@ class RunOptions(PipelineOptions):
     mcap: Mcap = None
     picture: Picture = True
     overwrite: Overwrite = False
+    checkpoint: Checkpoint = None
+    resume: Resume = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,17 +23,19 @@ _PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262_144, 1)  # Ethe
 
 
 class Packet(NamedTuple):
-    """One captured packet and its time [ns]."""
+    """One captured packet, its time [ns], and the number of its kind of network ("LINKTYPE")."""
 
     stamp_ns: int
     data: bytes
+    link: int = 1
 
 
 class _Clock(NamedTuple):
-    """Clock of an interface: ticks per second, seconds to add."""
+    """Clock of an interface: ticks per second, seconds to add; and its kind of network."""
 
     rate: int = 10**_MICROSECONDS
     offset: int = 0
+    link: int = 1
 
     def ns(self, ticks: int) -> int:
         return self.offset * 10**9 + ticks * 10**9 // self.rate
@@ -87,11 +89,13 @@ def _packet(body: bytes, order: str, clocks: list[_Clock]) -> Packet:
     stamp_ns = clocks[interface].ns(high << 32 | low)
     if not 0 <= stamp_ns < _LATEST_NS:
         raise ValueError(f"a packet at {stamp_ns} ns")
-    return Packet(stamp_ns, body[_PACKET_HEAD : _PACKET_HEAD + captured])
+    data = body[_PACKET_HEAD : _PACKET_HEAD + captured]
+    return Packet(stamp_ns, data, clocks[interface].link)
 
 
 def _clock(body: bytes, order: str) -> _Clock:
-    clock, position = _Clock(), _OPTIONS
+    (link,) = struct.unpack_from(f"{order}H", body)
+    clock, position = _Clock(link=link), _OPTIONS
     while position + 4 <= len(body):
         code, size = struct.unpack_from(f"{order}HH", body, position)
         if code == _RESOLUTION:

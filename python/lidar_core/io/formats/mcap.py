@@ -3,6 +3,7 @@
 import heapq
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -14,6 +15,7 @@ from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.files.mcap_salvage import Salvage
 from lidar_core.io.formats.ros import MAX_TOPICS
 from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
+from lidar_core.io.messages.ouster import OusterTopics
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of, ros_name
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import register_reader
@@ -46,14 +48,24 @@ class McapRecording(Recording):
         try:
             self._summary = self._read_summary()
             self._topics = self._list_topics()
+            self._ros = {
+                encoding: RosDecoder(version, options, self.findings)
+                for encoding, version in (("cdr", 2), ("ros1", 1))
+                if any(c.message_encoding == encoding for c in self._summary.channels.values())
+            }
+            self._ouster = OusterTopics(
+                map(_with_ros_name, self._topics.values()),
+                self._first_text,
+                options,
+                self.findings,
+                str(path),
+            )
+            self._topics = {
+                number: self._ouster.described(one) for number, one in self._topics.items()
+            }
         except BaseException:
             self._file.close()
             raise
-        self._ros = {
-            encoding: RosDecoder(version, options, self.findings)
-            for encoding, version in (("cdr", 2), ("ros1", 1))
-            if any(c.message_encoding == encoding for c in self._summary.channels.values())
-        }
         self._foxglove = FoxgloveDecoder(options, self.findings)
 
     def topics(self) -> list[Topic]:
@@ -65,8 +77,15 @@ class McapRecording(Recording):
         wanted = {
             number for number, topic in self._topics.items() if kinds is None or topic.kind in kinds
         }
+        ouster = self._ouster.streams()
         for order, message in self._messages(wanted):
-            yield self._record(order, message)
+            topic = self._topics.get(message.channel_id)
+            if topic is not None and ouster.takes(topic.name):
+                packet = self._message(order, message, topic).buf.tobytes()
+                yield from ouster.add(topic, message.log_time, packet)
+            else:
+                yield self._record(order, message)
+        yield from ouster.rest()
 
     def foxglove(self, type_name: str) -> Iterator[tuple[str, Any]]:
         """Protobuf messages of one schema, as they are, with their places, in order of log time."""
@@ -255,6 +274,20 @@ class McapRecording(Recording):
         parse = None if ros is None else partial(ros.message, *said)
         return Record(topic, message.log_time, decode, parse)
 
+    def _message(self, number: int, message: Any, topic: Topic) -> Any:
+        """A message of ROS, as its type says."""
+        ros = self._ros[self._summary.channels[message.channel_id].message_encoding]
+        place = f"{self.path}, message {number} on {topic.name}"
+        return ros.message(ros_name(topic.type), message.data, place)
+
+    def _first_text(self, name: str) -> str | None:
+        """The first message of a topic of texts."""
+        wanted = {number for number, topic in self._topics.items() if topic.name == name}
+        for order, message in self._messages(wanted):
+            text: str = self._message(order, message, self._topics[message.channel_id]).data
+            return text
+        return None
+
     def _decode(self, message: Any, topic: Topic, place: str) -> list[Message]:
         channel = self._summary.channels[message.channel_id]
         ros = self._ros.get(channel.message_encoding)
@@ -264,6 +297,10 @@ class McapRecording(Recording):
             schema = self._summary.schemas[channel.schema_id]
             return self._foxglove.decode(topic.name, schema, channel.metadata, message.data, place)
         return []
+
+
+def _with_ros_name(topic: Topic) -> Topic:
+    return replace(topic, type=ros_name(topic.type))
 
 
 def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:

@@ -12,6 +12,7 @@ from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.files.compressed import bounded_decompressor
 from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.messages.ouster import OusterTopics
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import register_reader
@@ -39,7 +40,11 @@ class RosRecording(Recording):
         with ExitStack() as stack:
             for file in files:
                 self._readers.append((file, self._open_reader(file, version, stack)))
-            self._topics = self._list_topics()
+            topics = self._list_topics()
+            self._ouster = OusterTopics(
+                topics.values(), self._first_text, options, self.findings, str(path)
+            )
+            self._topics = {name: self._ouster.described(one) for name, one in topics.items()}
             self._stack = stack.pop_all()
 
     def topics(self) -> list[Topic]:
@@ -75,6 +80,23 @@ class RosRecording(Recording):
         ]
         if not wanted:
             return
+        ouster = self._ouster.streams()
+        for connection, time_ns, raw, place in self._stored(file, reader, wanted):
+            topic = self._topics[connection.topic]
+            said = (connection.msgtype, raw, place)
+            if ouster.takes(topic.name):
+                packet = self._decoder.message(*said).buf.tobytes()
+                yield from ouster.add(topic, time_ns, packet)
+                continue
+            decode = partial(self._decoder.decode, connection.topic, *said)
+            parse = partial(self._decoder.message, *said)
+            yield Record(topic, time_ns, decode, parse)
+        yield from ouster.rest()
+
+    def _stored(
+        self, file: Path, reader: Any, wanted: list[Any]
+    ) -> Iterator[tuple[Any, int, bytes, str]]:
+        """Messages of these connections: connection, time, bytes, and their place in words."""
         stored = iter(reader.messages(connections=wanted))
         number = 0
         while True:
@@ -89,11 +111,18 @@ class RosRecording(Recording):
             if not isinstance(time_ns, int) or not isinstance(raw, bytes | memoryview | bytearray):
                 got = f"{type(time_ns).__name__} and {type(raw).__name__}"
                 raise FormatError(f"{place}: expected a time and bytes, got {got}")
-            said = (connection.msgtype, bytes(raw), place)
-            decode = partial(self._decoder.decode, connection.topic, *said)
-            parse = partial(self._decoder.message, *said)
-            yield Record(self._topics[connection.topic], time_ns, decode, parse)
+            yield connection, time_ns, bytes(raw), place
             number += 1
+
+    def _first_text(self, topic: str) -> str | None:
+        """The first message of a topic of texts."""
+        for file, reader in self._readers:
+            wanted = [one for one in reader.connections if one.topic == topic]
+            if wanted:
+                for connection, _, raw, place in self._stored(file, reader, wanted):
+                    text: str = self._decoder.message(connection.msgtype, raw, place).data
+                    return text
+        return None
 
     def _list_topics(self) -> dict[str, Topic]:
         topics: dict[str, Topic] = {}

@@ -18,6 +18,11 @@ COSTMAP_TYPES = {
 """By the version of ROS: the package was renamed."""
 RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE = "radar_msgs/msg/RadarTracks", "radar_msgs/msg/RadarScan"
 VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
+OUSTER_TYPES = (
+    "ouster_msgs/msg/PacketMsg",
+    "ouster_ros/msg/PacketMsg",
+    "ouster_sensor_msgs/msg/PacketMsg",
+)
 _COSTMAP = (
     "std_msgs/Header header\ngeometry_msgs/Polygon polygon\nfloat64 radius\nint64 id\n"
     "geometry_msgs/Quaternion orientation\ngeometry_msgs/TwistWithCovariance velocities"
@@ -34,6 +39,7 @@ _BOTH = {
     "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
     "velodyne_msgs/msg/VelodynePacket": "time stamp\nuint8[1206] data",
     VELODYNE_TYPE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    **dict.fromkeys(OUSTER_TYPES, "uint8[] buf"),
     "radar_msgs/msg/RadarReturn": (
         "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
         "float32 doppler_velocity\nfloat32 amplitude"

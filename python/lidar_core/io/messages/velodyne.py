@@ -11,7 +11,7 @@ from lidar_core.extras import require
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.files.pcap import VELODYNE_PAYLOAD
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.records import Findings
+from lidar_core.io.records import Findings, Topic
 from lidar_core.messages import Scan
 
 TOPIC = "velodyne"
@@ -53,16 +53,22 @@ class PacketDecoder:
         return revolution(packets[0][0], points, self._topic, frame_id, self._options, place)
 
 
-class PacketStream:
-    """Decodes packets as they arrive over the network; a scan for every revolution."""
+class VelodyneStream:
+    """Decodes packets as they arrive over the network; a scan for every revolution.
 
-    def __init__(self, topic: str, frame_id: str, options: ReadOptions, findings: Findings) -> None:
-        self._topic, self._frame_id = topic, frame_id
+    Attributes
+    ----------
+    topic : Topic
+        Of its scans.
+    """
+
+    def __init__(self, options: ReadOptions, findings: Findings) -> None:
+        self.topic = Topic(TOPIC, "velodyne packets", "scan")
         self._options = options
         self._decoder = velodyne_library().StreamDecoder(
             decoder_config(velodyne_library(), options)
         )
-        state_conventions(topic, findings)
+        state_conventions(TOPIC, findings)
 
     def scan(self, stamp_ns: int, packet: bytes, *, place: str) -> Scan | None:
         """Scan that this packet completes, if it does.
@@ -83,7 +89,7 @@ class PacketStream:
             return None
         stamp, points = done
         first_ns = round(stamp.host * 1e9)
-        return revolution(first_ns, points, self._topic, self._frame_id, self._options, place)
+        return revolution(first_ns, points, TOPIC, TOPIC, self._options, place)
 
 
 def velodyne_library() -> Any:

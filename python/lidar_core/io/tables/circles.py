@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.elements import element_columns, element_rows
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.objects import CircleElements
 
 STATE = ("x", "y", "vx", "vy", "radius")
-COLUMNS = element_columns(STATE)
+COLUMNS = element_columns(STATE, more=("person_probability",))
 """Columns of the circles table: SI units, world frame."""
 
 
@@ -38,6 +39,39 @@ def write_circles_table(
     return write_long_table(path, COLUMNS, element_rows(maps, frame_id, len(STATE), _values))
 
 
+def map_columns(maps: Iterable[CircleElements], frame_id: str) -> dict[str, Any]:
+    """Every element that successive maps ever report, one row each, as columns.
+
+    First and last measurement, and the state as it was when it was last in sight: what was driven
+    past long ago is still where it was then.
+    """
+    first: dict[int, int] = {}
+    last: dict[int, tuple[CircleElements, int]] = {}
+    for state in maps:
+        born = state.stamp_ns - np.round(state.age * 1e9).astype(np.int64)
+        for row, number in enumerate(state.id.tolist()):
+            first.setdefault(number, int(born[row]))
+            if state.visible[row] or number not in last:
+                last[number] = state, row
+    numbers = sorted(last)
+    rows = [last[number] for number in numbers]
+    values = np.array(
+        [[*state.center[row], *state.velocity[row], state.radius[row]] for state, row in rows]
+    ).reshape(-1, len(STATE))
+    covariance = np.array([state.covariance[row] for state, row in rows]).reshape(-1, 5, 5)
+    return {
+        "track_id": np.array(numbers, np.int64),
+        "frame_id": [frame_id] * len(numbers),
+        "first_ns": np.array([first[number] for number in numbers], np.int64),
+        "last_ns": np.array([int(state.seen_ns[row]) for state, row in rows], np.int64),
+        **dict(zip(STATE, values.T, strict=True)),
+        "person_probability": np.array(
+            [float(state.person_probability[row]) for state, row in rows], np.float64
+        ),
+        **covariance_columns(STATE, covariance),
+    }
+
+
 def write_circles_tum(folder: str | Path, maps: Iterable[CircleElements]) -> list[Path]:
     """Write one TUM trajectory (t x y 0 qx qy qz qw) per element into `folder`, as `write_tum`."""
     steps = ((m.stamp_ns, m.id, np.pad(m.center, ((0, 0), (0, 1)))) for m in maps)
@@ -46,4 +80,5 @@ def write_circles_tum(folder: str | Path, maps: Iterable[CircleElements]) -> lis
 
 def _values(state: CircleElements, row: int) -> Sequence[Any]:
     place, velocity = state.center[row].tolist(), state.velocity[row].tolist()
-    return (*place, *velocity, float(state.radius[row]))
+    person = float(state.person_probability[row])
+    return (*place, *velocity, float(state.radius[row]), person)

@@ -16,6 +16,13 @@ CORNERS = 24  # of an ellipse
 SLOWEST = 0.05  # shown with an arrow, as long as the way of one second [m/s]
 SEEN, HIDDEN = (0.1, 0.55, 0.9, 0.6), (0.5, 0.5, 0.5, 0.4)
 WALL = (0.85, 0.45, 0.1, 0.9)
+LIKELY = 0.5  # probability from which on an element is called a person
+
+
+def label_of(circles: CircleElements, row: int) -> str:
+    """Return the number of an element, and what it is."""
+    name = str(int(circles.id[row]))
+    return f"{name} person" if circles.person_probability[row] > LIKELY else name
 
 
 class CircleScene:
@@ -79,7 +86,7 @@ class CircleScene:
             font_size=14.0,
             scale_invariant=True,
             color=colour,
-            text=str(int(circles.id[row])),
+            text=label_of(circles, row),
         )
         disc = m.CylinderPrimitive(
             pose=self._pose(center),

@@ -10,7 +10,7 @@ from lidar_core.circles import CircleElements, CircleFrame
 from lidar_core.flying import FlyingFrame, Tracks
 from lidar_core.io.write.mcap import FoxgloveLog
 from lidar_core.messages import LaserScan, PointClass, PosedScan, Scan
-from lidar_core.objects import Objects
+from lidar_core.objects import Objects, ObjectTable
 from lidar_core.viz.playback import SMALLEST, Moment, in_world, outlines_of, swept
 from lidar_core.viz.scan_log import log_circles, log_flying
 
@@ -36,6 +36,11 @@ class Update(ABC):
 
     capability: LiveCapability
 
+    @property
+    @abstractmethod
+    def states(self) -> ObjectTable:
+        """Return the objects with everything that is known of them."""
+
     def __init__(
         self, stamp_ns: int, frame_id: str, objects: Objects, covariance: NDArray[np.float64]
     ) -> None:
@@ -57,9 +62,14 @@ class FlyingUpdate(Update):
     capability = "flying"
 
     def __init__(self, item: PosedScan[Scan], frame: FlyingFrame, frame_id: str) -> None:
-        objects, covariance = objects_of_tracks(frame.tracks)
+        objects, covariance = objects_of_tracks(frame.tracks.flying)
         super().__init__(item.scan.stamp_ns, frame_id, objects, covariance)
         self.item, self.frame = item, frame
+
+    @property
+    def states(self) -> Tracks:
+        """Return the tracks."""
+        return self.frame.tracks
 
     def moment(self) -> Moment:
         """Points with information, by class."""
@@ -83,6 +93,11 @@ class CirclesUpdate(Update):
         objects, covariance = objects_of_circles(frame.map)
         super().__init__(item.scan.stamp_ns, frame_id, objects, covariance)
         self.item, self.frame = item, frame
+
+    @property
+    def states(self) -> CircleElements:
+        """Return the circles of the map."""
+        return self.frame.map
 
     def moment(self) -> Moment:
         """Hits, which have no class; circles and other shapes of the map."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from threading import Condition
 
 from lidar_core.io.records import SCAN_KINDS, Record
+from lidar_core.live.tape import Tape
 
 MAX_TOPICS = 64  # with scans that wait at once
 
@@ -42,6 +43,8 @@ class Inbox:
     ----------
     max_poses : int
         Messages with poses that may wait; beyond, the oldest go.
+    tape : Tape, optional
+        Keeps every record, also those that are replaced.
 
     Attributes
     ----------
@@ -52,11 +55,12 @@ class Inbox:
         Topics that brought a scan, readable or not.
     """
 
-    def __init__(self, *, max_poses: int) -> None:
+    def __init__(self, *, max_poses: int, tape: Tape | None = None) -> None:
         self.dropped: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.heard: set[str] = set()
         self._max_poses = max_poses
+        self._tape = tape
         self._poses: deque[Arrival] = deque()
         self._scans: dict[str, Arrival] = {}
         self._error: Exception | None = None
@@ -65,7 +69,8 @@ class Inbox:
 
     def put(self, record: Record) -> None:
         """Take in one record; returns at once."""
-        arrival = Arrival(record, time.time_ns())
+        time_ns = time.time_ns()
+        arrival = Arrival(record if self._tape is None else self._tape.kept(record), time_ns)
         topic = record.topic.name
         with self._changed:
             if record.topic.kind in SCAN_KINDS:

@@ -1,17 +1,18 @@
-"""Packets of a sensor, straight from the network: Velodyne's, through velodyne-decoder."""
+"""Packets of a sensor, straight from the network."""
 
 import socket
 import time
+from collections.abc import Callable
 from threading import Event, Thread
+from typing import Protocol
 
 from lidar_core.errors import FormatError, LinkError
-from lidar_core.io import ReadOptions, Topic
-from lidar_core.io.messages.velodyne import TOPIC, PacketStream
-from lidar_core.io.records import Record, decoded
+from lidar_core.io.records import Findings, Record, Topic, decoded
 from lidar_core.live.sources.inbox import Inbox
+from lidar_core.live.sources.sensor_clock import SensorClock
 from lidar_core.live.sources.source import Source
+from lidar_core.messages import Scan
 
-DEFAULT_PORT = 2368
 ANY_ADDRESS = "0.0.0.0"  # sensors send to the address that they are set to, often a broadcast
 LARGEST = 65_536
 BUFFER_BYTES = 4 * 2**20
@@ -19,21 +20,47 @@ PATIENCE_S = 0.2  # how soon `close` is noticed
 SILENCE_S = 2.0  # without packets, after which something must be wrong
 
 
+class PacketStream(Protocol):
+    """Decodes the packets of one sensor.
+
+    Attributes
+    ----------
+    topic : Topic
+        Of its scans.
+    """
+
+    topic: Topic
+
+    def scan(self, stamp_ns: int, packet: bytes, *, place: str) -> Scan | None:
+        """Scan that a packet completes, which arrived at a time; FormatError for what is none."""
+
+
 class UdpSource(Source):
-    """Listens for Velodyne's data packets on all addresses of this machine.
+    """Listens for the packets of a sensor on all addresses of this machine.
 
     Parameters
     ----------
     port : int
         UDP port; 0 takes a free one.
-    options : ReadOptions
-        How to decode; `velodyne_model` where it cannot be told from the packets.
+    stream : callable
+        Makes the decoder of the packets, from the findings that it adds to.
+    kind : str
+        Of the source, as a user names it.
+    own_clock : bool
+        Whether stamps are by the sensor's clock.
     """
 
-    def __init__(self, port: int, options: ReadOptions) -> None:
-        super().__init__("udp")
-        self._stream = PacketStream(TOPIC, TOPIC, options, self.findings)
-        self._topic = Topic(TOPIC, "velodyne packets", "scan")
+    def __init__(
+        self,
+        port: int,
+        stream: Callable[[Findings], PacketStream],
+        *,
+        kind: str = "udp",
+        own_clock: bool = False,
+    ) -> None:
+        super().__init__(kind)
+        self._stream = stream(self.findings)
+        self._clock = SensorClock(self.findings) if own_clock else None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
@@ -41,11 +68,11 @@ class UdpSource(Source):
         except OSError as error:
             self._socket.close()
             raise LinkError(
-                f"udp: port {port} cannot be opened ({error.strerror}); end the program that has"
+                f"{kind}: port {port} cannot be opened ({error.strerror}); end the program that has"
                 " it, or have the sensor send elsewhere and name that: udp:PORT"
             ) from error
         self.port = int(self._socket.getsockname()[1])
-        self.name = f"udp, port {self.port}"
+        self.name = f"{kind}, port {self.port}"
         self._heard = time.monotonic()
         self._ended = Event()
         self._thread: Thread | None = None
@@ -82,11 +109,15 @@ class UdpSource(Source):
 
     def _take(self, packet: bytes, inbox: Inbox) -> None:
         """One packet; what is none is counted."""
+        arrival_ns = time.time_ns()
         try:
-            scan = self._stream.scan(time.time_ns(), packet, place=self.name)
+            scan = self._stream.scan(arrival_ns, packet, place=self.name)
         except FormatError as error:
             inbox.reject(self.name)
             self.findings.note(str(error))
             return
-        if scan is not None:
-            inbox.put(Record(self._topic, scan.stamp_ns, decoded(scan)))
+        if scan is None:
+            return
+        if self._clock is not None:
+            scan = self._clock.moved(scan, arrival_ns)
+        inbox.put(Record(self._stream.topic, scan.stamp_ns, decoded(scan)))

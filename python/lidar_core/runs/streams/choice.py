@@ -11,18 +11,26 @@ from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import ReadOptions
 from lidar_core.live import LiveConfig, Output, Source
+from lidar_core.live.metrics import MetricsServer
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.live.sources.source import StreamTopics
 from lidar_core.messages import LaserScan, Scan
 from lidar_core.runs.flying import load_known_map
 from lidar_core.runs.result import MCAP
 from lidar_core.runs.settings import ConfigChoice, config_of_run
+from lidar_core.viz.origin_check import LOCAL
 
-SOURCES = "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]"
-OUTPUTS = "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE"
-OTHER_SENSORS = ("hesai", "livox", "ouster", "robosense")
-"""Whose packets nobody decodes here: ouster-sdk needs an environment of its own."""
+SOURCES = (
+    "zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], velodyne[:PORT],"
+    " ouster:HOST|FILE.json[@PORT], livox[:PORT]"
+)
+OUTPUTS = (
+    "foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE, arrow:FILE"
+)
+OTHER_SENSORS = ("hesai", "robosense")
+"""Whose packets are not read from the network."""
 FOXGLOVE_PORT, PAGE_PORT = 8765, 9090
+VELODYNE_PORT, LIVOX_PORT = 2368, 56_301
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,21 +137,64 @@ def open_source(
         from lidar_core.live.sources.foxglove import DEFAULT_ADDRESS, FoxgloveSource
 
         return FoxgloveSource(place or DEFAULT_ADDRESS, topics, read, live)
-    if kind == "udp":
-        from lidar_core.live.sources.udp import DEFAULT_PORT, UdpSource
-
-        return UdpSource(_port(place or str(DEFAULT_PORT), "source: udp"), read)
+    if kind in ("udp", "velodyne", "ouster", "livox"):
+        return _open_packets(kind, place, read)
     drivers = (
-        "; of sensors that are not Velodyne's run the driver, and listen to its topic:"
-        ' source="zenoh" clouds=TOPIC'
+        '; of this sensor run the driver, and listen to its topic: source="zenoh" clouds=TOPIC'
     )
     raise ConfigError(
         f"source: {text}: expected one of {SOURCES}{drivers if kind in OTHER_SENSORS else ''}"
     )
 
 
+def _open_packets(kind: str, place: str, read: ReadOptions) -> Source:
+    """Source of the packets of a sensor; `udp` is Velodyne's."""
+    from lidar_core.live.sources.udp import UdpSource
+
+    what = f"source: {kind}"
+    if kind == "ouster":
+        from lidar_core.io.ouster.stream import DEFAULT_PORT, OusterStream, sensor_at
+
+        where, _, given = place.rpartition("@") if "@" in place else (place, "", "")
+        if not where:
+            raise ConfigError(f"{what}: expected ouster:HOST or ouster:FILE.json")
+        sensor = sensor_at(where, read)
+        port = _port(given, what) if given else sensor.port or DEFAULT_PORT
+        return UdpSource(
+            port, lambda found: OusterStream(sensor, read, found), kind=kind, own_clock=True
+        )
+    if kind == "livox":
+        from lidar_core.io.messages.livox_packets import LivoxStream
+
+        port = _port(place or str(LIVOX_PORT), what)
+        return UdpSource(port, lambda found: LivoxStream(read, found), kind=kind, own_clock=True)
+    from lidar_core.io.messages.velodyne import VelodyneStream
+
+    port = _port(place or str(VELODYNE_PORT), what)
+    return UdpSource(port, lambda found: VelodyneStream(read, found), kind=kind)
+
+
+def open_metrics(text: str) -> MetricsServer:
+    """Server of metrics at PORT of this machine, or at HOST:PORT.
+
+    Raises
+    ------
+    ConfigError
+        No such place.
+    LinkError
+        The port cannot be opened.
+    """
+    host, _, port = text.rpartition(":")
+    return MetricsServer(host or LOCAL, _port(port, "metrics"))
+
+
 def check_files(
-    outputs: Iterable[str], replayed: Path | None, folder: Path | None, *, overwrite: bool
+    outputs: Iterable[str],
+    replayed: Path | None,
+    folder: Path | None,
+    tape: Path | None = None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Refuse files that hold something, before anything is opened; also that of a run's `folder`.
 
@@ -154,6 +205,7 @@ def check_files(
         named twice.
     """
     places = [path for text in outputs if (path := _file(text)) is not None]
+    places += [] if tape is None else [tape]
     counts = Counter(path.resolve() for path in places)
     of_run = [] if folder is None else [folder / MCAP]
     for path in (*places, *of_run):
@@ -174,7 +226,7 @@ def check_files(
 def _file(text: str) -> Path | None:
     """File that an output names; None for what is no file."""
     kind, _, place = text.partition(":")
-    is_file = (kind == "mcap" and place) or (kind == "rerun" and place.endswith(".rrd"))
+    is_file = (kind in ("mcap", "arrow") and place) or (kind == "rerun" and place.endswith(".rrd"))
     return Path(place) if is_file else None
 
 
@@ -207,6 +259,10 @@ def open_output(
 
     kind, _, place = text.partition(":")
     file = _file(text)
+    if file is not None and kind == "arrow":
+        from lidar_core.live.outputs.arrow import ArrowOutput
+
+        return ArrowOutput(file)
     if file is not None:
         return outputs.McapOutput(file) if kind == "mcap" else outputs.RerunOutput(file)
     if kind == "foxglove":

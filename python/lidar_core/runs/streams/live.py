@@ -14,12 +14,19 @@ from lidar_core.config import checked
 from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.live import LiveConfig, LiveLoop
-from lidar_core.live.loop import Report
 from lidar_core.live.poses import LivePoses
+from lidar_core.live.stats import Report
+from lidar_core.live.tape import Tape
 from lidar_core.run_folder import RunFolder
 from lidar_core.runs.result import RunResult
 from lidar_core.runs.settings import ConfigChoice
-from lidar_core.runs.streams.choice import PipelineChoice, check_files, open_output, open_source
+from lidar_core.runs.streams.choice import (
+    PipelineChoice,
+    check_files,
+    open_metrics,
+    open_output,
+    open_source,
+)
 from lidar_core.runs.streams.folder import LiveFolder
 from lidar_core.viz.origin_check import allowed_origins
 
@@ -57,6 +64,8 @@ def live(
     threads: int = 1,
     allow_untrusted: bool = False,
     seconds: Annotated[float, Field(ge=0)] | None = None,
+    record: str | PathLike[str] | None = None,
+    metrics: str | None = None,
     overwrite: bool = False,
     on_message: Callable[[str], None] = lambda text: None,
     on_report: Callable[[Report], None] = lambda report: None,
@@ -66,7 +75,8 @@ def live(
     Parameters
     ----------
     source : str or None
-        zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT], udp[:PORT]; None with `replay`.
+        zenoh[:tcp/HOST:PORT], foxglove[:ws://HOST:PORT]; packets of a sensor: velodyne[:PORT],
+        ouster:HOST[@PORT], ouster:FILE.json[@PORT], livox[:PORT]; None with `replay`.
     config : FlyingConfig, CirclesConfig, ConfigChoice or None
         Configuration of the pipeline; None is best mode.
     output : str, Path or None
@@ -76,7 +86,8 @@ def live(
     rate : float, optional
         Seconds of the recording per second.
     outputs : sequence of str
-        foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE.
+        foxglove[:PORT], zenoh[:tcp/HOST:PORT], rerun[:web[:PORT]|:FILE.rrd], mcap:FILE,
+        arrow:FILE.
     allow_origin : sequence of str
         Web pages that may connect to a server, besides those of this machine.
     capability : str
@@ -89,6 +100,10 @@ def live(
         How long to wait for poses, names of topics.
     seconds : float, optional
         Length of the run [s]; without it until the source or Ctrl-C ends it.
+    record : str or Path, optional
+        Recording to write of everything that comes in; its ending chooses the format.
+    metrics : str, optional
+        PORT or HOST:PORT at which Prometheus fetches how it goes.
     on_message : callable
         Is called with texts: source and outputs, clients refused, what a silent stream has instead.
     on_report : callable
@@ -121,7 +136,8 @@ def live(
     )
     where = LivePoses(poses, settings)
     path = None if output is None else Path(output)
-    check_files(outputs, place, path, overwrite=overwrite)
+    taped = None if record is None else Path(record)
+    check_files(outputs, place, path, taped, overwrite=overwrite)
     folder = None
     if path is not None:
         folder = LiveFolder(RunFolder(path, overwrite=overwrite, reads=place), chosen.pipeline)
@@ -134,6 +150,14 @@ def live(
         )
         stack.callback(listening.close)
         where.on_note = listening.findings.note
+        server = None if metrics is None else stack.enter_context(closing(open_metrics(metrics)))
+        tape = None if taped is None else stack.enter_context(closing(Tape(taped)))
+
+        def reported(report: Report) -> None:
+            if server is not None:
+                server.update(report)
+            on_report(report)
+
         opened = [
             stack.enter_context(
                 closing(
@@ -155,12 +179,15 @@ def live(
             opened,
             settings,
             topics=(*clouds, *scans),
-            on_report=on_report,
+            tape=tape,
+            on_report=reported,
             on_silence=lambda there: on_message(chosen.silence(listening.name, there)),
         )
         on_message(f"from {listening.name}")
         for item in opened:
             on_message(f"to {item.name}")
+        if server is not None:
+            on_message(f"metrics at {server.address}")
         try:
             loop.run(seconds)
         except KeyboardInterrupt as interrupt:
@@ -168,6 +195,8 @@ def live(
         finally:
             names = [item.name for item in opened]
             summary = {"command": "live", "outputs": names, **loop.summary()}
+            if tape is not None:
+                summary |= {"recording": str(tape.path), "not_recorded": tape.lost}
             if folder is not None:
                 summary, files, notes = folder.write(
                     summary,

@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::error::require;
+use crate::util::cancel;
 
 /// One possible pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +21,8 @@ pub struct Pair {
 /// forbidden. Ties go to the lower column, an assignment to no column being the last.
 ///
 /// # Errors
-/// [`Error::Value`] for an index outside the table or a cost that is not finite.
+/// [`Error::Value`] for an index outside the table or a cost that is not finite,
+/// [`Error::Interrupted`].
 ///
 /// # Source
 /// Shortest augmenting paths: Jonker & Volgenant, "A shortest augmenting path algorithm for dense
@@ -37,6 +39,7 @@ pub fn assign(
     }
     let mut solver = Solver::new(rows, columns, pairs, unassigned);
     for row in 0..rows {
+        cancel::check()?;
         solver.augment(row);
     }
     let mut column_of = vec![None; rows];

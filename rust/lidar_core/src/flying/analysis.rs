@@ -8,7 +8,7 @@ use crate::geometry::caps::{Cap, Directions};
 use crate::geometry::lattice::{Lattice, wide};
 use crate::geometry::transform::{Transform, cross, direction_of, minus, norm};
 use crate::util::budget::check_points;
-use crate::util::threads;
+use crate::util::{cancel, threads};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -88,7 +88,9 @@ pub fn hit_probability(
         let (expected, got) = (points.len(), covariance.len());
         return Err(Error::Length { name: "covariance", expected, got });
     }
+    let watch = cancel::watch();
     let of_point = |index: usize| {
+        watch.check()?;
         let point = points[index];
         if !point.iter().all(|value| value.is_finite()) {
             return Ok(f64::NAN);

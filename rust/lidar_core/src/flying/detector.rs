@@ -10,7 +10,7 @@ use super::classify::pockets::free_pockets;
 use super::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use super::detect::detection::Teammate;
 use super::detect::detections::{ScanDetections, ScanToDetect, detect};
-use super::detect::follow_up::{add_followed, update_tracks};
+use super::detect::follow_up::{add_followed, update_tracks, watch};
 use super::detect::visibility::ScanView;
 use super::frame::{Frame, Timing};
 use super::full_state::{DetectorState, KIND, SavedDetector};
@@ -27,6 +27,7 @@ use super::scan::sensors::Sensors;
 use super::track::{PointCloudTracker, Track};
 use crate::Error;
 use crate::geometry::transform::Transform;
+use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use crate::util::stopwatch::Clock;
 use crate::util::threads::Workers;
@@ -82,22 +83,11 @@ impl FlyingObjectDetector {
     /// Process one scan.
     ///
     /// # Errors
-    /// For input that cannot be used; the detector is unchanged then.
+    /// For input that cannot be used, and [`Error::Interrupted`] if the call is asked to stop before
+    /// it changes the map ([`cancel`]); the detector is unchanged then.
     pub fn process(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
-        self.process_while(raw, &|| true)
-    }
-
-    /// Like [`Self::process`], but gives up if `keep_going` says false between stages.
-    ///
-    /// # Errors
-    /// [`Error::Interrupted`], and those of `process`; the detector is unchanged then.
-    pub fn process_while(
-        &mut self,
-        raw: &RawScan<'_>,
-        keep_going: &dyn Fn() -> bool,
-    ) -> Result<Frame, Error> {
         let (was_anchored, was_met) = (self.local.is_anchored, self.sensors.contains(raw.sensor));
-        let frame = self.run_stages(raw, keep_going);
+        let frame = self.run_stages(raw);
         if frame.is_err() && !was_anchored {
             self.local = LocalMap::new(&self.parameters.map)?; // the next scan says where it begins
         }
@@ -107,11 +97,7 @@ impl FlyingObjectDetector {
         frame
     }
 
-    fn run_stages(
-        &mut self,
-        raw: &RawScan<'_>,
-        keep_going: &dyn Fn() -> bool,
-    ) -> Result<Frame, Error> {
+    fn run_stages(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
         let (mut clock, mut timing) = (Clock::start(), Timing::default());
         let stamp_ns = self.prepare(raw)?;
         timing.prepare = clock.lap();
@@ -120,20 +106,18 @@ impl FlyingObjectDetector {
         if let Some(gate) =
             self.pose_check.check(&scan.points, &local.map, *mismatch_share, distance)
         {
+            cancel::begin_to_write()?;
             return Ok(self.hold(raw, gate, timing));
         }
         let covariance = raw.pose_covariance;
         let noise = pose.noise(covariance, &scan.pose, local.map_from_world, *range_std);
         let (burn_in, gate) = self.next_burn_in(raw);
         let cast = self.classify_and_cast(&noise, &mut clock, &mut timing)?;
-        if !keep_going() {
-            return Err(Error::Interrupted);
-        }
         self.tracker.check_room(self.classifier.count_of(PointClass::Flying))?;
 
         // The last stage that may refuse the scan.
         let stats = self.update_map(&noise, cast)?;
-        self.accept(raw, burn_in, gate);
+        let standing = self.accept(raw, burn_in, gate);
         timing.integrate = clock.lap();
         if self.parameters.removal_waits {
             self.local.map.remove_separate_from_background(self.parameters.separation)?;
@@ -142,7 +126,7 @@ impl FlyingObjectDetector {
         }
         timing.separate = clock.lap();
 
-        let found = self.detect_and_track(noise, stamp_ns)?;
+        let found = self.detect_and_track(noise, stamp_ns, &standing)?;
         timing.track = clock.lap();
         Ok(self.frame(raw, found, Some(stats), gate, timing))
     }
@@ -159,6 +143,7 @@ impl FlyingObjectDetector {
         }
         self.scan.take(raw, sensor, &self.local.map_from_world, self.workers.pool())?;
         self.scan.find_sky(raw, sensor, &self.local.map)?;
+        cancel::check()?;
         Ok(stamp_ns)
     }
 
@@ -184,11 +169,13 @@ impl FlyingObjectDetector {
         let Self { parameters, workers, local, burn_in, scan, classifier, integrator, .. } = self;
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
         let input = ScanToClassify { scan, local, background_extent, parameters, pool };
-        let mut classify = || classifier.classify(&input, clock);
+        let watch = cancel::watch();
+        let mut classify = || watch.run(|| classifier.classify(&input, clock));
         let (classified, cast) = match pool.filter(|_| !waits) {
             Some(pool) => {
                 let rays = ClassifiedScan::before_classes(scan, noise);
-                let (classified, cast) = pool.join(classify, || integrator.cast(&local.map, &rays));
+                let mut cast = || watch.run(|| integrator.cast(&local.map, &rays));
+                let (classified, cast) = pool.join(classify, &mut cast);
                 (classified, Some(cast))
             }
             None => (classify(), None),
@@ -232,8 +219,9 @@ impl FlyingObjectDetector {
         Ok(stats)
     }
 
-    /// Remember what the scan told: nothing refuses it any more.
-    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) {
+    /// Remember what the scan told: nothing refuses it any more. Numbers of the clusters in free space
+    /// that have become background, since they stand.
+    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) -> Vec<usize> {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
         if let Some(sensor) = sensors.get_mut(raw.sensor) {
@@ -252,7 +240,9 @@ impl FlyingObjectDetector {
             free_pockets(&mut local.map, classifier.classifications(), &scan.points);
         }
         let distance = classify.close_distance;
-        static_points.take(&scan.points, gate, seed, distance, &mut local.map, tracker);
+        let map = &mut local.map;
+        let standing = static_points.take(&scan.points, gate, seed, distance, map, tracker);
+        classifier.flying_in(&standing, &scan.points, map.lattice())
     }
 
     /// Detections of the scan, and those that only tracks tell, in the frame of the map.
@@ -260,6 +250,7 @@ impl FlyingObjectDetector {
         &mut self,
         noise: PoseNoise,
         stamp_ns: i64,
+        standing: &[usize],
     ) -> Result<ScanDetections, Error> {
         let Self {
             parameters, workers, local, teammates, scan, classifier, tracker, burn_in, ..
@@ -270,10 +261,11 @@ impl FlyingObjectDetector {
         let input = ScanToDetect { scan, view: &view, teammates, map_from_world, parameters };
         let classifications = classifier.classifications().iter().enumerate();
         let mut found = detect(&input, classifier.clusters(), classifications);
+        watch(tracker, &input, classifier, standing, stamp_ns);
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
         let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
-        add_followed(&input, classifier, &mut found, &followed);
+        add_followed(&input, &local.map, classifier, &mut found, &followed);
         Ok(found)
     }
 

@@ -1,6 +1,7 @@
-//! Helpers for every module: limits, thread pools, reusable memory, hashing, time per stage.
+//! Helpers for every module: limits, cancelling, thread pools, reusable memory, hashing, time per stage.
 
 pub mod budget;
+pub mod cancel;
 pub(crate) mod full_state;
 pub(crate) mod key_hasher;
 pub(crate) mod object_pool;

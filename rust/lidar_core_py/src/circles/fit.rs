@@ -3,13 +3,14 @@
 use crate::arrays::{self, Rows3};
 use crate::circles::config::{FitConfig, ScannerConfig};
 use crate::errors::BorderError;
-use crate::guard::{detached, keep_going};
+use crate::guard::stoppable;
 use lidar_core::Error;
 use lidar_core::circles::fit::Fitter;
 use lidar_core::circles::fit::circle::CircleEstimate;
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::circles::segment::segments::{Segments, Side};
 use lidar_core::circles::shape::{ShapeEstimate, ShapeFitter, ShapeKind};
+use lidar_core::util::cancel;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyUntypedArrayMethods,
@@ -28,9 +29,6 @@ pub(crate) type CircleArrays<'py> = (
 type SegmentArrays<'py> =
     (PyReadonlyArray1<'py, u32>, PyReadonlyArray1<'py, i64>, PyReadonlyArray2<'py, u8>);
 
-/// Number of rows between two checks for a signal from Python.
-const ROWS_PER_LOOK: usize = 500;
-
 #[pyfunction]
 #[pyo3(signature = (ranges, bearings, *, config, scanner))]
 pub(crate) fn detect_circles<'py>(
@@ -43,14 +41,12 @@ pub(crate) fn detect_circles<'py>(
     let beams = ranges.shape()[1];
     let (ranges, bearings) =
         (arrays::flat("ranges_batch", &ranges)?, arrays::flat("bearings", &bearings)?);
-    let found = detached(py, || {
+    let found = stoppable(py, || {
         let mut fitter = Fitter::new(config.parameters(&scanner)?)?;
         let mut scan = PolarScan { ranges: Vec::new(), bearings: bearings.to_vec() };
         let mut circles = Vec::with_capacity(ranges.len() / beams.max(1));
-        for (number, row) in ranges.chunks_exact(beams.max(1)).enumerate() {
-            if number % ROWS_PER_LOOK == ROWS_PER_LOOK - 1 && !keep_going() {
-                return Err(Error::Interrupted);
-            }
+        for row in ranges.chunks_exact(beams.max(1)) {
+            cancel::check()?;
             scan.ranges.clear();
             scan.ranges.extend(row.iter().map(|&range| f64::from(range)));
             circles.push(fitter.fit_row(&scan)?);
@@ -71,7 +67,7 @@ pub(crate) fn fit_circles<'py>(
     scanner: ScannerConfig,
 ) -> Result<CircleArrays<'py>, BorderError> {
     let (scan, segments) = read_scan(&ranges, &bearings, &segments)?;
-    let found = detached(py, || {
+    let found = stoppable(py, || {
         let mut fitter = Fitter::new(config.parameters(&scanner)?)?;
         let mut circles = Vec::with_capacity(segments.len());
         fitter.fit(&scan, &segments, &mut circles)?;
@@ -100,7 +96,7 @@ pub(crate) fn fit_shapes<'py>(
     scanner: ScannerConfig,
 ) -> Result<ShapeArrays<'py>, BorderError> {
     let (scan, segments) = read_scan(&ranges, &bearings, &segments)?;
-    let found = detached(py, || {
+    let found = stoppable(py, || {
         let mut fitter = ShapeFitter::new(config.parameters(&scanner)?)?;
         let mut shapes = Vec::with_capacity(segments.len());
         fitter.fit(&scan, &segments, &mut shapes)?;

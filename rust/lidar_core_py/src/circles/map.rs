@@ -101,7 +101,7 @@ pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
 /// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible,
-/// confirmed.
+/// confirmed, probability of a person.
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
@@ -110,6 +110,7 @@ pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<f64>>,
 );
 
 /// Number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2, 2), age, time of the last
@@ -285,6 +286,7 @@ pub(crate) fn element_arrays<'py>(
         numbers(|element| element.seen_ns).into_pyarray(py),
         flags(|element| element.visible).into_pyarray(py),
         flags(|element| element.confirmed).into_pyarray(py),
+        all.iter().map(|element| element.person).collect::<Vec<f64>>().into_pyarray(py),
     ))
 }
 

@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
-use crate::guard::detached;
+use crate::guard::stoppable;
 use lidar_core::Error;
 use lidar_core::circles::segment::parameters::CUT_MARGINS;
 use lidar_core::util::threads;
@@ -48,7 +48,7 @@ pub(crate) fn circle_lattice<'py>(
     let beams = beams_of(scanner)?;
     let radii = radius_steps.0..=radius_steps.1;
     let circles =
-        detached(py, || circle_samples::lattice(&beams, reach, spacing, radii, radius_step))?;
+        stoppable(py, || circle_samples::lattice(&beams, reach, spacing, radii, radius_step))?;
     arrays::rows_into(py, circles)
 }
 
@@ -89,7 +89,7 @@ pub(crate) fn make_circle_samples<'py>(
         limit: u64::MAX,
         key: "choose smaller numbers",
     })?;
-    let samples = detached(py, || {
+    let samples = stoppable(py, || {
         let pool = threads::pool(threads.0)?;
         circle_samples::make(&pool, &beams, source, &disturbance, seed, numbers)
     })?;

@@ -2,7 +2,7 @@
 
 use crate::arrays;
 use crate::errors::BorderError;
-use crate::guard::detached;
+use crate::guard::stoppable;
 use lidar_core::Error;
 use lidar_core::circles::fit::circle::CircleEstimate;
 use lidar_core::circles::fit::network_window::{
@@ -56,7 +56,7 @@ pub(crate) fn circle_windows<'py>(
         noise: arrays::flat("noise", &noise)?.as_chunks::<2>().0,
         range_limits,
     };
-    let (slots, context, frames) = detached(py, || windows.described())?;
+    let (slots, context, frames) = stoppable(py, || windows.described())?;
     let count = frames.len();
     Ok((
         slots.into_pyarray(py).reshape([count, SLOTS, SLOT_NUMBERS])?,

@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
-use crate::guard::detached;
+use crate::guard::stoppable;
 use lidar_core::flying::analysis;
 use lidar_core::geometry::lattice::Lattice;
 use lidar_core::geometry::transform::Transform;
@@ -27,7 +27,7 @@ pub(crate) fn point_covariance<'py>(
         translation: std::array::from_fn(|row| world_from_lidar[row][3]),
     };
     let covariances =
-        detached(py, || analysis::point_covariance(points, &pose, &pose_covariance, range_std))?;
+        stoppable(py, || analysis::point_covariance(points, &pose, &pose_covariance, range_std))?;
     let entries: Vec<f64> = covariances.into_flattened().into_flattened();
     Ok(entries.into_pyarray(py).reshape([points.len(), 3, 3])?)
 }
@@ -49,7 +49,7 @@ pub(crate) fn hit_probability<'py>(
         return Err(BorderError::Shape { name, expected: "(N, 3, 3)", got });
     }
     let rows = arrays::flat(name, &covariance)?.as_chunks::<3>().0.as_chunks::<3>().0;
-    let hits = detached(py, || {
+    let hits = stoppable(py, || {
         analysis::hit_probability(points, rows, &Lattice::new(voxel_size, origin)?, threads.0)
     })?;
     Ok(hits.into_pyarray(py))
@@ -67,7 +67,7 @@ pub(crate) fn detection_probability<'py>(
 ) -> Result<Bound<'py, PyArray1<f64>>, BorderError> {
     let directions = arrays::rows3("directions", &directions)?;
     let distances = arrays::flat("distance", &distances)?;
-    let shares = detached(py, || {
+    let shares = stoppable(py, || {
         analysis::detection_probability(directions, radius, distances, field_of_view, threads.0)
     })?;
     Ok(shares.into_pyarray(py))

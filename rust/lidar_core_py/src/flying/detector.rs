@@ -4,7 +4,7 @@ use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
 use crate::flying::config::FlyingConfig;
 use crate::flying::tracker::{TrackArrays, track_arrays};
-use crate::guard::{Guarded, detached, keep_going};
+use crate::guard::{Guarded, detached};
 use lidar_core::flying::detect::detection::{Detection, Teammate};
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::frame::Frame;
@@ -92,7 +92,7 @@ impl PyFlyingObjectDetector {
             pose_stamps_ns: arrays::maybe_flat("pose_stamps_ns", &pose_stamps_ns)?,
             pose_covariance,
         };
-        let frame = self.0.with(py, |detector| detector.process_while(&raw, &keep_going))?;
+        let frame = self.0.with_stoppable(py, |detector| detector.process(&raw))?;
         frame_dict(py, frame)
     }
 

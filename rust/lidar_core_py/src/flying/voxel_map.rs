@@ -80,7 +80,7 @@ impl PyVoxelMap {
             reach: None,
             pose_error: None,
         };
-        let stats: IntegrateStats = self.0.with(py, |this| {
+        let stats: IntegrateStats = self.0.with_stoppable(py, |this| {
             let classes = classes_from_numbers(numbers)?;
             this.integrator.integrate(&mut this.map, &ClassifiedScan { class: &classes, ..scan })
         })?;
@@ -164,7 +164,7 @@ impl PyVoxelMap {
         let points = arrays::rows3("points", &points)?;
         let labels = arrays::flat("labels", &labels)?;
         let parameters = config.parameters();
-        let classes = self.0.with(py, |MapWithThreads { map, workers, .. }| {
+        let classes = self.0.with_stoppable(py, |MapWithThreads { map, workers, .. }| {
             classify_clusters(map, points, labels, sensor_origin, &parameters, workers)
         })?;
         Ok(numbers_from_classes(classes).into_pyarray(py))

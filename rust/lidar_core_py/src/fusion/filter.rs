@@ -3,7 +3,7 @@
 use crate::arrays::{self, Threads};
 use crate::errors::BorderError;
 use crate::fusion::config::FusionConfig;
-use crate::guard::{Guarded, detached, keep_going};
+use crate::guard::{Guarded, detached, stoppable};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::SimplexSearch;
 use lidar_core::fusion::filter::engine::{MAX_INNOVATION, Output};
@@ -296,7 +296,7 @@ pub(crate) fn fusion_run<'py>(
     measurements: PyRef<'py, PyMeasurements>,
 ) -> Result<RunArrays<'py>, BorderError> {
     let (measurements, parameters) = (&measurements.0, config.parameters()?);
-    run_arrays(py, detached(py, || run(&parameters, measurements))?, &parameters)
+    run_arrays(py, stoppable(py, || run(&parameters, measurements))?, &parameters)
 }
 
 #[pyfunction]
@@ -308,7 +308,7 @@ pub(crate) fn fusion_smooth<'py>(
     lag_ns: Option<i64>,
 ) -> Result<RunArrays<'py>, BorderError> {
     let (measurements, parameters) = (&measurements.0, config.parameters()?);
-    run_arrays(py, detached(py, || smooth(&parameters, measurements, lag_ns))?, &parameters)
+    run_arrays(py, stoppable(py, || smooth(&parameters, measurements, lag_ns))?, &parameters)
 }
 
 #[pyfunction]
@@ -321,7 +321,7 @@ pub(crate) fn fusion_run_batch<'py>(
 ) -> Result<Vec<RunArrays<'py>>, BorderError> {
     let targets: Vec<&[Measurement]> = targets.iter().map(|target| &target.0[..]).collect();
     let parameters = config.parameters()?;
-    let records = detached(py, || run_batch(&threads::pool(threads.0)?, &parameters, &targets))?;
+    let records = stoppable(py, || run_batch(&threads::pool(threads.0)?, &parameters, &targets))?;
     records.into_iter().map(|record| run_arrays(py, record, &parameters)).collect()
 }
 
@@ -342,10 +342,10 @@ pub(crate) fn fusion_fit_noise<'py>(
     let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
     let evaluations = arrays::count("evaluations", evaluations)?;
     let search = SimplexSearch { step: 0.5, tolerance: 1e-6, evaluations };
-    let (best, likelihood) = detached(py, || {
+    let (best, likelihood) = stoppable(py, || {
         let start = config.parameters()?;
         let fitted = quantities(&start, &targets, sensors);
-        fit(&start, &targets, &fitted, least_rate, &search, &keep_going)
+        fit(&start, &targets, &fitted, least_rate, &search)
     })?;
     let (noise, sensing) = (best.strengths, best.sensing);
     let (lidar, radar) = deviations(py, (sensing.lidar, sensing.radar), &best);

@@ -6,7 +6,7 @@ use crate::guard::{Guarded, detached};
 use crate::sim::config::{LidarConfig, MotionConfig, ParticlesConfig, SurfaceConfig};
 use lidar_core::Error;
 use lidar_core::geometry::transform::Transform;
-use lidar_core::util::threads;
+use lidar_core::util::{cancel, threads};
 use lidar_sim::air::Particles;
 use lidar_sim::mesh::Mesh;
 use lidar_sim::scene::{CastRay, Mover, Scene, SceneObject, Sway};
@@ -193,7 +193,7 @@ impl SimScene {
         seed: u64,
     ) -> Result<ScanArrays<'py>, BorderError> {
         let (lidar, sensor) = (lidar.lidar()?, &sensor.get().0);
-        let (made, points, directions) = self.0.with(py, |(scene, pool)| {
+        let (made, points, directions) = self.0.with_stoppable(py, |(scene, pool)| {
             let task = Task { scene, lidar: &lidar, sensor, start_ns, scan, seed };
             let made = simulate::scan(pool, &task)?;
             let (points, directions) = pool.install(|| rows(&made));
@@ -226,7 +226,7 @@ impl SimScene {
         seed: u64,
     ) -> Result<SweepArrays<'py>, BorderError> {
         let (lidar, sensor) = (lidar.lidar()?, &sensor.get().0);
-        let made = self.0.with(py, |(scene, pool)| {
+        let made = self.0.with_stoppable(py, |(scene, pool)| {
             let task = Task { scene, lidar: &lidar, sensor, start_ns, scan, seed };
             simulate::scan(pool, &task)
         })?;
@@ -247,15 +247,24 @@ impl SimScene {
     ) -> Result<(Array1<'py, f64>, Array1<'py, i32>), BorderError> {
         let origins = arrays::rows3("origins", &origins)?;
         let directions = arrays::rows3("directions", &directions)?;
-        let (distances, labels): (Vec<f64>, Vec<i32>) = self.0.with(py, |(scene, pool)| {
-            let rays = origins.par_iter().zip(directions).with_min_len(1024);
-            let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
-                scene
-                    .meet(&CastRay { origin, direction }, range_max, 0.0)
-                    .map_or((f64::INFINITY, simulate::NO_LABEL), |hit| (hit.distance, hit.label))
-            };
-            Ok(pool.install(|| rays.map(meet).unzip()))
-        })?;
+        let (distances, labels): (Vec<f64>, Vec<i32>) =
+            self.0.with_stoppable(py, |(scene, pool)| {
+                let watch = cancel::watch();
+                let rays = origins.par_iter().zip(directions).with_min_len(1024);
+                let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
+                    if watch.is_asked() {
+                        return (f64::NAN, simulate::NO_LABEL);
+                    }
+                    scene
+                        .meet(&CastRay { origin, direction }, range_max, 0.0)
+                        .map_or((f64::INFINITY, simulate::NO_LABEL), |hit| {
+                            (hit.distance, hit.label)
+                        })
+                };
+                let found = pool.install(|| rays.map(meet).unzip());
+                watch.check()?;
+                Ok(found)
+            })?;
         Ok((distances.into_pyarray(py), labels.into_pyarray(py)))
     }
 
@@ -266,8 +275,11 @@ impl SimScene {
         limit: f64,
     ) -> Result<Array1<'py, f64>, BorderError> {
         let points = arrays::rows3("points", &points)?;
-        let distances = self.0.with(py, |(scene, _)| {
-            Ok(points.iter().map(|&point| scene.clearance(point, limit)).collect::<Vec<f64>>())
+        let distances = self.0.with_stoppable(py, |(scene, _)| {
+            let watch = cancel::watch();
+            let clearance =
+                |&point: &[f64; 3]| watch.check().map(|()| scene.clearance(point, limit));
+            points.iter().map(clearance).collect::<Result<Vec<f64>, Error>>()
         })?;
         Ok(distances.into_pyarray(py))
     }
@@ -284,7 +296,7 @@ impl SimScene {
     ) -> Result<SimTrajectory, BorderError> {
         let apart = apart.iter().map(|(other, least)| (&other.get().0, *least)).collect();
         let motion = config.motion(&sensor.get().0, apart, span_ns, seed);
-        Ok(SimTrajectory(self.0.with(py, |(scene, _)| motion.trajectory(scene))?))
+        Ok(SimTrajectory(self.0.with_stoppable(py, |(scene, _)| motion.trajectory(scene))?))
     }
 }
 

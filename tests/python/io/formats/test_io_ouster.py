@@ -1,10 +1,16 @@
-"""Ouster recordings, read in the environment that holds ouster-sdk."""
+"""Ouster recordings: captures, OSF files and bags of packets."""
 
 import json
 import subprocess
+from functools import cache
 
+import numpy as np
 import pytest
-from repository import ROOT
+from commands import command_line
+
+import lidar_core.io as lc_io
+from lidar_core.errors import FormatError
+from lidar_core.messages import Pose, Scan
 
 SHAPES = {
     "512x10_raw.bag": ([128, 512, 3], 1),
@@ -19,142 +25,140 @@ SHAPES = {
     "pose_delta_1_128.osf": ([128, 2048, 3], 2),
     "pose_delta_2_128.osf": ([128, 2048, 3], 2),
 }
-FLOAT32_AT_120_M = 8e-6
-"""Spacing of float32 at the farthest return [m]: the only difference from ouster-sdk allowed."""
 CUTS = 40
-COMMAND = "from lidar_core.cli import main; main()"
+BROKEN = {
+    "bad_crc32.osf": "invalid chunk at byte 60: its checksum does not fit",
+    "bad_encoding.osf": "could not decode a field",
+    "single_scan_major_version.osf": "schema version 9999.0.0",
+}
+DRIVE = "OS-1-128_v2.3.0_1024x10_lb_n3"
 
 
-@pytest.fixture(scope="session")
-def facts(ouster_python, recordings, tmp_path_factory):
-    probe = ROOT / "tests/python/helpers/ouster_probe.py"
-    scratch = tmp_path_factory.mktemp("ouster")
-    command = [ouster_python, probe, recordings, scratch]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+@cache
+def messages_of(path):
+    with lc_io.open_recording(path) as recording:
+        return list(recording)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_scans_are_organised_and_complete(facts, name):
-    shape, count = SHAPES[name]
-    scans = facts["recordings"][name]["scans"]
-    assert len(scans) == count
-    for scan in scans:
-        assert scan["shape"] == shape
-        assert scan["points"] > 6000
-        assert scan["both"] == 0
-        assert scan["rings"] == shape[0]
-
-
-def test_known_numbers_of_points(facts):
-    scans = facts["recordings"]["OS-1-128_v2.3.0_1024x10_lb_n3.pcap"]["scans"]
-    assert [scan["points"] for scan in scans] == [107_647, 107_357, 107_532]
-    scans = facts["recordings"]["osf_fw_3.2_10scans.osf"]["scans"]
-    assert all(6000 < scan["points"] < 6200 for scan in scans)
-
-
-def test_capture_and_osf_of_one_drive_agree(facts):
-    pair = [facts["recordings"][f"OS-1-128_v2.3.0_1024x10_lb_n3.{s}"] for s in ("pcap", "osf")]
-    assert pair[0]["scans"] == pair[1]["scans"]
+def scans_of(recordings, name):
+    messages = messages_of(recordings / "3d/ouster" / name)
+    return [message for message in messages if isinstance(message, Scan)]
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_every_ray_is_a_point_or_has_no_return(facts, name):
+def test_scans_are_organised_and_complete(recordings, name):
     """Columns that were not received are neither; only one file has a scan with such."""
-    for number, scan in enumerate(facts["recordings"][name]["scans"]):
-        rays = scan["shape"][0] * scan["shape"][1]
-        if (name, number) == ("OS-0-128_v3.0.1_1024x10_20241017_141645.osf", 0):
-            assert scan["points"] + scan["no_return"] == 384 * 128
-        else:
-            assert scan["points"] + scan["no_return"] == rays
+    shape, count = SHAPES[name]
+    scans = scans_of(recordings, name)
+    assert len(scans) == count
+    for number, scan in enumerate(scans):
+        assert list(scan.points.shape) == shape
+        is_hit = np.isfinite(scan.points.reshape(-1, 3)).all(axis=1)
+        assert is_hit.sum() > 6000
+        assert not (is_hit & scan.no_return).any()
+        assert scan.ring.max() + 1 == shape[0]
+        is_cut = (name, number) == ("OS-0-128_v3.0.1_1024x10_20241017_141645.osf", 0)
+        assert is_hit.sum() + scan.no_return.sum() == (384 if is_cut else shape[1]) * shape[0]
+        assert scan.point_time_ns.min() == scan.stamp_ns
+        assert 35e6 < np.ptp(scan.point_time_ns) < 101e6
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_directions_are_unit_and_along_the_points(facts, name):
+def test_directions_are_unit_and_along_the_points(recordings, name):
     """Beams start up to 40 mm beside the sensor's origin: near points lie off their direction."""
-    for scan in facts["recordings"][name]["scans"]:
-        assert scan["unit_error"] < 1e-6
-        assert scan["worst_cosine"] > 0.97
+    for scan in scans_of(recordings, name):
+        rows = scan.points.reshape(-1, 3)
+        is_hit = np.isfinite(rows).all(axis=1)
+        along = np.sum(rows[is_hit] * scan.directions[is_hit], axis=1)
+        assert np.abs(np.linalg.norm(scan.directions, axis=1) - 1).max() < 1e-6
+        assert (along / np.linalg.norm(rows[is_hit], axis=1)).min() > 0.97
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_columns_carry_their_times(facts, name):
-    for scan in facts["recordings"][name]["scans"]:
-        assert scan["first_ns"] == 0
-        assert 35e6 < scan["span_ns"] < 101e6
+def test_known_numbers_of_points(recordings):
+    counts = [
+        np.isfinite(scan.points[..., 0]).sum() for scan in scans_of(recordings, f"{DRIVE}.pcap")
+    ]
+    assert counts == [107_647, 107_357, 107_532]
+    scans = scans_of(recordings, "osf_fw_3.2_10scans.osf")
+    assert all(6000 < np.isfinite(scan.points[..., 0]).sum() < 6200 for scan in scans)
 
 
-def test_points_equal_the_librarys_own(facts):
-    for worst in facts["geometry"].values():
-        assert worst["staggered"] <= FLOAT32_AT_120_M
-        assert worst["destaggered"] <= FLOAT32_AT_120_M
+def test_capture_and_osf_of_one_drive_agree(recordings):
+    pairs = zip(*(scans_of(recordings, f"{DRIVE}.{end}") for end in ("pcap", "osf")), strict=True)
+    for capture, osf in pairs:
+        np.testing.assert_array_equal(capture.points, osf.points)
+        np.testing.assert_array_equal(capture.point_time_ns, osf.point_time_ns)
 
 
-def test_two_sensors_are_two_topics(facts):
-    scans = facts["recordings"]["pose_delta_1_128.osf"]["scans"]
-    assert sorted(scan["topic"] for scan in scans) == ["ouster/0", "ouster/1"]
+def test_two_sensors_are_two_topics(recordings):
+    scans = scans_of(recordings, "pose_delta_1_128.osf")
+    assert sorted(scan.topic for scan in scans) == ["ouster/0", "ouster/1"]
 
 
-def test_poses_of_an_osf_file_reach_the_scans(facts):
-    poses = facts["poses"]
-    assert poses["edges"] == [["body", "os_sensor"], ["world", "body"]]
-    assert poses["scans"] == 3
-    assert poses["poses_per_scan"] > 30
-    assert poses["worst"] < 1e-6
+def test_kitti_poses_fit_the_capture(recordings):
+    folder = recordings / "3d/ouster"
+    with lc_io.open_recording(folder / f"{DRIVE}.pcap") as recording:
+        posed = lc_io.posed_scans(recording, pose=str(folder / f"{DRIVE}_poses_kitti.txt"))
+        along = [item.world_from_lidar[0, 3] for item in posed]
+    assert along == pytest.approx([0.0, 0.2454, 0.4978], abs=1e-4)
 
 
-def test_kitti_poses_fit_the_capture(facts):
-    assert facts["poses"]["kitti_x"] == pytest.approx([0.0, 0.2454, 0.4978], abs=1e-4)
+def test_identity_poses_are_no_poses(recordings):
+    with (
+        lc_io.open_recording(recordings / "3d/ouster" / f"{DRIVE}.osf") as recording,
+        pytest.raises(FormatError, match="no pose for frame 'os_sensor'") as caught,
+    ):
+        list(lc_io.posed_scans(recording))
+    assert 'pose="static"' in str(caught.value)
 
 
-def test_identity_poses_are_no_poses(facts):
-    text = facts["poses"]["without"]
-    assert "no pose for frame 'os_sensor'" in text
-    assert 'pose="static"' in text
+def test_packets_of_a_bag_keep_its_other_topics(recordings):
+    with lc_io.open_recording(recordings / "3d/ouster/512x10_raw.bag") as recording:
+        (scan,) = recording
+        assert recording.skipped == {"/os_node0/imu_packets": 10, "/os_node0/metadata": 1}
+    assert (scan.topic, scan.frame_id) == ("/os_node0/lidar_packets", "os_sensor")
+    assert not any(isinstance(one, Pose) for one in messages_of(recording.path))
 
 
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [
-        ("bad_crc32.osf", "Invalid chunk"),
-        ("bad_encoding.osf", "could not decode field"),
-        ("single_scan_major_version.osf", "schema version 9999.0.0"),
-    ],
-)
-def test_broken_files_are_refused_in_a_sentence(facts, name, what):
-    result = facts["recordings"][name]
-    assert result["error"] == "FormatError"
-    for part in (name, what, "take it from the source again"):
-        assert part in result["text"]
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_files_are_refused_in_a_sentence(recordings, name):
+    path = recordings / "formats/ouster_broken" / name
+    with pytest.raises(FormatError) as caught, lc_io.open_recording(path) as recording:
+        list(recording)
+    for part in (str(path), BROKEN[name], "take it from the source again"):
+        assert part in str(caught.value)
 
 
-def test_cut_files_are_refused(facts):
-    for outcomes in facts["damage"].values():
-        assert set(outcomes) == {"FormatError"}
-        assert outcomes["FormatError"] >= CUTS
+@pytest.mark.parametrize("name", ["osf_fw_3.2_10scans.osf", "OS-1-32-G_v2.1.1_1024x10.pcap"])
+def test_cut_files_are_refused(recordings, tmp_path, name):
+    original = recordings / "3d/ouster" / name
+    content, copy = original.read_bytes(), tmp_path / f"cut{original.suffix}"
+    if copy.suffix == ".pcap":
+        copy.with_suffix(".json").write_bytes(original.with_suffix(".json").read_bytes())
+    for length in range(1, len(content), len(content) // CUTS):
+        copy.write_bytes(content[:length])
+        with pytest.raises(FormatError, match=copy.name), lc_io.open_recording(copy) as recording:
+            list(recording)
 
 
-@pytest.mark.parametrize(
-    "name", ["bad_crc32.osf", "bad_encoding.osf", "single_scan_major_version.osf"]
-)
-def test_the_command_refuses_broken_files_with_status_2(ouster_python, recordings, name):
-    file = recordings / "formats/ouster_broken" / name
+def test_the_command_refuses_broken_files_with_status_2(recordings):
+    file = recordings / "formats/ouster_broken/bad_crc32.osf"
     done = subprocess.run(
-        [ouster_python, "-c", COMMAND, "info", file], capture_output=True, text=True, check=False
+        command_line("info", file), capture_output=True, text=True, check=False, timeout=60
     )
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith(f"error: {file}: ")
+    assert done.stderr.startswith(f"error: {file}")
     assert done.stderr.count("\n") == 1
 
 
-def test_the_command_shows_a_capture(ouster_python, recordings):
+def test_the_command_shows_a_capture(recordings):
     file = recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap"
     done = subprocess.run(
-        [ouster_python, "-c", COMMAND, "info", file, "--json"],
+        command_line("info", file, "--json"),
         capture_output=True,
         text=True,
         check=True,
+        timeout=60,
     )
     (topic,) = json.loads(done.stdout)["topics"]
     assert (topic["rays"], topic["points"]) == (131_072, 119_682)

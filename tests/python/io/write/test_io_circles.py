@@ -14,7 +14,7 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.circles import ShapeKind
 from lidar_core.errors import InputError
-from lidar_core.io.tables.circles import COLUMNS, STATE
+from lidar_core.io.tables.circles import COLUMNS, STATE, map_columns
 from lidar_core.io.tables.shapes import COLUMNS as SHAPE_COLUMNS
 from lidar_core.io.write.circle_scene import ellipse
 
@@ -43,6 +43,23 @@ def maps():
     return [make_circles(numbers, BASE_NS + k * 10**8) for numbers, k in steps]
 
 
+def test_the_map_keeps_what_was_ever_reported_as_it_was_last_in_sight():
+    early, late = make_circles([4, 9], BASE_NS), make_circles([4], BASE_NS + 10**10)
+    early.visible[:], late.visible[:] = True, False
+    early.age[:], late.age[:] = 2.0, 12.0
+    late.seen_ns = early.seen_ns[:1]
+    table = map_columns([early, make_circles([], BASE_NS + 5 * 10**9), late], "map")
+    assert table["track_id"].tolist() == [4, 9]
+    assert table["first_ns"].tolist() == [BASE_NS - 2 * 10**9] * 2
+    assert table["last_ns"].tolist() == [BASE_NS] * 2
+    # Out of sight it may be anywhere: the place is that of the last look.
+    assert table["x"].tolist() == early.center[:, 0].tolist()
+    assert table["cov_x_x"].tolist() == early.covariance[:, 0, 0].tolist()
+    late.visible[:] = True
+    assert map_columns([early, late], "map")["x"][0] == late.center[0, 0]
+    assert len(map_columns([], "map")["x"]) == 0
+
+
 @pytest.mark.parametrize("name", ["circles.parquet", "circles.csv"])
 def test_a_table_has_a_row_per_element_and_time(tmp_path, maps, name):
     path = lc.io.write_circles_table(tmp_path / name, iter(maps), frame_id="map")
@@ -56,6 +73,7 @@ def test_a_table_has_a_row_per_element_and_time(tmp_path, maps, name):
         values = [*state.center[k], *state.velocity[k], state.radius[k]]
         assert [table[column][line] for column in STATE] == values
         assert table["visible"][line] == state.visible[k]
+        assert table["person_probability"][line] == state.person_probability[k]
         assert table["age"][line] == state.age[k]
         assert table["cov_x_x"][line] == state.covariance[k, 0, 0]
         assert table["cov_vy_radius"][line] == state.covariance[k, 3, 4]

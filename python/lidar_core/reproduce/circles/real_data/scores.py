@@ -30,6 +30,11 @@ VEHICLE_GATE = 0.5
 LOST = 1.0
 """Largest standard deviation of a reported position, in its worst direction [m]."""
 
+PERSON = 0.5
+"""Probability above which an element is a person."""
+ALIVE = 0.999
+"""Time for which a person is reported to count: 1 s, up to the steps of stamps [s]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Seen:
@@ -146,16 +151,21 @@ def vehicle_measures(
 
 
 def people_measures(seen: Seen, persons: int) -> list[Measure]:
-    """Numbers that moved a metre, beside the known number of people who passed."""
+    """Numbers that moved a metre, and persons, beside the known number of people who passed."""
     paths: dict[int, list[Points]] = {}
+    step = float(np.median(np.diff(seen.seconds)))
+    alive: dict[int, float] = {}
     for found in seen.maps:
         if found is not None:
+            for number in found.id[found.person_probability > PERSON].tolist():
+                alive[number] = alive.get(number, 0.0) + step
             for number, center in zip(found.id.tolist(), found.center, strict=True):
                 paths.setdefault(number, []).append(center)
     moved = [path for path in paths.values() if np.ptp(np.array(path), axis=0).max() > 1.0]
     return [
         ("persons", "1", float(persons)),
         ("numbers that moved 1 m, per person", "1", len(moved) / persons),
+        ("reported as persons for 1 s", "1", float(sum(time >= ALIVE for time in alive.values()))),
     ]
 
 

@@ -15,6 +15,7 @@ mod tests;
 use super::preprocess::polar_scan::PolarScan;
 use super::segment::segments::Segments;
 use crate::Error;
+use crate::util::cancel;
 use arc::Arc;
 use circle::{Circle, CircleEstimate};
 use likelihood::Likelihood;
@@ -131,6 +132,7 @@ impl Fitter {
         // Neighbours across the seam of the scan exist only where it covers a full turn.
         let wraps = scan.is_full_circle();
         for number in 0..segments.len() {
+            cancel::check()?;
             self.arc.read((scan, wraps), segments, number, &self.parameters)?;
             circles.push(self.circle_of_arc());
         }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// State of an element, and the operations that differ between kinds.
 pub(super) trait State: Clone {
     /// Measurement of an element by one scan.
-    type Measurement;
+    type Measurement: Clone;
 
     /// State from the first measurement.
     fn new<'a>(
@@ -31,10 +31,17 @@ pub(super) trait State: Clone {
         true
     }
 
-    /// For each measurement of a scan the index of the measurement that it is a part of, or its
-    /// own.
-    fn wholes(seen: &[Self::Measurement], _: &Rules) -> Vec<usize> {
-        (0..seen.len()).collect()
+    /// Measurements of a scan with those of parts of one object put together, and for each
+    /// measurement the index of the one that it is a part of, or its own.
+    fn wholes<'a>(
+        _all: impl Iterator<Item = &'a Self>,
+        seen: &[Self::Measurement],
+        _: &Rules,
+    ) -> (Vec<Self::Measurement>, Vec<usize>)
+    where
+        Self: 'a,
+    {
+        (seen.to_vec(), (0..seen.len()).collect())
     }
 
     /// Predict the state.

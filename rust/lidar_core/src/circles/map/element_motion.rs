@@ -84,6 +84,8 @@ pub(super) struct ElementStep {
     pub(super) circles: Move<5>,
     /// Prediction of other outlines: centre, velocity, heading, half lengths.
     pub(super) outlines: Move<7>,
+    /// Time of the whole step [s].
+    pub(super) seconds: f64,
     line_variance: f64,
 }
 
@@ -156,6 +158,7 @@ impl ElementMotion {
         ElementStep {
             circles: self.movement(dt, &[size]),
             outlines: self.movement(dt, &[self.turn_density, size, size]),
+            seconds: dt,
             line_variance: self.line_density * dt.abs(),
         }
     }

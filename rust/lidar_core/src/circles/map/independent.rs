@@ -95,6 +95,7 @@ impl Elements {
                 n_measurements: body.n_measurements,
                 visible: body.is_visible(),
                 confirmed: body.is_reported(),
+                person: body.state.person(),
             }
         };
         self.bodies.iter().filter(|body| !body.state.outline.is_large()).map(predicted).collect()
@@ -162,14 +163,14 @@ fn take_in<S: State>(
         let step = rules.motion().step(dt);
         all.iter_mut().for_each(|element| element.state.predict(&step));
     }
-    let wholes = S::wholes(&seen.measurements, rules);
-    let states = all.iter().map(|one| &one.state);
-    let owners = S::associate(states, &seen.measurements, &wholes, from, rules)?;
+    let states = || all.iter().map(|one| &one.state);
+    let (measurements, wholes) = S::wholes(states(), &seen.measurements, rules);
+    let owners = S::associate(states(), &measurements, &wholes, from, rules)?;
     let mut is_measured = vec![false; all.len()];
     let known = std::mem::replace(&mut seen.elements, vec![None; owners.len()]);
     for (measurement, row) in owners.iter().enumerate() {
         let Some(row) = *row else { continue };
-        all[row].state.correct(&seen.measurements[measurement], rules)?;
+        all[row].state.correct(&measurements[measurement], rules)?;
         is_measured[row] = true;
         seen.elements[measurement] = Some(all[row].id);
     }
@@ -182,7 +183,7 @@ fn take_in<S: State>(
         }
     }
     // Eqs 18-20 for everything that has no element.
-    for (index, measurement) in seen.measurements.iter().enumerate() {
+    for (index, measurement) in measurements.iter().enumerate() {
         let is_new = wholes[index] == index && seen.elements[index].is_none();
         if is_new && S::is_born(measurement, rules) {
             let id = fresh(known[index]);

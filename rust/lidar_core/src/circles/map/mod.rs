@@ -5,7 +5,6 @@
 //! motion: see [`Independent`].
 
 mod body;
-mod body_places;
 mod circle_measurement;
 mod element;
 mod element_motion;
@@ -13,9 +12,7 @@ mod history;
 mod independent;
 mod joint;
 mod line;
-mod look;
 mod modes;
-mod outline;
 mod parameters;
 mod place;
 mod rules;
@@ -25,7 +22,7 @@ mod view;
 #[cfg(test)]
 mod tests;
 
-pub use outline::OutlineEstimate;
+pub use body::outline::OutlineEstimate;
 pub use parameters::{
     CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
     MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MissLimits, MotionMode, Standing, VisibilityTest,
@@ -62,6 +59,8 @@ pub struct MapElement {
     pub visible: bool,
     /// Enough scans measured the element.
     pub confirmed: bool,
+    /// Probability that it is a person; 0 with the filter of the paper.
+    pub person: f64,
 }
 
 /// An element that is no circle, predicted to a time.

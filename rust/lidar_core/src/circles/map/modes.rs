@@ -15,7 +15,7 @@ const STILL_SPEED: f64 = 1e-3;
 const RARE: f64 = 0.01;
 /// Least probability of a mode.
 const LEAST: f64 = 1e-30;
-const LN_2_PI: f64 = 1.837_877_066_409_345_3;
+pub(super) const LN_2_PI: f64 = 1.837_877_066_409_345_3;
 
 /// Squared distance of a measurement from a mode, in variances and in squared units.
 #[derive(Clone, Copy, Debug)]
@@ -161,26 +161,34 @@ impl<const N: usize> ElementModes<N> {
         Ok((best <= gate).then(|| -2.0 * log_sum(&costs)))
     }
 
-    /// Correct with a measurement, and with other `evidence` for the first mode: the logarithm of
-    /// its Bayes factor against the other modes.
+    /// Correct with a measurement. What stands may show another part of itself: `standing` is the
+    /// measurement then, the probability of that, and other evidence for the first mode, as the
+    /// logarithm of its Bayes factor against the other modes.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
     /// is then unchanged.
-    pub(super) fn correct<const M: usize>(
+    pub(super) fn correct<const M: usize, S: Measures<N, M>>(
         &mut self,
-        seen: &impl Measures<N, M>,
-        evidence: f64,
+        seen: &S,
+        standing: Option<(&S, f64, f64)>,
     ) -> Result<(), Error> {
         let mut costs = [f64::INFINITY; SLOTS];
         let mut states = Vec::with_capacity(self.states.len());
         for (index, state) in self.states.iter().enumerate() {
-            let corrected = update(state, &seen.against(&state.mean))?;
-            costs[index] = corrected.nis + corrected.log_determinant
-                - 2.0 * libm::log(self.probabilities[index]);
+            let mut corrected = update(state, &seen.against(&state.mean))?;
+            costs[index] = corrected.nis + corrected.log_determinant;
+            if let Some((part, share, evidence)) = standing.filter(|_| index == 0) {
+                let of_part = update(state, &part.against(&state.mean))?;
+                let cost = of_part.nis + of_part.log_determinant - 2.0 * libm::log(share);
+                if cost < costs[0] {
+                    corrected = of_part;
+                }
+                costs[0] = joined(costs[0], cost) - 2.0 * evidence;
+            }
+            costs[index] -= 2.0 * libm::log(self.probabilities[index]);
             states.push(corrected.posterior);
         }
-        costs[0] -= 2.0 * evidence;
         let total = log_sum(&costs);
         for (probability, cost) in self.probabilities.iter_mut().zip(costs).take(states.len()) {
             // No mode is given up for good: zero would stay zero.
@@ -215,8 +223,13 @@ pub(super) fn set_speed<const N: usize>(state: &mut Gaussian<N>, variance: f64) 
     }
 }
 
+/// Cost of two exclusive explanations with a cost each: -2 ln of the sum of their likelihoods.
+pub(super) fn joined(one: f64, other: f64) -> f64 {
+    -2.0 * log_sum(&[one, other])
+}
+
 /// Logarithm of the sum of e^(-cost / 2).
-fn log_sum(costs: &[f64; SLOTS]) -> f64 {
+fn log_sum(costs: &[f64]) -> f64 {
     // Relative to the least cost: the terms of a far measurement would all underflow.
     let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
     let sum: f64 = costs.iter().map(|cost| libm::exp(-0.5 * (cost - least))).sum();
@@ -263,7 +276,7 @@ mod tests {
         let mut modes = ElementModes::new(new_state(&measurement(0.0), 1.5), &motion);
         for step in 1..5 {
             modes.predict(&motion.step(0.05).circles);
-            modes.correct(&measurement(0.05 * f64::from(step)), 0.0)?;
+            modes.correct(&measurement(0.05 * f64::from(step)), None)?;
         }
         let before = modes.combined();
         modes.predict(&motion.step(0.4).circles);
@@ -280,12 +293,12 @@ mod tests {
         let mut modes = ElementModes::new(new_state(&measurement(0.0), 1.5), &motion);
         for _ in 0..40 {
             modes.predict(&motion.step(0.05).circles);
-            modes.correct(&measurement(0.0), 0.0)?;
+            modes.correct(&measurement(0.0), None)?;
         }
         modes.predict(&motion.step(0.05).circles);
         assert!(modes.cost(&measurement(0.1), 11.3)?.is_some());
         assert!(modes.cost(&measurement(5.0), 11.3)?.is_none());
-        modes.correct(&measurement(0.1), 0.0)?;
+        modes.correct(&measurement(0.1), None)?;
         assert!((modes.combined().mean[0] - 0.1).abs() < 0.01);
         Ok(())
     }
@@ -297,7 +310,7 @@ mod tests {
         let mut modes = ElementModes::new(new_state(&measurement(0.0), 1.5), &motion);
         let mut see = |x: f64| -> Result<f64, Error> {
             modes.predict(&motion.step(0.05).circles);
-            modes.correct(&measurement(x), 0.0)?;
+            modes.correct(&measurement(x), None)?;
             Ok(modes.standing(&motion))
         };
         for step in 0..40 {

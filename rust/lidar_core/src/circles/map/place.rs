@@ -3,9 +3,9 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::body::outline::{OutlineEstimate, OutlineMeasurement};
 use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;
-use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::view::level_pose::LevelPose;
 use crate::circles::fit::circle::{Circle, CircleEstimate};
 use crate::circles::preprocess::polar_scan::turn;

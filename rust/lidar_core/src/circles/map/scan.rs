@@ -3,10 +3,11 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::body::BodyMeasurement;
+use super::body::legs::Legs;
+use super::body::look::Look;
+use super::body::outline::{OutlineEstimate, OutlineMeasurement};
 use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;
-use super::look::Look;
-use super::outline::{OutlineEstimate, OutlineMeasurement};
 use super::parameters::MAX_ELEMENTS;
 use super::place::matrix_of;
 use super::view::earlier::Earlier;
@@ -120,6 +121,7 @@ impl KeptScan {
                 sight: pose.sight(estimate.circle.center),
                 look,
                 trace: None,
+                legs: Legs::None,
             }
         };
         let bodies = scan.estimates.iter().enumerate().map(place).collect();

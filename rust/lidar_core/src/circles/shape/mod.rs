@@ -22,6 +22,7 @@ use super::fit::{FitMethod, FitParameters, estimate};
 use super::preprocess::polar_scan::PolarScan;
 use super::segment::segments::Segments;
 use crate::Error;
+use crate::util::cancel;
 use serde::{Deserialize, Serialize};
 
 /// Kind of a shape.
@@ -147,6 +148,7 @@ impl ShapeFitter {
         scan.check_lengths()?;
         let wraps = scan.is_full_circle();
         for number in 0..segments.len() {
+            cancel::check()?;
             self.arc.read((scan, wraps), segments, number, &self.parameters)?;
             let (circle, shape) = self.shape_of_arc();
             circles.push(circle);

@@ -11,6 +11,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use crate::util::cancel;
 use crate::util::object_pool::{ObjectPool, PooledObject};
 use crate::util::threads::Workers;
 use rayon::ThreadPool;
@@ -75,7 +76,7 @@ pub(crate) struct Classification {
 /// background, flying or unknown. The map stays as it is.
 ///
 /// # Errors
-/// [`Error::Length`], [`Error::Parameter`].
+/// [`Error::Length`], [`Error::Parameter`], [`Error::Interrupted`].
 pub fn classify_clusters(
     map: &VoxelMap,
     points: &[[f32; 3]],
@@ -128,7 +129,7 @@ impl Classifier {
         let Self { background, grouper, scratch } = self;
         let near =
             |index: usize| clusters.is_joined(index) || rules.is_background(&clusters.get(index));
-        each(pool, clusters.len(), || (), |(), index| near(index), background);
+        each(pool, clusters.len(), || (), |(), index| near(index), background)?;
         let groups = grouper.groups(points, clusters, background, parameters.group_distance)?;
         let classification = |scratch: &mut PooledObject<'_, Scratch>, index: usize| {
             if background[index] || groups[index].with_background {
@@ -140,8 +141,7 @@ impl Classifier {
             let cluster = clusters.get(index);
             rules.flying_or_unknown(scratch, &cluster, groups[index].extent, radius)
         };
-        each(pool, clusters.len(), || scratch.acquire(), classification, classifications);
-        Ok(())
+        each(pool, clusters.len(), || scratch.acquire(), classification, classifications)
     }
 }
 
@@ -152,13 +152,20 @@ fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
 
 /// Put the result of `work` for every index below `count` into `found`, on the threads of the pool.
 /// Every thread has a value of its own.
-fn each<T: Send, S>(
+///
+/// # Errors
+/// [`Error::Interrupted`].
+fn each<T: Default + Send, S>(
     pool: Option<&ThreadPool>,
     count: usize,
     own: impl Fn() -> S + Sync + Send,
     work: impl Fn(&mut S, usize) -> T + Sync + Send,
     found: &mut Vec<T>,
-) {
+) -> Result<(), Error> {
+    let watch = cancel::watch();
+    let work = |own: &mut S, index: usize| {
+        if watch.is_asked() { T::default() } else { watch.run(|| work(own, index)) }
+    };
     match pool {
         Some(pool) => {
             let all = (0..count).into_par_iter().map_init(own, work);
@@ -170,6 +177,7 @@ fn each<T: Send, S>(
             found.extend((0..count).map(|index| work(&mut own, index)));
         }
     }
+    watch.check()
 }
 
 /// Take over the result of rule B on a later map; clusters that are background by rule A stay so.

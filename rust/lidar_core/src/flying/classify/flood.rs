@@ -6,6 +6,7 @@ use crate::error::require;
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Voxel, wide};
+use crate::util::cancel::{self, Watch};
 
 impl VoxelMap {
     /// True if one cluster of points is surrounded by free voxels (Algorithm 1): no path of
@@ -13,7 +14,8 @@ impl VoxelMap {
     /// `search_distance` [m] away (L1). An empty cluster is not floating.
     ///
     /// # Errors
-    /// [`Error::PointOutOfRange`] for a point that cannot be indexed, [`Error::Parameter`].
+    /// [`Error::PointOutOfRange`] for a point that cannot be indexed, [`Error::Parameter`],
+    /// [`Error::Interrupted`].
     pub fn is_floating(&self, points: &[[f32; 3]], search_distance: f64) -> Result<bool, Error> {
         let radius = search_radius(search_distance, self.lattice().voxel_size())?;
         let mut starts = Vec::new();
@@ -22,7 +24,9 @@ impl VoxelMap {
         }
         let mut memory = Memory::default();
         let mut flood = Flood::new(self, radius, true, false, &mut memory);
-        Ok(flood.is_enclosed(&distinct(starts), None))
+        let is_enclosed = flood.is_enclosed(&distinct(starts), None);
+        cancel::check()?;
+        Ok(is_enclosed)
     }
 }
 
@@ -58,6 +62,7 @@ pub(crate) struct Flood<'a> {
     open_border: bool,
     expand_own: bool,
     memory: &'a mut Memory,
+    watch: Watch,
 }
 
 /// Memory that searches use again.
@@ -81,7 +86,9 @@ impl<'a> Flood<'a> {
     ) -> Self {
         let edge = 2 * radius as usize + 1;
         memory.met.resize(memory.met.len().max(edge * edge * edge), 0);
-        Self { map, cursor: Cursor::new(&map.blocks), radius, open_border, expand_own, memory }
+        let watch = cancel::watch();
+        let cursor = Cursor::new(&map.blocks);
+        Self { map, cursor, radius, open_border, expand_own, memory, watch }
     }
 
     /// With a search distance [m] of its own, cut to what a search may cost.
@@ -96,10 +103,13 @@ impl<'a> Flood<'a> {
         Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own, memory)
     }
 
-    /// True if no search from any of `starts` finds a way out.
+    /// True if no search from any of `starts` finds a way out. Meaningless if the call was asked to
+    /// stop meanwhile.
     pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow<'_>>) -> bool {
         self.memory.explored.clear();
-        !starts.is_empty() && starts.iter().all(|&start| !self.finds_a_way_out(start, shadow))
+        let mut leads_out =
+            |&start: &Voxel| self.watch.is_asked() || self.finds_a_way_out(start, shadow);
+        !starts.is_empty() && !starts.iter().any(&mut leads_out)
     }
 
     /// Uncertain voxels that the searches explored.

@@ -13,8 +13,9 @@ use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::AngularGap;
 use crate::geometry::cluster::joined::JoinedLabeller;
-use crate::geometry::lattice::{floor, wide};
+use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use crate::util::cancel;
 use crate::util::stopwatch::Clock;
 use rayon::ThreadPool;
 
@@ -62,19 +63,21 @@ impl ScanClassifier {
     /// Find the clusters of a scan and, on the map, their classes. Returns the milliseconds of both.
     ///
     /// # Errors
-    /// [`Error::Parameter`] for values that cannot work.
+    /// [`Error::Parameter`] for values that cannot work, [`Error::Interrupted`].
     pub(crate) fn classify(
         &mut self,
         input: &ScanToClassify<'_>,
         clock: &mut Clock,
     ) -> Result<[f64; 2], Error> {
         self.label(input)?;
+        cancel::check()?;
         let (points, labels) = (&input.scan.points, self.labeller.labels());
         match self.labeller.searched() {
             Some((joined, rows)) => self.clusters.fill_some(points, labels, joined, rows),
             None => self.clusters.fill(points, labels),
         }
         let cluster_ms = clock.lap();
+        cancel::check()?;
 
         let Self { clusters, classifier, classifications, .. } = self;
         classify_clusters_of(input, clusters, classifier, classifications)?;
@@ -122,6 +125,28 @@ impl ScanClassifier {
         };
         class.clear();
         class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
+    }
+
+    /// Numbers of the flying clusters of which most points are in some voxels, in ascending order.
+    pub(crate) fn flying_in(
+        &self,
+        voxels: &[Voxel],
+        points: &[[f32; 3]],
+        lattice: &Lattice,
+    ) -> Vec<usize> {
+        let is_in = |row: &&u32| {
+            let voxel = floor(lattice.scaled(wide(points[**row as usize])));
+            voxel.is_some_and(|voxel| voxels.binary_search(&voxel).is_ok())
+        };
+        let stands = |index: &usize| {
+            let members = self.clusters.get(*index).members;
+            let is_flying = self.classifications[*index].class == PointClass::Flying;
+            is_flying && 2 * members.iter().filter(is_in).count() > members.len()
+        };
+        if voxels.is_empty() {
+            return Vec::new();
+        }
+        (0..self.classifications.len()).filter(stands).collect()
     }
 
     /// Class of every row.
@@ -184,7 +209,10 @@ impl ScanClassifier {
         let max_angle = parameters.cluster_angle;
         let gap = AngularGap { origin: scan.pose.translation, max_angle };
         let max_distance = parameters.clustering.max_distance;
-        match explained.find(points, &input.local.map, parameters, input.pool) {
+        cancel::check()?;
+        let is_joined = explained.find(points, &input.local.map, parameters, input.pool);
+        cancel::check()?;
+        match is_joined {
             Some(is_joined) => {
                 let reach = parameters.classify.group_distance.unwrap_or(0.0); // of groups of clusters
                 labeller.label_joined(points, is_joined, &gap, max_distance, reach, input.pool)

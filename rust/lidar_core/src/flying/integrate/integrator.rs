@@ -22,6 +22,7 @@ use crate::flying::map::parameters::{Rays, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::Voxel;
+use crate::util::cancel;
 use crate::util::threads::Workers;
 
 /// Blocks that a scan may touch whatever the budget of the map: those outside its operating volume
@@ -73,8 +74,8 @@ impl Integrator {
     /// other voxel is pulled towards free by the length of the rays inside it (eq. 22).
     ///
     /// # Errors
-    /// [`Error::Length`], [`Error::Value`], [`Error::PointOutOfRange`], [`Error::Limit`]; the map
-    /// is unchanged then.
+    /// [`Error::Length`], [`Error::Value`], [`Error::PointOutOfRange`], [`Error::Limit`],
+    /// [`Error::Interrupted`]; the map is unchanged then.
     pub fn integrate(
         &mut self,
         map: &mut VoxelMap,
@@ -96,12 +97,14 @@ impl Integrator {
         }
         let source = Source { scan, parameters: map.parameters(), lattice: map.lattice() };
         plan.fill(workers.pool(), &source)?;
+        cancel::check()?;
         let Some([low, high]) = plan.bounds() else { return Ok(()) };
         let window = Window::spanning(low, high)?;
         let most = map.blocks.max_blocks().max(LEAST_SCRATCH);
         if map.parameters().rays == Rays::OnePerEnd {
             merge_ends(&mut accumulators[0], window, &source, &mut plan.rays, most)?;
         }
+        cancel::check()?;
         let mut skips = map.parameters().skip == Skip::Saturated;
         if skips {
             cells.fill(&window, map);
@@ -110,8 +113,10 @@ impl Integrator {
             skips = (*passes_always || cells.is_worth_it(visits))
                 && live.fill(workers.pool(), &window, cells, &source, &plan.rays);
         }
+        cancel::check()?;
         let task = CastTask { window: &window, source: &source, live: skips.then_some(live) };
         cast_all(workers.pool(), accumulators, &task, &plan.rays, most);
+        cancel::check()?;
         accumulators[0].check()
     }
 
@@ -132,6 +137,7 @@ impl Integrator {
         let count = |&(_, content): &(Voxel, Content)| stats.count(content);
         mark_points(map, sums, plan.classified(class).inspect(count), pose_error);
         sums.check()?;
+        cancel::begin_to_write()?;
         (stats.visits, stats.visits_skipped) = (sums.visits(), sums.visits() - sums.walked());
         let weighted = pose_error.is_some_and(PoseError::weighs_points);
         // On an error `is_open` stays set: the next scan starts with new accumulators.

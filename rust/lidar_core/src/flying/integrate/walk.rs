@@ -10,6 +10,7 @@ use super::ray_lanes::{CastTask, cast};
 use super::ray_segments::{LANES, Ray, Source, places};
 use super::stretches::Stretches;
 use crate::Error;
+use crate::util::cancel;
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
@@ -80,7 +81,7 @@ impl WithSimd for Merge<'_> {
 }
 
 /// Sum the lengths of `rays` into the first accumulator; one accumulator per thread. Its `check`
-/// says whether they fit into `most` blocks.
+/// says whether they fit into `most` blocks. They are worthless if the call was asked to stop.
 pub(crate) fn cast_all(
     pool: Option<&ThreadPool>,
     accumulators: &mut [Accumulator],
@@ -88,6 +89,7 @@ pub(crate) fn cast_all(
     rays: &[Ray],
     most: usize,
 ) {
+    let watch = cancel::watch();
     let chunks = Mutex::new(rays.chunks(RAYS_PER_CHUNK));
     let meets = |index| task.live.is_none_or(|live| live.meets(index));
     let work = |(number, accumulator): (usize, &mut Accumulator)| {
@@ -103,7 +105,7 @@ pub(crate) fn cast_all(
             }
             room -= count;
             cast(accumulator, task, rays, &mut stretches);
-            if accumulator.check().is_err() {
+            if watch.is_asked() || accumulator.check().is_err() {
                 break;
             }
         }
@@ -112,7 +114,9 @@ pub(crate) fn cast_all(
     match pool {
         Some(pool) => pool.install(|| {
             accumulators.par_iter_mut().enumerate().for_each(work);
-            if let Some((sum, others)) = accumulators.split_first_mut() {
+            if let Some((sum, others)) =
+                accumulators.split_first_mut().filter(|_| !watch.is_asked())
+            {
                 // Integer sums: their order cannot matter.
                 others.iter_mut().for_each(|other| sum.absorb(other, task.window, pool));
             }

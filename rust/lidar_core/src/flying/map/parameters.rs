@@ -87,6 +87,13 @@ impl MapParameters {
         Self { origin, bounds, ..self.clone() }
     }
 
+    /// True if the operating volume holds a point of the map's frame.
+    pub(crate) fn holds(&self, point: [f64; 3]) -> bool {
+        self.bounds.is_none_or(|[low, high]| {
+            (0..3).all(|axis| (low[axis]..=high[axis]).contains(&point[axis]))
+        })
+    }
+
     /// # Errors
     /// [`Error::Parameter`] if a size is not positive or a bound is out of order.
     pub(super) fn check(&self) -> Result<(), Error> {

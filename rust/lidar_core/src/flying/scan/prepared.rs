@@ -12,6 +12,7 @@ use crate::geometry::lattice::wide;
 use crate::geometry::motion::ScanPoses;
 use crate::geometry::transform::{Transform, norm};
 use crate::util::budget::check_points;
+use crate::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -70,14 +71,16 @@ impl Prepared {
         pool: Option<&ThreadPool>,
     ) -> Result<(), Error> {
         check(raw, sensor)?;
+        cancel::check()?;
         let motion = ScanPoses::new(raw.poses, raw.pose_stamps_ns)?;
         let mut poses = std::mem::take(&mut self.poses);
-        let found = poses.find(raw, &motion, map_from_world);
+        let found = poses.find(raw, &motion, map_from_world).and_then(|()| cancel::check());
         if found.is_ok() {
             self.take_rows(raw, sensor, &poses, pool);
         }
         self.poses = poses; // its memory is used again
-        found
+        found?;
+        cancel::check()
     }
 
     fn take_rows(

@@ -2,6 +2,7 @@
 
 use super::PointCloudTracker;
 use super::belief::existence::Births;
+use super::belief::standing::StandingTarget;
 use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
@@ -18,6 +19,7 @@ pub(crate) struct TrackerState<'a> {
     clouds: &'a VecDeque<Cloud>,
     keeps_points: bool,
     tracks: &'a [PointTrack],
+    standing: &'a [StandingTarget],
     next_id: i64,
     births: Births,
 }
@@ -28,6 +30,7 @@ pub(crate) struct SavedTracker {
     clouds: VecDeque<Cloud>,
     keeps_points: bool,
     tracks: Vec<PointTrack>,
+    standing: Vec<StandingTarget>,
     next_id: i64,
     births: Births,
 }
@@ -59,22 +62,26 @@ impl PointCloudTracker {
     }
 
     pub(crate) fn state(&self) -> TrackerState<'_> {
-        let Self { buffer, keeps_points, tracks, next_id, births, .. } = self;
+        let Self { buffer, keeps_points, tracks, standing, next_id, births, .. } = self;
         let (clouds, keeps_points) = (buffer.clouds(), *keeps_points);
-        TrackerState { clouds, keeps_points, tracks, next_id: *next_id, births: *births }
+        let (next_id, births) = (*next_id, *births);
+        TrackerState { clouds, keeps_points, tracks, standing, next_id, births }
     }
 
     /// # Errors
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
-        let SavedTracker { clouds, keeps_points, tracks, next_id, births } = saved;
-        let is_numbered = |track: &PointTrack| (0..next_id).contains(&track.id);
-        if tracks.len() > MAX_TRACKS || !tracks.iter().all(is_numbered) {
+        let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births } = saved;
+        let mut numbers = tracks.iter().map(|track| track.id);
+        let mut more = standing.iter().map(|target| target.id);
+        let is_numbered = |id: i64| (0..next_id).contains(&id);
+        let count = tracks.len().saturating_add(standing.len());
+        if count > MAX_TRACKS || !numbers.all(is_numbered) || !more.all(is_numbered) {
             return Err(impossible("tracks that were never numbered"));
         }
         self.buffer.restore(clouds)?;
         (self.keeps_points, self.births) = (keeps_points, births);
-        (self.tracks, self.next_id) = (tracks, next_id);
+        (self.tracks, self.standing, self.next_id) = (tracks, standing, next_id);
         Ok(())
     }
 }

@@ -95,7 +95,7 @@ impl PointTrack {
             size: detection.extent,
             n_detections: 1,
             history: 1,
-            first: Evidence { is_sure: true, is_joined: false },
+            first: Evidence { is_sure: true, is_joined: false, shape: None },
             before: None,
             sight: Sight::Unseen,
             nis: None,
@@ -114,6 +114,11 @@ impl PointTrack {
 
     pub(super) fn velocity(&self) -> Vector3<f64> {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
+    }
+
+    /// Longest usual side of its box [m].
+    pub(super) fn longest_side(&self) -> f64 {
+        self.size.into_iter().fold(0.0, f64::max)
     }
 
     pub(super) fn radius(&self, parameters: &Radius) -> f64 {

@@ -23,6 +23,7 @@ use crate::fusion::models::world::{Plane, Space, World};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::sensors::sensing::Sensing;
 use crate::fusion::sensors::sight::SeenMotion;
+use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
 
@@ -348,6 +349,7 @@ pub fn smooth_into(
     let mut filter = Filter::new(&parameters.without_buffer())?;
     let (mut rows, mut steps) = (Vec::new(), Vec::new());
     for m in measurements {
+        cancel::check()?;
         let link = filter.0.link(m.stamp_ns());
         let before = filter.output();
         let step = filter.step(m);

@@ -9,6 +9,7 @@ use crate::estimation::minimise::{SimplexSearch, minimise};
 use crate::fusion::model::{MIXABLE, Model};
 use crate::fusion::models::motion::Noise;
 use crate::fusion::sensors::measurement::{Measurement, PolarValues};
+use crate::util::cancel;
 
 /// Number of measurements after which a filter no longer depends on its start.
 const SETTLED: usize = 10;
@@ -38,11 +39,10 @@ pub enum Quantity {
 /// filters do not restart, so that it is a smooth function of the parameters.
 ///
 /// # Errors
-/// Errors of [`Filter::new`]; [`Error::Interrupted`] once `keep_going` says false.
+/// Errors of [`Filter::new`]; [`Error::Interrupted`] if the call is asked to stop.
 pub fn log_likelihood(
     parameters: &FusionParameters,
     targets: &[Vec<Measurement>],
-    keep_going: &dyn Fn() -> bool,
 ) -> Result<f64, Error> {
     let open = LifecycleRules {
         gate: [f64::INFINITY; 5],
@@ -52,12 +52,12 @@ pub fn log_likelihood(
         ..parameters.life
     };
     let parameters = FusionParameters { life: open, ..*parameters };
-    let mut total = 0.0;
+    let (watch, mut total) = (cancel::watch(), 0.0);
     for target in targets {
         let mut filter = Filter::new(&parameters)?;
         for (number, m) in target.iter().enumerate() {
-            if number % STEPS_PER_LOOK == 0 && !keep_going() {
-                return Err(Error::Interrupted);
+            if number % STEPS_PER_LOOK == 0 {
+                watch.check()?;
             }
             let step = filter.step(m);
             if step.outcome == Outcome::Singular {
@@ -120,14 +120,13 @@ pub fn quantities(
 ///
 /// # Errors
 /// Errors of [`Filter::new`]; [`Error::Value`] if there are too few measurements, or if they are
-/// impossible with any noise; [`Error::Interrupted`] once `keep_going` says false.
+/// impossible with any noise; [`Error::Interrupted`] if the call is asked to stop.
 pub fn fit(
     start: &FusionParameters,
     targets: &[Vec<Measurement>],
     fitted: &[Quantity],
     least_rate: f64,
     search: &SimplexSearch,
-    keep_going: &dyn Fn() -> bool,
 ) -> Result<(FusionParameters, f64), Error> {
     require(
         !matches!(start.model, Model::Paper(_)),
@@ -155,8 +154,7 @@ pub fn fit(
         }
         parameters
     };
-    let cost =
-        |logs: &[f64]| log_likelihood(&scaled(logs), &targets, keep_going).map(|value| -value);
+    let cost = |logs: &[f64]| log_likelihood(&scaled(logs), &targets).map(|value| -value);
     let evaluations = search.evaluations / 10;
     let coarse = SimplexSearch { tolerance: COARSE_TOLERANCE, evaluations, ..*search };
     let mut best = (f64::INFINITY, vec![0.0; fitted.len()]);

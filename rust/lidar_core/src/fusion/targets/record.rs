@@ -6,6 +6,7 @@ use super::target::MeasurementResult;
 use crate::Error;
 use crate::fusion::filter::engine::{Innovation, MAX_INNOVATION, Output};
 use crate::fusion::sensors::measurement::Measurement;
+use crate::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -106,7 +107,9 @@ pub fn padded(innovation: Option<&Innovation>) -> [f64; MAX_INNOVATION] {
 pub fn run(parameters: &FusionParameters, measurements: &[Measurement]) -> Result<Record, Error> {
     let mut filter = Filter::new(&parameters.without_buffer())?;
     let mut record = Record::with_capacity(measurements.len());
+    let watch = cancel::watch();
     for m in in_order(measurements).iter() {
+        watch.check()?; // one load, beside matrices
         let taken = filter.take(m);
         record.push(filter.stamp_ns(), taken, filter.output().as_ref());
     }
@@ -124,8 +127,10 @@ pub fn run_batch(
     targets: &[&[Measurement]],
 ) -> Result<Vec<Record>, Error> {
     Filter::new(parameters)?;
+    let watch = cancel::watch();
+    let of_target = |target: &&[Measurement]| watch.run(|| run(parameters, target));
     let records: Vec<Result<Record, Error>> =
-        pool.install(|| targets.par_iter().map(|target| run(parameters, target)).collect());
+        pool.install(|| targets.par_iter().map(of_target).collect());
     records.into_iter().collect()
 }
 

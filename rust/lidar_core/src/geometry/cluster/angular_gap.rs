@@ -7,6 +7,7 @@ use crate::Error;
 use crate::error::require;
 use crate::geometry::lattice::wide;
 use crate::util::budget::check_points;
+use crate::util::cancel;
 use crate::util::object_pool::ObjectPool;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -82,15 +83,17 @@ impl SeenLabeller {
         }
         check_extent(points, clustering.max_distance)?;
         let Self { near, bands, parts, sets } = self;
-        bands.fill(points, gap, clustering.max_distance);
+        bands.fill(points, gap, clustering.max_distance)?;
         sets.get_mut().unwrap_or_else(PoisonError::into_inner).restart(points.len());
-        let link = |band: usize| parts.acquire().link(points, gap, bands, band, sets);
+        let watch = cancel::watch();
+        let link = |band: usize| watch.run(|| parts.acquire().link(points, gap, bands, band, sets));
         match pool {
             Some(pool) => {
                 pool.install(|| (0..bands.len()).into_par_iter().try_for_each(link))?;
             }
             None => (0..bands.len()).try_for_each(link)?,
         }
+        watch.check()?;
         let roots = sets.get_mut().unwrap_or_else(PoisonError::into_inner).roots();
         for (root, _) in roots.iter_mut().zip(points).filter(|(_, point)| !is_finite(**point)) {
             *root = NO_GROUP;
@@ -170,10 +173,14 @@ impl Bands {
         self.ends.len()
     }
 
-    fn fill(&mut self, points: &[[f32; 3]], gap: &AngularGap, fixed: f64) {
+    /// # Errors
+    /// [`Error::Interrupted`].
+    fn fill(&mut self, points: &[[f32; 3]], gap: &AngularGap, fixed: f64) -> Result<(), Error> {
+        cancel::check()?;
         let finite = points.iter().filter(|point| is_finite(**point));
         let furthest = finite.map(|&point| gap.square(wide(point))).fold(0.0, f64::max);
         self.cut(fixed, gap.max_angle, furthest);
+        cancel::check()?;
         let Self { ends, band_of, rows, row_ends, .. } = self;
         let band = |&point: &[f32; 3]| {
             let square = gap.square(wide(point));
@@ -182,6 +189,7 @@ impl Bands {
         };
         band_of.clear();
         band_of.extend(points.iter().map(band));
+        cancel::check()?;
         row_ends.clear();
         row_ends.resize(ends.len() + 1, 0);
         for &band in band_of.iter().filter(|&&band| band != NO_BAND) {
@@ -198,6 +206,7 @@ impl Bands {
             rows[*place] = row;
             *place += 1;
         }
+        cancel::check()
     }
 
     /// Find the ends of the bands, given the square of the largest range.
@@ -252,6 +261,7 @@ impl BandPoints {
             return Ok(());
         }
         self.take(points, gap, bands, band);
+        cancel::check()?;
         let (fixed, widest) = (bands.fixed, bands.widest(gap, band));
         let groups = if widest == fixed {
             self.linker.linked(&self.points, fixed, &Fixed::new(fixed))?
@@ -259,6 +269,7 @@ impl BandPoints {
             let reach = InBand { gap, fixed: fixed * fixed, most: widest * widest };
             self.linker.linked(&self.points, widest, &reach)?
         };
+        cancel::check()?;
         // Only the joins are locked. The smallest member is the root, so the order of bands does not matter.
         let mut sets = sets.lock().unwrap_or_else(PoisonError::into_inner);
         for (&row, &group) in self.rows.iter().zip(groups) {

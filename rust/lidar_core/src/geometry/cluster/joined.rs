@@ -10,6 +10,7 @@ use super::{Clustering, NOISE, check};
 use crate::Error;
 use crate::geometry::lattice::{least, whole, wide};
 use crate::util::budget::check_points;
+use crate::util::cancel;
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
@@ -81,10 +82,12 @@ impl JoinedLabeller {
                 cells.hold_around(wide(point));
             }
         }
+        cancel::check()?;
         rows.clear();
         dispatch(SearchedRows { cells, points, is_joined, rows });
         taken.clear();
         taken.extend(rows.iter().map(|&row| points[row as usize]));
+        cancel::check()?;
         let parts = whole.label(taken, gap, &clustering, pool)?;
 
         // What is linked to a joined point is joined, too.

@@ -9,7 +9,7 @@ mod octree_link;
 use crate::Error;
 use crate::error::{require, require_positive};
 use crate::util::budget::check_points;
-use crate::util::vector_unit;
+use crate::util::{cancel, vector_unit};
 use octree_link::{Fixed, Linker};
 
 /// Label of points that belong to no cluster.
@@ -36,7 +36,7 @@ pub struct Clustering {
 ///
 /// # Errors
 /// [`Error::Parameter`], [`Error::Limit`] for too many points, [`Error::PointOutOfRange`] if the
-/// cloud is more than 2^31 cells wide.
+/// cloud is more than 2^31 cells wide, [`Error::Interrupted`].
 ///
 /// # Source
 /// Vrba et al., eqs 13-15.
@@ -63,6 +63,7 @@ impl Labeller {
         check_points(points.len())?;
         let distance = clustering.max_distance;
         let group_of = self.linker.linked(points, distance, &Fixed::new(distance))?;
+        cancel::check()?;
         Ok(self.labels.number(group_of, clustering))
     }
 

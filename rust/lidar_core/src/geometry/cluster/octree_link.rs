@@ -5,11 +5,14 @@ use super::keys::{Key, OCTANT_BITS, OctantGrid, is_finite};
 use super::{NO_GROUP, Sets};
 use crate::Error;
 use crate::geometry::lattice::wide;
+use crate::util::cancel::{self, Watch};
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 const RADIX_BITS: u32 = 11;
+/// Cubes, or points of a crowded octant, between two looks whether the call was asked to stop.
+const STEPS_PER_LOOK: usize = 64;
 
 /// Distance up to which two points are linked.
 pub(super) trait Reach {
@@ -52,7 +55,7 @@ impl Linker {
     /// finite. No reach is larger than `largest` [m], and none smaller than 0.8661 of it.
     ///
     /// # Errors
-    /// [`Error::PointOutOfRange`] if the cloud is too many cells wide.
+    /// [`Error::PointOutOfRange`] if the cloud is too many cells wide, [`Error::Interrupted`].
     pub(crate) fn linked(
         &mut self,
         points: &[[f32; 3]],
@@ -60,15 +63,16 @@ impl Linker {
         reach: &impl Reach,
     ) -> Result<&[u32], Error> {
         let Self { short, long, group_of } = self;
+        let watch = cancel::watch();
         group_of.clear();
         group_of.resize(points.len(), NO_GROUP);
         match OctantGrid::of(points, largest)? {
             None => {}
             // Half the memory to sort; only far outliers need longer keys.
             Some(grid) if grid.key_bits() + grid.index_bits <= u64::BITS => {
-                short.link(points, &grid, reach, group_of);
+                short.link(points, &grid, reach, group_of, &watch)?;
             }
-            Some(grid) => long.link(points, &grid, reach, group_of),
+            Some(grid) => long.link(points, &grid, reach, group_of, &watch)?,
         }
         Ok(group_of)
     }
@@ -118,12 +122,15 @@ impl<K: Key> Groups<K> {
         grid: &OctantGrid,
         reach: &impl Reach,
         group_of: &mut [u32],
-    ) {
-        self.sort(points, grid);
+        watch: &Watch,
+    ) -> Result<(), Error> {
+        self.sort(points, grid, watch)?;
+        watch.check()?;
         self.divide(points, grid);
+        watch.check()?;
         let mut sets = std::mem::take(&mut self.sets);
         sets.restart(self.len());
-        dispatch(CubeLinker { groups: self, grid, reach, sets: &mut sets });
+        let is_done = dispatch(CubeLinker { groups: self, grid, reach, sets: &mut sets, watch });
         for (group, &root) in sets.roots().iter().enumerate() {
             let stands_for = grid.row(self.order[self.starts[root as usize] as usize]) as u32;
             for &entry in &self.order[self.range(group)] {
@@ -131,10 +138,11 @@ impl<K: Key> Groups<K> {
             }
         }
         self.sets = sets; // its memory is used again
+        is_done
     }
 
     /// Finite points by key: radix sort, lowest digit first.
-    fn sort(&mut self, points: &[[f32; 3]], grid: &OctantGrid) {
+    fn sort(&mut self, points: &[[f32; 3]], grid: &OctantGrid, watch: &Watch) -> Result<(), Error> {
         let Self { order, spare, .. } = self;
         let entries = points.iter().zip(0..).filter(|(point, _)| is_finite(**point));
         order.clear();
@@ -142,10 +150,12 @@ impl<K: Key> Groups<K> {
             entries.map(|(&point, index)| grid.key::<K>(point) << grid.index_bits | K::from(index)),
         );
         spare.clone_from(order);
+        watch.check()?;
         let passes = grid.key_bits().div_ceil(RADIX_BITS);
         // Digits of equal width, since a shorter one saves counters and no pass.
         let digit_bits = grid.key_bits().div_ceil(passes);
         for shift in (0..passes).map(|pass| pass * digit_bits) {
+            watch.check()?;
             let digit = |entry: K| {
                 (entry >> (grid.index_bits + shift)).low() as usize & ((1 << digit_bits) - 1)
             };
@@ -164,6 +174,7 @@ impl<K: Key> Groups<K> {
             }
             std::mem::swap(order, spare);
         }
+        Ok(())
     }
 
     /// Find the runs of the sorted points.
@@ -209,14 +220,15 @@ struct CubeLinker<'a, K, R> {
     grid: &'a OctantGrid,
     reach: &'a R,
     sets: &'a mut Sets,
+    watch: &'a Watch,
 }
 
 impl<K: Key, R: Reach> WithSimd for CubeLinker<'_, K, R> {
-    type Output = ();
+    type Output = Result<(), Error>;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Self { groups, grid, reach, sets } = self;
+    fn with_simd<S: Simd>(self, _: S) -> Result<(), Error> {
+        let Self { groups, grid, reach, sets, watch } = self;
         let cubes = &groups.cubes;
         let (one, row) = (K::from(1), K::from(1) << grid.bits[0]);
         let plane = row << grid.bits[1];
@@ -224,6 +236,9 @@ impl<K: Key, R: Reach> WithSimd for CubeLinker<'_, K, R> {
         let offsets = [row - one, plane - row - one, plane - one, plane + row - one];
         let mut heads = [0; 4];
         for (at, cube) in cubes.iter().enumerate() {
+            if at % STEPS_PER_LOOK == 0 {
+                watch.check()?;
+            }
             let next = cubes.get(at + 1).filter(|next| next.key == cube.key + one);
             let mut near = [(cube, &OWN); 14];
             let mut count = 1;
@@ -244,9 +259,10 @@ impl<K: Key, R: Reach> WithSimd for CubeLinker<'_, K, R> {
                 }
             }
             for (other, in_reach) in &near[..count] {
-                link(groups, cube, other, in_reach, reach, sets);
+                link(groups, cube, other, in_reach, (reach, watch), sets);
             }
         }
+        watch.check()
     }
 }
 
@@ -257,7 +273,7 @@ fn link<K: Key>(
     ours: &Cube<K>,
     theirs: &Cube<K>,
     in_reach: &InReach,
-    reach: &impl Reach,
+    (reach, watch): (&impl Reach, &Watch),
     sets: &mut Sets,
 ) {
     let reached = theirs.octants & in_reach.theirs;
@@ -279,7 +295,7 @@ fn link<K: Key>(
             near &= near - 1;
             let root_b = sets.root(b);
             // Octants that are joined already need no distances: that spares most pairs.
-            if root_a != root_b && touch(groups, a as usize, b as usize, reach) {
+            if root_a != root_b && touch(groups, a as usize, b as usize, (reach, watch)) {
                 sets.join(root_a, root_b);
                 root_a = root_a.min(root_b);
             }
@@ -292,11 +308,16 @@ const MANY_PAIRS: usize = 1024;
 
 /// True if two groups hold a pair of points within reach.
 #[inline(always)]
-fn touch<K: Key>(groups: &Groups<K>, a: usize, b: usize, reach: &impl Reach) -> bool {
+fn touch<K: Key>(
+    groups: &Groups<K>,
+    a: usize,
+    b: usize,
+    (reach, watch): (&impl Reach, &Watch),
+) -> bool {
     let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);
     let (Some(&p), Some(&q)) = (ours.first(), theirs.first()) else { return false };
     // One pair often suffices.
-    near(p, q, reach) || (ours.len() * theirs.len() > 1 && any_near(ours, theirs, reach))
+    near(p, q, reach) || (ours.len() * theirs.len() > 1 && any_near(ours, theirs, reach, watch))
 }
 
 #[inline(always)]
@@ -306,13 +327,16 @@ fn near(p: [f32; 3], q: [f32; 3], reach: &impl Reach) -> bool {
     reach.links(dx * dx + dy * dy + dz * dz, p, q)
 }
 
-fn any_near(ours: &[[f32; 3]], theirs: &[[f32; 3]], reach: &impl Reach) -> bool {
+fn any_near(ours: &[[f32; 3]], theirs: &[[f32; 3]], reach: &impl Reach, watch: &Watch) -> bool {
     let near = |p: [f32; 3]| theirs.iter().any(|&q| near(p, q, reach));
     if ours.len() * theirs.len() < MANY_PAIRS {
         return ours.iter().any(|&p| near(p));
     }
     let [low, high] = bounds(theirs);
-    ours.iter().any(|&p| {
+    ours.iter().enumerate().any(|(number, &p)| {
+        if number % STEPS_PER_LOOK == 0 && watch.is_asked() {
+            return true; // the whole cloud is given up
+        }
         let at = wide(p);
         let [x, y, z] =
             std::array::from_fn(|axis| (low[axis] - at[axis]).max(at[axis] - high[axis]).max(0.0));

@@ -150,6 +150,7 @@ impl JointMap {
                     n_measurements: landmark.n_measurements,
                     visible: landmark.seen_ns == newest_ns,
                     confirmed: true,
+                    person: 0.0,
                 }
             })
             .collect()

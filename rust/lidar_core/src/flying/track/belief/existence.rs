@@ -5,15 +5,15 @@
 //! Every set of detections says how well each of the three explains what was seen of a track. How often
 //! tracks begin that have no target is learnt from those that end.
 //!
-//! The same evidence tells about the kind, if there is something: what flies and what moves on the
-//! ground is a target; what is static stands; clutter comes and goes.
+//! The same evidence tells whether what exists stands: see [`Kinds`].
 
 use super::super::measurement::Evidence;
 use super::super::motion::position_block;
 use super::super::state::{PointTrack, seconds};
 use super::super::visibility::occupancy::ENOUGH_RAYS;
+use super::kinds::Kinds;
 use crate::tracking::existence::{Presence, Sojourn};
-use crate::tracking::kind::{KINDS, KindBelief};
+use crate::tracking::kind::KindBelief;
 use serde::{Deserialize, Serialize};
 
 /// A track is removed if its target is less probable.
@@ -121,9 +121,6 @@ const IS_FAST: Likelihood = [0.3, 0.3, 1.0, 1.0];
 /// Of having more points around it than its own.
 const AMONG_STRAYS: f64 = 0.02;
 
-/// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`.
-const KIND_SHARES: [f64; KINDS] = [0.05, 0.5, 0.05, 0.2, 0.2];
-
 /// What is known of the causes of a track.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct Belief {
@@ -132,14 +129,14 @@ pub(in crate::flying::track) struct Belief {
     standing: f64,
     stamp_ns: i64,
     has_moved: bool,
-    kinds: KindBelief,
+    kinds: Kinds,
 }
 
 impl Belief {
     /// Before anything was seen.
     pub(in crate::flying::track) fn unknown(stamp_ns: i64) -> Self {
         let presence = Presence::measured(0.5);
-        let kinds = KindBelief::prior(KIND_SHARES);
+        let kinds = Kinds::new();
         Self { presence, standing: 0.5, stamp_ns, has_moved: false, kinds }
     }
 
@@ -153,9 +150,7 @@ impl Belief {
         let mut belief = Self { presence, ..Self::unknown(stamp_ns) };
         for evidence in track.before.into_iter().chain([track.first]) {
             belief.take(Sight::of_detection(evidence).likelihood(around));
-            if evidence.is_joined {
-                belief.take(JOINED);
-            }
+            belief.take_shape(evidence);
         }
         if track.before.is_some() {
             belief.take(IS_FAST);
@@ -188,15 +183,25 @@ impl Belief {
     }
 
     /// Probabilities of what the target is.
-    pub(in crate::flying::track) fn kinds(&self) -> &KindBelief {
-        &self.kinds
+    pub(in crate::flying::track) fn kinds(&self) -> KindBelief {
+        self.kinds.belief()
+    }
+
+    /// Enter what a detection shows of the target itself.
+    fn take_shape(&mut self, evidence: Evidence) {
+        if evidence.is_joined {
+            self.take(JOINED);
+            self.kinds.see_joined();
+        }
+        if let Some(shape) = evidence.shape {
+            self.kinds.measure(shape);
+        }
     }
 
     fn take(&mut self, [target, hidden, standing, fleeting]: Likelihood) {
         let share = self.presence.hidden / self.presence.existence;
         let of_target = share * hidden + (1.0 - share) * target;
-        let of_any = (of_target + standing + fleeting) / 3.0;
-        self.kinds = self.kinds.weighed([of_any, of_target, of_target, standing, fleeting]);
+        self.kinds.see(of_target, standing);
         let without = self.standing * standing + (1.0 - self.standing) * fleeting;
         self.standing *= standing / without;
         self.presence = self.presence.weighed(target / without, hidden / without);
@@ -226,8 +231,8 @@ pub(in crate::flying::track) fn weigh(
             belief.take([near, near, near, 1.0]);
         }
     }
-    if evidence.is_some_and(|evidence| evidence.is_joined) {
-        belief.take(JOINED);
+    if let Some(evidence) = evidence {
+        belief.take_shape(evidence);
     }
     track.belief = belief;
 }

@@ -2,12 +2,12 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::circle_measurement::{Measures, at_rest, centre_matrix};
-use super::element_motion::{ElementMotion, ElementStep};
-use super::modes::ElementModes;
-use super::rules::Rules;
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
+use crate::circles::map::circle_measurement::{Measures, at_rest, centre_matrix};
+use crate::circles::map::element_motion::{ElementMotion, ElementStep};
+use crate::circles::map::modes::ElementModes;
+use crate::circles::map::rules::Rules;
 use crate::circles::shape::{ShapeEstimate, ShapeKind};
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
@@ -45,15 +45,15 @@ const AHEAD: f64 = 0.1;
 
 /// An ellipse or rectangle in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct OutlineMeasurement {
-    pub(super) kind: ShapeKind,
+pub(in crate::circles::map) struct OutlineMeasurement {
+    pub(in crate::circles::map) kind: ShapeKind,
     /// Centre x and y [m], bearing of the first half length [rad], both half lengths [m].
-    pub(super) z: SVector<f64, 5>,
-    pub(super) R: SMatrix<f64, 5, 5>,
+    pub(in crate::circles::map) z: SVector<f64, 5>,
+    pub(in crate::circles::map) R: SMatrix<f64, 5, 5>,
     /// Time of the measurement after the stamp of the scan [s].
-    pub(super) delay: f64,
+    pub(in crate::circles::map) delay: f64,
     /// Too large to be reported as a circle.
-    pub(super) is_large: bool,
+    pub(in crate::circles::map) is_large: bool,
 }
 
 impl Measures<7, 5> for OutlineMeasurement {
@@ -82,7 +82,7 @@ impl OutlineMeasurement {
 
 /// Outline of a body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Outline {
+pub(in crate::circles::map) struct Outline {
     state: Option<ElementModes<7>>,
     /// Weights of the kinds in recent measurements.
     shares: [f64; 3],
@@ -95,12 +95,16 @@ pub(super) struct Outline {
 
 impl Outline {
     /// True if the parts of a restored state agree.
-    pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
+    pub(in crate::circles::map) fn fits(&self, motion: &ElementMotion) -> bool {
         self.kind < self.shares.len() && self.state.iter().all(|state| state.fits(motion))
     }
 
     /// Outline from the first measurement; None for a circle.
-    pub(super) fn new(seen: Option<&OutlineMeasurement>, is_face: bool, rules: &Rules) -> Self {
+    pub(in crate::circles::map) fn new(
+        seen: Option<&OutlineMeasurement>,
+        is_face: bool,
+        rules: &Rules,
+    ) -> Self {
         let mut outline = Self::default();
         if let Some(seen) = seen {
             outline.kind = number(seen.kind);
@@ -114,11 +118,11 @@ impl Outline {
 
     /// How doubtful it is that the body is round, 0 to 1: a circle looks like another shape in few
     /// scans.
-    pub(super) fn doubt(&self) -> f64 {
+    pub(in crate::circles::map) fn doubt(&self) -> f64 {
         ((self.unround - ROUND) / (1.0 - SURE - ROUND)).clamp(0.0, 1.0)
     }
 
-    pub(super) fn predict(&mut self, step: &ElementStep) {
+    pub(in crate::circles::map) fn predict(&mut self, step: &ElementStep) {
         if let Some(state) = &mut self.state {
             state.predict(&step.outlines);
         }
@@ -129,7 +133,7 @@ impl Outline {
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
-    pub(super) fn correct(
+    pub(in crate::circles::map) fn correct(
         &mut self,
         seen: Option<&OutlineMeasurement>,
         rules: &Rules,
@@ -139,7 +143,7 @@ impl Outline {
                 Some(state) => {
                     let (mut seen, squared) = nearest(&state.combined(), seen)?;
                     seen.R *= (squared / rules.outline_gate()).max(1.0);
-                    state.correct(&seen, 0.0)?;
+                    state.correct(&seen, None)?;
                 }
                 None => self.state = Some(started(seen, rules)),
             }
@@ -150,24 +154,29 @@ impl Outline {
     }
 
     /// True if the body is taken for a circle.
-    pub(super) fn is_round(&self) -> bool {
+    pub(in crate::circles::map) fn is_round(&self) -> bool {
         self.kind == 0
     }
 
+    /// True if the body is taken for a rectangle.
+    pub(super) fn is_angular(&self) -> bool {
+        KINDS[self.kind] == ShapeKind::Rectangle
+    }
+
     /// True if the body looks like a circle in nearly all scans.
-    pub(super) fn is_surely_round(&self) -> bool {
+    pub(in crate::circles::map) fn is_surely_round(&self) -> bool {
         self.is_round() && self.shares[0] > SURE
     }
 
     /// True if most recent measurements were too large for a circle.
-    pub(super) fn is_large(&self) -> bool {
+    pub(in crate::circles::map) fn is_large(&self) -> bool {
         self.large > 0.5
     }
 
     /// Covariance of the middle of a body, represented by a circle of this radius and seen in the
     /// direction `sight`, since nobody sees how deep it is; zero for what is surely round. No
     /// number of scans from the same side makes it smaller.
-    pub(super) fn unseen(&self, radius: f64, [x, y]: [f64; 2]) -> Matrix2<f64> {
+    pub(in crate::circles::map) fn unseen(&self, radius: f64, [x, y]: [f64; 2]) -> Matrix2<f64> {
         let longer = self.reported().map_or(0.0, |(_, state)| state.mean[5]);
         let half = radius.max(longer) * self.doubt();
         let (along, across) = (Vector2::new(x, y) * half, Vector2::new(-y, x) * half);
@@ -175,7 +184,7 @@ impl Outline {
     }
 
     /// Note if a measurement looked like something that is not round.
-    pub(super) fn doubted(&mut self, is_unround: bool) {
+    pub(in crate::circles::map) fn doubted(&mut self, is_unround: bool) {
         self.unround += LATEST * (f64::from(u8::from(is_unround)) - self.unround);
     }
 
@@ -193,7 +202,7 @@ impl Outline {
     }
 
     /// Kind and state with the longer half length first, if the body is no circle.
-    pub(super) fn reported(&self) -> Option<(ShapeKind, Gaussian<7>)> {
+    pub(in crate::circles::map) fn reported(&self) -> Option<(ShapeKind, Gaussian<7>)> {
         let Gaussian { mut mean, mut covariance } = self.state.as_ref()?.combined();
         if mean[6] > mean[5] {
             // Rows and columns of the covariance change places with the entries of the mean.

@@ -15,6 +15,7 @@ from lidar_core.cli.shared.common import (
     write_json,
 )
 from lidar_core.errors import InputError
+from lidar_core.util.rows import Row
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,13 +36,18 @@ MAX_DISTANCE = "Targets further from the sensor do not count \\[m]."
 MIN_HITS = "Targets with fewer points do not count."
 BURN_IN = "Number of first scans that do not count; default: the burn-in of the run."
 SET = "Single value of the configuration, such as order=1; may be repeated."
+STATIC = (
+    "Labelled cloud: PCD whose intensity is 1 for what moved, or a folder with gt_cloud.pcd. PRED"
+    " is then a map: a run folder of detect, or .lcvm, .pcd, .ply."
+)
 IDENTITIES = "HOTA, MOTA and IDF1; default: yes, if the extra `eval` is installed."
 
 
 def command(
     predicted: Annotated[Path, typer.Argument(metavar="PRED", help=PREDICTED)],
-    true: Annotated[Path, typer.Argument(metavar="TRUTH", help=TRUE)],
+    true: Annotated[Path | None, typer.Argument(metavar="TRUTH", help=TRUE)] = None,
     *,
+    static: Annotated[Path | None, typer.Option(metavar="TRUTH", help=STATIC)] = None,
     gate: Annotated[float | None, typer.Option(help=GATE)] = None,
     max_distance: Annotated[float | None, typer.Option(help=MAX_DISTANCE)] = None,
     min_hits: Annotated[int | None, typer.Option(help=MIN_HITS)] = None,
@@ -50,7 +56,7 @@ def command(
     identities: Annotated[bool | None, typer.Option(help=IDENTITIES)] = None,
     json: JsonFile = None,
 ) -> None:
-    """Score the tracks and detections in PRED against the targets in TRUTH.
+    """Score the tracks and detections in PRED against the targets in TRUTH, or a map with --static.
 
     What each figure means is in the guide, under "Evaluation".
     """
@@ -58,6 +64,11 @@ def command(
     from lidar_core.evaluation.score_rows import consistency_warnings
     from lidar_core.runs.settings import with_assignments
 
+    if static is not None:
+        _static(predicted, true, static, json)
+        return
+    if true is None:
+        raise InputError("TRUTH: expected the targets, or --static with a labelled cloud")
     options = {
         "gate": gate,
         "max_distance": max_distance,
@@ -97,6 +108,37 @@ def command(
             "tracks_without_truth": without,
             **report.to_dict(),
             "warnings": [*warnings, *told],
+        },
+        json,
+    )
+
+
+def _static(predicted: Path, true: Path | None, labelled: Path, json: Path | None) -> None:
+    """Score a cleaned map."""
+    from lidar_core.evaluation.static_map import (
+        read_labelled_cloud,
+        read_static_map,
+        score_static_map,
+    )
+
+    if true is not None:
+        raise InputError("--static: expected no other TRUTH beside it")
+    points, resolution = read_static_map(predicted)
+    scores = score_static_map(points, *read_labelled_cloud(labelled), resolution=resolution)
+    out, _ = consoles(json)
+    shares = (
+        ("static accuracy SA", scores.static_accuracy, f"of {scores.n_static} points kept"),
+        ("dynamic accuracy DA", scores.dynamic_accuracy, f"of {scores.n_dynamic} points removed"),
+        ("associated accuracy AA", scores.associated_accuracy, "geometric mean"),
+    )
+    rows = (Row(name, "-" if v is None else f"{v:.2f} %", what) for name, v, what in shares)
+    out.print(result_table(f"{predicted} against {labelled}", tuple(rows)))
+    write_json(
+        {
+            "command": "evaluate",
+            "prediction": str(predicted),
+            "static_truth": str(labelled),
+            **scores.to_dict(),
         },
         json,
     )

@@ -2,13 +2,22 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::body_places::{axes, is_one};
+pub(super) mod legs;
+pub(super) mod look;
+mod measured;
+pub(super) mod outline;
+mod person;
+mod places;
+
+use self::legs::Legs;
+use self::look::{Look, Looks};
+use self::outline::{Outline, OutlineMeasurement};
+use self::person::{Gait, Person};
+use self::places::{axes, is_one};
 use super::circle_measurement::{CircleMeasurement, new_state};
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
-use super::look::{Look, Looks};
-use super::modes::{Distances, ElementModes, halted};
-use super::outline::{Outline, OutlineMeasurement};
+use super::modes::{ElementModes, halted};
 use super::parameters::MissLimits;
 use super::rules::Rules;
 use super::view::earlier::Trace;
@@ -18,7 +27,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::jitter::Jitter;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
@@ -29,10 +38,6 @@ const EVIDENCE: f64 = 1.5;
 /// Traces that tell nothing, and that tell most.
 const EVEN: f64 = 0.8;
 const STAYED: f64 = 0.95;
-/// Probability of standing above which a body is where it was, whatever its fit says.
-const LIKELY: f64 = 0.2;
-/// Largest squared distance of its centre then: what goes on after all is still noticed.
-const NEAR: f64 = 9.0;
 /// Standard deviation of the position up to which a body adopts what touches it [m].
 const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
@@ -60,6 +65,8 @@ pub(super) struct BodyMeasurement {
     pub(super) look: Option<Look>,
     /// Share of its points where earlier scans met a surface, not free space; None: unknown.
     pub(super) trace: Option<Trace>,
+    /// Whether it is put together of the legs of a person.
+    pub(super) legs: Legs,
 }
 
 impl BodyMeasurement {
@@ -78,11 +85,20 @@ pub(super) struct RoundBody {
     /// Noise of the centre beyond that of the fits: real objects are not round, and rays that graze
     /// their rims end anywhere.
     jitter: Jitter,
+    /// Variance of the measured radii beyond that of the fits [m^2]: of what is not round, every
+    /// view has another one.
+    rough: f64,
     /// The body is reported as standing.
     stands: bool,
     /// Direction in which it was seen last, of length one.
     sight: [f64; 2],
     looks: Looks,
+    /// Scans since its last measurement, the next one included, and their time [s].
+    waits: u32,
+    waiting: f64,
+    /// Time for which it was measured [s].
+    known: f64,
+    person: Person,
 }
 
 impl RoundBody {
@@ -116,61 +132,25 @@ impl RoundBody {
         state
     }
 
+    /// Probability that the body is a person.
+    pub(super) fn person(&self) -> f64 {
+        self.person.probability()
+    }
+
+    /// What tells a person from other bodies.
+    fn gait(&self, legs: Legs) -> Gait {
+        let mean = self.circle().mean;
+        Gait {
+            legs,
+            speed: if self.stands { 0.0 } else { libm::hypot(mean[2], mean[3]) },
+            radius: mean[4],
+            is_angular: self.outline.is_angular(),
+        }
+    }
+
     /// True if the body is reported as standing.
     pub(super) fn stands(&self) -> bool {
         self.stands
-    }
-
-    /// A measurement with the noise of this body.
-    fn noisy(&self, seen: &CircleMeasurement) -> CircleMeasurement {
-        let mut seen = *seen;
-        for axis in 0..2 {
-            seen.R[(axis, axis)] += self.jitter.variance();
-        }
-        seen
-    }
-
-    /// The measurement by which the circle is corrected. One that is outside all gates is weighted
-    /// down until it would be inside. So is one that says that the body moved where earlier scans
-    /// met the same surface, or that a body that is not round turned at once: then another part of
-    /// it is seen.
-    fn weighted(
-        &self,
-        seen: &CircleMeasurement,
-        trace: Option<Trace>,
-        rules: &Rules,
-    ) -> Result<CircleMeasurement, Error> {
-        let mut seen = self.noisy(seen);
-        let motion = rules.motion();
-        let Distances { least, calm, first } = self.circle.distances(&seen, motion)?;
-        let has_stayed =
-            trace.is_some_and(|trace| trace >= STAYED) && self.circle.standing(motion) > LIKELY;
-        let (from, most) = if has_stayed {
-            (first, NEAR)
-        } else if self.outline.is_surely_round() {
-            (least, rules.gate())
-        } else {
-            (calm, NEAR)
-        };
-        if from.squared <= most {
-            return Ok(seen);
-        }
-        let Gaussian { mean, covariance } = self.circle();
-        let growth = seen.z[2] - mean[4];
-        if growth * growth > NEAR * (covariance[(4, 4)] + seen.R[(2, 2)]) {
-            // Another radius: the fit is of another part. Its covariance tells how errors of the
-            // centre and of the radius hang together, and this is none of them.
-            seen.R += Matrix3::identity() * (from.length / most);
-        } else {
-            seen.R *= from.squared / most;
-        }
-        Ok(seen)
-    }
-
-    /// Take in how the centre jitters.
-    fn listen(&mut self, seen: &CircleMeasurement, time_ns: i64) {
-        let variance = 0.5 * (seen.R[(0, 0)] + seen.R[(1, 1)]);
-        self.jitter.add(time_ns, [seen.z[0], seen.z[1]], variance);
     }
 
     /// Bodies that were not measured but touch a measurement that none explains: a change of the
@@ -233,9 +213,14 @@ impl State for RoundBody {
             circle: ElementModes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
             outline: Outline::new(seen.outline.as_ref(), seen.is_face, rules),
             jitter: Jitter::new((sum / weight).max(known), TRUST),
+            rough: 0.0,
             stands: false,
             sight: seen.sight,
             looks: Looks::default(),
+            waits: 0,
+            waiting: 0.0,
+            known: 0.0,
+            person: Person::default(),
         };
         body.circle =
             ElementModes::new(new_state(&body.noisy(&seen.circle), rules.speed()), rules.motion());
@@ -243,28 +228,27 @@ impl State for RoundBody {
         body
     }
 
-    /// A measurement that nearly touches a larger one is a part of it, as an arm is of a person.
-    fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
-        let is_small = |one: &BodyMeasurement| !one.outline.is_some_and(|outline| outline.is_large);
-        let mut order: Vec<usize> = (0..seen.len()).filter(|&i| is_small(&seen[i])).collect();
-        // The largest first: a part belongs to a whole, never to another part.
-        order.sort_by(|&i, &j| seen[j].circle.z[2].total_cmp(&seen[i].circle.z[2]));
-        let mut wholes: Vec<usize> = (0..seen.len()).collect();
-        let mut larger: Vec<usize> = Vec::new();
-        for index in order {
-            let z = &seen[index].circle.z;
-            let is_near = |&&other: &&usize| is_one(z, &seen[other].circle.z, rules);
-            match larger.iter().find(is_near) {
-                Some(&whole) => wholes[index] = whole,
-                None => larger.push(index),
-            }
+    /// A measurement that nearly touches a larger one is a part of it, as an arm is of a person. Two
+    /// legs are one person.
+    fn wholes<'a>(
+        all: impl Iterator<Item = &'a Self>,
+        seen: &[BodyMeasurement],
+        rules: &Rules,
+    ) -> (Vec<BodyMeasurement>, Vec<usize>) {
+        let mut measurements = seen.to_vec();
+        let mut wholes = places::wholes(seen, rules);
+        if rules.has_standing() {
+            let bodies: Vec<&Self> = all.collect();
+            legs::put_together(&bodies, &mut measurements, &mut wholes);
         }
-        wholes
+        (measurements, wholes)
     }
 
     fn predict(&mut self, step: &ElementStep) {
         self.circle.predict(&step.circles);
         self.outline.predict(step);
+        self.waits = self.waits.saturating_add(1);
+        self.waiting += step.seconds;
     }
 
     fn correct(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
@@ -282,12 +266,19 @@ impl State for RoundBody {
         }
         self.listen(&used, seen.time_ns);
         self.sight = seen.sight;
+        self.person.hear(&self.gait(seen.legs), self.waiting);
+        self.known += self.waiting;
+        (self.waits, self.waiting) = (0, 0.0);
         if let Some(look) = seen.look {
             let mean = self.circle().mean;
             self.looks.add(look, &Vector3::new(mean[0], mean[1], mean[4]), &used.R);
         }
         let weighted = self.weighted(&used, seen.trace, rules)?;
-        self.circle.correct(&weighted, seen.evidence() * f64::from(u8::from(rules.has_standing())))
+        if !rules.has_standing() {
+            return self.circle.correct(&weighted, None);
+        }
+        let part = self.of_part(&self.noisy(&used));
+        self.circle.correct(&weighted, Some((&part, self.share_of_parts(), seen.evidence())))
     }
 
     /// At most one measurement per body: the assignment that explains all of them best.
@@ -306,9 +297,8 @@ impl State for RoundBody {
         for (row, body) in all.clone().enumerate() {
             for (column, measurement) in seen.iter().enumerate() {
                 if wholes[column] == column
-                    && let Some(cost) =
-                        body.circle.cost(&body.noisy(&measurement.circle), rules.gate())?
                     && body.is_alike(measurement)
+                    && let Some(cost) = body.cost(&measurement.circle, rules)?
                 {
                     pairs.push(Pair { row, column, cost });
                 }
@@ -358,7 +348,12 @@ impl State for RoundBody {
     }
 
     fn is_lost(&self, rules: &Rules) -> bool {
-        let (state, limit) = (self.circle(), rules.parameters().limits.position);
+        // The circle of what is large is not reported.
+        let state = if self.outline.is_large() { self.circle() } else { self.reported() };
+        let mut limit = rules.parameters().limits.position;
+        if self.waits > 0 && rules.has_standing() {
+            limit = limit.min(KNOWN);
+        }
         exceeds(&state.covariance.fixed_view::<2, 2>(0, 0).into_owned(), limit * limit)
     }
 

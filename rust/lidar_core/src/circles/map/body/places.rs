@@ -2,7 +2,8 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::rules::Rules;
+use super::BodyMeasurement;
+use crate::circles::map::rules::Rules;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector3};
 
@@ -13,6 +14,25 @@ pub(super) fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> b
     let touching = if gap > 0.0 { one[2] + two[2] + gap } else { 0.0 };
     let reach = one[2].max(two[2]).max(touching);
     x * x + y * y < reach * reach
+}
+
+/// For each measurement the index of the larger one that it nearly touches, or its own.
+pub(super) fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
+    let is_small = |one: &BodyMeasurement| !one.outline.is_some_and(|outline| outline.is_large);
+    let mut order: Vec<usize> = (0..seen.len()).filter(|&i| is_small(&seen[i])).collect();
+    // The largest first: a part belongs to a whole, never to another part.
+    order.sort_by(|&i, &j| seen[j].circle.z[2].total_cmp(&seen[i].circle.z[2]));
+    let mut wholes: Vec<usize> = (0..seen.len()).collect();
+    let mut larger: Vec<usize> = Vec::new();
+    for index in order {
+        let z = &seen[index].circle.z;
+        let is_near = |&&other: &&usize| is_one(z, &seen[other].circle.z, rules);
+        match larger.iter().find(is_near) {
+            Some(&whole) => wholes[index] = whole,
+            None => larger.push(index),
+        }
+    }
+    wholes
 }
 
 /// Axes of the ellipse of one standard deviation of the centre [m].

@@ -6,7 +6,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::view::level_pose::LevelPose;
+use crate::circles::map::view::level_pose::LevelPose;
 use crate::circles::preprocess::polar_scan::turn;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix3, SMatrix, Vector3};
@@ -23,7 +23,7 @@ const MOST: f64 = 0.9;
 
 /// From where, and with which rays, an object was seen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Look {
+pub(in crate::circles::map) struct Look {
     /// Place of the scanner [m], and its yaw [rad].
     place: [f64; 2],
     yaw: f64,
@@ -32,7 +32,7 @@ pub(super) struct Look {
 }
 
 impl Look {
-    pub(super) fn new(pose: &LevelPose, spacing: f64) -> Self {
+    pub(in crate::circles::map) fn new(pose: &LevelPose, spacing: f64) -> Self {
         Self { place: pose.origin(), yaw: pose.yaw(), spacing }
     }
 
@@ -69,7 +69,7 @@ impl Look {
 
 /// Looks at one object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Looks {
+pub(in crate::circles::map) struct Looks {
     /// Bearings of its sides in the last one [rad].
     last: Option<[f64; 2]>,
     /// Share of recent looks that were the same as the one before.
@@ -82,7 +82,12 @@ pub(super) struct Looks {
 impl Looks {
     /// Take in a look at an object, a circle (x, y, r) by all that is known, whose fit has the
     /// covariance `R`.
-    pub(super) fn add(&mut self, look: Look, circle: &Vector3<f64>, R: &Matrix3<f64>) {
+    pub(in crate::circles::map) fn add(
+        &mut self,
+        look: Look,
+        circle: &Vector3<f64>,
+        R: &Matrix3<f64>,
+    ) {
         let is_same = self.last.is_some_and(|last| look.is_same(circle, last));
         self.same += NEWEST * (f64::from(u8::from(is_same)) - self.same);
         let weight = if self.last.is_none() { 1.0 } else { NEWEST };
@@ -94,7 +99,7 @@ impl Looks {
 
     /// A state with the error that no number of the same looks makes smaller, in place of the part
     /// of its covariance that the filter takes for new in every scan.
-    pub(super) fn widen(&self, state: &mut Gaussian<5>) {
+    pub(in crate::circles::map) fn widen(&self, state: &mut Gaussian<5>) {
         let mut kept = SMatrix::<f64, 5, 5>::identity();
         let lasting = self.lasting * self.same;
         for place in PLACES {

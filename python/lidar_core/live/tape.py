@@ -1,0 +1,103 @@
+"""Keeps what came in, as a recording."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from queue import Full, Queue
+from threading import Lock, Thread
+
+from lidar_core.errors import LidarCoreError
+from lidar_core.io import write_recording
+from lidar_core.io.files.atomic import check_place
+from lidar_core.io.records import Record
+from lidar_core.messages import Message
+
+MOST_WAITING = 256
+"""Records that wait to be written; more are lost, so that a slow disk does not delay the robot."""
+
+
+class _Once:
+    """`Record.decode` that decodes once, whoever asks first: the loop or the tape."""
+
+    def __init__(self, record: Record) -> None:
+        self._record: Record | None = record
+        self._messages: list[Message] = []
+        self._error: LidarCoreError | None = None
+        self._lock = Lock()
+
+    def __call__(self) -> list[Message]:
+        with self._lock:
+            if self._record is not None:
+                record, self._record = self._record, None
+                try:
+                    self._messages = record.decode()
+                except LidarCoreError as error:
+                    self._error = error
+        if self._error is not None:
+            raise self._error
+        return self._messages
+
+
+class Tape:
+    """Writes every scan and pose that arrives, in a thread of its own; the newest may be lost.
+
+    Parameters
+    ----------
+    path : Path
+        Recording to write; its ending chooses the format, as of `write_recording`.
+
+    Attributes
+    ----------
+    lost : int
+        Records that came faster than they could be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        check_place(path)
+        self.path = path
+        self.lost = 0
+        self._waiting: Queue[Record | None] = Queue(MOST_WAITING)
+        self._error: Exception | None = None
+        self._thread = Thread(target=self._write, daemon=True)
+        self._thread.start()
+
+    def kept(self, record: Record) -> Record:
+        """Take in a record; the same record, whose messages are decoded only once."""
+        shared = replace(record, decode=_Once(record))
+        try:
+            self._waiting.put_nowait(shared)
+        except Full:
+            self.lost += 1
+        return shared
+
+    def close(self) -> None:
+        """Complete the file.
+
+        Raises
+        ------
+        OSError
+            It could not be written.
+        LidarCoreError
+            The format cannot hold what came.
+        """
+        if self._thread.is_alive():
+            self._waiting.put(None)
+            self._thread.join()
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+    def _write(self) -> None:
+        try:
+            write_recording(self.path, self._messages())
+        except Exception as error:  # whatever it is, the run ends with it
+            self._error = error
+            while self._waiting.get() is not None:
+                self.lost += 1
+
+    def _messages(self) -> Iterator[Message]:
+        while (record := self._waiting.get()) is not None:
+            try:
+                yield from record.decode()
+            except LidarCoreError:
+                continue  # the loop counts what cannot be read

@@ -1,0 +1,151 @@
+"""Checkpoints of a run: what it needs to go on after its process was killed.
+
+They lie in the folder of the run: new results as `.checkpoint-N` files, each written once, and
+`run.checkpoint` with everything else, replaced as a whole. Every file ends with a checksum.
+"""
+
+import hashlib
+import json
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any, Protocol
+
+from lidar_core.errors import FormatError, InputError
+from lidar_core.files import read_whole
+from lidar_core.io.files.atomic import written_whole
+from lidar_core.run_folder import CHECKPOINT, build_digest, remove_checkpoint
+from lidar_core.util.packed import packed, unpacked
+
+_CHECKSUM = struct.Struct("<I")
+MOST_BYTES = 2**34
+"""Largest file that is read [bytes]. Source: limits table of SECURITY.md."""
+
+
+class Resumable(Protocol):
+    """A run whose state can be kept."""
+
+    KINDS: tuple[type, ...]
+    """Classes of the objects in `kept` and `rows`."""
+
+    def kept(self) -> dict[str, Any]:
+        """All state but the rows, of limited size; whole states of the core as arrays of bytes."""
+
+    def rows(self, since: int) -> list[Any]:
+        """What each item but the first `since` left, for ever."""
+
+    def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
+        """Take over the state of another run of the same recording and configuration."""
+
+
+@dataclass(slots=True)
+class Checkpoints:
+    """Writes checkpoints of a run, and finds the last one of a run that was killed.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the run.
+    every : float or None
+        Time between two checkpoints [s]; None writes none.
+    inputs : mapping
+        What decides about the results: files with their hashes, configuration, options.
+    """
+
+    folder: Path
+    every: float | None
+    inputs: Mapping[str, Any]
+    _parts: list[int] = field(default_factory=list)
+    _n_rows: int = 0
+    _last: float = field(default_factory=monotonic)
+
+    def resume(self, run: Resumable) -> int:
+        """Let `run` take over the last checkpoint; the number of items that it has used.
+
+        Raises
+        ------
+        InputError
+            It is one of other inputs, another configuration or another build.
+        FormatError
+            It is damaged.
+        """
+        place = self.folder / CHECKPOINT
+        if not place.exists():
+            return 0
+        kept = unpacked(_content(place), run.KINDS)
+        if not isinstance(kept, dict) or not {"inputs", "done", "parts", "run"} <= kept.keys():
+            raise FormatError(f"{place}: no checkpoint of a run")
+        for name, (was, now) in _changes(kept["inputs"], self._named()).items():
+            raise InputError(
+                f"{place}: of a run with another {name}: {was}, now {now};"
+                " run without resume, with overwrite=True, starts again"
+            )
+        rows: list[Any] = []
+        for number, checksum in enumerate(kept["parts"]):
+            part = _content(self._part(number))
+            if zlib.crc32(part) != checksum:
+                raise FormatError(f"{self._part(number)}: not the part that {place.name} names")
+            rows += unpacked(part, run.KINDS)
+        run.restore(kept["run"], rows)
+        self._parts, self._n_rows = list(kept["parts"]), len(rows)
+        return int(kept["done"])
+
+    def take(self, run: Resumable, done: int) -> None:
+        """Write a checkpoint if it is time for one; `done` items have been used."""
+        if self.every is None or monotonic() - self._last < self.every:
+            return
+        # First the new results, which nothing names yet: a run that is killed in between goes on
+        # from the checkpoint before.
+        rows = run.rows(self._n_rows)
+        if rows:
+            part = packed(rows, run.KINDS)
+            _write(self._part(len(self._parts)), part)
+            self._parts.append(zlib.crc32(part))
+            self._n_rows += len(rows)
+        kept = {"inputs": self._named(), "done": done, "parts": self._parts, "run": run.kept()}
+        _write(self.folder / CHECKPOINT, packed(kept, run.KINDS))
+        self._last = monotonic()
+
+    def end(self) -> None:
+        """Remove what the finished run does not need any more."""
+        remove_checkpoint(self.folder)
+
+    def _part(self, number: int) -> Path:
+        return self.folder / f".checkpoint-{number}"
+
+    def _named(self) -> dict[str, str]:
+        """Every input in a form that can be compared and told."""
+        return {"build": build_digest()[:12]} | {
+            name: _told(value) for name, value in self.inputs.items()
+        }
+
+
+def _told(value: Any) -> str:
+    text = json.dumps(value, sort_keys=True, default=str)
+    return text if len(text) <= 60 else f"{text[:40]}... ({_digest(text)})"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()[:12]
+
+
+def _changes(was: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    names = [*now, *(name for name in was if name not in now)]
+    pairs = {name: (was.get(name, "none"), now.get(name, "none")) for name in names}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def _write(place: Path, content: bytes) -> None:
+    with written_whole(place) as temporary:
+        temporary.write_bytes(content + _CHECKSUM.pack(zlib.crc32(content)))
+
+
+def _content(place: Path) -> bytes:
+    whole = read_whole(place, limit=MOST_BYTES)
+    content = whole[: -_CHECKSUM.size]
+    if whole[-_CHECKSUM.size :] != _CHECKSUM.pack(zlib.crc32(content)):
+        raise FormatError(f"{place}: damaged or cut off: the checksum is wrong")
+    return content

@@ -1,0 +1,218 @@
+//! Legs: two of them are one person.
+//!
+//! Near the ground a scan meets two legs, which go in turns: one stands while the other swings twice
+//! as fast as the person walks. Where both were free space a moment ago, two legs near each other are
+//! put together: their middle moves steadily. A person who is known takes the legs that are near,
+//! also a single one in front of the other.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::{BodyMeasurement, RoundBody};
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// Largest radius of the circle that a leg shows [m]; trousers, and few rays.
+const THICKEST: f64 = 0.17;
+/// Longest step from leg to leg [m].
+const STEP: f64 = 0.75;
+/// Largest distance of a leg from the middle of its person [m].
+const REACH: f64 = 0.6;
+/// Shares of the points of two legs, and of each, that may have been surfaces before: one leg stands
+/// for half a step.
+const BOTH: f64 = 0.5;
+const EACH: f64 = 0.85;
+/// Standard deviation of the middle of a person from that of the legs, and from a single leg [m].
+const MIDDLE: f64 = 0.05;
+const SINGLE: f64 = 0.12;
+/// Standard deviations of the radius [m].
+const SIZE: [f64; 2] = [0.1, 0.3];
+/// Distance within which a leg belongs to a body that is no person [m], and the time for which that
+/// body was measured at least [s].
+const OWN: f64 = 0.12;
+const KNOWN: f64 = 1.0;
+
+/// How many legs a measurement is put together of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(in crate::circles::map) enum Legs {
+    /// It is as it was seen.
+    None,
+    /// A single leg of a known person.
+    One,
+    /// Two legs.
+    Two,
+}
+
+/// Put legs together: a person's measurement takes the place of one leg, and the other one becomes a
+/// part of it.
+pub(super) fn put_together(
+    bodies: &[&RoundBody],
+    seen: &mut [BodyMeasurement],
+    wholes: &mut [usize],
+) {
+    let mut free: Vec<usize> = (0..seen.len())
+        .filter(|&one| {
+            let is_thin = |leg: usize| {
+                let is_large = seen[leg].outline.is_some_and(|outline| outline.is_large);
+                seen[leg].circle.z[2] <= THICKEST && !is_large
+            };
+            is_thin(one) && is_thin(wholes[one])
+        })
+        .filter(|&one| !bodies.iter().any(|body| body.holds(&seen[one])))
+        .collect();
+    let people: Vec<Vector3<f64>> = bodies
+        .iter()
+        .filter(|body| body.person.has_legs())
+        .map(|body| place(&body.circle().mean))
+        .collect();
+    for (number, person) in people.iter().enumerate() {
+        let nearest = |leg: &Vector3<f64>| {
+            let others = people.iter().enumerate();
+            others.min_by(|one, two| apart(one.1, leg).total_cmp(&apart(two.1, leg)))
+        };
+        let mut own: Vec<usize> = free
+            .iter()
+            .copied()
+            .filter(|&leg| apart(person, &seen[leg].circle.z) < REACH)
+            .filter(|&leg| nearest(&seen[leg].circle.z).is_some_and(|(one, _)| one == number))
+            .collect();
+        own.sort_by(|&one, &two| {
+            let far = |leg: usize| apart(person, &seen[leg].circle.z);
+            far(one).total_cmp(&far(two))
+        });
+        match own[..] {
+            [one, two, ..] if apart(&seen[one].circle.z, &seen[two].circle.z) < STEP => {
+                join(seen, wholes, [one, two]);
+                free.retain(|&leg| leg != one && leg != two);
+            }
+            [one, ..] if wholes[one] == one => {
+                let leg = &mut seen[one];
+                for axis in 0..2 {
+                    leg.circle.R[(axis, axis)] += SINGLE * SINGLE;
+                }
+                leg.circle.R[(2, 2)] += SIZE[1] * SIZE[1];
+                (leg.round, leg.outline, leg.look, leg.legs) = (None, None, None, Legs::One);
+                free.retain(|&leg| leg != one);
+            }
+            _ => {}
+        }
+    }
+    while let Some([one, two]) = next_pair(seen, &free) {
+        join(seen, wholes, [one, two]);
+        free.retain(|&leg| leg != one && leg != two);
+    }
+}
+
+impl RoundBody {
+    /// True if a measurement is of this body, which is no person on two legs.
+    fn holds(&self, seen: &BodyMeasurement) -> bool {
+        self.known >= KNOWN
+            && !self.person.has_legs()
+            && apart(&place(&self.circle().mean), &seen.circle.z) < OWN
+    }
+}
+
+/// The two nearest legs that may be of one person.
+fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
+    let mut best: Option<(f64, [usize; 2])> = None;
+    for (place, &one) in free.iter().enumerate() {
+        for &two in &free[place + 1..] {
+            let (Some(first), Some(second)) = (seen[one].trace, seen[two].trace) else { continue };
+            let far = apart(&seen[one].circle.z, &seen[two].circle.z);
+            let moved = first.max(second) < EACH && 0.5 * (first + second) < BOTH;
+            if moved && far < STEP && best.is_none_or(|(least, _)| far < least) {
+                best = Some((far, [one, two]));
+            }
+        }
+    }
+    best.map(|(_, pair)| pair)
+}
+
+/// Make one measurement of two legs, in the place of the first.
+fn join(seen: &mut [BodyMeasurement], wholes: &mut [usize], [one, two]: [usize; 2]) {
+    let (left, right) = (seen[one], seen[two]);
+    let (a, b) = (left.circle, right.circle);
+    let mut person = left;
+    let middle = (a.z + b.z) * 0.5;
+    let radius = (0.5 * apart(&a.z, &b.z)).max(middle[2]);
+    person.circle.z = Vector3::new(middle[0], middle[1], radius);
+    person.circle.R = (a.R + b.R) * 0.25;
+    for axis in 0..2 {
+        person.circle.R[(axis, axis)] += MIDDLE * MIDDLE;
+    }
+    person.circle.R[(2, 2)] += SIZE[0] * SIZE[0];
+    person.circle.delay = 0.5 * (a.delay + b.delay);
+    person.time_ns = left.time_ns / 2 + right.time_ns / 2;
+    person.trace = left.trace.zip(right.trace).map(|(first, second)| 0.5 * (first + second));
+    (person.round, person.outline, person.look) = (None, None, None);
+    (person.is_face, person.legs) = (false, Legs::Two);
+    seen[one] = person;
+    wholes[one] = one;
+    for whole in wholes.iter_mut().filter(|whole| **whole == two) {
+        *whole = one;
+    }
+}
+
+fn place(mean: &nalgebra::SVector<f64, 5>) -> Vector3<f64> {
+    Vector3::new(mean[0], mean[1], mean[4])
+}
+
+fn apart(one: &Vector3<f64>, two: &Vector3<f64>) -> f64 {
+    libm::hypot(one[0] - two[0], one[1] - two[1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::circles::map::circle_measurement::CircleMeasurement;
+    use nalgebra::Matrix3;
+
+    fn leg(x: f64, y: f64, trace: f64) -> BodyMeasurement {
+        BodyMeasurement {
+            circle: CircleMeasurement {
+                z: Vector3::new(x, y, 0.07),
+                R: Matrix3::identity() * 1e-4,
+                delay: 0.0,
+            },
+            round: None,
+            outline: None,
+            is_face: false,
+            time_ns: 0,
+            sight: [1.0, 0.0],
+            look: None,
+            trace: Some(trace),
+            legs: Legs::None,
+        }
+    }
+
+    fn joined(mut seen: Vec<BodyMeasurement>) -> (Vec<BodyMeasurement>, Vec<usize>) {
+        let mut wholes = (0..seen.len()).collect::<Vec<_>>();
+        put_together(&[], &mut seen, &mut wholes);
+        (seen, wholes)
+    }
+
+    #[test]
+    fn two_legs_where_space_was_free_are_one_person_in_their_middle() {
+        let (seen, wholes) =
+            joined(vec![leg(2.0, 0.0, 0.1), leg(2.4, 0.2, 0.6), leg(5.0, 0.0, 0.0)]);
+        assert_eq!(wholes, [0, 0, 2]);
+        assert_eq!((seen[0].legs, seen[2].legs), (Legs::Two, Legs::None));
+        assert!(
+            (seen[0].circle.z[0] - 2.2).abs() < 1e-12 && (seen[0].circle.z[1] - 0.1).abs() < 1e-12
+        );
+    }
+
+    #[test]
+    fn what_stands_and_what_is_far_apart_is_not_put_together() {
+        assert_eq!(joined(vec![leg(2.0, 0.0, 1.0), leg(2.3, 0.0, 1.0)]).1, [0, 1]);
+        assert_eq!(joined(vec![leg(2.0, 0.0, 0.0), leg(2.3, 0.0, 1.0)]).1, [0, 1]);
+        assert_eq!(joined(vec![leg(2.0, 0.0, 0.0), leg(2.9, 0.0, 0.0)]).1, [0, 1]);
+    }
+
+    #[test]
+    fn of_three_legs_the_nearest_two_are_one_person() {
+        assert_eq!(
+            joined(vec![leg(2.0, 0.0, 0.0), leg(2.7, 0.0, 0.0), leg(2.9, 0.0, 0.0)]).1,
+            [0, 1, 1]
+        );
+    }
+}

@@ -1,0 +1,158 @@
+//! What a measurement says about a body: how likely it is of it, and how much it is worth.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::{KNOWN, RoundBody, STAYED};
+use crate::Error;
+use crate::circles::map::circle_measurement::{CircleMeasurement, Measures};
+use crate::circles::map::element::exceeds;
+use crate::circles::map::modes::{Distances, LN_2_PI, joined};
+use crate::circles::map::rules::Rules;
+use crate::circles::map::view::earlier::Trace;
+use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
+use nalgebra::{Matrix3, Vector2};
+
+/// Probability of standing above which a body is where it was, whatever its fit says.
+const LIKELY: f64 = 0.2;
+/// Squared distance that is left of a larger one then: the centre tells less than the trace.
+const STAYING: f64 = 1.0;
+/// Largest squared distance of the centre of what is not surely round, or has stayed.
+const NEAR: f64 = 9.0;
+/// Probability that another part of a body is seen, and how far its circle is then: a length and a
+/// share of the radius, one standard deviation [m].
+const OTHER: f64 = 0.05;
+const PART: f64 = 0.03;
+const PART_SHARE: f64 = 0.5;
+/// The same of what is surely round, for the decision if it stands.
+const OTHER_OF_ROUND: f64 = 0.001;
+/// Distance from its predicted place, and speed since the last scan, above which a measurement is
+/// of another body [m], [m/s]; since its last measurement, where its place is not known.
+const FARTHEST: f64 = 0.8;
+const FASTEST: f64 = 3.0;
+/// Squared distance up to which something is a body that comes back into sight: 99.7 % of where it
+/// may be, chi-square of 2 degrees of freedom.
+const RETURN: f64 = 11.8;
+/// Mean time for which a body is out of sight, if it comes back at all [s].
+const HIDDEN: f64 = 5.0;
+
+/// Weight of the newest radius in the variance of radii, and its largest square [m^2].
+const ROUGHNESS: f64 = 0.1;
+const ROUGHEST: f64 = 0.01;
+
+impl RoundBody {
+    /// A measurement with the noise of this body.
+    pub(super) fn noisy(&self, seen: &CircleMeasurement) -> CircleMeasurement {
+        let mut seen = *seen;
+        for axis in 0..2 {
+            seen.R[(axis, axis)] += self.jitter.variance();
+        }
+        // As much as the fit states is chance.
+        seen.R[(2, 2)] += (self.rough - seen.R[(2, 2)]).max(0.0);
+        seen
+    }
+
+    /// The measurement by which the circle is corrected. One that is outside all gates is weighted
+    /// down until it would be inside. So is one that says that the body moved where earlier scans
+    /// met the same surface, or that a body that is not round turned at once: then another part of
+    /// it is seen.
+    pub(super) fn weighted(
+        &self,
+        seen: &CircleMeasurement,
+        trace: Option<Trace>,
+        rules: &Rules,
+    ) -> Result<CircleMeasurement, Error> {
+        let mut seen = self.noisy(seen);
+        let motion = rules.motion();
+        let Distances { least, calm, first } = self.circle.distances(&seen, motion)?;
+        let has_stayed =
+            trace.is_some_and(|trace| trace >= STAYED) && self.circle.standing(motion) > LIKELY;
+        // What is round and leaves departs from its place before its trace tells it.
+        let is_round = self.outline.is_surely_round();
+        let (from, most, left) = match (has_stayed, is_round) {
+            (true, false) => (first, NEAR, STAYING),
+            (true, true) => (first, NEAR, NEAR),
+            (false, true) => (least, rules.gate(), rules.gate()),
+            (false, false) => (calm, NEAR, NEAR),
+        };
+        if from.squared <= most {
+            return Ok(seen);
+        }
+        let Gaussian { mean, covariance } = self.circle();
+        let growth = seen.z[2] - mean[4];
+        if growth * growth > NEAR * (covariance[(4, 4)] + seen.R[(2, 2)]) {
+            // Another radius: the fit is of another part. Its covariance tells how errors of the
+            // centre and of the radius hang together, and this is none of them.
+            seen.R += Matrix3::identity() * (from.length / left);
+        } else {
+            seen.R *= from.squared / left;
+        }
+        Ok(seen)
+    }
+
+    /// -2 ln of the likelihood of a measurement; None if it is of another body.
+    ///
+    /// Now and then another part of a body is seen, and its circle is elsewhere by a part of its
+    /// size. What was out of sight is the less likely back the longer it was gone, and what is far
+    /// from where it should be is something else.
+    pub(super) fn cost(
+        &self,
+        seen: &CircleMeasurement,
+        rules: &Rules,
+    ) -> Result<Option<f64>, Error> {
+        let noisy = self.noisy(seen);
+        if !rules.has_standing() {
+            return self.circle.cost(&noisy, rules.gate());
+        }
+        let state = self.circle();
+        let apart = libm::hypot(seen.z[0] - state.mean[0], seen.z[1] - state.mean[1]);
+        let place = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        let time = if exceeds(&place, KNOWN * KNOWN) {
+            self.waiting
+        } else {
+            self.waiting / f64::from(self.waits.max(1))
+        };
+        if apart > FARTHEST.max(FASTEST * time) {
+            return Ok(None);
+        }
+        let wide = self.of_part(&noisy);
+        let Linearised { y, H, R } = wide.against(&state.mean);
+        let S = symmetrised(H * state.covariance * H.transpose() + R);
+        let is_back = self.waits > 1;
+        let place = Vector2::new(y[0], y[1]);
+        if is_back
+            && mahalanobis(&place, &S.fixed_view::<2, 2>(0, 0).into_owned())?.squared > RETURN
+        {
+            return Ok(None);
+        }
+        let part = mahalanobis(&y, &S)?;
+        let part = (part.squared <= rules.gate())
+            .then(|| part.squared + part.log_determinant + 3.0 * LN_2_PI - 2.0 * libm::log(OTHER));
+        let whole = self.circle.cost(&noisy, rules.gate())?;
+        let gone = if is_back { 2.0 * self.waiting / HIDDEN } else { 0.0 };
+        Ok(match (whole, part) {
+            (Some(whole), Some(part)) => Some(joined(whole, part) + gone),
+            (whole, part) => whole.or(part).map(|cost| cost + gone),
+        })
+    }
+
+    /// Probability that a measurement shows another part of this body, for the decision if it stands.
+    pub(super) fn share_of_parts(&self) -> f64 {
+        if self.outline.is_surely_round() { OTHER_OF_ROUND } else { OTHER }
+    }
+
+    /// A measurement if it shows another part of this body.
+    pub(super) fn of_part(&self, seen: &CircleMeasurement) -> CircleMeasurement {
+        let spread = PART + PART_SHARE * self.circle().mean[4].max(seen.z[2]);
+        CircleMeasurement { R: seen.R + Matrix3::identity() * (spread * spread), ..*seen }
+    }
+
+    /// Take in how the centre jitters.
+    pub(super) fn listen(&mut self, seen: &CircleMeasurement, time_ns: i64) {
+        let variance = 0.5 * (seen.R[(0, 0)] + seen.R[(1, 1)]);
+        self.jitter.add(time_ns, [seen.z[0], seen.z[1]], variance);
+        let Gaussian { mean, covariance } = self.circle();
+        let off = seen.z[2] - mean[4];
+        let excess = off * off - seen.R[(2, 2)] - covariance[(4, 4)];
+        self.rough += ROUGHNESS * (excess.min(ROUGHEST) - self.rough);
+    }
+}

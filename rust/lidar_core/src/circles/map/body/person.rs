@@ -1,0 +1,119 @@
+//! How probable it is that a body is a person.
+
+use super::legs::Legs;
+use serde::{Deserialize, Serialize};
+
+/// Logarithm of the odds that a new body is a person, and the largest odds either way.
+const PRIOR: f64 = -1.5;
+const MOST: f64 = 4.0;
+/// Rates at which the logarithm of the odds changes [1/s]. Successive scans show nearly the same, so
+/// that time counts and not their number.
+const TWO_LEGS: f64 = 4.0;
+const WALKS: f64 = 2.0;
+const OTHERWISE: f64 = -2.0;
+const STANDS: f64 = -0.5;
+/// The same for what stands after it walked: people stop.
+const STOPPED: f64 = -0.02;
+/// Speeds at which people walk [m/s], the speed above which nobody does, and radii of bodies.
+const PACE: [f64; 2] = [0.3, 2.5];
+const FASTEST: f64 = 3.5;
+const SIZE: [f64; 2] = [0.03, 0.45];
+/// Radius above which a rectangle is no person [m]; of a trunk near by, one side looks straight.
+const SQUARE: f64 = 0.25;
+/// Longest time that one measurement speaks for [s].
+const LONGEST: f64 = 0.5;
+
+/// What is seen of a body that tells if it is a person.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gait {
+    pub(super) legs: Legs,
+    /// Speed [m/s]; 0 if it stands.
+    pub(super) speed: f64,
+    /// Radius [m].
+    pub(super) radius: f64,
+    /// It looks like a rectangle.
+    pub(super) is_angular: bool,
+}
+
+/// Odds that a body is a person.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Person {
+    log_odds: f64,
+    /// It was seen on two legs.
+    has_legs: bool,
+}
+
+impl Default for Person {
+    fn default() -> Self {
+        Self { log_odds: PRIOR, has_legs: false }
+    }
+}
+
+impl Person {
+    pub(super) fn probability(&self) -> f64 {
+        1.0 / (1.0 + libm::exp(-self.log_odds))
+    }
+
+    /// True if the body was seen on two legs and may be a person.
+    pub(super) fn has_legs(&self) -> bool {
+        self.has_legs && self.log_odds > PRIOR - 1.0
+    }
+
+    /// Take in a measurement, `dt` seconds after the last one.
+    pub(super) fn hear(&mut self, gait: &Gait, dt: f64) {
+        self.has_legs |= gait.legs == Legs::Two;
+        let is_square = gait.is_angular && gait.radius > SQUARE;
+        let is_of_size = gait.radius >= SIZE[0] && gait.radius <= SIZE[1] && !is_square;
+        let walks = gait.speed >= PACE[0] && gait.speed <= PACE[1];
+        let rate = if walks && gait.legs == Legs::Two {
+            TWO_LEGS
+        } else if gait.speed > FASTEST || walks && !is_of_size {
+            OTHERWISE
+        } else if walks {
+            WALKS
+        } else if self.log_odds > 0.0 {
+            STOPPED
+        } else {
+            STANDS
+        };
+        self.log_odds = (self.log_odds + rate * dt.clamp(0.0, LONGEST)).clamp(-MOST, MOST);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn after(gait: Gait, seconds: f64) -> f64 {
+        let mut person = Person::default();
+        for _ in 0..(10.0 * seconds) as u32 {
+            person.hear(&gait, 0.1);
+        }
+        person.probability()
+    }
+
+    #[test]
+    fn what_walks_is_a_person_and_what_stands_drives_or_is_square_is_not() {
+        let gait = Gait { legs: Legs::None, speed: 1.2, radius: 0.2, is_angular: false };
+        assert!(after(gait, 3.0) > 0.9);
+        assert!(after(Gait { legs: Legs::Two, ..gait }, 1.0) > 0.9);
+        for other in [
+            Gait { speed: 0.0, ..gait },
+            Gait { speed: 6.0, ..gait },
+            Gait { radius: 0.8, ..gait },
+            Gait { is_angular: true, radius: 0.3, ..gait },
+            Gait { legs: Legs::Two, speed: 0.0, ..gait },
+        ] {
+            assert!(after(other, 3.0) < 0.1, "{other:?}");
+        }
+    }
+
+    #[test]
+    fn who_stops_stays_a_person() {
+        let mut person = Person::default();
+        let gait = Gait { legs: Legs::Two, speed: 1.2, radius: 0.2, is_angular: false };
+        (0..20).for_each(|_| person.hear(&gait, 0.1));
+        (0..600).for_each(|_| person.hear(&Gait { speed: 0.0, ..gait }, 0.1));
+        assert!(person.probability() > 0.8);
+    }
+}

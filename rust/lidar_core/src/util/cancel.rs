@@ -1,0 +1,149 @@
+//! A running call may be asked to stop: long loops look whether it was, until the first write.
+//!
+//! The flag belongs to the thread that runs the call, not to the arguments of every function.
+//! Loops take a [`Watch`] before they share work out to other threads.
+
+use crate::Error;
+use std::cell::RefCell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+thread_local! {
+    static CURRENT: RefCell<Option<Cancel>> = const { RefCell::new(None) };
+}
+
+/// Handle by which a running call is stopped from another thread.
+#[derive(Clone, Default)]
+pub struct Cancel(Arc<State>);
+
+#[derive(Default)]
+struct State {
+    is_asked: AtomicBool,
+    /// Held while somebody is asked whether to stop, so that no write begins meanwhile.
+    is_writing: Mutex<bool>,
+}
+
+impl Cancel {
+    /// Run `work` on this thread: its long loops stop once this handle was asked to.
+    pub fn run<T>(&self, work: impl FnOnce() -> T) -> T {
+        within(Some(self.clone()), work)
+    }
+
+    /// Ask the call to stop if `wish` is true. Once the call has begun to write, nothing is
+    /// asked: `wish` is not called, and false is returned.
+    pub fn ask_if(&self, wish: impl FnOnce() -> bool) -> bool {
+        let is_writing = self.0.is_writing.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_asked = !*is_writing && wish();
+        if is_asked {
+            self.0.is_asked.store(true, Ordering::Relaxed);
+        }
+        is_asked
+    }
+}
+
+/// What a long loop looks at. It may go to other threads.
+#[derive(Clone, Default)]
+pub struct Watch(Option<Cancel>);
+
+impl Watch {
+    /// True if the call was asked to stop. One load; a loop looks at least every 50 ms.
+    #[inline]
+    #[must_use]
+    pub fn is_asked(&self) -> bool {
+        self.0.as_ref().is_some_and(|cancel| cancel.0.is_asked.load(Ordering::Relaxed))
+    }
+
+    /// Give up if the call was asked to stop.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    #[inline]
+    pub fn check(&self) -> Result<(), Error> {
+        if self.is_asked() { Err(Error::Interrupted) } else { Ok(()) }
+    }
+
+    /// Run a part of the call, which another thread may have taken over.
+    pub(crate) fn run<T>(&self, work: impl FnOnce() -> T) -> T {
+        within(self.0.clone(), work)
+    }
+}
+
+/// The watch of the call that runs on this thread; one that is never asked if there is none.
+#[must_use]
+pub fn watch() -> Watch {
+    Watch(CURRENT.with_borrow(Clone::clone))
+}
+
+/// Give up if the call on this thread was asked to stop.
+///
+/// # Errors
+/// [`Error::Interrupted`].
+pub fn check() -> Result<(), Error> {
+    watch().check()
+}
+
+/// From here on the call on this thread changes its object, and can no longer be stopped.
+///
+/// # Errors
+/// [`Error::Interrupted`] if it was asked before.
+pub fn begin_to_write() -> Result<(), Error> {
+    let Watch(Some(Cancel(state))) = watch() else { return Ok(()) };
+    let mut is_writing = state.is_writing.lock().unwrap_or_else(PoisonError::into_inner);
+    if state.is_asked.load(Ordering::Relaxed) {
+        return Err(Error::Interrupted);
+    }
+    *is_writing = true;
+    Ok(())
+}
+
+fn within<T>(cancel: Option<Cancel>, work: impl FnOnce() -> T) -> T {
+    /// Puts back what was watched before, also after a panic.
+    struct Before(Option<Cancel>);
+    impl Drop for Before {
+        fn drop(&mut self) {
+            CURRENT.set(self.0.take());
+        }
+    }
+    let _before = Before(CURRENT.replace(cancel));
+    work()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_call_that_is_asked_stops_and_the_next_one_does_not() {
+        let cancel = Cancel::default();
+        assert!(!cancel.ask_if(|| false));
+        assert!(cancel.run(check).is_ok());
+        assert!(cancel.ask_if(|| true));
+        assert!(matches!(cancel.run(check), Err(Error::Interrupted)));
+        assert!(matches!(cancel.run(begin_to_write), Err(Error::Interrupted)));
+        assert!(check().is_ok());
+    }
+
+    #[test]
+    fn a_call_that_writes_is_not_asked() {
+        let cancel = Cancel::default();
+        assert!(cancel.run(begin_to_write).is_ok());
+        let mut was_called = false;
+        assert!(!cancel.ask_if(|| std::mem::replace(&mut was_called, true)));
+        assert!(!was_called && cancel.run(check).is_ok());
+    }
+
+    #[test]
+    fn a_watch_goes_to_other_threads_and_a_thread_forgets_it() {
+        let cancel = Cancel::default();
+        let watch = cancel.run(watch);
+        assert!(cancel.ask_if(|| true));
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                assert!(check().is_ok() && watch.check().is_err());
+                assert!(watch.run(check).is_err());
+                assert!(std::panic::catch_unwind(|| watch.run(|| panic!("planned"))).is_err());
+                assert!(check().is_ok());
+            });
+        });
+    }
+}

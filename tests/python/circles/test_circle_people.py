@@ -1,0 +1,108 @@
+"""People on two legs are one element; posts are not; what is hidden does not jump."""
+
+import numpy as np
+import pytest
+
+import reference.circles_front as oracle
+from lidar_core.circles import CirclePipeline, CirclesConfig, Scanner
+
+SCANNER = Scanner(-np.pi / 2, np.pi / 720, 720, 0.1, 8.0)
+RATE = 10.0
+HALL = np.array([(12.5, 0.0, 5.0)])
+"""What ends the rays: the side of something large."""
+
+
+def legs(seconds, *, start, velocity, radius=0.07):
+    """Two legs (x, y, r): each stands for half a cycle and swings as fast as it has to."""
+    velocity = np.array(velocity)
+    speed = np.linalg.norm(velocity)
+    ahead, aside = velocity / speed, np.array([-velocity[1], velocity[0]]) / speed
+    cycle = 1.1
+    found = []
+    for side, phase in ((-1, 0.0), (1, 0.5)):
+        turns = seconds / cycle + phase
+        whole, part = np.floor(turns), turns % 1.0
+        # Half a cycle on the ground, half a cycle in the air, by twice the way.
+        steps = whole + np.clip(2 * part - 1, 0, 1) - phase + 0.25
+        place = np.array(start) + ahead * speed * cycle * steps + aside * 0.09 * side
+        found.append((*place, radius))
+    return found
+
+
+def run(things, *, seconds, seed=4400):
+    """Maps of all scans of `things(time)`, rows of (x, y, radius)."""
+    rng = np.random.default_rng(seed)
+    pipeline = CirclePipeline(CirclesConfig(scanner=SCANNER))
+    maps = []
+    for scan in range(round(seconds * RATE)):
+        time = scan / RATE
+        circles = np.vstack([np.array(things(time)).reshape(-1, 3), HALL])
+        ranges = oracle.cylinder_ranges(SCANNER.bearings(), np.eye(4), circles)
+        ranges = ranges + rng.normal(0, 0.01, len(ranges))
+        stamp = round(time * 1e9) + 10**9
+        maps.append(pipeline.process(ranges.astype(np.float32), np.eye(4), stamp).map)
+    return maps
+
+
+def near(found, place, reach=0.45):
+    return np.flatnonzero(np.linalg.norm(found.center - place, axis=1) < reach)
+
+
+@pytest.mark.parametrize("seed", [4400, 4401])
+def test_a_person_on_two_legs_is_one_element_and_a_person(seed):
+    start, velocity = np.array([2.5, -3.0]), np.array([0.1, 1.0])
+    things = lambda time: legs(time, start=start, velocity=velocity) if time > 1 else []  # noqa: E731
+    maps = run(things, seconds=6.0, seed=seed)
+    numbers, slips, counts = set(), [], []
+    for scan, found in enumerate(maps):
+        time = scan / RATE
+        if time < 2.0:
+            continue
+        own = near(found, start + velocity * time)
+        counts.append(len(own))
+        numbers.update(found.id[own].tolist())
+        slips.extend(np.linalg.norm(found.velocity[own] - velocity, axis=1))
+    assert len(numbers) <= 2
+    assert np.mean(np.array(counts) == 1) > 0.9
+    assert np.sqrt(np.mean(np.square(slips))) < 0.35
+    last = maps[-1]
+    assert last.person_probability[near(last, start + velocity * 5.9)].max() > 0.9
+
+
+def test_two_thin_posts_that_stand_stay_two_elements_and_no_persons():
+    maps = run(lambda _: [(2.5, 0.0, 0.06), (2.5, 0.45, 0.06), (4.0, -1.0, 0.15)], seconds=4.0)
+    assert all(len(near(found, (2.5, 0.22), 0.4)) == 2 for found in maps[10:])
+    assert maps[-1].person_probability.max() < 0.2
+    assert len({number for found in maps[5:] for number in found.id.tolist()}) <= 4
+
+
+def test_a_post_that_is_hidden_does_not_take_the_place_of_another_that_appears():
+    """A post goes behind a large box for good, and another appears 1.2 m beside."""
+
+    def things(time):
+        hider = [(1.5, 0.0, 0.25)] if time > 2.0 else []
+        fresh = [(3.0, 1.2, 0.07)] if time > 3.0 else []
+        return [*hider, *([(3.0, 0.0, 0.07)] if time <= 2.0 else []), *fresh]
+
+    maps = run(things, seconds=5.0)
+    (old,) = maps[15].id[near(maps[15], (3.0, 0.0), 0.2)].tolist()
+    (new,) = maps[-1].id[near(maps[-1], (3.0, 1.2), 0.2)].tolist()
+    assert new != old
+
+
+def test_a_post_that_is_hidden_for_a_second_keeps_its_number():
+    def things(time):
+        return [(3.0, 0.0, 0.07), *([(1.5, 0.0, 0.25)] if 2.0 < time < 3.0 else [])]
+
+    maps = run(things, seconds=5.0)
+    (old,) = maps[15].id[near(maps[15], (3.0, 0.0), 0.2)].tolist()
+    (now,) = maps[-1].id[near(maps[-1], (3.0, 0.0), 0.2)].tolist()
+    assert now == old
+
+
+def test_the_filter_of_the_paper_knows_no_persons():
+    pipeline = CirclePipeline(CirclesConfig(map=CirclesConfig.paper().map, scanner=SCANNER))
+    ranges = oracle.cylinder_ranges(SCANNER.bearings(), np.eye(4), np.array([(2.0, 0.0, 0.2)]))
+    found = pipeline.process(ranges.astype(np.float32), np.eye(4), 10**9).map
+    assert len(found)
+    assert (found.person_probability == 0).all()

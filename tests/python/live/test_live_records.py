@@ -1,0 +1,192 @@
+"""What a live run keeps and tells: recordings, Arrow, metrics."""
+
+import json
+import re
+import subprocess
+from threading import Event
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from commands import command_line
+from typer.testing import CliRunner
+
+import lidar_core as lc
+from lidar_core.cli import app
+from lidar_core.errors import FormatError, LinkError
+from lidar_core.io.records import Record, Topic
+from lidar_core.live import tape as tape_module
+from lidar_core.live.metrics import MetricsServer, metrics_text
+from lidar_core.live.stats import Delay, Report
+from lidar_core.live.tape import Tape
+from lidar_core.messages import Pose, Scan
+
+CLOUDS = Topic("/cloud", "", "scan")
+SCANS = 12
+
+
+def cloud(number):
+    points = np.random.default_rng(number).normal(size=(200, 3)).astype(np.float32) * 5
+    return Scan(number * 10**8, points, "lidar", topic="/cloud")
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A short flight with drones and its poses."""
+    path = tmp_path_factory.mktemp("flight") / "a.npz"
+    arguments = ["simulate", "demo", "-o", str(path), "--scans", str(SCANS)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    return path
+
+
+def messages_of(path, kind):
+    with lc.io.open_recording(path) as recording:
+        return [message for message in recording if isinstance(message, kind)]
+
+
+@pytest.mark.parametrize("ending", ["npz", "mcap"])
+def test_a_tape_keeps_every_message_and_decodes_it_once(tmp_path, ending):
+    path, calls = tmp_path / f"a.{ending}", []
+
+    def decode(number):
+        calls.append(number)
+        return [cloud(number)]
+
+    tape = Tape(path)
+    kept = [
+        tape.kept(Record(CLOUDS, number, lambda number=number: decode(number)))
+        for number in range(20)
+    ]
+    assert [record.decode()[0].stamp_ns for record in kept] == [n * 10**8 for n in range(20)]
+    tape.close()
+    tape.close()
+    assert sorted(calls) == list(range(20))
+    assert tape.lost == 0
+    scans = messages_of(path, Scan)
+    assert [scan.stamp_ns for scan in scans] == [n * 10**8 for n in range(20)]
+    np.testing.assert_array_equal(scans[3].points, cloud(3).points)
+
+
+def test_what_cannot_be_read_is_left_out_of_the_tape_and_told_to_the_loop(tmp_path):
+    def broken():
+        raise FormatError("broken")
+
+    tape = Tape(tmp_path / "a.npz")
+    kept = [tape.kept(Record(CLOUDS, 0, decode)) for decode in (broken, lambda: [cloud(1)])]
+    for _ in range(2):
+        with pytest.raises(FormatError, match="broken"):
+            kept[0].decode()
+    tape.close()
+    assert len(messages_of(tmp_path / "a.npz", Scan)) == 1
+
+
+def test_a_slow_disk_loses_records_and_does_not_wait(tmp_path, monkeypatch):
+    written, gate = [], Event()
+
+    def slow(path, messages):
+        gate.wait(60)
+        written.extend(messages)
+
+    monkeypatch.setattr(tape_module, "write_recording", slow)
+    tape = Tape(tmp_path / "a.npz")
+    for number in range(tape_module.MOST_WAITING + 30):
+        tape.kept(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
+    assert tape.lost == 30
+    gate.set()
+    tape.close()
+    assert len(written) == tape_module.MOST_WAITING
+
+
+def test_a_tape_that_cannot_be_written_ends_with_the_reason(tmp_path, monkeypatch):
+    def full(path, messages):
+        next(messages)
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(tape_module, "write_recording", full)
+    tape = Tape(tmp_path / "a.npz")
+    for number in range(5):
+        tape.kept(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
+    with pytest.raises(OSError, match="No space left"):
+        tape.close()
+
+
+def test_a_run_keeps_what_came_in_and_streams_its_tracks(flight, tmp_path):
+    """The recording gives the same run again, whatever the pace of the first one was."""
+    arrow = pytest.importorskip("pyarrow")
+    tape, tracks = tmp_path / "kept.npz", tmp_path / "tracks.arrow"
+    done = CliRunner().invoke(
+        app,
+        [
+            *("live", "--replay", str(flight), "--rate", "0.5", "--record", str(tape)),
+            *("--out", f"arrow:{tracks}", "--metrics", "0", "--json", "-"),
+        ],
+    )
+    assert done.exit_code == 0, done.output
+    summary = json.loads(done.stdout)
+    assert (summary["recording"], summary["not_recorded"]) == (str(tape), 0)
+    original, kept = messages_of(flight, Scan), messages_of(tape, Scan)
+    assert [scan.stamp_ns for scan in kept] == [scan.stamp_ns for scan in original]
+    for one, other in zip(original, kept, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+    assert len(messages_of(tape, Pose)) == len(messages_of(flight, Pose))
+    with arrow.ipc.open_stream(tracks) as reader:
+        batches = list(reader)
+        assert reader.schema.metadata[b"capability"] == b"flying"
+    assert len(batches) == summary["processed"]
+    assert {"stamp_ns", "id", "x", "vx", "cov_x_x", "existence"} <= set(batches[0].schema.names)
+
+
+def test_files_that_are_there_are_not_replaced(flight, tmp_path):
+    (tmp_path / "a.npz").write_bytes(b"mine")
+    arguments = ["live", "--replay", str(flight), "--record", str(tmp_path / "a.npz")]
+    done = subprocess.run(
+        command_line(*arguments), capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 2
+    assert "--overwrite" in done.stderr
+    assert (tmp_path / "a.npz").read_bytes() == b"mine"
+
+
+REPORT = Report(
+    elapsed_s=12.5,
+    rate_hz=9.5,
+    from_stamp=None,
+    from_arrival=Delay(20.0, 45.5),
+    counts={"dropped": 3, "without pose": 1, "rejected": 0},
+    processed=120,
+    objects=2,
+    trouble="",
+)
+LINE = re.compile(r'^[a-z_]+(\{[a-z_]+="[^"]*"(,[a-z_]+="[^"]*")*\})? [-+0-9.e]+$')
+
+
+def test_metrics_are_text_that_prometheus_reads():
+    text = metrics_text(REPORT)
+    assert text.endswith("\n")
+    lines = text.splitlines()
+    values = dict(line.rsplit(" ", 1) for line in lines if not line.startswith("#"))
+    assert all(LINE.match(line) for line in lines if not line.startswith("#"))
+    assert values["lidar_core_live_scans_total"] == "120"
+    assert values['lidar_core_live_scans_left_out_total{reason="without_pose"}'] == "1"
+    assert values['lidar_core_live_latency_seconds{since="arrival",quantile="0.95"}'] == "0.0455"
+    assert values["lidar_core_live_source_ok"] == "1"
+    assert not any('since="stamp"' in name for name in values)
+    names = {line.split()[2] for line in lines if line.startswith("# TYPE")}
+    assert {name.partition("{")[0] for name in values} == names
+
+
+def test_metrics_are_served_and_grow():
+    server = MetricsServer("127.0.0.1", 0)
+    with urlopen(server.address, timeout=10) as answer:
+        assert answer.headers["Content-Type"].startswith("text/plain; version=0.0.4")
+        assert b"lidar_core_live_up 1\n" in answer.read()
+    server.update(REPORT)
+    with urlopen(server.address, timeout=10) as answer:
+        assert b"lidar_core_live_objects 2\n" in answer.read()
+    with pytest.raises(HTTPError):
+        urlopen(server.address.replace("metrics", "other"), timeout=10)
+    port = int(server.address.split(":")[2].split("/")[0])
+    with pytest.raises(LinkError, match="cannot be opened"):
+        MetricsServer("127.0.0.1", port)
+    server.close()
