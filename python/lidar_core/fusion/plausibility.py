@@ -126,7 +126,7 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
         shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
         likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
         return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
-    if ratio > SUSPICIOUS:
+    if ratio > SUSPICIOUS and not geographic:
         shown = _repairs(measurements[:HEAD], config, ratio, limit)
         if shown:
             return Implausible(count, ratio, limit, tuple(shown), ())

@@ -62,7 +62,7 @@ mod tests {
 
     fn even(count: usize) -> Vec<[f64; AXES]> {
         let at = |k: usize, step: f64| (k as f64 * step) % 1.0;
-        (0..count).map(|k| [100.0 * at(k, 0.618_034), 10.0 * at(k, 0.414_214), 0.0]).collect()
+        (0..count).map(|k| [100.0 * at(k, 0.618_034), 10.0 * at(k, 0.414_214), 0.0, 0.0]).collect()
     }
 
     fn volume(recent: &Recent) -> f64 {
@@ -84,7 +84,7 @@ mod tests {
                 let scan = even(count);
                 scan.chunks(8).for_each(|scan| without.take(scan));
                 let mut spoilt = scan;
-                spoilt[count / 2] = [far, far, far];
+                spoilt[count / 2] = [far; AXES];
                 spoilt.chunks(8).for_each(|scan| with.take(scan));
                 let ratio = volume(&with) / volume(&without);
                 assert!((0.3..3.0).contains(&ratio), "{far} {count} {ratio}");

@@ -535,6 +535,7 @@ mod tests {
     use super::*;
     use crate::fusion::models::drone::{CtrvDrone, CtrvDroneRate};
     use crate::fusion::models::heading::Ctrv;
+    use crate::fusion::models::motion::Motion;
     use crate::fusion::models::motion::tests::difference;
     use crate::fusion::models::platform::Pose;
     use nalgebra::{Vector5, Vector6};

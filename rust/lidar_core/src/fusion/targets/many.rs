@@ -267,7 +267,7 @@ mod tests {
         let filter = FusionParameters {
             model: Model::ConstantVelocity,
             strengths: Strengths { acceleration: 0.5, start: 1.0, ..Strengths::default() },
-            sensing: Sensing { lidar: [0.1; 2], radar: [0.1; 3], ..Sensing::default() },
+            sensing: Sensing { lidar: [0.1; 3], radar: [0.1; 4], ..Sensing::default() },
             life: LifecycleRules {
                 start_rows: 1,
                 gate: LifecycleRules::gates(Some(0.99))?,
