@@ -15,7 +15,6 @@ use nalgebra::{Matrix3, Matrix3x6, Matrix4, Matrix4x3, Matrix6, SMatrix, SVector
 use nalgebra::{RowVector3, Vector3, Vector4};
 
 /// A state relative to the sensor.
-#[derive(Clone, Copy)]
 struct SpaceSight<'a, const N: usize, M> {
     motion: &'a M,
     state: &'a SVector<f64, N>,
@@ -303,9 +302,9 @@ mod tests {
         s: &'a SVector<f64, N>,
         sensor: Option<&'a SpaceSensorPose>,
     ) -> (SpacePlaceSeen<'a, N, M>, SpacePolarSeen<'a, N, M>) {
-        let sight = SpaceSight::new(motion, s, sensor);
-        let place = SpacePlaceSeen { sight, z: Vector3::zeros(), R: Matrix3::zeros() };
-        (place, SpacePolarSeen { sight, z: Vector4::zeros(), R: Matrix4::zeros() })
+        let sight = || SpaceSight::new(motion, s, sensor);
+        let place = SpacePlaceSeen { sight: sight(), z: Vector3::zeros(), R: Matrix3::zeros() };
+        (place, SpacePolarSeen { sight: sight(), z: Vector4::zeros(), R: Matrix4::zeros() })
     }
 
     fn check<const N: usize, M: SpaceMotion<N>>(motion: &M, s: &SVector<f64, N>) {
