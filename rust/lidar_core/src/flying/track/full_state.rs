@@ -1,8 +1,8 @@
 //! The whole state of the tracker.
 
 use super::PointCloudTracker;
-use super::belief::existence::Births;
-use super::belief::standing::StandingTarget;
+use super::belief::existence::FalseBirths;
+use super::belief::standing::UnmovedTarget;
 use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
@@ -19,9 +19,9 @@ pub(crate) struct TrackerState<'a> {
     clouds: &'a VecDeque<Cloud>,
     keeps_points: bool,
     tracks: &'a [PointTrack],
-    standing: &'a [StandingTarget],
+    standing: &'a [UnmovedTarget],
     next_id: i64,
-    births: Births,
+    births: FalseBirths,
 }
 
 /// [`TrackerState`] as it is read back.
@@ -30,9 +30,9 @@ pub(crate) struct SavedTracker {
     clouds: VecDeque<Cloud>,
     keeps_points: bool,
     tracks: Vec<PointTrack>,
-    standing: Vec<StandingTarget>,
+    standing: Vec<UnmovedTarget>,
     next_id: i64,
-    births: Births,
+    births: FalseBirths,
 }
 
 impl PointCloudTracker {

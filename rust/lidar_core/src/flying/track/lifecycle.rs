@@ -1,6 +1,6 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::belief::existence::{self, Belief, Births, DELETED, KEPT, Surroundings};
+use super::belief::existence::{self, DELETED, ExpectedClutter, FalseBirths, KEPT, TrackBelief};
 use super::measurement::Evidence;
 use super::motion;
 use super::pairs::AlongX;
@@ -19,7 +19,7 @@ const PART_GAP: f64 = 0.35;
 /// Vrba et al., Algorithm 2, lines 15-17.
 pub(super) fn remove_uncertain(
     tracks: &mut Vec<PointTrack>,
-    births: &mut Births,
+    births: &mut FalseBirths,
     parameters: &TrackerParameters,
     now_ns: i64,
 ) -> Vec<i64> {
@@ -43,7 +43,7 @@ pub(super) struct SetOfDetections<'a> {
     /// Place of the first new track.
     pub(super) known: usize,
     /// What is expected of it.
-    pub(super) around: Surroundings,
+    pub(super) around: ExpectedClutter,
 }
 
 /// Enter a set of detections into all tracks. Returns the numbers of those that are confirmed by it.
@@ -69,7 +69,7 @@ pub(super) fn confirm(
                 if index < set.known {
                     existence::weigh(track, evidence, set.around, set.stamp_ns);
                 } else {
-                    track.belief = Belief::born(set.around, track, set.stamp_ns);
+                    track.belief = TrackBelief::born(set.around, track, set.stamp_ns);
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
                 track.belief.existence(track) >= limit
@@ -88,7 +88,7 @@ pub(super) fn confirm(
 /// improbable; their numbers.
 pub(super) fn remove_unconfirmed(
     tracks: &mut Vec<PointTrack>,
-    births: &mut Births,
+    births: &mut FalseBirths,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
     match parameters.confirmation {

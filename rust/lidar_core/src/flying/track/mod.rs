@@ -38,8 +38,8 @@ use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::util::budget::check_points;
-use belief::existence::{Births, Sight};
-use belief::standing::{self, StandingTarget};
+use belief::existence::{FalseBirths, Sight};
+use belief::standing::{self, UnmovedTarget};
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
@@ -126,9 +126,9 @@ pub struct PointCloudTracker {
     keeps_points: bool,
     tracks: Vec<PointTrack>,
     /// What stood in free space during the burn-in.
-    standing: Vec<StandingTarget>,
+    standing: Vec<UnmovedTarget>,
     next_id: i64,
-    births: Births,
+    births: FalseBirths,
 }
 
 impl PointCloudTracker {
@@ -144,7 +144,7 @@ impl PointCloudTracker {
             tracks: Vec::new(),
             standing: Vec::new(),
             next_id: 0,
-            births: Births::default(),
+            births: FalseBirths::default(),
         })
     }
 
@@ -266,7 +266,7 @@ impl PointCloudTracker {
     /// background from now on.
     pub(crate) fn watch(&mut self, found: &Detections<'_>) {
         for index in 0..found.positions.len() {
-            self.standing.push(StandingTarget::new(self.next_id, found, index));
+            self.standing.push(UnmovedTarget::new(self.next_id, found, index));
             self.next_id += 1;
         }
     }
@@ -330,7 +330,7 @@ impl PointCloudTracker {
         self.tracks.clear();
         self.standing.clear();
         self.buffer.clear();
-        self.births = Births::default();
+        self.births = FalseBirths::default();
     }
 
     /// Parameters of the tracker.

@@ -31,7 +31,7 @@ const REACH: f64 = 0.5;
 
 /// Something that stands in free space.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(in crate::flying::track) struct StandingTarget {
+pub(in crate::flying::track) struct UnmovedTarget {
     pub(in crate::flying::track) id: i64,
     position: Vector3<f64>,
     covariance: Matrix3<f64>,
@@ -44,7 +44,7 @@ pub(in crate::flying::track) struct StandingTarget {
     empty_ns: Option<i64>,
 }
 
-impl StandingTarget {
+impl UnmovedTarget {
     /// The detection `index` of a set.
     pub(in crate::flying::track) fn new(
         id: i64,
@@ -116,7 +116,7 @@ impl StandingTarget {
 
 /// Look for what stands in a scan. What has gone is removed; the numbers of these.
 pub(in crate::flying::track) fn look(
-    standing: &mut Vec<StandingTarget>,
+    standing: &mut Vec<UnmovedTarget>,
     scan: &CloudScan<'_>,
 ) -> Vec<i64> {
     for target in standing.iter_mut() {
@@ -133,7 +133,7 @@ pub(in crate::flying::track) fn look(
         let is_empty = !target.is_there && scan.visibility.is_some_and(expected);
         target.empty_ns = is_empty.then(|| target.empty_ns.unwrap_or(scan.stamp_ns));
     }
-    let is_gone = |target: &StandingTarget| {
+    let is_gone = |target: &UnmovedTarget| {
         target.empty_ns.is_some_and(|since| seconds(since, scan.stamp_ns) >= GONE)
     };
     let gone = standing.iter().filter(|target| is_gone(target)).map(|target| target.id).collect();
@@ -144,7 +144,7 @@ pub(in crate::flying::track) fn look(
 /// Give the numbers of what stood, and has left, to the tracks that follow it since. Pairs of the
 /// number that stays and the one that goes.
 pub(in crate::flying::track) fn hand_over(
-    standing: &mut Vec<StandingTarget>,
+    standing: &mut Vec<UnmovedTarget>,
     tracks: &mut [PointTrack],
     confirmed: &mut [i64],
 ) -> Vec<[i64; 2]> {
