@@ -138,6 +138,10 @@ def rust_imports(root: Path) -> Imports:
     return imports
 
 
+TYPES_OF_TRAITS = {"Output", "Item", "Error", "Target", "World", "Cv", "Wide"}
+"""Every implementation of a trait defines them."""
+
+
 def rust_types_defined_twice(roots: Iterable[Path]) -> list[str]:
     """Names of types that more than one place defines, tests left out."""
     names = Counter(
@@ -145,7 +149,7 @@ def rust_types_defined_twice(roots: Iterable[Path]) -> list[str]:
         for root in roots
         for path in rust_modules(root).values()
         for name in RUST_TYPE.findall(without_tests(path.read_text(encoding="utf-8")))
-        if name not in {"Output", "Item", "Error", "Target"}  # types of traits
+        if name not in TYPES_OF_TRAITS
     )
     return sorted(name for name, count in names.items() if count > 1)
 

@@ -212,7 +212,7 @@ def fusion_fit_noise(
     sensors: bool,
     least_rate: float,
     evaluations: int,
-) -> tuple[list[float], list[float], list[float], float]: ...
+) -> tuple[list[float], NDArray[np.float64], NDArray[np.float64], float]: ...
 def hit_probability(
     points: NDArray[np.float64],
     covariance: NDArray[np.float64],
@@ -566,6 +566,7 @@ class Measurement:
         sensor: str,
         values: NDArray[np.float64],
         *,
+        measures: Sequence[bool] | None,
         covariance: NDArray[np.float64] | None,
     ) -> Self: ...
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,16 @@ class ObjectTable:
             numbers = np.array2string(self.id, threshold=6, edgeitems=3, separator=", ")
             more.insert(0, f"id={numbers}")
         return f"{type(self).__name__}({', '.join([f'{len(self)} rows', *more])})"
+
+    def where(self, mask: NDArray[np.bool_]) -> Self:
+        """Rows for which `mask`, shape (K,), is true, such as `tracks.kind == TrackKind.FLYING`."""
+        chosen: dict[str, Any] = {}
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            if isinstance(value, tuple):
+                value = tuple(part for part, is_in in zip(value, mask, strict=True) if is_in)
+            chosen[one.name] = value[mask] if isinstance(value, np.ndarray) else value
+        return type(self)(**chosen)
 
     def to_dict(self) -> dict[str, Any]:
         """Every field by its name as plain values: numbers, texts and nested lists."""
@@ -184,6 +194,11 @@ class Tracks(Boxes):
     existence: NDArray[np.float64]
     kind: NDArray[np.uint8]
     kind_probability: NDArray[np.float64]
+
+    @property
+    def flying(self) -> "Tracks":
+        """The tracks of kind FLYING: what pictures, viewers and evaluations show."""
+        return self.where(self.kind == TrackKind.FLYING)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

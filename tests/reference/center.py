@@ -9,6 +9,7 @@ from scipy.special import expit
 MARGIN, NEAR = 0.4, 0.15
 RADIUS_MEAN, RADIUS_STD, PLACE_STD = 0.3, 0.25, 0.5
 PASSING_STD, LEAST_COSINE = 0.01, 0.3
+ROWS_APART = 0.1  # rays this far apart in height are of several rows [m]
 
 
 class Rays:
@@ -38,21 +39,51 @@ def between(share, ends):
     return np.interp(share, [0.3, 0.6], ends)
 
 
-def frame(points, origin, passing, std):
-    """Centre, covariance, radius and solid share of an open frame; where a ball starts."""
-    count, centroid = len(points), points.mean(axis=0)
+def seen_from(points, origin, passing):
+    """Unit vector of the sight; hits and passing rays across it, sideways and up, in a plane."""
+    centroid = points.mean(axis=0)
     distance = np.linalg.norm(centroid - origin)
     sight = (centroid - origin) / distance
     across = np.array([-sight[1], sight[0], 0.0])
     across = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-9 else np.eye(3)[1]
     axes = np.stack([across, np.cross(sight, across)])
-    flat = (points - centroid) @ axes.T
-    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
-    reach = np.linalg.norm(flat - middle, axis=1).max()
     ahead = passing.those(passing.directions @ sight > 0)
     lengths = distance / (ahead.directions @ sight)
     crossing = ahead.origins + ahead.directions * lengths[:, None]
-    off = np.linalg.norm((crossing - centroid) @ axes.T - middle, axis=1)
+    return sight, (points - centroid) @ axes.T, (crossing - centroid) @ axes.T
+
+
+def outline(points, origin, passing):
+    """Share of the ellipse of the points that is hit; whether rays pass below, None if unknown."""
+    _, hits, rays = seen_from(points, origin, passing)
+    middle = (hits.min(axis=0) + hits.max(axis=0)) / 2
+    reach = np.linalg.norm(hits - middle, axis=1).max() + MARGIN
+    window = (np.linalg.norm(rays - middle, axis=1) < reach).sum()
+    gap = reach * np.sqrt(np.pi / (len(hits) + window))
+    inverse = np.linalg.inv(
+        (hits - hits.mean(axis=0)).T @ (hits - hits.mean(axis=0)) / len(hits)
+        + np.eye(2) * gap**2 / 12
+    )
+    inside = [
+        (np.einsum("ij,jk,ik->i", off, inverse, off) <= 4).sum()
+        for off in (hits - hits.mean(axis=0), rays - hits.mean(axis=0))
+    ]
+    filled = inside[0] / sum(inside) if sum(inside) else 1.0
+    beside = (rays[:, 0] >= hits[:, 0].min() - gap) & (rays[:, 0] <= hits[:, 0].max() + gap)
+    level = rays[beside, 1]
+    if (level < hits[:, 1].min()).any():
+        return filled, True
+    above = level[level > hits[:, 1].max()]
+    return filled, False if len(above) and np.ptp(above) >= ROWS_APART else None
+
+
+def frame(points, origin, passing, std):
+    """Centre, covariance, radius and solid share of an open frame; where a ball starts."""
+    count, centroid = len(points), points.mean(axis=0)
+    sight, flat, rays = seen_from(points, origin, passing)
+    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
+    reach = np.linalg.norm(flat - middle, axis=1).max()
+    off = np.linalg.norm(rays - middle, axis=1)
     gap = (reach + MARGIN) * np.sqrt(np.pi / (count + (off < reach + MARGIN).sum()))
     share = count / (count + (off < reach + gap / 2).sum())
     radius = reach + between(share, [1.5, 0.75]) * gap
@@ -130,6 +161,14 @@ def region(points):
     """Middle of the box around points, and half its diagonal."""
     low, high = points.min(axis=0), points.max(axis=0)
     return (low + high) / 2, np.linalg.norm(high - low) / 2
+
+
+def target_outline(points, origins, passing):
+    """What `outline` says; `origins` of the hits, `passing` as `Rays`."""
+    points = np.asarray(points, float)
+    middle, reach = region(points)
+    passing = passing.those(passing.distance(middle) <= reach + MARGIN)
+    return outline(points, np.mean(np.broadcast_to(origins, points.shape), axis=0), passing)
 
 
 def target_center(points, origins, passing, std):

@@ -74,7 +74,7 @@ class SeeingTracker(Tracker):
         for track in self.tracks:
             if track.confirmed and (newest - track.seen) * 1e-9 <= coast:
                 x, P = self.at(track, stamp)
-                yield track.id, x, P, track.n_detections
+                yield track.id, x, P, track.n_detections, track.kinds
 
 
 class Detector:
@@ -192,6 +192,7 @@ class Detector:
         beside = (along > 0) & (near.distance(middle) <= margin)
         is_cut = np.count_nonzero(beside & (lengths < along - margin)) >= RAYS_TO_CUT
         found = center.target_center(own, origins, near.those(past), self.c.range_std)
+        self.outline = center.target_outline(own, origins, near.those(past))
         return *found, is_cut
 
     def detections(self, cloud, labels, verdicts, origin, delays, is_judged=True):
@@ -205,6 +206,7 @@ class Detector:
                 covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
                 covariance += self.c.range_std**2 * np.eye(3)
                 radius = diagonal(own) / 2
+                self.outline = np.nan, None
             else:
                 place, covariance, radius, _ = self.center_of(own)
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
@@ -217,6 +219,7 @@ class Detector:
                     "n_points": len(own),
                     "confidence": clearance(self.map, own) * sure * is_judged,
                     "delay": delays[labels == label].astype(float).mean(),
+                    "shape": (radius, *self.outline),
                 }
             )
         return found
@@ -258,7 +261,7 @@ class Detector:
         self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
         self.tracker.view = self.tracker.center = None
         self.hint(cloud, labels, verdicts, origin)
-        names = ("position", "covariance", "delay", "confidence")
+        names = ("position", "covariance", "delay", "confidence", "shape")
         columns = ([one[name] for one in found] for name in names)
         position, *others = columns
         self.tracker.new_detections(position, occupied, stamp, *others)
@@ -310,7 +313,7 @@ class Detector:
             found = []
         else:
             shift = np.r_[self.origin, np.zeros(6)]
-            tracks = [(n, x + shift, P, d) for n, x, P, d in self.tracker.reported(stamp)]
+            tracks = [(n, x + shift, *more) for n, x, *more in self.tracker.reported(stamp)]
         rows = {
             name: np.array([one[name] for one in found]).reshape(-1, *shape)
             for name, shape in SHAPES.items()

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from reference import haze
+
 EDGE, PARTS = 45, 3
 CELLS = 6 * EDGE * EDGE
 STEP = np.pi / 2 / EDGE
@@ -139,6 +141,7 @@ class SkyOracle:
     surface_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, -(2**62)))
     since_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, -1))
     counts: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, np.int64))
+    drops: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, np.int64))
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     lowest: float = 0.0
     usual: float = 0.0
@@ -147,16 +150,27 @@ class SkyOracle:
     learnt: int = 0
     density: object = None
 
-    def process(self, points, turn, origin, stamp_ns, state_at=None):
+    def process(self, points, turn, origin, stamp_ns, state_at=None, *, air=None):
         """One scan: returns in the sensor's frame, attitude and place of the sensor.
 
-        Rays are cast if `state_at` is given: the state of the map at points, before the scan.
+        Rays are cast if `state_at` is given: the state of the map at points, before the scan; `air`
+        is the same, and asked for droplets.
         """
         length = np.linalg.norm(points.astype(np.float64), axis=1)
         rows = np.flatnonzero(np.isfinite(length) & (length > 0.1))
         found, length = points[rows].astype(np.float64), length[rows]
         turned = found @ turn.T
         cells = cell_of(turned)
+        is_drop = np.zeros(len(rows), bool)
+        if air is not None:
+            low = -np.inf if self.last_ns is None else self.lowest + 0.35
+            is_drop = haze.droplets(
+                turned, cells, BESIDE, SECTOR, low, lambda ways: air(origin + ways) == 0
+            )
+        drops = cell_of(found[is_drop])
+        all_found = found
+        rows, found, length = rows[~is_drop], found[~is_drop], length[~is_drop]
+        turned, cells = turned[~is_drop], cells[~is_drop]
         hits = np.bincount(cells, minlength=CELLS)
         nearest = np.full(CELLS, np.inf, F32)
         np.minimum.at(nearest, cells, length.astype(F32))
@@ -185,16 +199,25 @@ class SkyOracle:
             self.place = origin
         self.lowest, self.since_ns, self.last_ns = lowest, since, stamp_ns
         self.usual = usual + (0.002 if is_covered else 0.1) * (returns - usual)
-        self._learn(found)
+        self._learn(all_found, drops)
         return seen
 
-    def _learn(self, found):
+    def _learn(self, found, drops):
         if self.scans < 64 or self.scans % 8 == 0:
             self.counts += np.bincount(cell_of(found), minlength=CELLS)
+            self.drops += np.bincount(drops, minlength=CELLS)
             self.learnt += 1
             if self.learnt >= 3:
-                self.density = density_of(self.counts, self.learnt)
+                self.density = density_of(self._rays_learnt(), self.learnt)
         self.scans += 1
+
+    def _rays_learnt(self):
+        """Rays per cell: where surfaces return as well, it shows how many end on droplets."""
+        if not self.drops.any():
+            return self.counts
+        surfaces = 2 * self.drops < self.counts
+        share = max(self.drops[surfaces].sum() / max(self.counts[surfaces].sum(), 1), 0.02)
+        return np.maximum(self.counts, (self.drops / share).astype(np.int64))
 
     def _expect(self, hits, turn, stamp_ns):
         age = 0.0 if self.last_ns is None else (stamp_ns - self.last_ns) * 1e-9

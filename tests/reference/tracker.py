@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 EYE = np.eye(3)
 H = np.hstack([EYE, np.zeros((3, 6))])
@@ -23,6 +23,7 @@ H = np.hstack([EYE, np.zeros((3, 6))])
 UNSEEN_TIME, SIZE_TIME = 0.3, 2.0  # [s]
 MOVED, CLEARED = 0.5, 0.3  # [m]
 MERGE_SPEED = 1.0  # [m/s]
+LARGE, PART_GAP = 1.0, 0.35  # [m]
 LOITER_SHARE = 0.5  # of the way that a target may have flown, it is from where it was seen
 
 
@@ -52,9 +53,55 @@ SURE, MANY_RAYS, FEW_RAYS = 0.7, 12, 3
 DELETED, KEPT = 0.01, 0.5
 LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
 MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
-# Kinds: unknown, flying, ground, static, clutter.
-KIND_SHARES, LEAST_KIND = (0.05, 0.5, 0.05, 0.2, 0.2), 1e-6
+# Kinds: unknown, flying, ground, static, clutter; likelihoods of what a detection shows, sorts of
+# targets: their share, and mean and standard deviation of ln(radius) and ln(filled share).
+KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
+BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
+MOST_SHAPES, SHAPE_NOISE = 20, 0.4
+SORTS = {
+    "flying": [(0.5, (-1.6, 0.35), (-0.7, 0.5)), (0.5, (-0.7, 0.6), (-0.7, 0.5))],
+    "clutter": [
+        (0.35, (-3.0, 0.4), (-0.7, 0.7)),
+        (0.35, (-1.2, 0.8), (-2.3, 0.5)),
+        (0.3, (-1.6, 1.0), (-1.2, 1.0)),
+    ],
+}
+
+
+def weighed(probability, likelihood):
+    """Bayes' rule for kinds, of which none gets less probable than `LEAST_KIND`."""
+    made = np.asarray(likelihood)
+    after = probability * np.maximum(made / made.max(), LEAST_KIND)
+    for _ in range(2):
+        after = np.maximum(after / after.sum(), LEAST_KIND)
+    return after
+
+
+class MeanLog:
+    """Mean of logarithms, of the last ones more than of the first."""
+
+    def __init__(self):
+        self.count, self.mean = 0, 0.0
+
+    def add(self, value):
+        if value > 0:
+            self.count = min(self.count + 1, MOST_SHAPES)
+            self.mean += (np.log(value) - self.mean) / self.count
+
+    def density(self, mean, std):
+        if not self.count:
+            return 1.0
+        return norm.pdf(self.mean, mean, np.hypot(std, SHAPE_NOISE / np.sqrt(self.count)))
+
+
 USUAL, CLUTTER_BOUNDS = 0.1, (0.5, 1.8)
+
+
+def is_part(one, other):
+    """Whether `other` may be a part of `one`, which is large: box beside box."""
+    gap = np.abs(other.r - one.r) - (one.size + other.size) / 2
+    is_largest = one.size.max() >= max(LARGE, other.size.max())
+    return is_largest and np.linalg.norm(np.maximum(gap, 0)) <= PART_GAP
 
 
 class Births:
@@ -107,11 +154,38 @@ class Track:
     own: float = 0.0  # points of its clusters
     stray: float = 0.0  # points around it that belong to no track
     points: np.ndarray = None  # of its last cluster
-    kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
+    seen_kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
+    radius: MeanLog = field(default_factory=MeanLog)
+    filled: MeanLog = field(default_factory=MeanLog)
+    shape: tuple = None  # radius, filled share, whether free below; of its first detection
+    shape_before: tuple = None
 
     @property
     def r(self):
         return self.x[:3]
+
+    @property
+    def kinds(self):
+        """Probabilities of the kinds, with what is known of the shape."""
+        flying, clutter = (
+            sum(
+                share * self.radius.density(*radius) * self.filled.density(*filled)
+                for share, radius, filled in sorts
+            )
+            for sorts in (SORTS["flying"], SORTS["clutter"])
+        )
+        other = (flying + clutter) / 2
+        return weighed(self.seen_kinds, (other, flying, other, other, clutter))
+
+    def measure(self, shape):
+        """Enter the shape of a detection."""
+        if shape is None:
+            return
+        radius, filled, is_free_below = shape
+        self.radius.add(radius)
+        self.filled.add(filled)
+        if is_free_below is not None:
+            self.seen_kinds = weighed(self.seen_kinds, BELOW[is_free_below])
 
     @property
     def kind(self):
@@ -133,11 +207,8 @@ class Track:
     def take(self, likelihood):
         target, hidden, standing, fleeting = likelihood
         mixed = (self.there * target + self.hidden * hidden) / (self.there + self.hidden)
-        any_kind = (mixed + standing + fleeting) / 3
-        made = np.array([any_kind, mixed, mixed, standing, fleeting])
-        self.kinds = self.kinds * np.maximum(made / made.max(), LEAST_KIND)
-        for _ in range(2):
-            self.kinds = np.maximum(self.kinds / self.kinds.sum(), LEAST_KIND)
+        made = (mixed, mixed, mixed, standing, mixed)
+        self.seen_kinds = weighed(self.seen_kinds, made)
         weights = [
             self.there,
             self.hidden,
@@ -413,7 +484,7 @@ class Tracker:
         return removed
 
     def new_detections(
-        self, positions, occupied, stamp, covariance=None, delay=None, confidence=None
+        self, positions, occupied, stamp, covariance=None, delay=None, confidence=None, shape=None
     ):
         fresh = []
         for index, z in enumerate(positions):
@@ -434,7 +505,7 @@ class Tracker:
             shown = "sure" if is_sure else "weak"
             size = np.zeros(3)
             new = Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, shown=shown, place=z)
-            new.seen_at = z
+            new.seen_at, new.shape = z, None if shape is None else shape[index]
             fresh.append(new)
         for time, points, delays in self.buffer:
             if time > stamp:
@@ -455,7 +526,7 @@ class Tracker:
             if distance:
                 index = min(distance, key=distance.get)
                 self.tracks[index].n_detections += 1
-                fed.append((index, new.shown))
+                fed.append((index, (new.shown, new.shape)))
             else:
                 self.tracks.append(new)
         return fed
@@ -477,7 +548,7 @@ class Tracker:
                 continue
             track = self.tracks[index]
             track.n_detections += 1
-            fed.append((index, new.shown))
+            fed.append((index, (new.shown, new.shape)))
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
                 waiting = self.waiting(track, stamp)
@@ -517,7 +588,12 @@ class Tracker:
         velocity = (new.place - other.place) / dt
         r = new.place - velocity * new.delay
         changes = {"born": other.born, "place": other.place, "seen_at": r, "n_detections": 2}
-        changes |= {"seen_speed": np.linalg.norm(velocity), "before": other.shown}
+        changes |= {
+            "seen_speed": np.linalg.norm(velocity),
+            "before": other.shown,
+            "shape_before": other.shape,
+        }
+        changes |= {"radius": MeanLog(), "filled": MeanLog()}
         x = np.r_[r, velocity, np.zeros(3)]
         return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
@@ -551,7 +627,10 @@ class Tracker:
         states = [self.at(track, new.stamp)[0] for track in known]
         expected = [x[:3] + late * x[3:6] + late**2 / 2 * x[6:] for x in states]
         gaps = [np.linalg.norm(place - new.r) for place in expected]
-        return min(gaps, default=np.inf) <= self.c.cluster_distance
+        is_near = min(gaps, default=np.inf) <= self.c.cluster_distance
+        large = [track for track in known if track.confirmed and track.stamp == new.stamp]
+        is_seen = self.c.merge_distance is not None and any(is_part(one, new) for one in large)
+        return is_near or is_seen
 
     def finish(self, fed, known, stamp):
         events = Events()
@@ -566,7 +645,8 @@ class Tracker:
         for index, track in enumerate(self.tracks):
             if index < known:
                 track.history.append(index in shown)
-            self.believe(track, index >= known, shown.get(index), stamp, *around)
+            showed, shape = shown.get(index, (None, None))
+            self.believe(track, index >= known, showed, shape, stamp, *around)
             report = self.c.report_existence
             if report is None:
                 hits = sum(track.history[-self.c.confirm_window :])
@@ -586,11 +666,14 @@ class Tracker:
             return not track.confirmed and not any(track.history[-self.c.confirm_window :])
         return track.existence() < DELETED
 
-    def believe(self, track, is_new, shown, stamp, prior, clutter):
+    def believe(self, track, is_new, shown, shape, stamp, prior, clutter):
         if is_new:
             track.there, track.hidden, track.believed = prior, 0.0, stamp
-            for sight in filter(None, (track.before, track.shown)):
-                track.take(likelihood(sight, clutter))
+            first = ((track.before, track.shape_before), (track.shown, track.shape))
+            for sight, of_first in first:
+                if sight is not None:
+                    track.take(likelihood(sight, clutter))
+                    track.measure(of_first)
             if track.before is not None:
                 track.take(IS_FAST)
             return
@@ -605,12 +688,13 @@ class Tracker:
             track.has_moved = True
             track.take(HAS_MOVED)
             track.standing = 0.0
-        if sight == ("followed" if track.has_moved else "few"):
-            return
-        track.take(likelihood(sight, clutter))
-        if nis is not None and shown:
-            near = np.clip(NEAREST * np.exp(-nis / 2), *NEAR_BOUNDS)
-            track.take((near, near, near, 1))
+        if sight != ("followed" if track.has_moved else "few"):
+            track.take(likelihood(sight, clutter))
+            if nis is not None and shown:
+                near = np.clip(NEAREST * np.exp(-nis / 2), *NEAR_BOUNDS)
+                track.take((near, near, near, 1))
+        if shown:
+            track.measure(shape)
 
     def merge(self):
         if self.c.merge_distance is None:
@@ -622,7 +706,11 @@ class Tracker:
                 other
                 for other in self.tracks[index + 1 :]
                 if other.stamp == one.stamp
-                and np.linalg.norm(other.r - one.r) <= self.c.merge_distance
+                and (
+                    np.linalg.norm(other.r - one.r) <= self.c.merge_distance
+                    or is_part(one, other)
+                    or is_part(other, one)
+                )
                 and np.linalg.norm((other.x - one.x)[3:6]) <= MERGE_SPEED
             ]
             if not twins:
@@ -631,7 +719,8 @@ class Tracker:
             other = twins[0]
             kept, gone = (other, one) if other.confirmed and not one.confirmed else (one, other)
             merged.append([kept.id, gone.id])
-            state = gone if gone.seen > kept.seen else kept
+            is_larger = kept.size.max() < LARGE <= gone.size.max()
+            state = gone if gone.seen > kept.seen or is_larger else kept
             size = max(len(kept.history), len(gone.history))
             padded = [[False] * (size - len(one.history)) + one.history for one in (kept, gone)]
             best = gone if gone.there + gone.hidden > kept.there + kept.hidden else kept
@@ -649,7 +738,9 @@ class Tracker:
                 standing=best.standing,
                 believed=best.believed,
                 has_moved=best.has_moved,
-                kinds=best.kinds,
+                seen_kinds=best.seen_kinds,
+                radius=best.radius,
+                filled=best.filled,
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

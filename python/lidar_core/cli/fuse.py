@@ -9,11 +9,15 @@ import typer
 from lidar_core.cli.shared.common import JsonFile, given, report, result_table
 from lidar_core.cli.shared.measurement_options import (
     AngleUnit,
+    Azimuths,
+    Clocks,
     ColumnNames,
     Method,
     Model,
     TimeUnit,
     Topics,
+    azimuths_of,
+    clocks_of,
     columns_of,
     topics_of,
 )
@@ -55,6 +59,8 @@ def command(
     topic: Topics = [],  # noqa: B006
     time_unit: TimeUnit = None,
     angle_unit: AngleUnit = None,
+    azimuth: Azimuths = [],  # noqa: B006
+    clock: Clocks = [],  # noqa: B006
     start: Start = 0.0,
     end: End = None,
     mode: ChosenMode = "best",
@@ -87,6 +93,8 @@ def command(
         topics=topics_of(topic),
         time_unit=time_unit,
         angle_unit=angle_unit,
+        azimuth=azimuths_of(azimuth),
+        clock=clocks_of(clock),
         span=Span.load(given({"start": start, "end": end})),
         fit_noise=fit_noise,
         force=force,

@@ -55,10 +55,10 @@ def read_prediction(path: str | Path) -> Prediction:
     Parameters
     ----------
     path : str or Path
-        Folder that `lidar-core detect`, `circles` or `demo` wrote, or whatever
-        `lidar_core.io.read_columns` reads, with columns t_ns, track_id, x, y, z and, if known, vx,
-        vy, vz and the upper triangle of the covariance, cov_x_x to cov_vz_vz; without z, vz and
-        with radius, the table of a circle map.
+        Folder that `lidar-core detect`, `circles` or `demo` wrote (of flying objects the tracks of
+        kind flying count), or whatever `lidar_core.io.read_columns` reads, with columns t_ns,
+        track_id, x, y, z and, if known, vx, vy, vz and the upper triangle of the covariance,
+        cov_x_x to cov_vz_vz; without z, vz and with radius, the table of a circle map.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def read_prediction(path: str | Path) -> Prediction:
     detections, timing = table_in(place, "detections"), table_in(place, "timing")
     if table is None:
         raise FormatError(f"{place}: the run folder holds no table of tracks; run it again")
-    found = _of_table(table)
+    found = _of_table(table, kind="flying")
     return replace(
         found,
         detections=None
@@ -83,8 +83,12 @@ def read_prediction(path: str | Path) -> Prediction:
     )
 
 
-def _of_table(place: Path) -> Prediction:
+def _of_table(place: Path, kind: str | None = None) -> Prediction:
+    """Tracks of a table; with `kind` those of this kind, where it is one of flying objects."""
     columns = read_columns(place)
+    if kind is not None and {"kind", "extent_z"} <= set(columns):
+        chosen = columns["kind"] == kind
+        columns = {name: column[chosen] for name, column in columns.items()}
     return Prediction(_estimates(place, columns, has_id=True), is_planar=_is_planar(columns))
 
 

@@ -91,7 +91,7 @@ class FlyingFrame:
     detections : FlyingDetections
         Flying objects in this scan.
     tracks : Tracks
-        Confirmed tracks at `stamp_ns`.
+        Confirmed tracks of all kinds at `stamp_ns`; `tracks.flying` are those of kind FLYING.
     teammate_id : ndarray, shape (K,), int64
         Known teammates seen in this scan.
     teammates : FlyingDetections

@@ -226,7 +226,7 @@ class PointCloudTracker(FullState):
 
 
 def tracks_from(
-    arrays: tuple[NDArray[Any], ...],
+    arrays: tuple[Any, ...],
     stamp_ns: int,
     origin: NDArray[np.float64] | None,
     *,

@@ -19,6 +19,10 @@ else:
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+Six = tuple[float, float, float, float, float, float]
+IN_SPACE = "-3d"
+"""End of the names of models in space."""
 
 
 class PublishedModel(Config):
@@ -83,9 +87,9 @@ class FusionConfig(Config):
     model: ModelName = Field("ctrv", description=f"How targets move (no unit): {_MEANINGS}.")
     method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
         "ekf",
-        description="Linear Kalman filter, which takes radar as a position, of models cv and ca;"
-        " extended; unscented and cubature, both in square-root form; interacting multiple models,"
-        " whose state is that of ca (no unit).",
+        description="Linear Kalman filter, which takes radar as a position, of models cv, ca,"
+        " cv-3d, ca-3d; extended; unscented and cubature, both in square-root form; interacting"
+        " multiple models, whose state is that of ca or ca-3d (no unit).",
     )
     sigma_spread: float | None = Field(
         None,
@@ -101,7 +105,9 @@ class FusionConfig(Config):
         " predicted covariance; or those of the prediction, as courses do (no unit).",
     )
     imm_models: tuple[MixableName, ...] = Field(
-        ("cv", "ctrv"), min_length=1, description="Models that imm mixes (no unit)."
+        ("cv", "ctrv"),
+        min_length=1,
+        description="Models that imm mixes, all in the plane or all in space (no unit).",
     )
     imm_sojourn: float = Field(
         2.0,
@@ -149,20 +155,24 @@ class FusionConfig(Config):
         description="The same of the platform, where its turn rate is a state [rad/s^1.5], or"
         " discrete [rad/s^2].",
     )
-    lidar_std: Pair = Field(
-        (0.15, 0.15), description="Standard deviations of x and y of the LiDAR [m], > 0."
+    lidar_std: Pair | Triple = Field(
+        (0.15, 0.15),
+        description="Standard deviations of x and y of the LiDAR [m], > 0; a third value is that of"
+        " z, else it is that of y.",
     )
-    radar_std: Triple = Field(
+    radar_std: Triple | Four = Field(
         (0.3, 0.03, 0.3),
         description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of the"
-        " radar, > 0.",
+        " radar, > 0; or of range, bearing, elevation and range rate, else the elevation has that"
+        " of the bearing.",
     )
     gyro_std: float = Field(
         0.01, gt=0, le=1e3, description="Standard deviation of the gyro's turn rate [rad/s]."
     )
-    pose_std: Triple = Field(
+    pose_std: Triple | Six = Field(
         (0.0, 0.0, 0.0),
-        description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses, >= 0:"
+        description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses, >= 0;"
+        " or of x, y, z [m], roll, pitch and yaw [rad]:"
         " what they make of a place enters the noise of LiDAR and radar; zeros: exact.",
     )
     gyro: Literal["input", "measurement", "none"] = Field(
@@ -170,15 +180,16 @@ class FusionConfig(Config):
         description="Use of the gyro by model ctrv-drone (no unit): its rate as it is; or as a"
         " measurement of a sixth state w_d; or not at all, w_d being estimated.",
     )
-    lever_arm: Pair = Field(
-        (0.0, 0.0), description="From the platform's origin to the sensor, platform axes [m]."
+    lever_arm: Pair | Triple = Field(
+        (0.0, 0.0),
+        description="From the platform's origin to the sensor, platform axes: x, y (and z) [m].",
     )
     start_rows: int = Field(
         6,
         ge=1,
         le=1000,
         description="Measurements that a constant-velocity filter takes before the model does"
-        " (count, no unit); 1: the model at once, as always with cv and ctrv-drone.",
+        " (count, no unit); 1: the model at once, as always with cv, cv-3d and ctrv-drone.",
     )
     start_speed: Literal["range-rate", "zero"] = Field(
         "range-rate",
@@ -260,6 +271,9 @@ class FusionConfig(Config):
             raise ValueError("lever_arm: expected at most 1000 m")
         if self.model == "paper" and self.method != "ekf":
             raise ValueError('expected method "ekf" with model "paper"')
-        if self.method == "kf" and self.model not in ("cv", "ca"):
-            raise ValueError('expected model "cv" or "ca" with method "kf"')
+        linear = ("cv", "ca", "cv-3d", "ca-3d")
+        if self.method == "kf" and self.model not in linear:
+            raise ValueError(f'expected model {", ".join(linear)} with method "kf"')
+        if len({name.endswith(IN_SPACE) for name in self.imm_models}) > 1:
+            raise ValueError("imm_models: expected models in the plane, or models in space")
         return self

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.evaluation import assign, gospa
+from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.recordings.autoferry import DetectionScan
 from lidar_core.objects import TargetTracks
 
@@ -137,7 +138,10 @@ def _seen_times(
         row
         for row, scan in enumerate(scans)
         if number in scan.truth
-        and any(np.linalg.norm(m.values - scan.truth[number]) <= reach for m in scan.measurements)
+        and any(
+            np.linalg.norm(measured_place(m) - scan.truth[number]) <= reach
+            for m in scan.measurements
+        )
     ]
     counted = np.zeros(len(scans), np.bool_)
     for before, after in pairwise(hits):

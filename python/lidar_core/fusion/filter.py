@@ -12,6 +12,7 @@ from lidar_core.config import as_config
 from lidar_core.errors import InputError
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.states import told_stds
 from lidar_core.util.full_state import FullState
 
 
@@ -21,10 +22,10 @@ class FilterHealth:
 
     Attributes
     ----------
-    lidar_std, lidar_std_estimated : ndarray, shape (2,)
-        Standard deviations of x and y [m].
-    radar_std, radar_std_estimated : ndarray, shape (3,)
-        Standard deviations of range [m], bearing [rad] and range rate [m/s].
+    lidar_std, lidar_std_estimated : ndarray, shape (2,), or (3,) in space
+        Standard deviations of x, y (and z) [m].
+    radar_std, radar_std_estimated : ndarray, shape (3,), or (4,) in space
+        Standard deviations of range [m], bearing (and elevation) [rad] and range rate [m/s].
     """
 
     lidar_std: NDArray[np.float64]
@@ -37,7 +38,9 @@ class TargetFilter(FullState):
     """Position and motion of one target.
 
     The state is in the frame of the sensor where that stands still or where the model moves it
-    (ctrv-drone), and in the world once a measurement "pose" has come.
+    (ctrv-drone), and in the world once a measurement "pose" has come, or "pose-3d" for a model in
+    space. The model names the states and their order: x, y, z, vx, vy, vz of cv-3d; these and ax,
+    ay, az of ca-3d; x, y, z, horizontal speed, heading, turn rate and climb of ctrv-3d.
 
     Parameters
     ----------
@@ -111,7 +114,7 @@ class TargetFilter(FullState):
         A value that no measurement without a covariance has shown is the configured one.
         """
         lidar, radar = self._filter.sensor_stds()
-        configured = (np.array(self.config.lidar_std), np.array(self.config.radar_std))
+        configured = told_stds(self.config)
         return FilterHealth(configured[0], lidar, configured[1], radar)
 
     def state_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:

@@ -1,6 +1,6 @@
 """Measurements, as a filter takes them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -10,16 +10,21 @@ from lidar_core import _core
 from lidar_core.arrays import as_real, as_rows, as_stamp
 from lidar_core.errors import InputError
 
-SensorName: TypeAlias = Literal["lidar", "radar", "gyro", "pose"]
+SensorName: TypeAlias = Literal["lidar", "radar", "gyro", "pose", "pose-3d"]
 VALUES: dict[str, tuple[int, ...]] = {
-    "lidar": (2,),
-    "radar": (3, 5),
+    "lidar": (2, 3),
+    "radar": (3, 4, 5),
     "gyro": (1, 3),
     "pose": (3, 6),
+    "pose-3d": (6, 12),
 }
 """Numbers of values that each sensor may give."""
-NOISY = {"lidar": 2, "radar": 3, "gyro": 1, "pose": 3}
-"""Rows of each sensor's covariance."""
+NOISY = {"gyro": 1, "pose": 3, "pose-3d": 6}
+"""Rows of the covariance of sensors that tell of the platform; of the others as many as values."""
+MEASURES = ("range", "bearing", "elevation", "range_rate")
+"""What a radar may measure, in the order of its values."""
+FLAT = ("range", "bearing", "range_rate")
+"""What it measures with three values."""
 
 
 class Measurement:
@@ -29,18 +34,27 @@ class Measurement:
     ----------
     stamp_ns : int
         Time [ns].
-    sensor : {"lidar", "radar", "gyro", "pose"}
-        Where it comes from.
+    sensor : {"lidar", "radar", "gyro", "pose", "pose-3d"}
+        Where it comes from. "radar" is every sensor that measures ranges, angles or range rates.
     values : array_like
-        lidar: x, y [m]. radar: range [m], bearing counter-clockwise from x [rad], range rate
-        [m/s], positive when the range grows; or these and the target's true speed and heading,
-        which only `PublishedModel.reading` c uses. gyro: turn rate of the platform [rad/s], or that
+        lidar: x, y, or x, y, z [m]. radar: range [m], bearing counter-clockwise from x [rad],
+        elevation above the plane of x and y [rad], range rate [m/s], positive when the range
+        grows; three values are range, bearing and range rate, other ones are named by `measures`;
+        or five: these three and the target's true speed and heading, which only
+        `PublishedModel.reading` c uses. gyro: turn rate of the platform [rad/s], or that
         and the velocity of its origin in its own axes, vx, vy [m/s]. pose, of the platform in
         the world: x, y [m], yaw [rad]; or these and vx, vy in the world [m/s] and the turn rate
-        [rad/s]. Values that are not finite are allowed: a filter refuses them and says so.
+        [rad/s]. pose-3d: x, y, z [m], roll, pitch, yaw [rad] of the platform in the world (turned
+        about z by the yaw, then about the new y by the pitch, then about the new x by the roll);
+        or these, vx, vy, vz in the world [m/s] and the turn rates about its own axes [rad/s].
+        Values that are not finite are allowed: a filter refuses them and says so.
     covariance : array_like, optional
-        Of a lidar's x and y (2, 2), of all values of a radar (3, 3), of a gyro's turn rate
-        (1, 1), of a pose's x, y and yaw (3, 3); without it the filter's configuration holds.
+        Of all values of a lidar or radar (K, K), of a gyro's turn rate (1, 1), of a pose's x, y
+        and yaw (3, 3), of the first six values of a pose-3d (6, 6); without it the filter's
+        configuration holds.
+    measures : sequence of str, optional
+        Of a radar: which of range, bearing, elevation and range_rate its values are, in this
+        order. A filter in the plane takes an elevation to level range and range rate.
 
     Raises
     ------
@@ -51,14 +65,17 @@ class Measurement:
     --------
     >>> Measurement(0, "radar", [5.0, 0.1, -1.2])
     Measurement(0, 'radar', [5.0, 0.1, -1.2])
+    >>> Measurement(0, "radar", [0.1, 0.3], measures=["bearing", "elevation"])
+    Measurement(0, 'radar', [0.1, 0.3], measures=('bearing', 'elevation'))
     """
 
-    __slots__ = ("_core", "covariance", "sensor", "stamp_ns", "values")
+    __slots__ = ("_core", "covariance", "measures", "sensor", "stamp_ns", "values")
 
     stamp_ns: int
     sensor: SensorName
     values: NDArray[np.float64]
     covariance: NDArray[np.float64] | None
+    measures: tuple[str, ...] | None
 
     def __init__(
         self,
@@ -66,6 +83,8 @@ class Measurement:
         sensor: SensorName,
         values: ArrayLike,
         covariance: ArrayLike | None = None,
+        *,
+        measures: Sequence[str] | None = None,
     ) -> None:
         if sensor not in VALUES:
             raise InputError(f"sensor: expected one of {', '.join(VALUES)}, got {sensor!r}")
@@ -73,19 +92,37 @@ class Measurement:
         self.sensor = sensor
         self.values = as_real(values, name="values").astype(np.float64)
         self.values.flags.writeable = False
-        if self.values.shape not in [(count,) for count in VALUES[sensor]]:
-            expected = " or ".join(f"({count},)" for count in VALUES[sensor])
+        self.measures = _measures(sensor, measures, len(self.values))
+        counts = VALUES[sensor] if measures is None else (len(self.measures or ()),)
+        if self.values.shape not in [(count,) for count in counts]:
+            expected = " or ".join(f"({count},)" for count in counts)
             raise InputError(f"values: expected shape {expected}, got {self.values.shape}")
-        self.covariance = None if covariance is None else _covariance(covariance, sensor)
+        size = NOISY.get(sensor, len(self.measures or self.values))
+        self.covariance = None if covariance is None else _covariance(covariance, size)
         self._core = _core.Measurement(
             self.stamp_ns,
             sensor,
             self.values,
+            measures=None if measures is None else [name in measures for name in MEASURES],
             covariance=None if self.covariance is None else self.covariance.reshape(-1),
         )
 
     def __repr__(self) -> str:
-        return f"Measurement({self.stamp_ns}, {self.sensor!r}, {self.values.tolist()})"
+        usual = self.measures in (None, FLAT, MEASURES)
+        named = "" if usual else f", measures={self.measures}"
+        return f"Measurement({self.stamp_ns}, {self.sensor!r}, {self.values.tolist()}{named})"
+
+    def with_values(self, values: ArrayLike, *, stamp_ns: int | None = None) -> "Measurement":
+        """Return another measurement of the same kind and covariance, of the same time or another.
+
+        Raises
+        ------
+        InputError
+            Another number of values.
+        """
+        other = self.measures if self.measures not in (None, FLAT, MEASURES) else None
+        stamp = self.stamp_ns if stamp_ns is None else stamp_ns
+        return Measurement(stamp, self.sensor, values, self.covariance, measures=other)
 
 
 class Measurements:
@@ -138,7 +175,7 @@ class Measurements:
             Names of sensors, as of `Measurement`.
         values : array_like, shape (K, W)
             A row holds as many values as its sensor has at least; the rest is not looked at.
-        covariances : array_like, shape (K, 3, 3), optional
+        covariances : array_like, shape (K, 3, 3) or (K, 6, 6), optional
             As of `Measurement`, in the first rows and columns of each matrix; the rest is not
             looked at. Without it the filter's configuration holds.
 
@@ -164,9 +201,14 @@ class Measurements:
             )
         noise = np.zeros((0, 9))
         if covariances is not None:
+            size = 6 if (names == "pose-3d").any() else 3
             noise = as_rows(
-                covariances, name="covariances", rows=len(stamps), shape=(3, 3), dtype=np.float64
-            ).reshape(-1, 9)
+                covariances,
+                name="covariances",
+                rows=len(stamps),
+                shape=(size, size),
+                dtype=np.float64,
+            ).reshape(len(stamps), -1)
         made = cls.__new__(cls)
         made._core = _core.Measurements.from_arrays(
             stamps, codes, np.ascontiguousarray(rows), counts=counts, covariances=noise
@@ -184,8 +226,35 @@ def as_measurements(measurements: Iterable[Measurement] | Measurements) -> Measu
     return Measurements(measurements)
 
 
-def _covariance(covariance: ArrayLike, sensor: SensorName) -> NDArray[np.float64]:
-    size = NOISY[sensor]
+def measured_place(m: Measurement) -> list[float]:
+    """Level position that a LiDAR or a radar measured, in its frame; NaN without one."""
+    if m.sensor == "lidar":
+        x, y = m.values[:2].tolist()
+        return [x, y]
+    told = dict(zip(m.measures or (), m.values.tolist(), strict=False))
+    far = told.get("range", np.nan) * np.cos(told.get("elevation", 0.0))
+    bearing = told.get("bearing", np.nan)
+    return [far * np.cos(bearing), far * np.sin(bearing)]
+
+
+def _measures(sensor: str, measures: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
+    """What the values of a radar are; None for other sensors."""
+    if sensor != "radar":
+        if measures is not None:
+            raise InputError(f"measures: expected none with sensor {sensor!r}")
+        return None
+    if measures is None:
+        return MEASURES if count == len(MEASURES) else FLAT
+    names = tuple(measures)
+    if not names or names != tuple(name for name in MEASURES if name in names):
+        raise InputError(
+            f"measures: expected some of {', '.join(MEASURES)} in this order,"
+            f" got {', '.join(map(str, names)) or 'none'}"
+        )
+    return names
+
+
+def _covariance(covariance: ArrayLike, size: int) -> NDArray[np.float64]:
     matrix = as_real(covariance, name="covariance").astype(np.float64)
     if matrix.shape != (size, size):
         raise InputError(f"covariance: expected shape ({size}, {size}), got {matrix.shape}")

@@ -1,6 +1,6 @@
 """Whether measurements can be what a filter takes them for, and what may be wrong with them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
-from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.measurement import Measurement, SensorName
+from lidar_core.fusion.repairs import LATE, LENGTHS, REPAIRS, Change, later
 from lidar_core.fusion.run import Run, run
 
 LEAST = 20
@@ -26,10 +27,14 @@ KEPT_SUM = 0.56
 KEPT_SPREAD = 1.6
 """Relative variance of that part over that of the whole sum: 1.57, 1.38 and 1.31 for one, two and
 three values, by the variance of values that are cut at their 80 % quantile."""
-DEGREES = np.pi / 180
 TURN = 2 * np.pi
 HEAD = 5000
 """Measurements among which causes are looked for (count)."""
+SUSPICIOUS = 2.0
+"""Ratio above which a mistake is named that makes it ten times less: noise does not explain both,
+the measurements as they are and as they would be."""
+CLOCK_HEAD = 1000
+"""The same for clocks."""
 WIDEST_BEARING = 0.5
 """Noise of bearings above which they hardly tell a direction [rad]."""
 FAR = 3.0
@@ -64,7 +69,9 @@ class Implausible:
         """What is wrong, what the data shows of it, and what else it may be."""
         how = f"{self.ratio:.3g} times what is expected"
         bound = (
-            f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told"
+            "and ten times less without a mistake"
+            if SUSPICIOUS < self.ratio <= self.limit
+            else f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told"
             if self.ratio > 1
             else "far less than any target at rest would give"
         )
@@ -99,7 +106,8 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     what the filter is told, which makes it nine times as large; a fifth of the measurements, those
     with the largest NIS, is left out, and with it about half of the sum (`KEPT_SUM`). What is left
     is beyond reason above the quantile of 1 - 1e-6 of a chi-square variable with its variance. A
-    sum, or a scatter of a LiDAR's places, below the quantile of 1e-6 with noise 30 times smaller
+    sum that one of the mistakes makes ten times larger is refused from `SUSPICIOUS` on. A sum, or a
+    scatter of a LiDAR's places, below the quantile of 1e-6 with noise 30 times smaller
     than told is refused only where places look like geographic coordinates: simulated
     measurements without any noise are no mistake.
     """
@@ -118,6 +126,10 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
         shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
         likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
         return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
+    if ratio > SUSPICIOUS and not geographic:
+        shown = _repairs(measurements[:HEAD], config, ratio, limit)
+        if shown:
+            return Implausible(count, ratio, limit, tuple(shown), ())
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
     if geographic and min(ratio, _scatter(measurements, config)) < least:
         return Implausible(count, ratio, least, tuple(geographic), ())
@@ -181,58 +193,17 @@ def _scatter(measurements: Sequence[Measurement], config: FusionConfig) -> float
     """
     rows = [m for m in measurements[:HEAD] if m.sensor == "lidar" and np.isfinite(m.values).all()]
     told = [
-        np.square(config.lidar_std) if m.covariance is None else np.diag(m.covariance) for m in rows
+        np.square(config.lidar_std[:2]) if m.covariance is None else np.diag(m.covariance)[:2]
+        for m in rows
     ]
-    variance = np.var([m.values for m in rows], axis=0) / np.mean(told, axis=0)
+    variance = np.var([m.values[:2] for m in rows], axis=0) / np.mean(told, axis=0)
     return float(np.mean(variance))
 
 
-Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-
-def _of(place: int, new: Callable[[float], float]) -> Change:
-    """A change of one value."""
-
-    def changed(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = values.copy()
-        values[place] = new(float(values[place]))
-        return values
-
-    return changed
-
-
-_ANGLES: tuple[tuple[str, Callable[[float], float]], ...] = (
-    ("clockwise: they fit with the other sign", lambda a: -a),
-    ("compass angles, clockwise from y: they fit as pi/2 minus the angle", lambda a: np.pi / 2 - a),
-    ('degrees: they fit times pi/180 (angle_unit="deg")', lambda a: a * DEGREES),
-    ("degrees, clockwise: they fit times -pi/180", lambda a: -a * DEGREES),
-    (
-        "compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
-        lambda a: np.pi / 2 - a * DEGREES,
-    ),
-    ('radians that were taken as degrees (angle_unit="rad")', lambda a: a / DEGREES),
-)
-REPAIRS: tuple[tuple[str, str, Change], ...] = (
-    *(("radar", f"bearings are {what}", _of(1, change)) for what, change in _ANGLES),
-    *(("pose", f"yaws of the platform are {what}", _of(2, change)) for what, change in _ANGLES),
-    ("gyro", "turn rates are clockwise: they fit with the other sign", _of(0, lambda w: -w)),
-    (
-        "lidar",
-        "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
-        _of(1, lambda y: -y),
-    ),
-    (
-        "lidar",
-        "x and y of the LiDAR are exchanged",
-        lambda values: values[[1, 0, *range(2, len(values))]],
-    ),
-    (
-        "radar",
-        "range rates are positive when the range shrinks: they fit with the other sign",
-        _of(2, lambda rate: -rate),
-    ),
-)
-"""Mistakes, by the sensor that makes them, and what undoes them."""
+def _changed(
+    measurements: Sequence[Measurement], sensor: str, change: Change
+) -> Sequence[Measurement]:
+    return [change(m) if m.sensor == sensor else m for m in measurements]
 
 
 def _repairs(
@@ -241,35 +212,58 @@ def _repairs(
     """Mistakes without which the NIS is within reason, and a tenth of what it was: the best."""
     known = {m.sensor for m in measurements}
     found = []
-    for sensor, text, change in REPAIRS:
-        if sensor not in known:
-            continue
-        changed = [
-            Measurement(m.stamp_ns, sensor, change(m.values), m.covariance)
-            if m.sensor == sensor
-            else m
-            for m in measurements
-        ]
-        again = _ratio(run(changed, config))
-        if again is not None and again[0] <= min(limit, ratio / 10):
-            found.append((again[0], text))
+    # Of a sensor alone a smaller unit makes every error smaller: it would explain all mistakes.
+    repairs = REPAIRS if {"lidar", "radar"} <= known else REPAIRS[:-LENGTHS]
+    for sensor, text, change in repairs:
+        if sensor in known:
+            again = _ratio(run(_changed(measurements, sensor, change), config))
+            if again is not None and again[0] <= min(limit, ratio / 10):
+                found.append((again[0], text))
+    late = None if found else _clock(measurements[:CLOCK_HEAD], config)
+    if late is not None:
+        again = _ratio(run(_changed(measurements, late[0], later(-late[1])), config))
+        less = 3 if ratio > limit else 10
+        if again is not None and again[0] <= min(limit, ratio / less):
+            what = "ahead of" if late[1] > 0 else "behind"
+            text = f"the clock of the {late[0]} is {abs(late[1]):g} s {what} the others"
+            found.append((again[0], f'{text} (clock={{"{late[0]}": {late[1]:g}}})'))
     # Those about as good as the best one cannot be told apart from it.
     least = min(found, default=(0.0, ""))[0]
     shown = [text for value, text in sorted(found) if value <= 2 * least]
-    largest = max(
-        (
-            abs(float(m.values[1]))
-            for m in measurements
-            if m.sensor == "radar" and np.isfinite(m.values[1])
-        ),
-        default=0.0,
-    )
-    if largest > TURN and not any("degrees" in text for text in shown):
+    bearings = [
+        abs(float(m.values[m.measures.index("bearing")]))
+        for m in measurements
+        if m.measures is not None and "bearing" in m.measures
+    ]
+    largest = max((value for value in bearings if np.isfinite(value)), default=0.0)
+    if ratio > limit and largest > TURN and not any("degrees" in text for text in shown):
         shown.append(
             f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
             ' (angle_unit="deg")'
         )
     return shown
+
+
+def _clock(
+    measurements: Sequence[Measurement], config: FusionConfig
+) -> tuple[SensorName, float] | None:
+    """The sensor whose clock is most likely off, and by how much it is ahead [s]."""
+    known = sorted({m.sensor for m in measurements})
+    sensors: list[SensorName] = [name for name in known if name in ("lidar", "radar")]
+    if len(known) < 2:
+        return None
+
+    def cost(sensor: SensorName, ahead: float) -> float:
+        found = _ratio(run(_changed(measurements, sensor, later(-ahead)), config))
+        return np.inf if found is None else found[0]
+
+    # Of two sensors either may be wrong; the radar, which often has a clock of its own, is named.
+    sensor: SensorName = "radar" if "radar" in sensors else sensors[0]
+    costs = {ahead: cost(sensor, ahead) for late in LATE for ahead in (late, -late)}
+    best = min(costs, key=lambda ahead: costs[ahead])
+    # The grid is coarse: a golden section would not help where the cost has several minima.
+    finer = {best + step: cost(sensor, best + step) for step in 0.1 * best * np.arange(-4, 5)}
+    return sensor, round(float(min(finer, key=lambda ahead: finer[ahead])), 3)
 
 
 def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
@@ -324,10 +318,10 @@ def _several(measurements: Sequence[Measurement]) -> list[str]:
 
 def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
     """Places (K, 2) that a sensor measured, finite ones."""
-    rows = [
-        m.values[:2] for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()
-    ]
-    values = np.array(rows, np.float64).reshape(-1, 2)
+    rows = [m for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()]
+    if sensor == "radar":
+        rows = [m for m in rows if (m.measures or ())[:2] == ("range", "bearing")]
+    values = np.array([m.values[:2] for m in rows], np.float64).reshape(-1, 2)
     if sensor == "radar":
         c, s = np.cos(values[:, 1]), np.sin(values[:, 1])
         values = values[:, :1] * np.stack([c, s], axis=1)
@@ -343,5 +337,6 @@ CAUSES: Mapping[str, str] = {
     "noise": "noise of the sensors, or of the target's motion, that is set much too small"
     " (set lidar_std=..., or find it with `config fit`)",
     "platform": "a platform that moves or turns, of which no pose or gyro tells",
+    "clock": "clocks of the sensors that differ",
 }
 """What is likely, by a word that says that the data shows it."""

@@ -30,17 +30,17 @@ class Run:
         Means after the measurement; NaN before the target has been seen.
     covariances : ndarray, shape (K, n, n)
         Their covariances.
-    innovations : ndarray, shape (K, 3)
+    innovations : ndarray, shape (K, 3), or (K, 4) in space
         Measured minus expected; NaN beyond the values that were compared.
     nis : ndarray, shape (K,)
         Normalised innovation squared; NaN where nothing was compared.
     outcomes : ndarray, shape (K,), str
         As `FusionStep.outcome`.
-    lidar_std_estimated : ndarray, shape (2,)
-        Standard deviations of x and y of the LiDAR [m] as the measurements show them at the end;
-        those of the configuration where they are not estimated.
-    radar_std_estimated : ndarray, shape (3,)
-        The same of the radar's range [m], bearing [rad] and range rate [m/s].
+    lidar_std_estimated : ndarray, shape (2,), or (3,) in space
+        Standard deviations of x, y (and z) of the LiDAR [m] as the measurements show them at the
+        end; those of the configuration where they are not estimated.
+    radar_std_estimated : ndarray, shape (3,), or (4,) in space
+        The same of the radar's range [m], bearing (and elevation) [rad] and range rate [m/s].
     """
 
     stamps_ns: NDArray[np.int64]

@@ -70,7 +70,9 @@ def fit_noise(
         evaluations=EVALUATIONS,
     )
     noise = {"acceleration_noise": acceleration, "jerk_noise": jerk, "turn_noise": turn}
-    stds = {"lidar_std": tuple(lidar), "radar_std": tuple(radar)} if sensors else {}
+    stds = (
+        {"lidar_std": tuple(lidar.tolist()), "radar_std": tuple(radar.tolist())} if sensors else {}
+    )
     return FusionConfig(**(settings.model_dump() | noise | stds))
 
 

@@ -350,9 +350,14 @@ class FlyingRun:
         return self._shares[-1][1] if self._shares else 0.0
 
     @property
+    def flying(self) -> list[Tracks]:
+        """Tracks of kind FLYING, scan by scan."""
+        return [tracks.flying for tracks in self.tracks]
+
+    @property
     def track_ids(self) -> list[int]:
-        """Numbers of the tracks that were reported."""
-        return sorted({number for tracks in self.tracks for number in tracks.id.tolist()})
+        """Numbers of the flying tracks that were reported."""
+        return sorted({number for one in self.flying for number in one.id.tolist()})
 
     @property
     def n_detections(self) -> int:
@@ -419,7 +424,7 @@ class FlyingRun:
         )
         table = folder.write_table("detections", self.detections_table())
         timing = folder.write_table("timing", self._times.table())
-        write_tum(folder.path / TRACKS_FOLDER, self.tracks)
+        write_tum(folder.path / TRACKS_FOLDER, self.flying)
         self.detector.save_map(folder.path / "map.lcvm")
         return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]
 
@@ -434,7 +439,7 @@ class FlyingRun:
             voxel_size=self.detector.config.voxel_map.voxel_size,
             sensor=np.array(self._path).reshape(-1, 3),
             stamp_ns=np.array([frame.stamp_ns for frame in self.frames], np.int64),
-            tracks=self.tracks,
+            tracks=self.flying,
             n_detections=np.array([len(frame.detections) for frame in self.frames], np.int64),
             **more,
         )

@@ -10,7 +10,6 @@ from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion import (
     BagOptions,
-    DetectionScan,
     FusionConfig,
     MeasurementLog,
     Measurements,
@@ -24,6 +23,7 @@ from lidar_core.fusion import (
     fit_noise as fit_noise_of,
 )
 from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
+from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import TABLES
 from lidar_core.io import Span
 from lidar_core.io.options import NS
@@ -53,6 +53,8 @@ def fuse(
     topics: Mapping[str, Sequence[str]] | None = None,
     time_unit: str | None = None,
     angle_unit: str | None = None,
+    azimuth: Mapping[str, str] | None = None,
+    clock: Mapping[str, float] | None = None,
     span: Span | None = None,
     fit_noise: bool = False,
     force: bool = False,
@@ -72,7 +74,8 @@ def fuse(
         Folder to write: tables of states with covariances, innovations and NIS, and of tracks,
         SI units; trajectories, summary.json, run.toml, run.mcap, picture.png.
     model, method, association : str, optional
-        These values of the configuration instead of its own; `association` is for many targets.
+        These values of the configuration instead of its own; `association` is for many targets,
+        also of a table.
     lag : float, optional
         Smooth: every state uses what came up to this much later [s]; for one target.
     columns : mapping of str to str, optional
@@ -81,6 +84,10 @@ def fuse(
         Topics of a ROS recording, such as {"radar": ["/front"]}.
     time_unit, angle_unit : str, optional
         Of a table: ns, us, ms or s; rad or deg.
+    azimuth : mapping of str to str, optional
+        Of a table: what does not count counter-clockwise from x, such as {"bearing": "clockwise"}.
+    clock : mapping of str to float, optional
+        Of a table: how far the clock of a sensor is ahead [s], such as {"radar": 0.5}.
     span : Span, optional
         Part of the recording to use, from its first measurement [s].
     fit_noise : bool
@@ -110,7 +117,14 @@ def fuse(
         source,
         config,
         {name: value for name, value in ways.items() if value is not None},
-        _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit),
+        _given(
+            columns=columns,
+            topics=topics,
+            time_unit=time_unit,
+            angle_unit=angle_unit,
+            azimuth=azimuth,
+            clock=clock,
+        ),
         span or Span(),
         lag,
         force,
@@ -144,6 +158,8 @@ def fit_config(
     topics: Mapping[str, Sequence[str]] | None = None,
     time_unit: str | None = None,
     angle_unit: str | None = None,
+    azimuth: Mapping[str, str] | None = None,
+    clock: Mapping[str, float] | None = None,
     span: Span | None = None,
     force: bool = False,
 ) -> FusionConfig:
@@ -157,7 +173,7 @@ def fit_config(
         Model and method, and where the search begins; None is best mode.
     model, method : str, optional
         These values of the configuration instead of its own.
-    columns, topics, time_unit, angle_unit, span
+    columns, topics, time_unit, angle_unit, azimuth, clock, span
         As in `fuse`, for every recording.
     force : bool
         Take mistakes in the measurements, such as exchanged axes, for noise.
@@ -184,19 +200,18 @@ def fit_config(
     places = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     if not places:
         raise InputError("recordings: expected at least one, got none")
-    read = _given(columns=columns, topics=topics, time_unit=time_unit, angle_unit=angle_unit)
+    read = _given(
+        columns=columns,
+        topics=topics,
+        time_unit=time_unit,
+        angle_unit=angle_unit,
+        azimuth=azimuth,
+        clock=clock,
+    )
     jobs = [_FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
     chosen = _with(config, _given(model=model, method=method))
     return _fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
-
-
-@dataclass(frozen=True, slots=True)
-class _Scans:
-    """Detections of many targets, and what wrote them."""
-
-    scans: list[DetectionScan]
-    source: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,36 +247,40 @@ class _FuseJob:
             raise ConfigError(f"{self.recording}: many targets; noise is found from one")
         return self._within(found)
 
-    def _found(self) -> tuple[MeasurementLog | _Scans, Mapping[str, Config]]:
+    def _found(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
         """What the recording holds, and how it was read."""
         recording = self.recording
         if recording.suffix == ".json":
             self._check_read("detections of Autoferry", ())
-            return _Scans(read_autoferry(recording), "Autoferry"), {}
+            return TargetScans(read_autoferry(recording), "Autoferry"), {}
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
         is_table = recording.suffix in TABLES
-        of_tables = ("columns", "time_unit", "angle_unit")
+        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
         self._check_read(*(("a table", of_tables) if is_table else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
-        return read_measurements(recording, options), {"fusion_table": options}
+        log, reading = read_measurements(recording, options), {"fusion_table": options}
+        if is_table and self._of_many:
+            return TargetScans(scans_of(log), log.format), reading
+        return log, reading
 
-    def _bag(self) -> tuple[MeasurementLog | _Scans, Mapping[str, Config]]:
+    @property
+    def _of_many(self) -> bool:
+        """Whether many targets were asked for."""
+        return "association" in self.ways or isinstance(self.config, MultiTargetConfig)
+
+    def _bag(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
         """One target, unless a message holds several or an association was asked for."""
         options = BagOptions.load(dict(self.read))
         scans, reading = read_bag(self.recording, options), {"fusion_bag": options}
-        if (
-            "association" in self.ways
-            or isinstance(self.config, MultiTargetConfig)
-            or any(len(scan.measurements) > 1 for scan in scans)
-        ):
-            return _Scans(scans, "ROS"), reading
+        if self._of_many or any(len(scan.measurements) > 1 for scan in scans):
+            return TargetScans(scans, "ROS"), reading
         measurements = [m for scan in scans for m in scan.measurements]
         return MeasurementLog(measurements, None, "ROS"), reading
 
     def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
-        if "association" in self.ways or isinstance(self.config, MultiTargetConfig):
+        if self._of_many:
             raise ConfigError(f"{self.recording}: one target; association is for many")
         chosen = config_of_run(_with(self.config, self.ways), FusionConfig, "fusion")
         kept = self._within(log)
@@ -278,7 +297,7 @@ class _FuseJob:
             raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
-    def _many(self, found: _Scans, reading: Mapping[str, Config]) -> ManyRun:
+    def _many(self, found: TargetScans, reading: Mapping[str, Config]) -> ManyRun:
         choice = self.config
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
         of_one = self.lag is not None or self.fit_noise

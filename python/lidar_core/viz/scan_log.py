@@ -13,7 +13,7 @@ CLASSES_TOPIC = "/classes"
 def log_flying(
     log: FoxgloveLog, item: PosedScan[Scan], frame: FlyingFrame, *, frame_id: str
 ) -> None:
-    """Pose, cloud and tracks of one scan; `intensity` is the `PointClass` of the point.
+    """Pose, cloud and flying tracks of one scan; `intensity` is the `PointClass` of the point.
 
     Clouds hold the points with information.
     """
@@ -30,7 +30,7 @@ def log_flying(
             topic=CLASSES_TOPIC,
         )
     )
-    log.write(frame.tracks)
+    log.write(frame.tracks.flying)
 
 
 def log_circles(

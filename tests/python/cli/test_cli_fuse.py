@@ -18,13 +18,14 @@ from lidar_core import ConfigError, FormatError, InputError
 from lidar_core.extras import install_command
 from lidar_core.fusion import (
     FusionConfig,
+    Measurement,
     TableOptions,
     read_laser_radar,
     read_measurements,
     run,
     smooth,
 )
-from lidar_core.fusion.states import STATES, state_names, velocities
+from lidar_core.fusion.states import STATES, dimensions, state_names, velocities
 from lidar_core.io.tables.columns import read_columns
 from lidar_core.viz import Playback
 
@@ -129,9 +130,12 @@ def test_states_have_names(model, method, table):
         method = "ekf"
     for gyro in ("input", "none"):
         config = FusionConfig(model=model, method=method, gyro=gyro)
-        states = run(read_measurements(table).measurements, config).states
+        seen, size = read_measurements(table).measurements, dimensions(config)
+        if size == 3:  # what starts a target in space has a height
+            seen = [Measurement(m.stamp_ns, "lidar", [*m.values[:2], 1.0]) for m in seen]
+        states = run(seen, config).states
         assert len(state_names(config)) == states.shape[1]
-        assert velocities(states, config).shape == (len(states), 2)
+        assert velocities(states, config).shape == (len(states), size)
 
 
 # Viewers
@@ -285,13 +289,15 @@ def test_broken_tables_are_told(tmp_path, change, text):
     ("arguments", "error", "text"),
     [
         (("--column", "x"), ConfigError, "expected OURS=THEIRS"),
-        (("--column", "z=x"), InputError, "expected names among t_ns"),
+        (("--column", "w=x"), InputError, "expected names among t_ns"),
         (("--column", "x=east"), FormatError, "no column 'east'"),
         (("--time-unit", "day"), ConfigError, "time_unit"),
         (("--model", "ballistic"), ConfigError, "model"),
-        (("--method", "kf"), ConfigError, 'expected model "cv" or "ca"'),
+        (("--method", "kf"), ConfigError, "expected model cv, ca, cv-3d"),
+        (("--azimuth", "bearing=left"), ConfigError, "azimuth"),
+        (("--clock", "radar=late"), ConfigError, "expected seconds"),
         (("--lag", "-1"), InputError, "lag"),
-        (("--association", "joint"), ConfigError, "--association is for many"),
+        (("--association", "any"), ConfigError, "association"),
         (("--topic", "radar=/front"), ConfigError, "--topic says nothing about a table"),
         (("--set", "on_bad_scan=count"), ConfigError, "on_bad_scan"),
     ],

@@ -218,12 +218,14 @@ def same(frame, expected):
         np.testing.assert_allclose(found, wanted, rtol=0, atol=FLOAT_TOLERANCE)
     tracks = frame.tracks
     assert tracks.id.tolist() == [track[0] for track in expected.tracks]
-    for row, (_, x, P, n_detections) in enumerate(expected.tracks):
+    for row, (_, x, P, n_detections, kinds) in enumerate(expected.tracks):
         state = np.r_[tracks.position[row], tracks.velocity[row], tracks.acceleration[row]]
         scale = np.maximum(1.0, np.abs(x))
         assert np.abs(state - x).max() <= 10 * FLOAT_TOLERANCE * scale.max()
         np.testing.assert_allclose(tracks.covariance[row], P, rtol=1e-6, atol=1e-6)
         assert tracks.n_detections[row] == n_detections
+        if np.isfinite(tracks.existence[row]):
+            np.testing.assert_allclose(tracks.kind_probability[row], kinds, atol=1e-5)
 
 
 # --- one target in a yard -------------------------------------------------------------------------

@@ -624,8 +624,8 @@ def test_arrays_make_the_same_measurements():
 def test_wrong_arguments_are_named():
     with pytest.raises(InputError, match="sensor: expected one of lidar, radar"):
         Measurement(0, "sonar", [1.0, 2.0])
-    with pytest.raises(InputError, match=r"values: expected shape \(2,\), got \(3,\)"):
-        Measurement(0, "lidar", [1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match=r"values: expected shape \(2,\) or \(3,\), got \(4,\)"):
+        Measurement(0, "lidar", [1.0, 2.0, 3.0, 4.0])
     with pytest.raises(InputError, match=r"values: expected shape \(1,\) or \(3,\)"):
         Measurement(0, "gyro", [1.0, 2.0])
     with pytest.raises(InputError, match="positive definite"):
@@ -649,7 +649,7 @@ def test_wrong_arguments_are_named():
         fit_noise([], least_range_rate_std=-1.0)
     with pytest.raises(ConfigError, match="threads"):
         run_batch([], threads=0)
-    with pytest.raises(ConfigError, match='"cv" or "ca"'):
+    with pytest.raises(ConfigError, match="expected model cv, ca, cv-3d"):
         FusionConfig(model="ctrv", method="kf")
     with pytest.raises(InputError, match=r"covariance: expected shape \(3, 3\)"):
         Measurement(0, "pose", [1.0, 2.0, 3.0], np.eye(2))

@@ -62,6 +62,15 @@ def mixed(seen):
     return [beside(m, np.array([5.0, 3.3]) * (rng.random() < 0.5)) for m in seen]
 
 
+def late(seen, sensor, seconds):
+    """The same with a clock of one sensor that is ahead, in the order of its times."""
+    ahead = round(seconds * 1e9)
+    moved = [
+        m.with_values(m.values, stamp_ns=m.stamp_ns + ahead * (m.sensor == sensor)) for m in seen
+    ]
+    return sorted(moved, key=lambda m: m.stamp_ns)
+
+
 WRONG = {
     "clockwise bearings": (
         lambda seen: changed(seen, "radar", lambda v: [v[0], -v[1], v[2]]),
@@ -83,6 +92,20 @@ WRONG = {
         ),
         "latitude and longitude",
     ),
+    "exchanged": (lambda seen: changed(seen, "lidar", lambda v: v[::-1]), "exchanged"),
+    "feet": (
+        lambda seen: changed(seen, "radar", lambda v: [v[0] / 0.3048, v[1], v[2]]),
+        "ranges are feet: they fit times 0.3048",
+    ),
+    "millimetres": (
+        lambda seen: changed(seen, "lidar", lambda v: 1000 * v),
+        "places of the LiDAR are millimetres",
+    ),
+    "late radar": (
+        lambda seen: late(seen, "radar", 1.0),
+        r'the radar is 1 s ahead of the others (clock={"radar": 1})',
+    ),
+    "late LiDAR": (lambda seen: late(seen, "lidar", 1.0), 'clock={"radar": -1}'),
     "several": (mixed, "several targets in one table"),
 }
 """How a recording goes wrong, and what has to be said of it."""

@@ -870,7 +870,7 @@ def test_latencies_of_clocks_that_differ_say_so(way_ms, told):
         stats.from_stamp.add(5_000_000 + way_ms * 1_000_000)
     summary = stats.summary()
     assert (summary["latency_ms"]["from_stamp"] is None) == (told is not None)
-    report = Report(1.0, 3.0, stats.from_stamp.recent(), stats.from_arrival.recent(), {}, 0, "")
+    report = Report(1.0, 3.0, stats.from_stamp.recent(), stats.from_arrival.recent(), {}, 0, 0, "")
     if told is None:
         assert summary["clocks_differ_ms"] is None
         assert _since_stamp(report).endswith(" ms")

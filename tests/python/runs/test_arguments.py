@@ -81,12 +81,13 @@ def test_a_choice_refuses_what_no_run_can_use(values, told):
 
 def test_errors_of_functions_name_arguments(tmp_path):
     (tmp_path / "a.csv").write_text("t_ns,x,y\n0,1,2\n")
-    for values, told in (
-        ({"association": "nearest"}, "one target; association is for many"),
-        ({"topics": {"radar": ["/front"]}}, "topics says nothing about a table"),
+    (tmp_path / "a.txt").write_text("L 1 2 0 1 2 0 0\n")
+    for name, values, told in (
+        ("a.txt", {"association": "nearest"}, "one target; association is for many"),
+        ("a.csv", {"topics": {"radar": ["/front"]}}, "topics says nothing about a table"),
     ):
         with pytest.raises(ConfigError, match=told):
-            runs.fuse(tmp_path / "a.csv", None, tmp_path / "run", **values)
+            runs.fuse(tmp_path / name, None, tmp_path / "run", **values)
     with pytest.raises(ConfigError, match="values: voxel_size: expected name=value"):
         runs.detect(tmp_path / "a.npz", ConfigChoice(values=("voxel_size",)), tmp_path / "run")
     for arguments, told in (

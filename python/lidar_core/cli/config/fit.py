@@ -8,11 +8,15 @@ import typer
 from lidar_core.cli.shared.common import Mode, OverwriteFile, given, result_table
 from lidar_core.cli.shared.measurement_options import (
     AngleUnit,
+    Azimuths,
+    Clocks,
     ColumnNames,
     Method,
     Model,
     TimeUnit,
     Topics,
+    azimuths_of,
+    clocks_of,
     columns_of,
     topics_of,
 )
@@ -44,6 +48,8 @@ def command(
     topic: Topics = [],  # noqa: B006
     time_unit: TimeUnit = None,
     angle_unit: AngleUnit = None,
+    azimuth: Azimuths = [],  # noqa: B006
+    clock: Clocks = [],  # noqa: B006
     start: Start = 0.0,
     end: End = None,
     mode: Annotated[Mode, typer.Option(help="Whose defaults.")] = "best",
@@ -83,6 +89,8 @@ def command(
         topics=topics_of(topic),
         time_unit=time_unit,
         angle_unit=angle_unit,
+        azimuth=azimuths_of(azimuth),
+        clock=clocks_of(clock),
         span=Span.load(given({"start": start, "end": end})),
         force=force,
     )

@@ -122,7 +122,7 @@ OPTIONS = {
 ARGUMENT = re.compile(
     rf"(?<![\w-])(?<!--topic )(?<!--column )({'|'.join(OPTIONS)})=(?!=)(True\b|\"(\w+)\"|)"
 )
-PAIR = re.compile(r'(column|topic)s=\{"(\w+)": \[?"(\w+)"\]?\}')
+PAIR = re.compile(r'(?:(column|topic)s|(azimuth|clock))=\{"(\w+)": \[?"?([\w.-]+)"?\]?\}')
 PREFIXES = {
     "source": "--in",
     "source, replay": "--in, --replay:",
@@ -131,7 +131,9 @@ PREFIXES = {
     "stream": "--stream",
     "values": "--set",
 }
-UNUSED = re.compile(r"(: |; )(column|topic|time_unit|angle_unit|association)s? (says|is for)")
+UNUSED = re.compile(
+    r"(: |; )(column|topic|time_unit|angle_unit|azimuth|clock|association)s? (says|is for)"
+)
 PREFIX = re.compile(rf"^({'|'.join(PREFIXES)}): ")
 VALUE = re.compile(r'\bset (?=[\w."]+=)')
 
@@ -140,7 +142,9 @@ def as_options(text: str) -> str:
     """A text that names arguments as `name=value`, with the options that give them."""
     text = PREFIX.sub(lambda found: f"{PREFIXES[found[1]]} ", text)
     text = UNUSED.sub(lambda one: f"{one[1]}--{one[2].replace('_', '-')} {one[3]}", text)
-    text = VALUE.sub("--set ", PAIR.sub(r"--\1 \2=\3", text))
+    text = VALUE.sub(
+        "--set ", PAIR.sub(lambda one: f"--{one[1] or one[2]} {one[3]}={one[4]}", text)
+    )
 
     def option(found: re.Match[str]) -> str:
         name = f"--{OPTIONS[found[1]]}"

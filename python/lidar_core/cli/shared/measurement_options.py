@@ -13,6 +13,8 @@ _COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
 _TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."
 _TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
 _ANGLE_UNIT = "Unit of a table's angles: rad or deg."
+_AZIMUTH = "What counts clockwise or by the compass in a table: bearing=clockwise; may be repeated."
+_CLOCK = "How far a sensor's clock is ahead in a table, such as radar=0.5 \\[s]; may be repeated."
 
 Model: TypeAlias = Annotated[str | None, typer.Option(help=_MODEL)]
 Method: TypeAlias = Annotated[str | None, typer.Option(help=_METHOD)]
@@ -21,6 +23,10 @@ ColumnNames: TypeAlias = Annotated[
 ]
 Topics: TypeAlias = Annotated[list[str], typer.Option("--topic", help=_TOPIC, rich_help_panel=READ)]
 TimeUnit: TypeAlias = Annotated[str | None, typer.Option(help=_TIME_UNIT, rich_help_panel=READ)]
+Azimuths: TypeAlias = Annotated[
+    list[str], typer.Option("--azimuth", help=_AZIMUTH, rich_help_panel=READ)
+]
+Clocks: TypeAlias = Annotated[list[str], typer.Option("--clock", help=_CLOCK, rich_help_panel=READ)]
 AngleUnit: TypeAlias = Annotated[str | None, typer.Option(help=_ANGLE_UNIT, rich_help_panel=READ)]
 
 
@@ -28,6 +34,21 @@ def columns_of(texts: list[str]) -> dict[str, str]:
     """Options --column OURS=THEIRS; the last one of a name counts."""
     found = _pairs("column", texts, "x=pos_x")
     return {ours: theirs[-1] for ours, theirs in found.items()}
+
+
+def azimuths_of(texts: list[str]) -> dict[str, str]:
+    """Options --azimuth WHAT=HOW."""
+    found = _pairs("azimuth", texts, "bearing=clockwise")
+    return {what: how[-1] for what, how in found.items()}
+
+
+def clocks_of(texts: list[str]) -> dict[str, float]:
+    """Options --clock SENSOR=SECONDS."""
+    found = _pairs("clock", texts, "radar=0.5")
+    try:
+        return {sensor: float(seconds[-1]) for sensor, seconds in found.items()}
+    except ValueError as error:
+        raise ConfigError(f"--clock {' '.join(texts)}: expected seconds") from error
 
 
 def topics_of(texts: list[str]) -> dict[str, list[str]]:

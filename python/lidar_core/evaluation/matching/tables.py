@@ -50,8 +50,8 @@ def joined(parts: Iterable[Truth]) -> Truth:
 
 
 def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
-    """Tracks at successive times as one table; of one time only the last state counts."""
-    states = list({state.stamp_ns: state for state in tracks}.values())
+    """Flying tracks at successive times as one table; of one time only the last state counts."""
+    states = [state.flying for state in {state.stamp_ns: state for state in tracks}.values()]
     stamps = np.array([state.stamp_ns for state in states], np.int64)
     covariance = [state.covariance[:, :6, :6] for state in states]
     return Estimates(

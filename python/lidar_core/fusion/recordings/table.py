@@ -1,7 +1,7 @@
 """Measurements of one target from files: L/R text, or any table by a map of its columns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,7 +11,14 @@ from pydantic import Field
 
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
-from lidar_core.fusion.measurement import Measurement, SensorName
+from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
+from lidar_core.fusion.recordings.conventions import (
+    Azimuth,
+    Turned,
+    local_places,
+    stamps_of_texts,
+    turned,
+)
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
 from lidar_core.io.tables.columns import Columns, read_columns
 
@@ -21,14 +28,23 @@ VALUES: dict[SensorName, tuple[str, ...]] = {
     "gyro": ("turn_rate",),
     "pose": ("pose_x", "pose_y", "pose_yaw"),
 }
+IN_SPACE = {"lidar": ("z",), "radar": ("elevation",), "pose": ("pose_z", "pose_roll", "pose_pitch")}
+"""Further values of sensors in space. A radar may lack any of its values, and a LiDAR its z."""
+POSE_IN_SPACE = ("pose_x", "pose_y", "pose_z", "pose_roll", "pose_pitch", "pose_yaw")
+ON_EARTH = {"": ("x", "y", "z"), "pose_": ("pose_x", "pose_y", "pose_z")}
+"""What latitude, longitude and altitude are turned into, by the start of their names."""
 POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
 TRUTH = ("true_x", "true_y", "true_vx", "true_vy")
+TRUE_ID = "true_id"
 NAMES = (
     "t_ns",
     "sensor",
     *(name for names in VALUES.values() for name in names),
+    *(name for names in IN_SPACE.values() for name in names),
+    *(start + name for start in ON_EARTH for name in ("lat", "lon", "alt")),
     *POSE_STD,
     *TRUTH,
+    TRUE_ID,
 )
 """Columns that a table may have."""
 WORDS: dict[str, SensorName] = {
@@ -61,8 +77,19 @@ class TableOptions(Config):
     )
     angle_unit: Literal["rad", "deg"] = Field(
         "rad",
-        description="Unit of bearing, pose_yaw, pose_std_yaw and, per second, turn_rate (no unit"
-        " of its own).",
+        description="Unit of bearing, elevation, angles of the pose, pose_std_yaw and, per second,"
+        " turn_rate (no unit of its own).",
+    )
+    azimuth: dict[Turned, Azimuth] = Field(
+        {},
+        description="What does not count counter-clockwise from x (no unit): bearing, pose_yaw,"
+        " turn_rate or lidar (x and y of a LiDAR), each clockwise (from x; y to the right) or"
+        " compass (clockwise from y, which is north; x and y exchanged).",
+    )
+    clock: dict[SensorName, float] = Field(
+        {},
+        description="How far the clocks of sensors are ahead, by sensor [s]: it is taken from"
+        " their times.",
     )
 
 
@@ -78,16 +105,25 @@ class MeasurementLog:
         One row per measurement.
     format : str
         What kind of file it was.
+    origin : tuple of float, or None
+        Latitude, longitude [deg] and altitude [m] of x = y = z = 0, with x to the east and y to
+        the north, where the file has places on the Earth (WGS84).
+    targets : ndarray, shape (K,), int64, or None
+        Number of the target that each measurement is of, -1 for none, where the file says it.
     """
 
     measurements: list[Measurement]
     truth: TargetTruth | None
     format: str
+    origin: tuple[float, float, float] | None = None
+    targets: NDArray[np.int64] | None = None
 
     def rows(self, chosen: list[int]) -> "MeasurementLog":
         """Those measurements, in that order."""
         truth = None if self.truth is None else self.truth.rows(np.array(chosen, np.int64))
-        return MeasurementLog([self.measurements[row] for row in chosen], truth, self.format)
+        targets = None if self.targets is None else self.targets[np.array(chosen, np.int64)]
+        kept = [self.measurements[row] for row in chosen]
+        return replace(self, measurements=kept, truth=truth, targets=targets)
 
 
 def read_measurements(path: str | Path, options: TableOptions | None = None) -> MeasurementLog:
@@ -97,10 +133,14 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     ----------
     path : str or Path
         An L/R text file (.txt), or a table .csv, .parquet or .npz with a row per time. Columns
-        are t_ns; x, y of a LiDAR; range, bearing, range_rate of a radar; turn_rate of a gyro;
-        pose_x, pose_y, pose_yaw of the platform, and their standard deviations pose_std_x,
-        pose_std_y, pose_std_yaw, where they are known; true_x, true_y, true_vx, true_vy. Without a
-        column `sensor`, a row gives a measurement of every sensor whose values are all there.
+        are t_ns (numbers, or ISO 8601); x, y, and z if there is one, of a LiDAR; any of range,
+        bearing, elevation, range_rate of a radar; turn_rate of a gyro; pose_x, pose_y, pose_yaw of
+        the platform, or these with pose_z, pose_roll, pose_pitch; their standard deviations
+        pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y, true_vx,
+        true_vy, and true_id of the target in tables of several. lat, lon and alt stand for x, y,
+        z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84 become
+        metres to the east, north and up of the first one. Without a column `sensor`, a row gives a
+        measurement of every sensor whose values are there.
     options : TableOptions, optional
 
     Raises
@@ -117,28 +157,83 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         recording = read_laser_radar(place)
         return MeasurementLog(recording.measurements, recording.truth, "L/R text")
     columns = _renamed(place, read_columns(place), options.columns)
+    columns, origin = _in_metres(place, columns)
     stamps = _stamps(place, columns, UNITS_NS[options.time_unit])
     angle = np.pi / 180 if options.angle_unit == "deg" else 1.0
-    values = _values(place, columns, angle)
+    values = _values(place, columns, angle, options.azimuth)
     rows = _rows_of_sensors(place, columns, values, len(stamps))
     spread = _pose_covariances(place, columns, angle)
+    ahead = {sensor: round(seconds * 1e9) for sensor, seconds in options.clock.items()}
     made = [
-        (
-            row,
-            Measurement(
-                int(stamps[row]),
-                sensor,
-                values[sensor][row],
-                spread.get(row) if sensor == "pose" else None,
-            ),
-        )
+        (row, _measurement(int(stamps[row]) - ahead.get(sensor, 0), sensor, values, row, spread))
         for row, sensor in rows
     ]
     if not made:
         raise FormatError(f"{place}: no row holds all values of a sensor")
     kept = np.array([row for row, _ in made])
     truth = _truth(place, columns, stamps, kept)
-    return MeasurementLog([m for _, m in made], truth, f"table ({place.suffix[1:]})")
+    kind = f"table ({place.suffix[1:]})"
+    targets = None
+    if TRUE_ID in columns:
+        numbers = _numbers(place, columns, TRUE_ID)[kept]
+        targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
+    return MeasurementLog([m for _, m in made], truth, kind, origin, targets)
+
+
+def _measurement(
+    stamp_ns: int,
+    sensor: SensorName,
+    values: Mapping[SensorName, NDArray[np.float64]],
+    row: int,
+    spread: Mapping[int, NDArray[np.float64]],
+) -> Measurement:
+    """A measurement of what is there in a row; of all values where there is nothing."""
+    own = values[sensor][row]
+    known = np.isfinite(own)
+    if sensor == "radar":
+        there = known if known.any() else np.atleast_1d(np.isfinite(values[sensor]).any(axis=0))
+        names = tuple(MEASURES[place] for place in np.flatnonzero(there).tolist()) or FLAT
+        rows = [MEASURES.index(name) for name in names]
+        return Measurement(stamp_ns, sensor, own[rows], measures=names)
+    if sensor == "pose" and known[len(VALUES["pose"]) :].all() and len(own) > len(VALUES["pose"]):
+        x, y, yaw, z, roll, pitch = own
+        return Measurement(stamp_ns, "pose-3d", [x, y, z, roll, pitch, yaw])
+    if sensor == "lidar" and len(own) > 2 and known[2]:
+        return Measurement(stamp_ns, sensor, own)
+    noise = spread.get(row) if sensor == "pose" else None
+    return Measurement(stamp_ns, sensor, own[: len(VALUES[sensor])], noise)
+
+
+def _in_metres(place: Path, columns: Columns) -> tuple[Columns, tuple[float, float, float] | None]:
+    """Latitude, longitude and altitude as east, north and up, and where they begin.
+
+    Raises
+    ------
+    InputError
+        Places of a target on the Earth beside poses: what a sensor measures is relative to it.
+    """
+    given = [start for start in ON_EARTH if {f"{start}lat", f"{start}lon"} <= set(columns)]
+    if not given:
+        return columns, None
+    if "" in given and ("pose_" in given or "pose_x" in columns):
+        raise InputError(
+            f"{place}: lat and lon of the target are places in the world, and LiDAR and radar"
+            " measure from the platform: leave one of lat, lon and the poses out"
+        )
+    start = given[0]
+    names = [f"{start}{name}" for name in ("lat", "lon", "alt")]
+    parts = [_numbers(place, columns, name) for name in names if name in columns]
+    altitude = parts[2] if len(parts) == 3 else np.zeros(len(parts[0]))
+    whole = np.isfinite(parts[0]) & np.isfinite(parts[1])
+    bad = whole & ~((np.abs(parts[0]) <= 90) & (np.abs(parts[1]) <= 360))
+    if bad.any() or not whole.any():
+        raise FormatError(f"{place}, row {int(np.argmax(bad))}: expected latitude and longitude")
+    first = int(np.argmax(whole))
+    high = altitude[first] if np.isfinite(altitude[first]) else 0.0
+    origin = (float(parts[0][first]), float(parts[1][first]), float(high))
+    local = local_places(parts[0], parts[1], np.nan_to_num(altitude, nan=high), origin).T
+    chosen = ON_EARTH[start] if len(parts) == 3 else ON_EARTH[start][:2]
+    return columns | dict(zip(chosen, local, strict=False)), origin
 
 
 def _renamed(place: Path, columns: Columns, names: Mapping[str, str]) -> Columns:
@@ -174,6 +269,10 @@ def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
             ' times with columns={"t_ns": "NAME"}'
         )
     column, limit = columns["t_ns"], MAX_SECONDS * 1e9 / unit_ns
+    if column.dtype.kind == "U":
+        texts = stamps_of_texts(column, str(place))
+        if texts is not None:
+            return texts
     numbers = _numbers(place, columns, "t_ns")
     bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
     if bad.any():
@@ -185,20 +284,43 @@ def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
     return stamps
 
 
-def _values(place: Path, columns: Columns, angle: float) -> dict[SensorName, NDArray[np.float64]]:
-    """Values (K, n) of every sensor whose columns are all there."""
-    scale = dict.fromkeys(("bearing", "turn_rate", "pose_yaw"), angle)
-    found = {
-        sensor: np.stack(
-            [_numbers(place, columns, name) * scale.get(name, 1.0) for name in names], axis=1
-        )
-        for sensor, names in VALUES.items()
-        if set(names) <= set(columns)
-    }
+def _values(
+    place: Path, columns: Columns, angle: float, azimuth: Mapping[Turned, Azimuth]
+) -> dict[SensorName, NDArray[np.float64]]:
+    """Values (K, n) of every sensor whose columns are there; NaN for those of a radar that are not.
+
+    A radar's are range, bearing, elevation and range rate; others are those of `VALUES`, and those
+    of `IN_SPACE` if there are such columns.
+    """
+    angles = ("bearing", "elevation", "turn_rate", "pose_yaw", "pose_roll", "pose_pitch")
+
+    def numbers(name: str) -> NDArray[np.float64]:
+        if name not in columns:
+            return np.full(count, np.nan)
+        column = _numbers(place, columns, name) * (angle if name in angles else 1.0)
+        if name == "turn_rate":
+            return -column if "turn_rate" in azimuth else column
+        if name == "bearing":
+            return turned(column, azimuth.get("bearing"))
+        return turned(column, azimuth.get("pose_yaw")) if name == "pose_yaw" else column
+
+    count = len(columns["t_ns"])
+    found: dict[SensorName, NDArray[np.float64]] = {}
+    for sensor, names in VALUES.items():
+        wanted = MEASURES if sensor == "radar" else names
+        further = () if sensor == "radar" else IN_SPACE.get(sensor, ())
+        there = set(wanted) & set(columns) if sensor == "radar" else set(wanted) <= set(columns)
+        if there:
+            own = (*wanted, *(further if set(further) <= set(columns) else ()))
+            found[sensor] = np.stack([numbers(name) for name in own], axis=1)
+    way = azimuth.get("lidar")
+    if "lidar" in found and way is not None:
+        x, y = found["lidar"][:, 0].copy(), found["lidar"][:, 1].copy()
+        found["lidar"][:, :2] = np.stack([x, -y] if way == "clockwise" else [y, x], axis=1)
     if not found:
-        wanted = "; ".join(f"{sensor}: {', '.join(names)}" for sensor, names in VALUES.items())
+        wanted_names = "; ".join(f"{one}: {', '.join(names)}" for one, names in VALUES.items())
         raise FormatError(
-            f"{place}: no sensor has all its columns ({wanted}) among {', '.join(columns)};"
+            f"{place}: no sensor has all its columns ({wanted_names}) among {', '.join(columns)};"
             ' name them with columns={"OURS": "THEIRS"}'
         )
     return found
@@ -231,7 +353,7 @@ def _rows_of_sensors(
             (row, _sensor(place, row, word, values))
             for row, word in enumerate(columns["sensor"].tolist())
         ]
-    whole = {sensor: [bool(row.all()) for row in np.isfinite(values[sensor])] for sensor in values}
+    whole = {sensor: _is_there(sensor, values[sensor]) for sensor in values}
     order: tuple[SensorName, ...] = ("pose", "gyro", "lidar", "radar")  # the platform moves first
     return [
         (row, sensor)
@@ -239,6 +361,13 @@ def _rows_of_sensors(
         for sensor in order
         if sensor in whole and whole[sensor][row]
     ]
+
+
+def _is_there(sensor: SensorName, values: NDArray[np.float64]) -> list[bool]:
+    """Rows that hold a measurement: any value of a radar, all of others but what is in space."""
+    known = np.isfinite(values)
+    rows = known.any(axis=1) if sensor == "radar" else known[:, : len(VALUES[sensor])].all(axis=1)
+    return [bool(row) for row in np.atleast_1d(rows)]
 
 
 def _sensor(

@@ -62,7 +62,7 @@ class FlyingUpdate(Update):
     capability = "flying"
 
     def __init__(self, item: PosedScan[Scan], frame: FlyingFrame, frame_id: str) -> None:
-        objects, covariance = objects_of_tracks(frame.tracks)
+        objects, covariance = objects_of_tracks(frame.tracks.flying)
         super().__init__(item.scan.stamp_ns, frame_id, objects, covariance)
         self.item, self.frame = item, frame
 

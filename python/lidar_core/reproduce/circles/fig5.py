@@ -28,8 +28,8 @@ def _measure(request: Request) -> Measured:
 
 def curve(card: dict[str, Any], quantity: str) -> dict[float, float]:
     """A quantity of the metrics in a card, by passes over the training data."""
-    parts = card["training"].get("parts", 1)
-    return {row["epoch"] / parts: row[quantity] for row in card["metrics"]}
+    parts, before = card["training"].get("parts", 1), card.get("start", {}).get("passes", 0)
+    return {before + row["epoch"] / parts: row[quantity] for row in card["metrics"]}
 
 
 def _curves(paper: dict[str, Any], small: dict[str, Any]) -> dict[str, dict[float, float]]:

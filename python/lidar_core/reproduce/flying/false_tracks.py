@@ -83,7 +83,7 @@ def _flown(simulator: Any, scans: int, noise: NoisyPoses | None) -> Part:
         given = made if noise is None else noise.observed(made)
         for name, detector in detectors.items():
             covariance = None if noise is None or is_paper(name) else noise.covariance
-            tracks = processed(detector, given, pose_covariance=covariance).tracks
+            tracks = processed(detector, given, pose_covariance=covariance).tracks.flying
             false[name].append(_false(number, tracks, made.truth.position))
     part: Part = {"scans": np.array(scans)}
     return part | {f"{name}_false": np.concatenate(rows) for name, rows in false.items()}

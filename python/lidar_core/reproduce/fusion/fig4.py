@@ -16,6 +16,7 @@ from lidar_core.fusion import (
     run,
 )
 from lidar_core.reproduce.common import BLUE, COLOURS, MODES
+from lidar_core.reproduce.fusion.tilted import config_in_space, follow_in_space
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 from lidar_core.sim import Overflight, Overflown, overfly
 from lidar_core.sim.overflight import RATE
@@ -28,8 +29,11 @@ NAMES = (("x", "m"), ("y", "m"), ("z", "m"))
 ROUND = (("distance", "m"), ("direction", "rad"), ("height", "m"))
 
 
-Flown: TypeAlias = tuple[list[Overflown], dict[str, list[SpaceTrack]]]
-"""Flights of a scene, and the tracks of both modes in them."""
+InSpace: TypeAlias = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""Errors and covariances of a filter in space, flight by flight."""
+Flown: TypeAlias = tuple[list[Overflown], dict[str, list[SpaceTrack]], dict[str, InSpace]]
+"""Flights of a scene, the tracks of both modes in them, and of level and tilted drones in space."""
+FLIGHTS = {"level": False, "rolling and climbing": True}
 
 
 def scenes() -> dict[str, Overflight]:
@@ -44,16 +48,32 @@ def _measure(request: Request) -> Measured:
     found: dict[str, Flown] = {}
     for name, scene in scenes().items():
         made = [overfly(scene, seed=request.seed * 1_000_003 + n) for n in range(request.scans)]
-        found[name] = made, {mode: [_follow(one, mode) for one in made] for mode in MODES}
+        seeds = [request.seed * 1_000_003 + n for n in range(request.scans)]
+        in_space = {
+            flight: [
+                follow_in_space(one, tilted=tilted, seed=seed)
+                for one, seed in zip(made, seeds, strict=True)
+            ]
+            for flight, tilted in FLIGHTS.items()
+        }
+        follows = {mode: [_follow(one, mode) for one in made] for mode in MODES}
+        found[name] = made, follows, in_space
     request.advance(request.scans)
     return Measured(
         (found,),
         scans=request.scans,
         note="Simulated: the paper shows a sketch. The drone swings in yaw and pitch. Paper mode:"
         " the equations as printed in the frame of the sensors, every elevation by itself. Best"
-        " mode: poses told, heights filtered. RMSE over all draws, without the first"
-        f" {SETTLED} rows.",
-        config={"paper": FusionConfig.paper(), "best": FusionConfig(), **scenes()},
+        " mode: poses told, heights filtered. In space: defaults with model ctrv-3d; the level"
+        " drone keeps its height, the other one rolls by up to 0.2 rad, climbs and sinks by up"
+        " to 1 m/s, and has its sensors 0.2 m off its origin. RMSE over all draws, without"
+        f" the first {SETTLED} rows.",
+        config={
+            "paper": FusionConfig.paper(),
+            "best": FusionConfig(),
+            "in_space": config_in_space(tilted=True),
+            **scenes(),
+        },
     )
 
 
@@ -109,7 +129,27 @@ def _cylindrical(made: Overflown) -> NDArray[np.float64]:
 
 
 def _rows(found: Mapping[str, Flown]) -> list[Row]:
-    return [row for scene, flown in found.items() for row in _rows_of(scene, *flown)]
+    return [
+        row
+        for scene, (made, follows, in_space) in found.items()
+        for row in [*_rows_of(scene, made, follows), *_rows_in_space(scene, in_space)]
+    ]
+
+
+def _rows_in_space(scene: str, flights: Mapping[str, InSpace]) -> list[Row]:
+    """Error and consistency of a level and a tilted drone, and the ratio of the errors."""
+    rows, rmse = [], {}
+    for flight, runs in flights.items():
+        wrong = np.array([errors for errors, _ in runs])
+        rmse[flight] = float(np.sqrt(np.square(wrong[:, SETTLED:]).sum(axis=2).mean()))
+        consistency = _nees(wrong, [covariance for _, covariance in runs])
+        rows += [
+            Row(f"{scene}, in space, {flight}: 3-D RMSE", "m", None, None, rmse[flight]),
+            Row(f"{scene}, in space, {flight}: NEES / 3", "1", None, None, consistency),
+        ]
+    level, tilted = rmse.values()
+    ratio = Row(f"{scene}, in space: RMSE over that of level", "1", None, None, tilted / level)
+    return [*rows, ratio]
 
 
 def _rows_of(scene: str, made: list[Overflown], found: Mapping[str, list[SpaceTrack]]) -> list[Row]:
@@ -148,7 +188,7 @@ def _nees(wrong: NDArray[np.float64], covariances: list[NDArray[np.float64]]) ->
 def _draw(figure: Any, found: Mapping[str, Flown]) -> None:
     """Both scenes from above and from the side."""
     panels = figure.subplots(2, len(found))
-    for column, (scene, (flights, follows)) in zip(panels.T, found.items(), strict=True):
+    for column, (scene, (flights, follows, _)) in zip(panels.T, found.items(), strict=True):
         made = flights[0]
         for panel, (axis, name) in zip(column, ((1, "y"), (2, "z")), strict=True):
             for mode, tracks in follows.items():

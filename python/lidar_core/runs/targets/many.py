@@ -21,6 +21,7 @@ from lidar_core.fusion import (
     mean_gospa,
     target_coverage,
 )
+from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names
 from lidar_core.io.tables.covariance import covariance_columns
@@ -30,7 +31,6 @@ from lidar_core.runs.result import Picture
 from lidar_core.runs.targets.one import (
     TARGET_SENSORS,
     NisBySensor,
-    measured_place,
     nis_by_sensor,
     nis_ratios,
     nis_summary,

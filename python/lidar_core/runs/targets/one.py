@@ -21,8 +21,9 @@ from lidar_core.fusion import (
     run,
     smooth,
 )
+from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.plausibility import geographic_poses
-from lidar_core.fusion.states import state_names, velocities
+from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
@@ -127,7 +128,7 @@ class TargetRun:
         return np.hstack(
             [
                 states[:, :2] - truth.position[rows],
-                velocities(states, self.config) - truth.velocity[rows],
+                velocities(states, self.config)[:, :2] - truth.velocity[rows],
             ]
         )
 
@@ -153,15 +154,16 @@ class TargetRun:
             "nis": nis_summary(self.nis()),
             "sensor_noise": self._sensor_noise(),
             "rmse": None if errors is None else self._rmse(errors),
+            **({} if self.log.origin is None else {"origin": list(self.log.origin)}),
             "us_per_measurement": 1e6 * self.seconds / max(1, len(stamps)),
         }
 
     def _sensor_noise(self) -> dict[str, list[float]]:
         """Standard deviations as configured and as estimated, SI units."""
         return {
-            "lidar_std": list(self.config.lidar_std),
+            "lidar_std": told_stds(self.config)[0].tolist(),
             "lidar_std_estimated": self.result.lidar_std_estimated.tolist(),
-            "radar_std": list(self.config.radar_std),
+            "radar_std": told_stds(self.config)[1].tolist(),
             "radar_std_estimated": self.result.radar_std_estimated.tolist(),
         }
 
@@ -191,7 +193,8 @@ class TargetRun:
         if result.states.shape[1]:
             table |= {name: result.states[:, n] for n, name in enumerate(names)}
             table |= covariance_columns(names, result.covariances)
-        table |= {f"innovation_{n + 1}": result.innovations[:, n] for n in range(3)}
+        width = result.innovations.shape[1]
+        table |= {f"innovation_{n + 1}": result.innovations[:, n] for n in range(width)}
         table["nis"] = result.nis
         truth = self.log.truth
         if truth is not None:
@@ -208,10 +211,11 @@ class TargetRun:
         """Write tables and trajectory; return their names."""
         last, stamps = self.last, self.stamps
         chosen, rows = last[self.seen], last & self.seen
-        place, speed = self.states[chosen, :2], velocities(self.states[chosen], self.config)
+        size = dimensions(self.config)
+        place, speed = self.states[chosen, :size], velocities(self.states[chosen], self.config)
         table = planar_table("track_id", stamps[rows], place, speed)
         if rows.any():
-            table |= covariance_columns("xy", self.result.covariances[rows])
+            table |= covariance_columns("xyz"[:size], self.result.covariances[rows])
         files = [
             folder.write_table("states", self.states_table()),
             folder.write_table("tracks", table),
@@ -241,7 +245,8 @@ class TargetRun:
         """Every time once: what was measured then, and the last state of that time."""
         known, ends = self.seen, np.flatnonzero(self.last)
         place, speed = np.zeros((len(known), 2)), np.zeros((len(known), 2))
-        place[known], speed[known] = self.states[:, :2], velocities(self.states, self.config)
+        place[known] = self.states[:, :2]
+        speed[known] = velocities(self.states, self.config)[:, :2]
         sensors = sensor_at(self.log.measurements, self.stamps[ends], self.config.lever_arm)
         first = 0
         for end, sensor in zip(ends.tolist(), sensors, strict=True):
@@ -291,7 +296,7 @@ def nis_by_sensor(
 ) -> NisBySensor:
     """NIS by sensor, of rows where something was compared."""
     degrees = np.isfinite(innovations).sum(axis=1)
-    limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3))])[degrees]
+    limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3, 4))])[degrees]
     compared = np.isfinite(nis) & (degrees > 0)
     found = {}
     for sensor in sorted(set(sensors[compared].tolist())):
@@ -323,17 +328,18 @@ def planar_table(
     velocity: NDArray[np.float64],
     numbers: NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
-    """Places in the plane as columns that `lidar-core evaluate` reads; heights are zero."""
-    zero = np.zeros(len(stamps))
+    """Places as columns that `lidar-core evaluate` reads; heights are zero in the plane."""
+    zero = np.zeros((len(stamps), 1))
+    (_, _, z), (_, _, vz) = (np.hstack([part, zero])[:, :3].T for part in (position, velocity))
     return {
         "t_ns": stamps,
         number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
         "x": position[:, 0],
         "y": position[:, 1],
-        "z": zero,
+        "z": z,
         "vx": velocity[:, 0],
         "vy": velocity[:, 1],
-        "vz": zero,
+        "vz": vz,
     }
 
 
@@ -341,15 +347,11 @@ def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray
     """Positions (M, 2) of LiDAR and radar in the frame of the sensor, where they are finite."""
     found: dict[str, list[list[float]]] = {}
     for m in measurements:
-        if m.sensor in TARGET_SENSORS and np.isfinite(m.values).all():
-            found.setdefault(m.sensor, []).append(measured_place(m))
+        if m.sensor in TARGET_SENSORS:
+            place = measured_place(m)
+            if np.isfinite(place).all():
+                found.setdefault(m.sensor, []).append(place)
     return {sensor: np.array(places) for sensor, places in found.items()}
-
-
-def measured_place(m: Measurement) -> list[float]:
-    """Position that a LiDAR or a radar measured, in its frame."""
-    x, y = m.values[:2].tolist()
-    return [x * np.cos(y), x * np.sin(y)] if m.sensor == "radar" else [x, y]
 
 
 def _in_order(log: MeasurementLog) -> MeasurementLog:

@@ -15,6 +15,8 @@ from lidar_core.run_folder import RunFolder
 from lidar_core.runs.result import MCAP
 
 SENSOR_FRAME, MEASUREMENTS_TOPIC = "sensor", "/measurements"
+YAWS = {"pose": 2, "pose-3d": 5}
+"""Place of the yaw among the values of a pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +57,8 @@ class PlanarStep:
 
 
 def in_plane(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows (K, 2) with a zero as third value."""
-    return np.pad(rows, ((0, 0), (0, 1)))
+    """Rows (K, 2) with a zero as third value; those of three values as they are."""
+    return np.pad(rows, ((0, 0), (0, 3 - rows.shape[1])))
 
 
 def in_world(places: NDArray[np.float64], sensor: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -79,15 +81,15 @@ def write_run_mcap(folder: RunFolder, steps: Iterable[PlanarStep]) -> str:
 
 
 def sensor_at(
-    measurements: Sequence[Measurement], stamps: NDArray[np.int64], lever: tuple[float, float]
+    measurements: Sequence[Measurement], stamps: NDArray[np.int64], lever: tuple[float, ...]
 ) -> NDArray[np.float64]:
     """x, y, yaw (K, 3) of the sensor between the poses that were measured; zero without one."""
-    poses = [m for m in measurements if m.sensor == "pose" and np.isfinite(m.values).all()]
+    poses = [m for m in measurements if m.sensor in YAWS and np.isfinite(m.values).all()]
     if not poses:
         return np.zeros((len(stamps), 3))
     first = poses[0].stamp_ns
     times = np.array([m.stamp_ns - first for m in poses])
-    x, y, yaw = np.array([m.values[:3] for m in poses]).T
+    x, y, yaw = np.array([m.values[[0, 1, YAWS[m.sensor]]] for m in poses]).T
     x, y, yaw = (np.interp(stamps - first, times, values) for values in (x, y, np.unwrap(yaw)))
     c, s = np.cos(yaw), np.sin(yaw)
     return np.stack([x + c * lever[0] - s * lever[1], y + s * lever[0] + c * lever[1], yaw], axis=1)

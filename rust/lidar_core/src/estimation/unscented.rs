@@ -4,8 +4,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// Most rows of a triangle: six states and three measured values.
-pub const MAX_ROWS: usize = 9;
+/// Most rows of a triangle: nine states and four measured values.
+pub const MAX_ROWS: usize = 13;
 
 /// A normal distribution whose covariance is stored as a lower triangle times its transpose.
 #[derive(Clone, Copy, Debug, PartialEq)]

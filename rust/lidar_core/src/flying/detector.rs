@@ -10,7 +10,7 @@ use super::classify::pockets::free_pockets;
 use super::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use super::detect::detection::Teammate;
 use super::detect::detections::{ScanDetections, ScanToDetect, detect};
-use super::detect::follow_up::{add_followed, update_tracks};
+use super::detect::follow_up::{add_followed, update_tracks, watch};
 use super::detect::visibility::ScanView;
 use super::frame::{Frame, Timing};
 use super::full_state::{DetectorState, KIND, SavedDetector};
@@ -117,7 +117,7 @@ impl FlyingObjectDetector {
 
         // The last stage that may refuse the scan.
         let stats = self.update_map(&noise, cast)?;
-        self.accept(raw, burn_in, gate);
+        let standing = self.accept(raw, burn_in, gate);
         timing.integrate = clock.lap();
         if self.parameters.removal_waits {
             self.local.map.remove_separate_from_background(self.parameters.separation)?;
@@ -126,7 +126,7 @@ impl FlyingObjectDetector {
         }
         timing.separate = clock.lap();
 
-        let found = self.detect_and_track(noise, stamp_ns)?;
+        let found = self.detect_and_track(noise, stamp_ns, &standing)?;
         timing.track = clock.lap();
         Ok(self.frame(raw, found, Some(stats), gate, timing))
     }
@@ -219,8 +219,9 @@ impl FlyingObjectDetector {
         Ok(stats)
     }
 
-    /// Remember what the scan told: nothing refuses it any more.
-    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) {
+    /// Remember what the scan told: nothing refuses it any more. Numbers of the clusters in free space
+    /// that have become background, since they stand.
+    fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) -> Vec<usize> {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
         if let Some(sensor) = sensors.get_mut(raw.sensor) {
@@ -239,7 +240,9 @@ impl FlyingObjectDetector {
             free_pockets(&mut local.map, classifier.classifications(), &scan.points);
         }
         let distance = classify.close_distance;
-        static_points.take(&scan.points, gate, seed, distance, &mut local.map, tracker);
+        let map = &mut local.map;
+        let standing = static_points.take(&scan.points, gate, seed, distance, map, tracker);
+        classifier.flying_in(&standing, &scan.points, map.lattice())
     }
 
     /// Detections of the scan, and those that only tracks tell, in the frame of the map.
@@ -247,6 +250,7 @@ impl FlyingObjectDetector {
         &mut self,
         noise: PoseNoise,
         stamp_ns: i64,
+        standing: &[usize],
     ) -> Result<ScanDetections, Error> {
         let Self {
             parameters, workers, local, teammates, scan, classifier, tracker, burn_in, ..
@@ -257,6 +261,7 @@ impl FlyingObjectDetector {
         let input = ScanToDetect { scan, view: &view, teammates, map_from_world, parameters };
         let classifications = classifier.classifications().iter().enumerate();
         let mut found = detect(&input, classifier.clusters(), classifications);
+        watch(tracker, &input, classifier, standing, stamp_ns);
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
         let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;

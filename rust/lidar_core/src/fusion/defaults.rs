@@ -6,7 +6,7 @@
 use super::filter::paper::{Paper, Reading};
 use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
-use super::sensors::observation::Sensing;
+use super::sensors::sensing::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Strengths};
 use super::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
 use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
@@ -47,10 +47,10 @@ impl Default for Sensing {
     fn default() -> Self {
         let [gyro] = squared([0.01]);
         Self {
-            lidar: squared([0.15, 0.15]),
-            radar: squared([0.3, 0.03, 0.3]),
+            lidar: squared([0.15; 3]),
+            radar: squared([0.3, 0.03, 0.03, 0.3]),
             gyro,
-            pose: [0.0; 3],
+            pose: [0.0; 6],
             range_min: 0.1,
             convert_radar: false,
         }
@@ -99,7 +99,7 @@ impl Default for FusionParameters {
             prior: Prior::default(),
             sensing: Sensing::default(),
             life: LifecycleRules::default(),
-            lever: [0.0; 2],
+            lever: [0.0; 3],
         }
     }
 }
@@ -134,7 +134,7 @@ impl Default for ManyParameters {
         Self {
             filter: FusionParameters {
                 method: Method::Interacting {
-                    models: [true, false, false, false, false, true],
+                    models: [true, false, false, false, false, true, false, false, false],
                     sojourn: 2.0,
                     quiet: Some(0.1),
                 },

@@ -6,9 +6,12 @@ use super::filter::paper::Paper;
 use super::models::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};
 use super::models::drone::{CtrvDrone, CtrvDroneRate};
 use super::models::heading::{Ctra, Ctrv};
-use super::models::motion::{Motion, Noise};
+use super::models::motion::Noise;
+use super::models::space::{ClimbingCtrv, SpaceAcceleration, SpaceVelocity};
 use super::models::standing::StandingTarget;
 use super::models::state_conversion::StateConversion;
+use super::models::world::{Plane, Space};
+use super::sensors::sight::SeenMotion;
 
 /// Motion model of the targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,6 +28,12 @@ pub enum Model {
     Ctra,
     /// [x, y, vx, vy], of which the velocity is zero.
     Standing,
+    /// [x, y, z, vx, vy, vz].
+    SpaceVelocity,
+    /// [x, y, z, vx, vy, vz, ax, ay, az].
+    SpaceAcceleration,
+    /// [x, y, z, v, theta, w, vz].
+    ClimbingCtrv,
     /// [x, y, v, theta, w] in the frame of a sensor that moves; with w_d unless a gyro is an input.
     CtrvDrone,
     /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
@@ -46,7 +55,7 @@ pub struct ModelEntry {
 
 /// Every model.
 #[must_use]
-pub fn models() -> [ModelEntry; 8] {
+pub fn models() -> [ModelEntry; 11] {
     [
         ModelEntry {
             name: "cv",
@@ -85,6 +94,24 @@ pub fn models() -> [ModelEntry; 8] {
             title: "a place that hardly moves; with imm for targets that stop",
         },
         ModelEntry {
+            name: "cv-3d",
+            model: Model::SpaceVelocity,
+            states: &["x", "y", "z", "vx", "vy", "vz"],
+            title: "constant velocity in space",
+        },
+        ModelEntry {
+            name: "ca-3d",
+            model: Model::SpaceAcceleration,
+            states: &["x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az"],
+            title: "constant acceleration in space",
+        },
+        ModelEntry {
+            name: "ctrv-3d",
+            model: Model::ClimbingCtrv,
+            states: &["x", "y", "z", "v", "theta", "w", "vz"],
+            title: "constant turn rate, horizontal speed and climb",
+        },
+        ModelEntry {
             name: "ctrv-drone",
             model: Model::CtrvDrone,
             states: &["x", "y", "v", "theta", "w", PLATFORM_RATE],
@@ -103,27 +130,38 @@ pub fn models() -> [ModelEntry; 8] {
 pub const PLATFORM_RATE: &str = "w_d";
 
 /// Models that [`super::Method::Interacting`] can mix, in the order of its switches.
-pub const MIXABLE: [Model; 6] = [
+pub const MIXABLE: [Model; 9] = [
     Model::ConstantVelocity,
     Model::ConstantAcceleration,
     Model::CoordinatedTurn,
     Model::Ctrv,
     Model::Ctra,
     Model::Standing,
+    Model::SpaceVelocity,
+    Model::SpaceAcceleration,
+    Model::ClimbingCtrv,
 ];
 
 /// Computation that needs the motion of a model, whatever its number of states.
 pub(crate) trait ForMotion {
     type Output;
-    fn run<const N: usize, M: Motion<N>>(self, motion: M) -> Self::Output;
+    fn run<const N: usize, M: SeenMotion<N, World = Plane>>(self, motion: M) -> Self::Output;
+    fn run_in_space<const N: usize, M: SeenMotion<N, World = Space>>(
+        self,
+        motion: M,
+    ) -> Self::Output;
     /// The published model is a filter of its own.
     fn published(self, paper: Paper) -> Self::Output;
 }
 
-/// Computation that needs a motion whose states can be converted to those of other models.
-pub(crate) trait ForMixable {
+/// Computation that needs a motion whose states can be converted to those of other models of the
+/// plane or space W.
+pub(crate) trait ForMixable<W> {
     type Output;
-    fn run<const N: usize, M: StateConversion<N>>(self, motion: M) -> Self::Output;
+    fn run<const N: usize, M: StateConversion<N, World = W> + SeenMotion<N>>(
+        self,
+        motion: M,
+    ) -> Self::Output;
 }
 
 struct NoisesOf;
@@ -131,7 +169,11 @@ struct NoisesOf;
 impl ForMotion for NoisesOf {
     type Output = Vec<Noise>;
 
-    fn run<const N: usize, M: Motion<N>>(self, _: M) -> Self::Output {
+    fn run<const N: usize, M: SeenMotion<N, World = Plane>>(self, _: M) -> Self::Output {
+        M::NOISES.to_vec()
+    }
+
+    fn run_in_space<const N: usize, M: SeenMotion<N, World = Space>>(self, _: M) -> Self::Output {
         M::NOISES.to_vec()
     }
 
@@ -150,6 +192,9 @@ impl Model {
             Self::Ctrv => task.run(Ctrv),
             Self::Ctra => task.run(Ctra),
             Self::Standing => task.run(StandingTarget),
+            Self::SpaceVelocity => task.run_in_space(SpaceVelocity),
+            Self::SpaceAcceleration => task.run_in_space(SpaceAcceleration),
+            Self::ClimbingCtrv => task.run_in_space(ClimbingCtrv),
             Self::CtrvDrone if has_gyro => task.run(CtrvDrone),
             Self::CtrvDrone => task.run(CtrvDroneRate),
             Self::Paper(paper) => task.published(paper),
@@ -162,8 +207,14 @@ impl Model {
         self.with_motion(false, NoisesOf)
     }
 
-    /// `task` with the motion of this model; none for one that is not in [`MIXABLE`].
-    pub(crate) fn with_mixable<T: ForMixable>(self, task: T) -> Option<T::Output> {
+    /// True for a model in space, false for one in the plane.
+    #[must_use]
+    pub fn is_in_space(self) -> bool {
+        matches!(self, Self::SpaceVelocity | Self::SpaceAcceleration | Self::ClimbingCtrv)
+    }
+
+    /// `task` with the motion of this model; none for one that is not in [`MIXABLE`], or in space.
+    pub(crate) fn with_mixable<T: ForMixable<Plane>>(self, task: T) -> Option<T::Output> {
         Some(match self {
             Self::ConstantVelocity => task.run(ConstantVelocity),
             Self::ConstantAcceleration => task.run(ConstantAcceleration),
@@ -171,7 +222,17 @@ impl Model {
             Self::Ctrv => task.run(Ctrv),
             Self::Ctra => task.run(Ctra),
             Self::Standing => task.run(StandingTarget),
-            Self::CtrvDrone | Self::Paper(_) => return None,
+            _ => return None,
+        })
+    }
+
+    /// The same of a model in space.
+    pub(crate) fn with_mixable_in_space<T: ForMixable<Space>>(self, task: T) -> Option<T::Output> {
+        Some(match self {
+            Self::SpaceVelocity => task.run(SpaceVelocity),
+            Self::SpaceAcceleration => task.run(SpaceAcceleration),
+            Self::ClimbingCtrv => task.run(ClimbingCtrv),
+            _ => return None,
         })
     }
 }

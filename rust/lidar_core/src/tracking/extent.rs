@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Most dimensions of a measurement.
-pub const AXES: usize = 3;
+pub const AXES: usize = 4;
 /// Number of measurements that are kept.
 const KEPT: usize = 128;
 /// Most measurements that are taken from a scan, so that a large one does not replace all others.
@@ -62,7 +62,7 @@ mod tests {
 
     fn even(count: usize) -> Vec<[f64; AXES]> {
         let at = |k: usize, step: f64| (k as f64 * step) % 1.0;
-        (0..count).map(|k| [100.0 * at(k, 0.618_034), 10.0 * at(k, 0.414_214), 0.0]).collect()
+        (0..count).map(|k| [100.0 * at(k, 0.618_034), 10.0 * at(k, 0.414_214), 0.0, 0.0]).collect()
     }
 
     fn volume(recent: &Recent) -> f64 {
@@ -84,7 +84,7 @@ mod tests {
                 let scan = even(count);
                 scan.chunks(8).for_each(|scan| without.take(scan));
                 let mut spoilt = scan;
-                spoilt[count / 2] = [far, far, far];
+                spoilt[count / 2] = [far; AXES];
                 spoilt.chunks(8).for_each(|scan| with.take(scan));
                 let ratio = volume(&with) / volume(&without);
                 assert!((0.3..3.0).contains(&ratio), "{far} {count} {ratio}");
@@ -105,7 +105,7 @@ mod tests {
     #[test]
     fn a_large_scan_is_sampled_evenly() {
         let mut recent = Recent::default();
-        let line: Vec<[f64; AXES]> = (0..2000).map(|k| [f64::from(k), 0.0, 0.0]).collect();
+        let line: Vec<[f64; AXES]> = (0..2000).map(|k| [f64::from(k), 0.0, 0.0, 0.0]).collect();
         recent.take(&line);
         let [low, high] = recent.bounds().map_or([f64::NAN; 2], |bounds| bounds[0]);
         assert!((low - 0.0).abs() < 150.0 && (high - 2000.0).abs() < 150.0, "{low} {high}");
@@ -114,7 +114,13 @@ mod tests {
     #[test]
     fn values_beyond_all_bounds_give_finite_ones() {
         let mut recent = Recent::default();
-        recent.take(&[[f64::MAX; 3], [-f64::MAX; 3], [0.0; 3], [f64::MAX; 3], [-f64::MAX; 3]]);
+        recent.take(&[
+            [f64::MAX; AXES],
+            [-f64::MAX; AXES],
+            [0.0; AXES],
+            [f64::MAX; AXES],
+            [-f64::MAX; AXES],
+        ]);
         let is_finite = |bounds: [[f64; 2]; AXES]| bounds.iter().flatten().all(|b| b.is_finite());
         assert!(recent.bounds().is_some_and(is_finite));
     }

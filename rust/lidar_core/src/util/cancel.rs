@@ -141,7 +141,8 @@ mod tests {
             scope.spawn(|| {
                 assert!(check().is_ok() && watch.check().is_err());
                 assert!(watch.run(check).is_err());
-                assert!(std::panic::catch_unwind(|| watch.run(|| panic!("planned"))).is_err());
+                let planned = || watch.run(|| std::panic::resume_unwind(Box::new("planned")));
+                assert!(std::panic::catch_unwind(planned).is_err());
                 assert!(check().is_ok());
             });
         });

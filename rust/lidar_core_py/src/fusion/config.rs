@@ -5,7 +5,7 @@ use lidar_core::Error;
 use lidar_core::fusion::filter::paper::{Paper, Reading};
 use lidar_core::fusion::model::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
-use lidar_core::fusion::sensors::observation::Sensing;
+use lidar_core::fusion::sensors::sensing::Sensing;
 use lidar_core::fusion::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;
@@ -20,12 +20,12 @@ pub(crate) struct FusionConfig {
     jerk_noise: f64,
     turn_noise: f64,
     platform_noise: f64,
-    lidar_std: [f64; 2],
-    radar_std: [f64; 3],
+    lidar_std: Vec<f64>,
+    radar_std: Vec<f64>,
     gyro_std: f64,
-    pose_std: [f64; 3],
+    pose_std: Vec<f64>,
     gyro: String,
-    lever_arm: [f64; 2],
+    lever_arm: Vec<f64>,
     start_rows: u32,
     start_speed: String,
     initial_position: f64,
@@ -88,16 +88,52 @@ impl FusionConfig {
             },
             prior: self.prior(),
             sensing: Sensing {
-                lidar: self.lidar_std.map(squared),
-                radar: self.radar_std.map(squared),
+                lidar: self.lidar()?.map(squared),
+                radar: self.radar()?.map(squared),
                 gyro: squared(self.gyro_std),
-                pose: self.pose_std.map(squared),
+                pose: self.pose()?.map(squared),
                 convert_radar: method == Method::Linear,
                 ..Sensing::default()
             },
             life: self.life()?,
-            lever: self.lever_arm,
+            lever: self.lever()?,
         })
+    }
+
+    /// Of x, y and z; of y for a z that is not told.
+    fn lidar(&self) -> Result<[f64; 3], Error> {
+        match self.lidar_std[..] {
+            [x, y] => Ok([x, y, y]),
+            [x, y, z] => Ok([x, y, z]),
+            _ => Err(length("lidar_std", 2, &self.lidar_std)),
+        }
+    }
+
+    /// Of range, bearing, elevation and range rate; of the bearing for an elevation that is not
+    /// told.
+    fn radar(&self) -> Result<[f64; 4], Error> {
+        match self.radar_std[..] {
+            [range, bearing, rate] => Ok([range, bearing, bearing, rate]),
+            [range, bearing, elevation, rate] => Ok([range, bearing, elevation, rate]),
+            _ => Err(length("radar_std", 3, &self.radar_std)),
+        }
+    }
+
+    /// Of x, y, z, roll, pitch and yaw; zero for what is not told.
+    fn pose(&self) -> Result<[f64; 6], Error> {
+        match self.pose_std[..] {
+            [x, y, yaw] => Ok([x, y, 0.0, 0.0, 0.0, yaw]),
+            [x, y, z, roll, pitch, yaw] => Ok([x, y, z, roll, pitch, yaw]),
+            _ => Err(length("pose_std", 3, &self.pose_std)),
+        }
+    }
+
+    fn lever(&self) -> Result<[f64; 3], Error> {
+        match self.lever_arm[..] {
+            [x, y] => Ok([x, y, 0.0]),
+            [x, y, z] => Ok([x, y, z]),
+            _ => Err(length("lever_arm", 2, &self.lever_arm)),
+        }
     }
 
     fn model(&self) -> Result<Model, Error> {
@@ -179,6 +215,10 @@ pub(crate) fn fusion_models() -> Vec<(&'static str, Vec<&'static str>, &'static 
         (entry.name, entry.states.to_vec(), entry.title, can_mix)
     };
     model::models().map(of).to_vec()
+}
+
+fn length(name: &'static str, expected: usize, values: &[f64]) -> Error {
+    Error::Length { name, expected, got: values.len() }
 }
 
 fn squared(value: f64) -> f64 {

@@ -6,7 +6,8 @@ use crate::fusion::config::FusionConfig;
 use crate::guard::{Guarded, detached, stoppable};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::SimplexSearch;
-use lidar_core::fusion::filter::engine::Output;
+use lidar_core::fusion::filter::engine::{MAX_INNOVATION, Output};
+use lidar_core::fusion::sensors::measurement::PolarValues;
 use lidar_core::fusion::targets::lifecycle::Outcome;
 use lidar_core::fusion::targets::noise_search::{fit, quantities};
 use lidar_core::fusion::targets::target::FilterStep;
@@ -19,11 +20,12 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-const SENSORS: [(&str, Sensor); 4] = [
+const SENSORS: [(&str, Sensor); 5] = [
     ("lidar", Sensor::Lidar),
     ("radar", Sensor::Radar),
     ("gyro", Sensor::Gyro),
     ("pose", Sensor::Pose),
+    ("pose-3d", Sensor::SpacePose),
 ];
 
 /// In the order of the numbers that arrays have for them.
@@ -49,17 +51,24 @@ pub(crate) struct PyMeasurement(pub(crate) Measurement);
 #[pymethods]
 impl PyMeasurement {
     #[new]
-    #[pyo3(signature = (stamp_ns, sensor, values, *, covariance))]
+    #[pyo3(signature = (stamp_ns, sensor, values, *, measures, covariance))]
     fn new(
         stamp_ns: i64,
         sensor: &str,
         values: PyReadonlyArray1<'_, f64>,
+        measures: Option<[bool; 4]>,
         covariance: Option<PyReadonlyArray1<'_, f64>>,
     ) -> Result<Self, BorderError> {
         let sensor = arrays::choice("sensor", sensor, &SENSORS)?;
         let values = arrays::flat("values", &values)?;
         let covariance = arrays::maybe_flat("covariance", &covariance)?;
-        Ok(Self(Measurement::new(stamp_ns, sensor, values, covariance)?))
+        let made = match measures {
+            Some(given) => {
+                Measurement::polar(stamp_ns, PolarValues::new(given)?, values, covariance)
+            }
+            None => Measurement::new(stamp_ns, sensor, values, covariance),
+        };
+        Ok(Self(made?))
     }
 }
 
@@ -99,8 +108,7 @@ impl PyFusionStep {
 
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
-        let innovation = self.0.innovation?;
-        Some(PyArray1::from_slice(py, &innovation.values[..innovation.count.min(3)]))
+        Some(PyArray1::from_slice(py, self.0.innovation?.recorded()))
     }
 
     #[getter]
@@ -164,9 +172,7 @@ impl PyTargetFilter {
     /// Standard deviations of LiDAR and radar as the measurements show them.
     fn sensor_stds<'py>(&self, py: Python<'py>) -> Result<Deviations<'py>, BorderError> {
         let errors = self.filter.with(py, |filter| Ok(filter.errors()))?;
-        let (lidar, radar) = errors.variances(&self.parameters.sensing);
-        let lidar = PyArray1::from_slice(py, &lidar.map(f64::sqrt));
-        Ok((lidar, PyArray1::from_slice(py, &radar.map(f64::sqrt))))
+        Ok(deviations(py, errors.variances(&self.parameters.sensing), &self.parameters))
     }
 
     /// Mean and covariance at a time; None before the target has been seen.
@@ -181,6 +187,28 @@ impl PyTargetFilter {
         let mean = PyArray1::from_slice(py, &output.mean[..output.count]);
         Ok(Some((mean, square(py, &output)?)))
     }
+}
+
+/// Standard deviations of LiDAR and radar: of two and three values in the plane, of three and four
+/// in space.
+fn deviations<'py>(
+    py: Python<'py>,
+    (lidar, radar): ([f64; 3], [f64; 4]),
+    parameters: &FusionParameters,
+) -> Deviations<'py> {
+    let (lidar, radar) = (lidar.map(f64::sqrt), radar.map(f64::sqrt));
+    let [range, bearing, _, rate] = radar;
+    if parameters.is_in_space() {
+        return (PyArray1::from_slice(py, &lidar), PyArray1::from_slice(py, &radar));
+    }
+    (PyArray1::from_slice(py, &lidar[..2]), PyArray1::from_slice(py, &[range, bearing, rate]))
+}
+
+/// Columns of recorded innovations that a filter can fill.
+pub(crate) fn cut(innovations: Vec<f64>, parameters: &FusionParameters) -> (Vec<f64>, usize) {
+    let width = if parameters.is_in_space() { MAX_INNOVATION } else { 3 };
+    let rows = innovations.chunks_exact(MAX_INNOVATION);
+    (rows.flat_map(|row| &row[..width]).copied().collect(), width)
 }
 
 type Deviations<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
@@ -227,7 +255,9 @@ impl PyMeasurements {
         let counts = arrays::flat("counts", &counts)?;
         let covariances = arrays::flat("covariances", &covariances)?;
         let width = values.len().checked_div(stamps_ns.len()).unwrap_or(1).max(1);
-        let noise = covariances.chunks_exact(9).map(Some).chain(std::iter::repeat(None));
+        let size = covariances.len().checked_div(stamps_ns.len()).unwrap_or(0).isqrt();
+        let noise = covariances.chunks_exact((size * size).max(1));
+        let noise = noise.map(Some).chain(std::iter::repeat(None));
         let rows = stamps_ns.iter().zip(sensors).zip(values.chunks_exact(width).zip(counts));
         let made: Result<Vec<Measurement>, Error> = rows
             .zip(noise)
@@ -239,8 +269,10 @@ impl PyMeasurements {
                     got: sensor.to_string(),
                 })?;
                 let count = usize::from(*count).min(width);
-                let noise = noise.map(|entries| leading(entries, named.1));
-                Measurement::new(*stamp_ns, named.1, &row[..count], noise.as_deref())
+                let plain = Measurement::new(*stamp_ns, named.1, &row[..count], None)?;
+                let Some(entries) = noise else { return Ok(plain) };
+                let noise = leading(entries, size, plain.noisy());
+                Measurement::new(*stamp_ns, named.1, &row[..count], Some(&noise))
             })
             .collect();
         Ok(Self(made?))
@@ -251,10 +283,10 @@ impl PyMeasurements {
     }
 }
 
-/// The rows and columns that `sensor` has, of a matrix of three.
-fn leading(entries: &[f64], sensor: Sensor) -> Vec<f64> {
-    let size = sensor.noisy();
-    entries.chunks_exact(3).take(size).flat_map(|row| &row[..size]).copied().collect()
+/// The first `count` rows and columns of a matrix of `size`.
+fn leading(entries: &[f64], size: usize, count: usize) -> Vec<f64> {
+    let count = count.min(size);
+    entries.chunks_exact(size).take(count).flat_map(|row| &row[..count]).copied().collect()
 }
 
 #[pyfunction]
@@ -263,8 +295,8 @@ pub(crate) fn fusion_run<'py>(
     config: FusionConfig,
     measurements: PyRef<'py, PyMeasurements>,
 ) -> Result<RunArrays<'py>, BorderError> {
-    let measurements = &measurements.0;
-    run_arrays(py, stoppable(py, || run(&config.parameters()?, measurements))?)
+    let (measurements, parameters) = (&measurements.0, config.parameters()?);
+    run_arrays(py, stoppable(py, || run(&parameters, measurements))?, &parameters)
 }
 
 #[pyfunction]
@@ -275,8 +307,8 @@ pub(crate) fn fusion_smooth<'py>(
     measurements: PyRef<'py, PyMeasurements>,
     lag_ns: Option<i64>,
 ) -> Result<RunArrays<'py>, BorderError> {
-    let measurements = &measurements.0;
-    run_arrays(py, stoppable(py, || smooth(&config.parameters()?, measurements, lag_ns))?)
+    let (measurements, parameters) = (&measurements.0, config.parameters()?);
+    run_arrays(py, stoppable(py, || smooth(&parameters, measurements, lag_ns))?, &parameters)
 }
 
 #[pyfunction]
@@ -288,25 +320,25 @@ pub(crate) fn fusion_run_batch<'py>(
     threads: Threads,
 ) -> Result<Vec<RunArrays<'py>>, BorderError> {
     let targets: Vec<&[Measurement]> = targets.iter().map(|target| &target.0[..]).collect();
-    let records =
-        stoppable(py, || run_batch(&threads::pool(threads.0)?, &config.parameters()?, &targets))?;
-    records.into_iter().map(|record| run_arrays(py, record)).collect()
+    let parameters = config.parameters()?;
+    let records = stoppable(py, || run_batch(&threads::pool(threads.0)?, &parameters, &targets))?;
+    records.into_iter().map(|record| run_arrays(py, record, &parameters)).collect()
 }
 
 /// Noise that makes measurements most likely: acceleration, jerk, turn; standard deviations of
 /// LiDAR and radar; log likelihood.
-type Fitted = ([f64; 3], [f64; 2], [f64; 3], f64);
+type Fitted<'py> = ([f64; 3], Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, f64);
 
 #[pyfunction]
 #[pyo3(signature = (config, targets, *, sensors, least_rate, evaluations))]
-pub(crate) fn fusion_fit_noise(
-    py: Python<'_>,
+pub(crate) fn fusion_fit_noise<'py>(
+    py: Python<'py>,
     config: FusionConfig,
-    targets: Vec<PyRef<'_, PyMeasurements>>,
+    targets: Vec<PyRef<'py, PyMeasurements>>,
     sensors: bool,
     least_rate: f64,
     evaluations: i64,
-) -> Result<Fitted, BorderError> {
+) -> Result<Fitted<'py>, BorderError> {
     let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
     let evaluations = arrays::count("evaluations", evaluations)?;
     let search = SimplexSearch { step: 0.5, tolerance: 1e-6, evaluations };
@@ -316,15 +348,17 @@ pub(crate) fn fusion_fit_noise(
         fit(&start, &targets, &fitted, least_rate, &search)
     })?;
     let (noise, sensing) = (best.strengths, best.sensing);
-    Ok((
-        [noise.acceleration, noise.jerk, noise.turn],
-        sensing.lidar.map(f64::sqrt),
-        sensing.radar.map(f64::sqrt),
-        likelihood,
-    ))
+    let (lidar, radar) = deviations(py, (sensing.lidar, sensing.radar), &best);
+    Ok(([noise.acceleration, noise.jerk, noise.turn], lidar, radar, likelihood))
 }
 
-fn run_arrays(py: Python<'_>, record: Record) -> Result<RunArrays<'_>, BorderError> {
+fn run_arrays<'py>(
+    py: Python<'py>,
+    record: Record,
+    parameters: &FusionParameters,
+) -> Result<RunArrays<'py>, BorderError> {
+    let (lidar, radar) = deviations(py, record.variances, parameters);
+    let (innovations, width) = cut(record.innovations, parameters);
     let (rows, size) = (record.stamps_ns.len(), record.states);
     let numbers = record.outcomes.iter().map(|outcome| outcome_number(*outcome) as u8);
     let outcomes: Vec<u8> = numbers.collect();
@@ -333,10 +367,10 @@ fn run_arrays(py: Python<'_>, record: Record) -> Result<RunArrays<'_>, BorderErr
         outcomes.into_pyarray(py),
         record.means.into_pyarray(py).reshape([rows, size])?,
         record.covariances.into_pyarray(py).reshape([rows, size, size])?,
-        record.innovations.into_pyarray(py).reshape([rows, 3])?,
+        innovations.into_pyarray(py).reshape([rows, width])?,
         record.nis.into_pyarray(py),
-        PyArray1::from_slice(py, &record.variances.0.map(f64::sqrt)),
-        PyArray1::from_slice(py, &record.variances.1.map(f64::sqrt)),
+        lidar,
+        radar,
     ))
 }
 

@@ -3,12 +3,14 @@
 use crate::arrays;
 use crate::errors::BorderError;
 use crate::fusion::config::FusionConfig;
-use crate::fusion::filter::PyMeasurements;
+use crate::fusion::filter::{PyMeasurements, cut};
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::fusion::targets::many::{ExistenceParameters, MAX_SOURCES, TrackingWork};
 use lidar_core::fusion::targets::record::padded;
-use lidar_core::fusion::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
+use lidar_core::fusion::{
+    Assigned, FusionParameters, ManyParameters, ManyTargets, TargetAssociation, TrackState,
+};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -102,7 +104,10 @@ impl PyMultiTargetTracker {
     ) -> Result<ScanArrays<'py>, BorderError> {
         let source = u8::try_from(source).unwrap_or(MAX_SOURCES);
         let scan = &measurements.0;
-        scan_arrays(py, &self.0.with(py, |tracker| tracker.process(stamp_ns, source, scan))?)
+        let (assigned, parameters) = self.0.with(py, |tracker| {
+            Ok((tracker.process(stamp_ns, source, scan)?, tracker.parameters().filter))
+        })?;
+        scan_arrays(py, &assigned, &parameters)
     }
 
     /// Scans, predictions and pairs so far.
@@ -125,13 +130,15 @@ impl PyMultiTargetTracker {
 fn scan_arrays<'py>(
     py: Python<'py>,
     assigned: &[Assigned],
+    parameters: &FusionParameters,
 ) -> Result<ScanArrays<'py>, BorderError> {
     let numbers: Vec<i64> = assigned.iter().map(|one| one.id.unwrap_or(-1)).collect();
     let innovations = assigned.iter().flat_map(|one| padded(one.innovation.as_ref()));
+    let (innovations, width) = cut(innovations.collect(), parameters);
     let nis = assigned.iter().map(|one| one.innovation.map_or(f64::NAN, |y| y.nis));
     Ok((
         numbers.into_pyarray(py),
-        innovations.collect::<Vec<f64>>().into_pyarray(py).reshape([assigned.len(), 3])?,
+        innovations.into_pyarray(py).reshape([assigned.len(), width])?,
         nis.collect::<Vec<f64>>().into_pyarray(py),
     ))
 }

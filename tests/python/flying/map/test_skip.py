@@ -9,7 +9,7 @@ from helpers.flying_scenes import VLP_16, lidar
 from golden.digest import Record
 from golden.flying_replay import play_deskewed, yard
 from lidar_core import IntegrateStats, PointClass, VoxelMap, VoxelMapConfig
-from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+from lidar_core.flying import FlyingConfig, FlyingObjectDetector, PoseConfig
 from lidar_core.sim import Circle, Hover, simulate
 
 TEXTS = frozenset({"reason", "rejected"})
@@ -27,11 +27,15 @@ def results(play, skip, threads):
     return record.entries()
 
 
-def play(model, sensor, scans, *, sensors=("lidar",), rounds=1, **changes):
-    """A run over a simulated flight; several rounds fly it again, into the same map."""
+def play(model, sensor, scans, *, sensors=("lidar",), rounds=1, known=None, **changes):
+    """A run over a simulated flight; several rounds fly it again, into the same map.
+
+    `known` holds points [m, world] of a map that is known beforehand."""
 
     def run(record, threads, one):
         detector = FlyingObjectDetector(one.model_copy(update=changes), threads=threads)
+        if known is not None:
+            detector.set_occupied(known)
         made = list(simulate(yard(model, sensor, scans=scans), seed=1019))
         for number in range(rounds * scans):
             simulated = made[number % scans]
@@ -64,11 +68,26 @@ def test_detections_and_tracks_are_the_same(name):
     assert results(RUNS[name], "saturated", 2) == results(RUNS[name], "none", 1)
 
 
+WALL = np.stack(np.meshgrid([12.0], np.arange(-6, 6, 0.2), np.arange(0, 4, 0.2)), axis=-1)
+UNCERTAIN = {"position_std": (0.03, 0.03, 0.03), "angle_std": (0.002, 0.002, 0.002)}
+LONG_RUNS = {
+    "dense": {"model": lidar()},
+    "sparse": {"model": VLP_16},
+    "several sensors": {"model": lidar(), "sensors": ("left", "right", "rear")},
+    "rolling map": {"model": lidar(), "forget_distance": 6.0},
+    "known map": {"model": lidar(), "known": WALL.reshape(-1, 3)},
+    "ends weighted": {"model": lidar(), "pose": PoseConfig(weighting="ends", **UNCERTAIN)},
+    "points weighted": {"model": lidar(), "pose": PoseConfig(weighting="spread", **UNCERTAIN)},
+}
+
+
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", ["dense", "sparse"])
+@pytest.mark.parametrize("name", LONG_RUNS)
 def test_detections_and_tracks_are_the_same_over_a_thousand_scans(name):
-    run = play({"dense": lidar(), "sparse": VLP_16}[name], ROUND, 50, rounds=20)
-    assert results(run, "saturated", 2) == results(run, "none", 1)
+    run = play(sensor=ROUND, scans=50, rounds=20, **LONG_RUNS[name])
+    passing = results(run, "saturated", 2)
+    assert passing == results(run, "saturated", 1)
+    assert passing == results(run, "none", 1)
 
 
 def room_scan(step):

@@ -14,7 +14,6 @@ from lidar_core.reproduce.jobs import Part
 
 OWN_REACH, OWN_DRIFT, OWN_WAY = 4.0, 0.5, 1.0
 """A track of the own body: this near the sensor, moving less in its frame than the sensor [m]."""
-FLYING = "FLYING"
 
 
 @dataclass(slots=True)
@@ -28,20 +27,19 @@ class Reported:
     def add(self, number: int, item: PosedScan[Scan], frame: FlyingFrame) -> None:
         """Add the results of scan `number`."""
         world_from_lidar = item.world_from_lidar.reshape(-1, 4, 4)[0]
-        tracks = frame.tracks
-        is_flying = flying_rows(tracks)
-        place = tracks.position[is_flying]
+        tracks = frame.tracks.flying
+        place = tracks.position
         in_body = (place - world_from_lidar[:3, 3]) @ world_from_lidar[:3, :3]
-        spread = np.trace(tracks.covariance[is_flying, :3, :3], axis1=1, axis2=2)
+        spread = np.trace(tracks.covariance[:, :3, :3], axis1=1, axis2=2)
         self.rows.append(
             np.column_stack(
                 [
                     np.full(len(place), number),
-                    tracks.id[is_flying],
+                    tracks.id,
                     place,
                     in_body,
-                    tracks.extent[is_flying],
-                    tracks.velocity[is_flying],
+                    tracks.extent,
+                    tracks.velocity,
                     np.sqrt(spread),
                 ]
             )
@@ -133,14 +131,6 @@ def _false_track(part: Part, name: int) -> FalseTrack:
         in_body=np.median(in_body, axis=0),
         is_own_body=is_near and drift < OWN_DRIFT and way > min(OWN_WAY, 2 * drift + 0.1),
     )
-
-
-def flying_rows(tracks: Any) -> NDArray[np.bool_]:
-    """Which tracks are of kind FLYING; all of them where tracks have no kind."""
-    kinds = getattr(tracks, "kind", None)
-    if kinds is None:
-        return np.ones(len(tracks), np.bool_)
-    return np.array([str(getattr(kind, "name", kind)).upper() == FLYING for kind in kinds], bool)
 
 
 def _numbers(states: list[dict[str, Any]], name: str) -> NDArray[np.float64]:

@@ -96,9 +96,10 @@ class Seen:
         """Add the results of scan `number`."""
         self.detections_scan += [number] * len(frame.detections)
         self.detections_position += list(frame.detections.position)
-        self.tracks_scan += [number] * len(frame.tracks)
-        self.tracks_id += frame.tracks.id.tolist()
-        self.tracks_position += list(frame.tracks.position)
+        flying = frame.tracks.flying
+        self.tracks_scan += [number] * len(flying)
+        self.tracks_id += flying.id.tolist()
+        self.tracks_position += list(flying.position)
         self.burn_in_scans += frame.status.is_burn_in
 
     def columns(self) -> Part:

@@ -107,7 +107,9 @@ def pursue(
         truth.append(made)
         given = noise.observed(made)
         seen.add(number, processed(detector, given, pose_covariance=covariance))
-        found = quarry.choose(detector.tracks_at(observer.stamp_ns + period), observer.position)
+        found = quarry.choose(
+            detector.tracks_at(observer.stamp_ns + period).flying, observer.position
+        )
         place, velocity = found or (None, np.zeros(3))
         plan.append((np.clip(guide(observer.position, place), *box), velocity))
     columns = truth_columns(simulator, truth)

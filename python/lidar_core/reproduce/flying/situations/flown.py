@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from lidar_core.evaluation import assign
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, Tracks
 from lidar_core.reproduce.common import simulator_seed
-from lidar_core.reproduce.flying.real_data.reported import flying_rows
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, GATE, GATE_SDS, START_S
 from lidar_core.reproduce.flying.situations.scenes import scene
 from lidar_core.reproduce.jobs import Part
@@ -39,10 +38,10 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
         made = simulator.scan(step)
         frame = detector.process(made, sensor="os1-128")
         place = made.truth.position.reshape(-1, 3)
-        flies = flying_rows(frame.tracks)
-        reported |= set(frame.tracks.id[flies].tolist())
-        track, error, nees = _matched(frame.tracks, flies, place)
-        any_track, _, _ = _matched(frame.tracks, np.ones_like(flies), place)
+        flying = frame.tracks.flying
+        reported |= set(flying.id.tolist())
+        track, error, nees = _matched(flying, place)
+        any_track, _, _ = _matched(frame.tracks, place)
         found = {
             "place": place,
             "hits": made.truth.hits,
@@ -61,19 +60,18 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
 
 
 def _matched(
-    tracks: Tracks, rows: NDArray[np.bool_], place: NDArray[np.float64]
+    tracks: Tracks, place: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Number, error and NEES of the track of every target, one to one."""
     number = np.full(len(place), float(NOBODY))
     error, nees = np.full((2, len(place)), np.nan)
-    kept = np.flatnonzero(rows)
-    offset = place - tracks.position[kept, None]
+    offset = place - tracks.position[:, None]
     away = np.linalg.norm(offset, axis=2)
-    spread = np.sqrt(np.trace(tracks.covariance[kept, :3, :3], axis1=1, axis2=2))
+    spread = np.sqrt(np.trace(tracks.covariance[:, :3, :3], axis1=1, axis2=2))
     gate = np.maximum(GATE, GATE_SDS * spread)[:, None]
     for row, target in zip(*assign(np.where(away <= gate, away, np.inf), gate=1e6), strict=True):
-        number[target], error[target] = tracks.id[kept[row]], away[row, target]
-        y, covariance = offset[row, target], tracks.covariance[kept[row], :3, :3]
+        number[target], error[target] = tracks.id[row], away[row, target]
+        y, covariance = offset[row, target], tracks.covariance[row, :3, :3]
         nees[target] = y @ np.linalg.solve(covariance, y)
     return number, error, nees
 

@@ -2,9 +2,8 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::body::BodyMeasurement;
-use super::body::legs::Legs;
 use super::body::look::Look;
+use super::body::measurement::{BodyMeasurement, Legs};
 use super::body::outline::{OutlineEstimate, OutlineMeasurement};
 use super::circle_measurement::CircleMeasurement;
 use super::line::LineMeasurement;

@@ -33,8 +33,8 @@ pub(crate) struct PointsOfVoxel {
 
 impl StaticPoints {
     /// Take a scan of the burn-in; after its last one, what stood still all the time becomes
-    /// background in `map`, further than `distance` [m] from tracks that moved. Scans after the
-    /// burn-in change nothing.
+    /// background in `map`, further than `distance` [m] from tracks that moved: the voxels of it, in
+    /// ascending order. Other scans give none, and those after the burn-in change nothing.
     pub(crate) fn take(
         &mut self,
         points: &[[f32; 3]],
@@ -43,24 +43,26 @@ impl StaticPoints {
         distance: f64,
         map: &mut VoxelMap,
         tracker: &mut PointCloudTracker,
-    ) {
-        let ReportingGate::BurnIn { scans, of } = gate else { return };
+    ) -> Vec<Voxel> {
+        let ReportingGate::BurnIn { scans, of } = gate else { return Vec::new() };
         if seed.standing_scans == 0 {
-            return;
+            return Vec::new();
         }
         let lattice = *map.lattice();
         self.add(&lattice, points, scans, of);
-        if scans >= of {
-            let moving = tracker.moved_by(seed.standing_track_distance);
-            let mut standing = self.voxels(BurnIn::standing(seed, of), seed.standing_shift);
-            standing.retain(|&voxel| {
-                let center = lattice.center(voxel);
-                moving.iter().all(|&position| norm(minus(position, center)) > distance)
-            });
-            map.keep(&standing);
-            self.clear();
-            tracker.drop_near(map, distance); // tracks of such things, still unseen
+        if scans < of {
+            return Vec::new();
         }
+        let moving = tracker.moved_by(seed.standing_track_distance);
+        let mut standing = self.voxels(BurnIn::standing(seed, of), seed.standing_shift);
+        standing.retain(|&voxel| {
+            let center = lattice.center(voxel);
+            moving.iter().all(|&position| norm(minus(position, center)) > distance)
+        });
+        map.keep(&standing);
+        self.clear();
+        tracker.drop_near(map, distance); // tracks of such things, still unseen
+        standing
     }
 
     /// Add the points of scan `scan` (1 is the first) of `of`.

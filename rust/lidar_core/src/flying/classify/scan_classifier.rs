@@ -13,7 +13,7 @@ use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
 use crate::geometry::cluster::angular_gap::AngularGap;
 use crate::geometry::cluster::joined::JoinedLabeller;
-use crate::geometry::lattice::{floor, wide};
+use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::cancel;
 use crate::util::stopwatch::Clock;
@@ -125,6 +125,28 @@ impl ScanClassifier {
         };
         class.clear();
         class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
+    }
+
+    /// Numbers of the flying clusters of which most points are in some voxels, in ascending order.
+    pub(crate) fn flying_in(
+        &self,
+        voxels: &[Voxel],
+        points: &[[f32; 3]],
+        lattice: &Lattice,
+    ) -> Vec<usize> {
+        let is_in = |row: &&u32| {
+            let voxel = floor(lattice.scaled(wide(points[**row as usize])));
+            voxel.is_some_and(|voxel| voxels.binary_search(&voxel).is_ok())
+        };
+        let stands = |index: &usize| {
+            let members = self.clusters.get(*index).members;
+            let is_flying = self.classifications[*index].class == PointClass::Flying;
+            is_flying && 2 * members.iter().filter(is_in).count() > members.len()
+        };
+        if voxels.is_empty() {
+            return Vec::new();
+        }
+        (0..self.classifications.len()).filter(stands).collect()
     }
 
     /// Class of every row.

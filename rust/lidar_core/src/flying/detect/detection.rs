@@ -5,6 +5,7 @@ use crate::flying::analysis::PoseSpread;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
+use crate::flying::track::TargetShape;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};
 use serde::{Deserialize, Serialize};
@@ -29,6 +30,11 @@ pub struct Detection {
     pub confidence: f64,
     /// True if a hole in the scan joins it to a surface: it may be a part of that.
     pub is_joined: bool,
+    /// Share of the rays inside the ellipse of its points that hit; not a number where the rays that
+    /// passed are not known.
+    pub filled_share: f64,
+    /// Whether rays pass below it; None if nothing tells.
+    pub is_free_below: Option<bool>,
 }
 
 /// A known flying object that is not to be reported.
@@ -73,6 +79,8 @@ impl Detection {
             n_points: cluster.members.len(),
             confidence,
             is_joined: false,
+            filled_share: f64::NAN,
+            is_free_below: None,
         }
     }
 
@@ -82,8 +90,17 @@ impl Detection {
             position: center.position.into(),
             covariance: center.covariance.into(),
             radius: center.radius,
+            filled_share: center.filled_share,
+            is_free_below: center.is_free_below,
             ..self
         }
+    }
+
+    /// Size and filling; a radius is that of a centre, which knows what the rays beside it did not
+    /// meet.
+    pub(crate) fn shape(&self) -> TargetShape {
+        let Self { radius, filled_share, is_free_below, .. } = *self;
+        TargetShape { radius, filled_share, is_free_below }
     }
 
     /// Detection in another frame.

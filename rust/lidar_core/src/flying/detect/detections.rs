@@ -9,6 +9,7 @@ use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
+use crate::flying::sky::source::SkySource;
 use crate::geometry::transform::{Transform, minus, norm};
 
 /// Free space that only the sky supports is less certain than what returns have shown: a target
@@ -62,6 +63,10 @@ pub(crate) fn detect<'c>(
         detection.is_joined = !is_flying.is_empty() && is_joined(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
+            // How many rays go into a sky that is known by its density is a guess.
+            if scan.sky == SkySource::Density {
+                detection.filled_share = f64::NAN;
+            }
         }
         if let Some(spread) = view.spread() {
             detection.add_pose_covariance(spread);

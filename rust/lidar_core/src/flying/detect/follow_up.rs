@@ -1,5 +1,6 @@
 //! Detections to the tracker, and back: what its tracks follow flies.
 
+use super::detection::Detection;
 use super::detections::{ScanDetections, ScanToDetect, detect};
 use super::visibility::ScanView;
 use crate::Error;
@@ -41,9 +42,11 @@ pub(crate) fn update_tracks(
     let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
     let confidence: Vec<_> = found.detections.iter().map(|found| found.confidence).collect();
     let is_joined: Vec<_> = found.detections.iter().map(|found| found.is_joined).collect();
+    let shape: Vec<_> = found.detections.iter().map(Detection::shape).collect();
     let detections = Detections {
         stamp_ns,
         is_joined: Some(&is_joined),
+        shape: Some(&shape),
         delay: Some(&delay),
         confidence: Some(&confidence),
         positions: &positions,
@@ -53,6 +56,35 @@ pub(crate) fn update_tracks(
     tracker.new_detections(&detections, map)?;
     let followed = seen.corrected.into_iter().zip(seen.rows);
     Ok(followed.filter(|&(id, _)| tracker.is_confirmed(id)).map(|(_, row)| row).collect())
+}
+
+/// Have the tracker watch the clusters `standing`, which are in free space and have become background.
+pub(crate) fn watch(
+    tracker: &mut PointCloudTracker,
+    input: &ScanToDetect<'_>,
+    classifier: &ScanClassifier,
+    standing: &[usize],
+    stamp_ns: i64,
+) {
+    if standing.is_empty() {
+        return;
+    }
+    let all = classifier.classifications();
+    let chosen = standing.iter().map(|&index| (index, &all[index]));
+    let found = detect(input, classifier.clusters(), chosen).detections;
+    let positions: Vec<_> = found.iter().map(|found| found.position).collect();
+    let covariance: Vec<_> = found.iter().map(|found| found.covariance).collect();
+    let extent: Vec<_> = found.iter().map(|found| found.extent).collect();
+    tracker.watch(&Detections {
+        stamp_ns,
+        positions: &positions,
+        covariance: Some(&covariance),
+        extent: Some(&extent),
+        delay: None,
+        confidence: None,
+        is_joined: None,
+        shape: None,
+    });
 }
 
 /// Make the unknown clusters that confirmed tracks follow, given a row of each, flying objects and add

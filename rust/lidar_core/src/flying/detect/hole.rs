@@ -60,13 +60,13 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
         let edge = if sign > 0.0 { high[axis] } else { -low[axis] };
         let middle = 0.5 * (low[across] + high[across]);
         let half = 0.5 * (high[across] - low[across]).max(NARROWEST);
-        Side { axis, sign, edge, middle, half }
+        ClusterSide { axis, sign, edge, middle, half }
     });
-    let is_sky = |side: &Side, along: f64| {
+    let is_sky = |side: &ClusterSide, along: f64| {
         let direction = view.direction(side.place(0.5 * along));
         sky.is_some_and(|sky| sky.reach_at(direction) > view.range)
     };
-    let cast = |side: &Side, along: f64| {
+    let cast = |side: &ClusterSide, along: f64| {
         let direction = view.direction(side.place(0.5 * along));
         sky.map_or(0.0, |sky| sky.density_at(direction) / (view.range * view.range))
     };
@@ -78,7 +78,7 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
 }
 
 /// A side of a cluster, in the plane across the line of sight.
-struct Side {
+struct ClusterSide {
     /// Axis that points away from the cluster, and its sign.
     axis: usize,
     sign: f64,
@@ -89,7 +89,7 @@ struct Side {
     half: f64,
 }
 
-impl Side {
+impl ClusterSide {
     /// The place at a distance beyond the edge [m].
     fn place(&self, along: f64) -> [f64; 2] {
         let mut place = [self.middle; 2];

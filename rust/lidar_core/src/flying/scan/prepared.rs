@@ -135,7 +135,9 @@ impl Prepared {
             is_masked: &|direction| sensor.is_masked(usize::MAX, direction),
             map,
         };
-        if sensor.observe_sky(&scan, &mut observation) {
+        let is_known = sensor.observe_sky(&scan, &mut observation);
+        self.take_out(observation.is_droplet());
+        if is_known {
             (self.sky, self.sky_share) = (sensor.sky_source(raw.stamp_ns), observation.share);
             self.append_sky(&observation.directions, &observation.reach);
             self.ground = self.pose.translation[2] + observation.ground();
@@ -144,6 +146,13 @@ impl Prepared {
         }
         self.sky_observation = Some(observation);
         Ok(())
+    }
+
+    /// Ignore rows whose returns are of droplets in the air.
+    fn take_out(&mut self, is_droplet: &[bool]) {
+        for (point, _) in self.points.iter_mut().zip(is_droplet).filter(|(_, is_one)| **is_one) {
+            *point = [f32::NAN; 3];
+        }
     }
 
     /// Share of the sensor's rays that gave the points of `rows`, of which several may be of one ray.

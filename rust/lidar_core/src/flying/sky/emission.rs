@@ -17,6 +17,9 @@ const RANK: usize = 3;
 /// Directions inside a fixed field of view that never returned get this share of those that did.
 const TYPICAL: f64 = 0.25;
 
+/// Fewer of the rays do not end on droplets in air that is full of them.
+const LEAST_DROPS: f64 = 0.02;
+
 /// Rays of a sensor that is known.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum RayPattern {
@@ -41,8 +44,9 @@ pub enum RayPattern {
 /// Counts of returns by direction, and what follows from them.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Emission {
-    /// Returns per cell in all scans.
+    /// Returns per cell in all scans, and those of droplets among them.
     counts: Vec<u64>,
+    drops: Vec<u64>,
     scans: u32,
     density: Density,
     /// The density is known and not learnt.
@@ -66,6 +70,7 @@ impl Emission {
     pub(super) fn of(rays: Option<&RayPattern>) -> Self {
         Self {
             counts: vec![0; CELLS],
+            drops: vec![0; CELLS],
             density: rays.map_or(Density::Unknown, Density::of),
             is_known: rays.is_some(),
             scans: 0,
@@ -75,6 +80,7 @@ impl Emission {
     /// True if its parts have their lengths.
     pub(super) fn is_whole(&self) -> bool {
         self.counts.len() == CELLS
+            && self.drops.len() == CELLS
             && match &self.density {
                 Density::Unknown => true,
                 Density::Turning(bands) => bands.len() == BANDS,
@@ -82,16 +88,41 @@ impl Emission {
             }
     }
 
-    /// Add the returns of a scan, per cell.
-    pub(super) fn learn(&mut self, returns: &[u32]) {
+    /// Add the returns of a scan, per cell, and those of droplets among them.
+    pub(super) fn learn(&mut self, [returns, drops]: [&[u32]; 2]) {
         if self.is_known {
             return;
         }
-        for (count, &more) in self.counts.iter_mut().zip(returns) {
-            *count += u64::from(more);
+        for (sums, counts) in [(&mut self.counts, returns), (&mut self.drops, drops)] {
+            for (sum, &count) in sums.iter_mut().zip(counts) {
+                *sum += u64::from(count);
+            }
         }
         self.scans = self.scans.saturating_add(1);
-        self.density = Density::learnt(&self.counts, self.scans);
+        self.density = match self.share_of_drops() {
+            Some(share) => Density::learnt(&self.rays(share), self.scans),
+            None => Density::learnt(&self.counts, self.scans),
+        };
+    }
+
+    /// Share of the rays that end on droplets, seen where surfaces return the others; none in clear
+    /// air.
+    fn share_of_drops(&self) -> Option<f64> {
+        let cells = || self.counts.iter().zip(&self.drops);
+        if cells().all(|(_, &drops)| drops == 0) {
+            return None;
+        }
+        let surfaces = cells().filter(|&(&all, &drops)| 2 * drops < all);
+        let (all, drops) =
+            surfaces.fold((0, 0), |sum, (&all, &drops)| (sum.0 + all, sum.1 + drops));
+        Some((drops as f64 / (all.max(1)) as f64).max(LEAST_DROPS))
+    }
+
+    /// Rays per cell in all scans. Fog is the same everywhere: where nothing but droplets return, there
+    /// are as many rays to every droplet as elsewhere.
+    fn rays(&self, share: f64) -> Vec<u64> {
+        let rays = |(&all, &drops): (&u64, &u64)| all.max((drops as f64 / share) as u64);
+        self.counts.iter().zip(&self.drops).map(rays).collect()
     }
 
     /// Rays per steradian and scan towards a unit direction in the sensor's frame.
@@ -314,7 +345,7 @@ mod tests {
         let mut emission = Emission::of(None);
         // Sky over a third of the turn, nothing above 30 degrees anywhere.
         let seen = counts(|d| (-0.2..0.5).contains(&d[2]) && (d[1] < 0.0 || d[0] < 0.0));
-        (0..3).for_each(|_| emission.learn(&seen));
+        (0..3).for_each(|_| emission.learn([&seen, &vec![0; CELLS]]));
         let expected = 20.0 / GRID.solid_angles[GRID.cell([1.0, 1.0, 0.1])];
         assert!((emission.towards([0.7, 0.7, 0.1]) / expected - 1.0).abs() < 0.2);
         assert_eq!(emission.towards([0.6, 0.0, 0.8]), 0.0);
@@ -324,7 +355,7 @@ mod tests {
     fn a_fixed_field_of_view_is_symmetric_and_has_no_holes() {
         let mut emission = Emission::of(None);
         let seen = counts(|d| d[0] > 0.8 && d[2] < -0.1 && d[2] > -0.4 && d[1].abs() > 0.1);
-        (0..3).for_each(|_| emission.learn(&seen));
+        (0..3).for_each(|_| emission.learn([&seen, &vec![0; CELLS]]));
         for direction in [[0.93, 0.2, 0.3], [0.93, -0.2, 0.3], [0.95, 0.0, -0.3]] {
             assert!(emission.towards(direction) > 0.0, "{direction:?}");
         }

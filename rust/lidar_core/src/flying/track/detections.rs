@@ -1,7 +1,9 @@
 //! newDetections of Algorithm 2: hypotheses, replay of buffered clouds, association with tracks.
 
 use super::belief::existence::SURE;
+use super::belief::kinds::TargetShape;
 use super::buffer::Buffer;
+use super::lifecycle::is_part;
 use super::measurement::{CloudScan, Evidence, Measurement};
 use super::motion::{position, position_block, position_matrix};
 use super::parameters::{
@@ -34,6 +36,8 @@ pub struct Detections<'a> {
     pub confidence: Option<&'a [f64]>,
     /// Whether each may be a part of a surface beside it; without it none is.
     pub is_joined: Option<&'a [bool]>,
+    /// Size and filling of each; without it nothing is known of them.
+    pub shape: Option<&'a [TargetShape]>,
 }
 
 impl Detections<'_> {
@@ -55,6 +59,7 @@ impl Detections<'_> {
             ("delay", self.delay.map(<[_]>::len)),
             ("confidence", self.confidence.map(<[_]>::len)),
             ("is_joined", self.is_joined.map(<[_]>::len)),
+            ("shape", self.shape.map(<[_]>::len)),
         ];
         for (name, length) in lengths {
             if let Some(got) = length.filter(|&length| length != count) {
@@ -68,6 +73,7 @@ impl Detections<'_> {
                 fresh.first = Evidence {
                     is_sure: self.confidence.is_some_and(|confidence| confidence[index] >= SURE),
                     is_joined: self.is_joined.is_some_and(|joined| joined[index]),
+                    shape: self.shape.map(|shape| shape[index]),
                 };
                 Ok(fresh)
             })
@@ -366,14 +372,19 @@ impl Updater {
 
     /// True if the hypothesis is the target of a track once more: a rolling scan may meet a target
     /// at its start and again at its end, partly at least. No further away than a gap inside a
-    /// cluster.
+    /// cluster, or beside the box of a large target, of which it is a part.
     fn is_seen_twice(&self, hypothesis: &PointTrack, tracks: &[PointTrack]) -> bool {
         let model = &self.parameters.motion;
         let is_fresh = hypothesis.stamp_ns == hypothesis.born_ns;
         let delay = if is_fresh { hypothesis.delay } else { 0.0 };
         tracks.iter().any(|track| {
             let expected = position_matrix(delay) * track.at(hypothesis.stamp_ns, model).mean;
-            (hypothesis.position() - expected).norm() <= self.parameters.clustering.max_distance
+            let away = (hypothesis.position() - expected).norm();
+            away <= self.parameters.clustering.max_distance
+                || (self.parameters.merging.is_some()
+                    && track.confirmed
+                    && track.stamp_ns == hypothesis.stamp_ns
+                    && is_part(track, hypothesis))
         })
     }
 

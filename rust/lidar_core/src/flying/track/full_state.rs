@@ -1,7 +1,8 @@
 //! The whole state of the tracker.
 
 use super::PointCloudTracker;
-use super::belief::existence::Births;
+use super::belief::existence::FalseBirths;
+use super::belief::standing::UnmovedTarget;
 use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
@@ -18,8 +19,9 @@ pub(crate) struct TrackerState<'a> {
     clouds: &'a VecDeque<Cloud>,
     keeps_points: bool,
     tracks: &'a [PointTrack],
+    standing: &'a [UnmovedTarget],
     next_id: i64,
-    births: Births,
+    births: FalseBirths,
 }
 
 /// [`TrackerState`] as it is read back.
@@ -28,8 +30,9 @@ pub(crate) struct SavedTracker {
     clouds: VecDeque<Cloud>,
     keeps_points: bool,
     tracks: Vec<PointTrack>,
+    standing: Vec<UnmovedTarget>,
     next_id: i64,
-    births: Births,
+    births: FalseBirths,
 }
 
 impl PointCloudTracker {
@@ -59,22 +62,26 @@ impl PointCloudTracker {
     }
 
     pub(crate) fn state(&self) -> TrackerState<'_> {
-        let Self { buffer, keeps_points, tracks, next_id, births, .. } = self;
+        let Self { buffer, keeps_points, tracks, standing, next_id, births, .. } = self;
         let (clouds, keeps_points) = (buffer.clouds(), *keeps_points);
-        TrackerState { clouds, keeps_points, tracks, next_id: *next_id, births: *births }
+        let (next_id, births) = (*next_id, *births);
+        TrackerState { clouds, keeps_points, tracks, standing, next_id, births }
     }
 
     /// # Errors
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
-        let SavedTracker { clouds, keeps_points, tracks, next_id, births } = saved;
-        let is_numbered = |track: &PointTrack| (0..next_id).contains(&track.id);
-        if tracks.len() > MAX_TRACKS || !tracks.iter().all(is_numbered) {
+        let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births } = saved;
+        let mut numbers = tracks.iter().map(|track| track.id);
+        let mut more = standing.iter().map(|target| target.id);
+        let is_numbered = |id: i64| (0..next_id).contains(&id);
+        let count = tracks.len().saturating_add(standing.len());
+        if count > MAX_TRACKS || !numbers.all(is_numbered) || !more.all(is_numbered) {
             return Err(impossible("tracks that were never numbered"));
         }
         self.buffer.restore(clouds)?;
         (self.keeps_points, self.births) = (keeps_points, births);
-        (self.tracks, self.next_id) = (tracks, next_id);
+        (self.tracks, self.standing, self.next_id) = (tracks, standing, next_id);
         Ok(())
     }
 }

@@ -1,11 +1,17 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::belief::existence::{self, Belief, Births, DELETED, KEPT, Surroundings};
+use super::belief::existence::{self, DELETED, ExpectedClutter, FalseBirths, KEPT, TrackBelief};
 use super::measurement::Evidence;
 use super::motion;
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED, seconds};
+use nalgebra::Vector3;
+
+/// A target with a longer side may fall into several clusters: a fuselage between wings [m].
+const LARGE: f64 = 1.0;
+/// Parts of a large target are no further apart than this, from box to box [m].
+const PART_GAP: f64 = 0.35;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///
@@ -13,7 +19,7 @@ use super::state::{PointTrack, UNNUMBERED, seconds};
 /// Vrba et al., Algorithm 2, lines 15-17.
 pub(super) fn remove_uncertain(
     tracks: &mut Vec<PointTrack>,
-    births: &mut Births,
+    births: &mut FalseBirths,
     parameters: &TrackerParameters,
     now_ns: i64,
 ) -> Vec<i64> {
@@ -37,7 +43,7 @@ pub(super) struct SetOfDetections<'a> {
     /// Place of the first new track.
     pub(super) known: usize,
     /// What is expected of it.
-    pub(super) around: Surroundings,
+    pub(super) around: ExpectedClutter,
 }
 
 /// Enter a set of detections into all tracks. Returns the numbers of those that are confirmed by it.
@@ -63,7 +69,7 @@ pub(super) fn confirm(
                 if index < set.known {
                     existence::weigh(track, evidence, set.around, set.stamp_ns);
                 } else {
-                    track.belief = Belief::born(set.around, track, set.stamp_ns);
+                    track.belief = TrackBelief::born(set.around, track, set.stamp_ns);
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
                 track.belief.existence(track) >= limit
@@ -82,7 +88,7 @@ pub(super) fn confirm(
 /// improbable; their numbers.
 pub(super) fn remove_unconfirmed(
     tracks: &mut Vec<PointTrack>,
-    births: &mut Births,
+    births: &mut FalseBirths,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
     match parameters.confirmation {
@@ -139,9 +145,11 @@ pub(super) fn merge(tracks: &mut Vec<PointTrack>, merging: &Merging) -> Vec<[i64
 /// True if any two tracks follow the same target.
 fn has_twins(tracks: &[PointTrack], merging: &Merging) -> bool {
     let sorted = AlongX::of(tracks.iter().map(PointTrack::position));
+    let largest = tracks.iter().map(PointTrack::longest_side).fold(0.0, f64::max);
+    let reach = if largest < LARGE { 0.0 } else { PART_GAP + largest };
     tracks.iter().enumerate().any(|(one, track)| {
         let x = track.position().x;
-        let mut near = sorted.near(x, x, merging.distance);
+        let mut near = sorted.near(x, x, reach.max(merging.distance));
         near.any(|other| one < other && is_twin(track, &tracks[other], merging))
     })
 }
@@ -152,15 +160,28 @@ fn united(kept: PointTrack, dropped: PointTrack) -> PointTrack {
     let (id, born_ns, confirmed) = (kept.id, kept.born_ns, kept.confirmed);
     let belief = kept.belief.more_probable(dropped.belief);
     let was_confirmed = kept.was_confirmed || dropped.was_confirmed;
-    let state = if dropped.seen_ns > kept.seen_ns { dropped } else { kept };
+    let is_part = kept.longest_side() < LARGE && dropped.longest_side() >= LARGE;
+    let state = if dropped.seen_ns > kept.seen_ns || is_part { dropped } else { kept };
     let kept = PointTrack { id, born_ns, confirmed, was_confirmed, ..state };
     PointTrack { n_detections, history, belief, ..kept }
 }
 
 fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
     one.stamp_ns == other.stamp_ns
-        && (one.position() - other.position()).norm() <= merging.distance
+        && ((one.position() - other.position()).norm() <= merging.distance
+            || is_part(one, other)
+            || is_part(other, one))
         && (one.velocity() - other.velocity()).norm() <= merging.speed
+}
+
+/// Whether `other` may be a part of `one`, which is large.
+pub(super) fn is_part(one: &PointTrack, other: &PointTrack) -> bool {
+    let offset = other.position() - one.position();
+    let gap =
+        |axis: usize| (offset[axis].abs() - 0.5 * (one.size[axis] + other.size[axis])).max(0.0);
+    one.longest_side() >= LARGE
+        && one.longest_side() >= other.longest_side()
+        && Vector3::from_fn(|axis, _| gap(axis)).norm() <= PART_GAP
 }
 
 /// The newest `window` of the sets of detections.

@@ -1,5 +1,6 @@
 //! Inputs of a track: a scan, what is measured in it, and where a track looks for it.
 
+use super::belief::kinds::TargetShape;
 use super::parameters::Hiding;
 use super::visibility::occupancy::{Occupancy, Visibility};
 use nalgebra::{Matrix3, Vector3};
@@ -50,6 +51,7 @@ pub(super) struct Evidence {
     pub(super) is_sure: bool,
     /// It may be a part of the surface beside it.
     pub(super) is_joined: bool,
+    pub(super) shape: Option<TargetShape>,
 }
 
 /// Search region of a track.

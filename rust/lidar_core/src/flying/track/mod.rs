@@ -23,6 +23,7 @@ mod visibility;
 #[cfg(test)]
 mod tests;
 
+pub use belief::kinds::TargetShape;
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
 pub use parameters::{
@@ -37,7 +38,8 @@ use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::util::budget::check_points;
-use belief::existence::{Births, Sight};
+use belief::existence::{FalseBirths, Sight};
+use belief::standing::{self, UnmovedTarget};
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
@@ -123,8 +125,10 @@ pub struct PointCloudTracker {
     buffer: Buffer,
     keeps_points: bool,
     tracks: Vec<PointTrack>,
+    /// What stood in free space during the burn-in.
+    standing: Vec<UnmovedTarget>,
     next_id: i64,
-    births: Births,
+    births: FalseBirths,
 }
 
 impl PointCloudTracker {
@@ -138,8 +142,9 @@ impl PointCloudTracker {
             buffer: Buffer::new(parameters.buffer_size),
             keeps_points: true,
             tracks: Vec::new(),
+            standing: Vec::new(),
             next_id: 0,
-            births: Births::default(),
+            births: FalseBirths::default(),
         })
     }
 
@@ -177,6 +182,7 @@ impl PointCloudTracker {
                 lifecycle::remove_uncertain(&mut tracks, &mut births, parameters, stamp_ns);
             stats.merged = self.merge(&mut tracks);
             (self.tracks, self.births) = (tracks, births);
+            stats.removed.extend(standing::look(&mut self.standing, &scan));
         }
         self.buffer.push(cloud);
         Ok(stats)
@@ -208,14 +214,14 @@ impl PointCloudTracker {
         births.count_set();
         let around = births.expected(&tracks[..known]);
         let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, around };
-        let stats = Stats {
-            born: lifecycle::number(&mut tracks, &mut next_id),
-            confirmed: lifecycle::confirm(&mut tracks, &set, self.parameters()),
-            removed: lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters()),
-            merged: self.merge(&mut tracks),
-            rejected: matches.rejected,
-            ..Stats::default()
-        };
+        let born = lifecycle::number(&mut tracks, &mut next_id);
+        let mut confirmed = lifecycle::confirm(&mut tracks, &set, self.parameters());
+        let mut merged = standing::hand_over(&mut self.standing, &mut tracks, &mut confirmed);
+        tracks.sort_by_key(|track| track.id);
+        let removed = lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters());
+        merged.extend(self.merge(&mut tracks));
+        let rejected = matches.rejected;
+        let stats = Stats { born, confirmed, removed, merged, rejected, ..Stats::default() };
         (self.tracks, self.next_id, self.births) = (tracks, next_id, births);
         Ok(stats)
     }
@@ -224,7 +230,8 @@ impl PointCloudTracker {
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
         let model = &self.parameters().motion;
-        self.tracks
+        let moving = self
+            .tracks
             .iter()
             .map(|track| Track {
                 id: track.id,
@@ -235,14 +242,33 @@ impl PointCloudTracker {
                 age: seconds(track.born_ns, stamp_ns),
                 seen_ns: track.seen_ns,
                 confirmed: track.confirmed,
-                reported: track.confirmed && self.is_recent(track),
+                reported: track.confirmed && self.is_recent(track.seen_ns),
                 existence: self.existence(track, stamp_ns),
-                kind: self.kinds(track).map_or(TrackKind::Flying, KindBelief::kind),
-                kind_probability: self
-                    .kinds(track)
-                    .map_or([f64::NAN; KINDS], KindBelief::probabilities),
+                kind: TrackKind::Flying,
+                kind_probability: [f64::NAN; KINDS],
             })
-            .collect()
+            .zip(&self.tracks)
+            .map(|(known, track)| match self.kinds(track) {
+                Some(kinds) => {
+                    let (kind, kind_probability) = (kinds.kind(), kinds.probabilities());
+                    Track { kind, kind_probability, ..known }
+                }
+                None => known,
+            });
+        let is_recent = |seen_ns| self.is_recent(seen_ns);
+        let standing = self.standing.iter().map(|target| target.track(stamp_ns, is_recent));
+        let mut all: Vec<Track> = moving.chain(standing).collect();
+        all.sort_by_key(|track| track.id);
+        all
+    }
+
+    /// Watch what stands in free space: detections of the end of the burn-in, whose points are
+    /// background from now on.
+    pub(crate) fn watch(&mut self, found: &Detections<'_>) {
+        for index in 0..found.positions.len() {
+            self.standing.push(UnmovedTarget::new(self.next_id, found, index));
+            self.next_id += 1;
+        }
     }
 
     /// Whether to keep the points of coming clouds, as detections need that are older than a cloud.
@@ -261,7 +287,7 @@ impl PointCloudTracker {
     /// # Errors
     /// [`Error::Limit`] if so many more tracks might be too many.
     pub(crate) fn check_room(&self, count: usize) -> Result<(), Error> {
-        let count = self.tracks.len() + count;
+        let count = self.tracks.len() + self.standing.len() + count;
         if count > MAX_TRACKS { Err(detections::too_many(count)) } else { Ok(()) }
     }
 
@@ -302,8 +328,9 @@ impl PointCloudTracker {
     /// Forget all tracks and clouds. Numbers go on where they were.
     pub fn reset(&mut self) {
         self.tracks.clear();
+        self.standing.clear();
         self.buffer.clear();
-        self.births = Births::default();
+        self.births = FalseBirths::default();
     }
 
     /// Parameters of the tracker.
@@ -320,17 +347,17 @@ impl PointCloudTracker {
     }
 
     /// Kinds of the target of a track; None where tracks are confirmed by counts.
-    fn kinds<'a>(&self, track: &'a PointTrack) -> Option<&'a KindBelief> {
+    fn kinds(&self, track: &PointTrack) -> Option<KindBelief> {
         match self.parameters().confirmation {
             Confirmation::Counts { .. } => None,
             Confirmation::Existence { .. } => Some(track.belief.kinds()),
         }
     }
 
-    fn is_recent(&self, track: &PointTrack) -> bool {
+    fn is_recent(&self, seen_ns: i64) -> bool {
         match (self.parameters().ageing, self.buffer.newest_ns()) {
             (Ageing::Visible { report_coast, .. }, Some(newest_ns)) => {
-                seconds(track.seen_ns, newest_ns) <= report_coast
+                seconds(seen_ns, newest_ns) <= report_coast
             }
             _ => true,
         }

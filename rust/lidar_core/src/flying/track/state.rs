@@ -1,6 +1,6 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::belief::existence::{Belief, Sight};
+use super::belief::existence::{Sight, TrackBelief};
 use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
@@ -47,7 +47,7 @@ pub(super) struct PointTrack {
     /// Squared Mahalanobis distance of its cluster in the newest scan, if that had one.
     pub(super) nis: Option<f64>,
     /// Whether its target exists.
-    pub(super) belief: Belief,
+    pub(super) belief: TrackBelief,
     pub(super) confirmed: bool,
     /// Whether it ever was.
     pub(super) was_confirmed: bool,
@@ -95,11 +95,11 @@ impl PointTrack {
             size: detection.extent,
             n_detections: 1,
             history: 1,
-            first: Evidence { is_sure: true, is_joined: false },
+            first: Evidence { is_sure: true, is_joined: false, shape: None },
             before: None,
             sight: Sight::Unseen,
             nis: None,
-            belief: Belief::unknown(stamp_ns),
+            belief: TrackBelief::unknown(stamp_ns),
             confirmed: false,
             was_confirmed: false,
             own_points: 0.0,
@@ -114,6 +114,11 @@ impl PointTrack {
 
     pub(super) fn velocity(&self) -> Vector3<f64> {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
+    }
+
+    /// Longest usual side of its box [m].
+    pub(super) fn longest_side(&self) -> f64 {
+        self.size.into_iter().fold(0.0, f64::max)
     }
 
     pub(super) fn radius(&self, parameters: &Radius) -> f64 {

@@ -34,6 +34,7 @@ fn detect(
         delay: None,
         confidence: None,
         is_joined: None,
+        shape: None,
     };
     tracker.new_detections(&detections, &free())
 }
@@ -113,6 +114,7 @@ fn existence_of(confidence: f64, speed: f64, left: &[f32], seen: &str) -> Result
             delay: None,
             confidence: Some(&[confidence][..positions.len()]),
             is_joined: None,
+            shape: None,
         };
         tracker.new_detections(&found, &free())?;
         existence.push(tracker.tracks_at(set * STEP_NS).first().map_or(0.0, |one| one.existence));
@@ -313,5 +315,77 @@ fn a_track_among_more_stray_points_than_its_own_is_not_confirmed() -> Result<(),
     assert_eq!(tracks_among(6, 3)?, 0); // a pane of glass that returns a few rays
     assert_eq!(tracks_among(0, 3)?, 1); // alone in the air
     assert_eq!(tracks_among(6, 12)?, 1); // larger than the flakes of snow around it
+    Ok(())
+}
+
+/// Numbers of tracks after some sets of detections of two things, given how far apart they are and
+/// the sides of the first; the second has sides of 0.3 m.
+fn tracks_of_two(apart: f64, sides: [f64; 3]) -> Result<Vec<i64>, Error> {
+    let mut tracker = PointCloudTracker::new(best(), 1)?;
+    for set in 0..4 {
+        let found = Detections {
+            stamp_ns: set * STEP_NS,
+            positions: &[[0.0; 3], [apart, 0.0, 0.0]],
+            covariance: Some(&[[[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]; 2]),
+            extent: Some(&[sides, [0.3; 3]]),
+            delay: None,
+            confidence: None,
+            is_joined: None,
+            shape: None,
+        };
+        tracker.new_detections(&found, &free())?;
+    }
+    Ok(tracker.tracks_at(3 * STEP_NS).iter().map(|track| track.id).collect())
+}
+
+#[test]
+fn a_part_of_a_large_target_is_no_other_target() -> Result<(), Error> {
+    assert_eq!(tracks_of_two(1.1, [1.4, 0.5, 0.3])?, [0]);
+    // Small targets side by side, and one that is further away, are targets of their own.
+    assert_eq!(tracks_of_two(1.1, [0.6, 0.6, 0.3])?, [0, 1]);
+    assert_eq!(tracks_of_two(1.7, [1.4, 0.5, 0.3])?, [0, 1]);
+    Ok(())
+}
+
+#[test]
+fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<(), Error> {
+    let mut tracker = PointCloudTracker::new(best(), 1)?;
+    let place = [5.0, 0.0, 0.0];
+    let found = Detections {
+        stamp_ns: 0,
+        positions: &[place],
+        covariance: None,
+        extent: Some(&[[0.4; 3]]),
+        delay: None,
+        confidence: None,
+        is_joined: None,
+        shape: None,
+    };
+    tracker.watch(&found);
+    let wall: Vec<[f32; 3]> = (-20..20).map(|step| [9.0, 0.02 * step as f32, 0.0]).collect();
+    let scan = |there: bool| -> Vec<[f32; 3]> {
+        let target = there.then_some([4.8, 0.0, 0.0]);
+        wall.iter().copied().chain(target).collect()
+    };
+    let look = |tracker: &mut PointCloudTracker, step: i64, there: bool| {
+        let points = scan(there);
+        let view = CloudView { points: &points, origin: [0.0; 3] };
+        let stats = tracker.new_point_cloud(&points, None, &free(), Some(&view), step * STEP_NS)?;
+        let kinds: Vec<TrackKind> =
+            tracker.tracks_at(step * STEP_NS).iter().map(|track| track.kind).collect();
+        Ok::<_, Error>((kinds, stats.removed))
+    };
+    assert_eq!(look(&mut tracker, 1, true)?.0, [TrackKind::Unknown]);
+    assert_eq!(look(&mut tracker, 1200, true)?.0, [TrackKind::Static]);
+    let state = tracker.to_state()?;
+    let mut copy = PointCloudTracker::from_state(best(), 1, &state)?;
+    for tracker in [&mut tracker, &mut copy] {
+        assert_eq!(look(tracker, 1201, false)?.0.len(), 1);
+        look(tracker, 1202, false)?;
+        look(tracker, 1203, false)?;
+        let (kinds, removed) = look(tracker, 1204, false)?;
+        assert!(kinds.is_empty());
+        assert_eq!(removed, [0]);
+    }
     Ok(())
 }

@@ -4,23 +4,29 @@
 
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, Mahalanobis, carry, correct, symmetrise};
-use crate::fusion::models::motion::{First, Motion, Prior, ProcessNoise};
+use crate::fusion::models::motion::{First, Prior, ProcessNoise};
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::turn::wrapped;
-use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::{LineOfSight, Observation, Sensing, polar_difference};
-use nalgebra::{Matrix1, Matrix6, SMatrix, SVector, Vector1, Vector6};
+use crate::fusion::models::world::World;
+use crate::fusion::sensors::measurement::Measurement;
+use crate::fusion::sensors::sensing::Sensing;
+use crate::fusion::sensors::sight::{Observer, SeenIn, SeenMotion, SeenValues, Sights};
+use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
 /// Largest number of states of a model.
-pub const MAX_STATES: usize = 6;
+pub const MAX_STATES: usize = 9;
+/// Most values of an innovation that are recorded.
+pub const MAX_INNOVATION: usize = 4;
+/// Those that are recorded of the five of the paper's radar.
+const OF_PAPER: usize = 3;
 
 /// Difference of a measurement from its prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Innovation {
-    /// Measured minus expected: position [m]; or range, bearing and range rate; or turn rate; or
-    /// the first three states of the paper's five.
-    pub values: [f64; 3],
+    /// Measured minus expected: position [m]; or what a radar measures; or turn rate; or the first
+    /// three states of the paper's five.
+    pub values: [f64; MAX_INNOVATION],
     /// Number of measured values; the paper has five, of which three are kept.
     pub count: usize,
     /// Normalised innovation squared: chi-square with `count` degrees of freedom.
@@ -28,20 +34,28 @@ pub struct Innovation {
     /// Natural logarithm of the determinant of its covariance.
     pub log_determinant: f64,
     /// Its variances, those of `values`.
-    pub variances: [f64; 3],
+    pub variances: [f64; MAX_INNOVATION],
 }
 
 impl Innovation {
     /// Innovation of the difference `y` with its distance `far` from zero.
     #[must_use]
     pub fn new<const K: usize>(y: &[f64], far: &Mahalanobis<K>) -> Self {
-        let (mut values, mut variances) = ([0.0; 3], [0.0; 3]);
-        // Three values are recorded. The paper's radar has five, all of which count in the
-        // distance.
-        values.iter_mut().zip(y).for_each(|(value, entry)| *value = *entry);
-        variances.iter_mut().zip(&far.variances).for_each(|(value, entry)| *value = *entry);
+        let (mut values, mut variances) = ([0.0; MAX_INNOVATION], [0.0; MAX_INNOVATION]);
+        let recorded = if y.len() > MAX_INNOVATION { OF_PAPER } else { y.len() };
+        let own = values.iter_mut().zip(&mut variances).take(recorded);
+        for ((value, variance), (entry, spread)) in own.zip(y.iter().zip(&far.variances)) {
+            (*value, *variance) = (*entry, *spread);
+        }
         let Mahalanobis { squared: nis, log_determinant, .. } = *far;
         Self { values, count: y.len(), nis, log_determinant, variances }
+    }
+
+    /// The values that are recorded.
+    #[must_use]
+    pub fn recorded(&self) -> &[f64] {
+        let count = if self.count > MAX_INNOVATION { OF_PAPER } else { self.count };
+        &self.values[..count]
     }
 }
 
@@ -63,13 +77,15 @@ pub type AcceptInnovation<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
 pub trait Engine: Clone + Send + Sync + 'static {
     /// State that is estimated.
     type State: Clone + Send + Sync + 'static;
+    /// Plane or space.
+    type World: Sights;
 
     /// State of a target that has been seen once.
     fn first(&self, first: &First) -> Self::State;
 
     /// State of a target with known position and velocity; None if the model cannot start from
     /// them.
-    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Self::State>;
+    fn after_velocity(&self, cv: &<Self::World as World>::Cv) -> Option<Self::State>;
 
     /// Predict the state `dt` [s] ahead.
     fn predict(&self, state: &mut Self::State, dt: f64, platform: &Platform);
@@ -134,11 +150,11 @@ pub trait Engine: Clone + Send + Sync + 'static {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Jacobian of the prediction.
-    pub F: Matrix6<f64>,
+    pub F: SMatrix<f64, MAX_STATES, MAX_STATES>,
     /// Covariance of the added noise.
-    pub Q: Matrix6<f64>,
+    pub Q: SMatrix<f64, MAX_STATES, MAX_STATES>,
     /// Predicted mean, the heading not wrapped.
-    pub mean: Vector6<f64>,
+    pub mean: SVector<f64, MAX_STATES>,
     /// Index of the state that is a heading.
     pub heading: Option<usize>,
 }
@@ -150,10 +166,7 @@ impl Link {
         if factor <= 1.0 {
             return *self;
         }
-        let mut P = Matrix6::zeros();
-        for (row, column) in (0..state.count).flat_map(|r| (0..state.count).map(move |c| (r, c))) {
-            P[(row, column)] = state.covariance[row][column];
-        }
+        let P = SMatrix::from_fn(|row, column| state.covariance[row][column]);
         let carried = self.F * P * self.F.transpose();
         Self { Q: carried * (factor - 1.0) + self.Q * factor, ..*self }
     }
@@ -161,8 +174,8 @@ impl Link {
     /// Transition over no time: the state stays as it is.
     #[must_use]
     pub fn standing(&self, state: &Output) -> Self {
-        let (F, Q) = (Matrix6::identity(), Matrix6::zeros());
-        Self { F, Q, mean: Vector6::from(state.mean), heading: self.heading }
+        let (F, Q) = (SMatrix::identity(), SMatrix::zeros());
+        Self { F, Q, mean: SVector::from(state.mean), heading: self.heading }
     }
 }
 
@@ -179,26 +192,34 @@ pub struct Single<const N: usize, M> {
     pub sensing: Sensing,
 }
 
-impl<const N: usize, M: Motion<N>> Single<N, M> {
-    fn corrected<const K: usize>(
-        state: &mut Gaussian<N>,
-        model: &Linearised<N, K>,
-        believe: AcceptInnovation<'_>,
-    ) -> Result<Option<Innovation>, Error> {
+/// Correction of a state by a linearised measurement, if it is believed.
+struct Corrected<'a, 'b, const N: usize> {
+    state: &'a mut Gaussian<N>,
+    believe: AcceptInnovation<'b>,
+}
+
+impl<const N: usize> Observer<N> for Corrected<'_, '_, N> {
+    type Output = Result<Innovation, Error>;
+
+    fn observe<const K: usize, V: SeenValues<N, K>>(self, seen: &V) -> Self::Output {
+        let (expected, H) = seen.linear();
+        let y = seen.minus(&seen.measured(), &expected);
+        let model = Linearised { y, H, R: seen.noise() };
         let of = |far: &Mahalanobis<K>| Innovation::new(model.y.as_slice(), far);
-        let far = correct(state, model, |far| believe(&of(far)))?;
-        Ok(Some(of(&far)))
+        let far = correct(self.state, &model, |far| (self.believe)(&of(far)))?;
+        Ok(of(&far))
     }
 }
 
-impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
+impl<const N: usize, M: SeenMotion<N>> Engine for Single<N, M> {
     type State = Gaussian<N>;
+    type World = M::World;
 
     fn first(&self, first: &First) -> Gaussian<N> {
         self.motion.first(first, &self.prior)
     }
 
-    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Gaussian<N>> {
+    fn after_velocity(&self, cv: &<M::World as World>::Cv) -> Option<Gaussian<N>> {
         self.motion.after_velocity(cv, &self.prior)
     }
 
@@ -219,33 +240,9 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
         platform: &Platform,
         believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
-        // A model without this state takes the turn rate from the platform, as an input.
-        if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
-            return Ok(None);
-        }
-        let sensor = platform.sensor_at(m.stamp_ns());
-        let sight = LineOfSight::new(&self.motion, &state.mean, platform, sensor.as_ref());
-        match self.sensing.observation(m, sight.range()) {
-            Some(Observation::Position { z, R }) => {
-                let (expected, H) = sight.place();
-                let R = sight.place_noise(R);
-                Self::corrected(state, &Linearised { y: z - expected, H, R }, believe)
-            }
-            Some(Observation::Polar { z, R }) => {
-                let (expected, H) = sight.polar_jacobian();
-                let (y, R) = (polar_difference(&z, &expected), sight.polar_noise(R));
-                Self::corrected(state, &Linearised { y, H, R }, believe)
-            }
-            Some(Observation::Rate { z, R }) => {
-                // The rate of the gyro is one of the states: its model is linear.
-                let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
-                let mut H = SMatrix::<f64, 1, N>::zeros();
-                H[index] = 1.0;
-                let y = Vector1::new(z - state.mean[index]);
-                Self::corrected(state, &Linearised { y, H, R: Matrix1::new(R) }, believe)
-            }
-            None => Ok(None),
-        }
+        let mean = state.mean;
+        let corrected = Corrected { state, believe };
+        M::World::see(&self.motion, &mean, m, &self.sensing, platform, corrected).transpose()
     }
 
     fn loosen(&self, state: &mut Gaussian<N>, factor: f64) {
@@ -269,13 +266,15 @@ impl<const N: usize, M: Motion<N>> Engine for Single<N, M> {
     }
 
     fn link(&self, state: &Gaussian<N>, dt: f64, platform: &Platform) -> Option<Link> {
-        // The smoother runs over filters of several sizes: smaller models are padded to six states,
-        // which identity and zero noise leave alone.
+        // The smoother runs over filters of several sizes: smaller models are padded, which identity
+        // and zero noise leave alone.
         let (predicted, jacobian) = self.motion.transition(&state.mean, dt, platform);
         let ends = [&state.mean, &predicted];
         let mut noise = SMatrix::<f64, N, N>::zeros();
         self.noise.add(&self.motion, ends, dt, platform, &mut noise);
-        let (mut F, mut Q, mut mean) = (Matrix6::identity(), Matrix6::zeros(), Vector6::zeros());
+        type Wide = SMatrix<f64, MAX_STATES, MAX_STATES>;
+        let (mut F, mut Q) = (Wide::identity(), Wide::zeros());
+        let mut mean = SVector::<f64, MAX_STATES>::zeros();
         F.fixed_view_mut::<N, N>(0, 0).copy_from(&jacobian);
         Q.fixed_view_mut::<N, N>(0, 0).copy_from(&noise);
         mean.fixed_rows_mut::<N>(0).copy_from(&predicted);

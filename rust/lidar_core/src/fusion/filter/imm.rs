@@ -8,60 +8,63 @@ use crate::estimation::kalman::Gaussian;
 use crate::fusion::models::motion::First;
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::state_conversion::StateConversion;
+use crate::fusion::models::world::World;
 use crate::fusion::sensors::measurement::Measurement;
-use nalgebra::{Matrix6, SMatrix, SVector};
+use crate::fusion::sensors::sight::{SeenMotion, Sights};
+use nalgebra::{SMatrix, SVector};
 use std::sync::Arc;
 
 /// Least weight of a model, so that no model is ruled out for good.
 const LEAST_WEIGHT: f64 = 1e-6;
 
-/// Interacting multiple models. The output is Cartesian: [x, y, vx, vy, ax, ay].
+/// Interacting multiple models of a plane or space W. The output is Cartesian and has S states:
+/// [x, y, vx, vy, ax, ay], or [x, y, z, vx, vy, vz, ax, ay, az].
 ///
 /// # Source
 /// Blom & Bar-Shalom, "The interacting multiple model algorithm", 1988; states that a model does
 /// not have are mixed with those of the model they go to (Yuan, Lian & Han, 2011).
 #[derive(Clone)]
-pub struct Imm {
-    modes: Vec<Arc<dyn Mode>>,
+pub struct Imm<W, const S: usize> {
+    modes: Vec<Arc<dyn Mode<W>>>,
     /// Mean time for which a target follows a model that has none of its own [s].
     sojourn: f64,
 }
 
 /// Weight and state of every model.
-pub type Modes = Vec<(f64, Arc<dyn Mode>)>;
+pub type Modes<W> = Vec<(f64, Arc<dyn Mode<W>>)>;
 
-type CorrectedModes = Result<Option<(Arc<dyn Mode>, Innovation)>, Error>;
+type CorrectedModes<W> = Result<Option<(Arc<dyn Mode<W>>, Innovation)>, Error>;
 
 /// One motion model together with its state.
-pub trait Mode: Send + Sync {
+pub trait Mode<W: World>: Send + Sync {
     /// Mean time for which a target follows this model [s]; None for that of the filter.
     fn sojourn(&self) -> Option<f64>;
     /// How often a new target follows this model, relative to the others.
     fn of_new(&self) -> f64;
-    /// How much a target of this covariance tends to this model when it leaves another one,
+    /// How much a target in this state tends to this model when it leaves another one,
     /// relative to the others.
-    fn tendency(&self, covariance: &Matrix6<f64>) -> f64;
+    fn tendency(&self, at: &W::Wide) -> f64;
     /// This model with the state of a target that was seen once.
-    fn started(&self, first: &First) -> Arc<dyn Mode>;
+    fn started(&self, first: &First) -> Arc<dyn Mode<W>>;
     /// This model with the state of a target whose position and velocity are known.
-    fn after_velocity(&self, cv: &Gaussian<4>) -> Arc<dyn Mode>;
+    fn after_velocity(&self, cv: &W::Cv) -> Arc<dyn Mode<W>>;
     /// This model with its state predicted `dt` [s] ahead.
-    fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode>;
+    fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode<W>>;
     /// This model with its state corrected by a measurement.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].
-    fn updated(&self, m: &Measurement, platform: &Platform) -> CorrectedModes;
+    fn updated(&self, m: &Measurement, platform: &Platform) -> CorrectedModes<W>;
     /// This model with the covariance of its state multiplied by `factor`.
-    fn loosened(&self, factor: f64) -> Arc<dyn Mode>;
+    fn loosened(&self, factor: f64) -> Arc<dyn Mode<W>>;
     /// State in Cartesian form; states that the model does not have are taken from `other`.
-    fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6>;
+    fn cartesian(&self, other: Option<&W::Wide>) -> W::Wide;
     /// This model with the state that corresponds to `cartesian`.
-    fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode>;
+    fn adopted(&self, cartesian: &W::Wide) -> Arc<dyn Mode<W>>;
     /// The state as plain numbers, for saving.
     fn numbers(&self) -> Vec<f64>;
     /// This model with the state of `numbers`; None if they do not fit.
-    fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode>>;
+    fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode<W>>>;
 }
 
 #[derive(Clone)]
@@ -71,18 +74,20 @@ struct Member<const N: usize, M> {
 }
 
 /// A model for [`Imm`].
-pub fn mode<const N: usize, M: StateConversion<N>>(engine: Single<N, M>) -> Arc<dyn Mode> {
+pub fn mode<const N: usize, M: StateConversion<N> + SeenMotion<N>>(
+    engine: Single<N, M>,
+) -> Arc<dyn Mode<M::World>> {
     let state = Gaussian { mean: SVector::zeros(), covariance: SMatrix::identity() };
     Arc::new(Member { engine, state })
 }
 
-impl<const N: usize, M: StateConversion<N>> Member<N, M> {
-    fn with(&self, state: Gaussian<N>) -> Arc<dyn Mode> {
+impl<const N: usize, M: StateConversion<N> + SeenMotion<N>> Member<N, M> {
+    fn with(&self, state: Gaussian<N>) -> Arc<dyn Mode<M::World>> {
         Arc::new(Self { engine: self.engine.clone(), state })
     }
 }
 
-impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
+impl<const N: usize, M: StateConversion<N> + SeenMotion<N>> Mode<M::World> for Member<N, M> {
     fn sojourn(&self) -> Option<f64> {
         M::SOJOURN
     }
@@ -91,32 +96,32 @@ impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
         M::OF_NEW
     }
 
-    fn tendency(&self, covariance: &Matrix6<f64>) -> f64 {
-        self.engine.motion.tendency(covariance, &self.engine.prior)
+    fn tendency(&self, at: &<M::World as World>::Wide) -> f64 {
+        self.engine.motion.tendency(at, &self.engine.prior)
     }
 
-    fn started(&self, first: &First) -> Arc<dyn Mode> {
+    fn started(&self, first: &First) -> Arc<dyn Mode<M::World>> {
         self.with(self.engine.first(first))
     }
 
-    fn after_velocity(&self, cv: &Gaussian<4>) -> Arc<dyn Mode> {
+    fn after_velocity(&self, cv: &<M::World as World>::Cv) -> Arc<dyn Mode<M::World>> {
         let own = self.engine.after_velocity(cv);
         own.map_or_else(
             || {
-                let wide = crate::fusion::models::cartesian::ConstantVelocity.cartesian(cv, None);
+                let wide = M::World::widened(cv);
                 self.with(self.engine.motion.adopted(&wide))
             },
             |state| self.with(state),
         )
     }
 
-    fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode> {
+    fn predicted(&self, dt: f64, platform: &Platform) -> Arc<dyn Mode<M::World>> {
         let mut state = self.state.clone();
         self.engine.predict(&mut state, dt, platform);
         self.with(state)
     }
 
-    fn updated(&self, m: &Measurement, platform: &Platform) -> CorrectedModes {
+    fn updated(&self, m: &Measurement, platform: &Platform) -> CorrectedModes<M::World> {
         // Accepted here in any case: only the mixture of all models can decide about the
         // measurement.
         let mut state = self.state.clone();
@@ -124,16 +129,16 @@ impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
         Ok(update.map(|innovation| (self.with(state), innovation)))
     }
 
-    fn loosened(&self, factor: f64) -> Arc<dyn Mode> {
+    fn loosened(&self, factor: f64) -> Arc<dyn Mode<M::World>> {
         let Gaussian { mean, covariance } = self.state;
         self.with(Gaussian { mean, covariance: covariance * factor })
     }
 
-    fn cartesian(&self, other: Option<&Gaussian<6>>) -> Gaussian<6> {
+    fn cartesian(&self, other: Option<&<M::World as World>::Wide>) -> <M::World as World>::Wide {
         self.engine.motion.cartesian(&self.state, other)
     }
 
-    fn adopted(&self, cartesian: &Gaussian<6>) -> Arc<dyn Mode> {
+    fn adopted(&self, cartesian: &<M::World as World>::Wide) -> Arc<dyn Mode<M::World>> {
         self.with(self.engine.motion.adopted(cartesian))
     }
 
@@ -141,31 +146,31 @@ impl<const N: usize, M: StateConversion<N>> Mode for Member<N, M> {
         self.state.numbers()
     }
 
-    fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode>> {
+    fn restored(&self, numbers: &[f64]) -> Option<Arc<dyn Mode<M::World>>> {
         Gaussian::from_numbers(numbers).map(|state| self.with(state))
     }
 }
 
 /// Moments of the mixture: see [`mixed`].
-fn mixture(parts: &[(f64, Gaussian<6>)]) -> Gaussian<6> {
+fn mixture<const S: usize>(parts: &[(f64, Gaussian<S>)]) -> Gaussian<S> {
     mixed(&parts.iter().map(|(weight, part)| (*weight, part)).collect::<Vec<_>>())
 }
 
-impl Imm {
+impl<const S: usize, W: Sights<Wide = Gaussian<S>>> Imm<W, S> {
     /// Engine for a target that follows each of `modes` for `sojourn` [s] on average.
     #[must_use]
-    pub fn new(modes: Vec<Arc<dyn Mode>>, sojourn: f64) -> Self {
+    pub fn new(modes: Vec<Arc<dyn Mode<W>>>, sojourn: f64) -> Self {
         Self { modes, sojourn }
     }
 
     /// Every model with the weight that it has before measurements.
-    fn begun(&self, make: impl Fn(&dyn Mode) -> Arc<dyn Mode>) -> Modes {
+    fn begun(&self, make: impl Fn(&dyn Mode<W>) -> Arc<dyn Mode<W>>) -> Modes<W> {
         let all: f64 = self.modes.iter().map(|mode| mode.of_new()).sum();
         self.modes.iter().map(|mode| (mode.of_new() / all, make(&**mode))).collect()
     }
 
     /// Mixing step: probability of each model after a possible switch, and its mixed state.
-    fn interacted(&self, modes: &Modes, dt: f64) -> Modes {
+    fn interacted(&self, modes: &Modes<W>, dt: f64) -> Modes<W> {
         let count = modes.len();
         let stays = modes.iter().map(|(_, mode)| mode.sojourn().unwrap_or(self.sojourn));
         let stays: Vec<f64> = stays.map(|sojourn| libm::exp(-dt / sojourn)).collect();
@@ -176,8 +181,8 @@ impl Imm {
         }
         let chain: Vec<Vec<f64>> = (0..count)
             .map(|from| {
-                let covariance = modes[from].1.cartesian(None).covariance;
-                let tendency = |to: usize| modes[to].1.tendency(&covariance);
+                let at = modes[from].1.cartesian(None);
+                let tendency = |to: usize| modes[to].1.tendency(&at);
                 let others: f64 = (0..count).filter(|to| *to != from).map(tendency).sum();
                 let change = |to| (1.0 - stays[from]) * tendency(to) / others;
                 (0..count).map(|to| if to == from { stays[from] } else { change(to) }).collect()
@@ -189,7 +194,7 @@ impl Imm {
             let own = modes[to].1.cartesian(None);
             let share = |from: usize| modes[from].0 * chain[from][to];
             let weight: f64 = (0..count).map(share).sum();
-            let parts: Vec<(f64, Gaussian<6>)> = (0..count)
+            let parts: Vec<(f64, Gaussian<S>)> = (0..count)
                 .map(|from| (share(from) / weight, modes[from].1.cartesian(Some(&own))))
                 .collect();
             (weight, modes[to].1.adopted(&mixture(&parts)))
@@ -198,18 +203,19 @@ impl Imm {
     }
 }
 
-impl Engine for Imm {
-    type State = Modes;
+impl<const S: usize, W: Sights<Wide = Gaussian<S>>> Engine for Imm<W, S> {
+    type State = Modes<W>;
+    type World = W;
 
-    fn first(&self, first: &First) -> Modes {
+    fn first(&self, first: &First) -> Modes<W> {
         self.begun(|mode| mode.started(first))
     }
 
-    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<Modes> {
+    fn after_velocity(&self, cv: &<W as World>::Cv) -> Option<Modes<W>> {
         Some(self.begun(|mode| mode.after_velocity(cv)))
     }
 
-    fn predict(&self, state: &mut Modes, dt: f64, platform: &Platform) {
+    fn predict(&self, state: &mut Modes<W>, dt: f64, platform: &Platform) {
         let modes = self.interacted(state, dt);
         let predicted = modes.iter().map(|(weight, mode)| (*weight, mode.predicted(dt, platform)));
         *state = predicted.collect();
@@ -217,7 +223,7 @@ impl Engine for Imm {
 
     fn update(
         &self,
-        state: &mut Modes,
+        state: &mut Modes<W>,
         m: &Measurement,
         platform: &Platform,
         believe: AcceptInnovation<'_>,
@@ -249,7 +255,7 @@ impl Engine for Imm {
     /// Every model is a part: which of them is the likeliest depends on the measurement.
     fn innovations(
         &self,
-        state: &mut Modes,
+        state: &mut Modes<W>,
         m: &Measurement,
         platform: &Platform,
         visit: &mut dyn FnMut(f64, &Innovation),
@@ -263,12 +269,12 @@ impl Engine for Imm {
     }
 
     /// Blend the states of each model, through the Cartesian form.
-    fn blended(&self, parts: &[(f64, &Modes)]) -> Modes {
+    fn blended(&self, parts: &[(f64, &Modes<W>)]) -> Modes<W> {
         let models = 0..self.modes.len();
         let blended = models.map(|model| {
-            let share = |(weight, modes): &(f64, &Modes)| weight * modes[model].0;
+            let share = |(weight, modes): &(f64, &Modes<W>)| weight * modes[model].0;
             let total: f64 = parts.iter().map(share).sum();
-            let wide: Vec<(f64, Gaussian<6>)> = parts
+            let wide: Vec<(f64, Gaussian<S>)> = parts
                 .iter()
                 .map(|part| (share(part) / total, part.1[model].1.cartesian(None)))
                 .collect();
@@ -278,12 +284,13 @@ impl Engine for Imm {
     }
 
     /// Weight and state of every model, one after the other.
-    fn numbers(&self, state: &Modes) -> Vec<f64> {
-        let of = |(weight, mode): &(f64, Arc<dyn Mode>)| [vec![*weight], mode.numbers()].concat();
+    fn numbers(&self, state: &Modes<W>) -> Vec<f64> {
+        let of =
+            |(weight, mode): &(f64, Arc<dyn Mode<W>>)| [vec![*weight], mode.numbers()].concat();
         state.iter().flat_map(of).collect()
     }
 
-    fn state_of_numbers(&self, numbers: &[f64]) -> Option<Modes> {
+    fn state_of_numbers(&self, numbers: &[f64]) -> Option<Modes<W>> {
         let mut rest = numbers;
         let mut modes = Vec::with_capacity(self.modes.len());
         for mode in &self.modes {
@@ -295,12 +302,12 @@ impl Engine for Imm {
         rest.is_empty().then_some(modes)
     }
 
-    fn loosen(&self, state: &mut Modes, factor: f64) {
+    fn loosen(&self, state: &mut Modes<W>, factor: f64) {
         state.iter_mut().for_each(|(_, mode)| *mode = mode.loosened(factor));
     }
 
-    fn output(&self, state: &Modes) -> Output {
-        let wide = |mode: &Arc<dyn Mode>| mode.cartesian(None);
+    fn output(&self, state: &Modes<W>) -> Output {
+        let wide = |mode: &Arc<dyn Mode<W>>| mode.cartesian(None);
         let parts: Vec<_> = state.iter().map(|(weight, mode)| (*weight, wide(mode))).collect();
         output(&mixture(&parts), None)
     }

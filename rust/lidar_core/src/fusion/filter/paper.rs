@@ -12,7 +12,8 @@ use crate::estimation::kalman::{Gaussian, Mahalanobis};
 use crate::fusion::models::motion::{First, Prior};
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::turn::wrapped;
-use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::fusion::models::world::Plane;
+use crate::fusion::sensors::measurement::{Measurement, PolarValues, Sensor};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 /// Turn rates below this [rad/s] use eqs 9 and 19; the paper switches at exactly 0.
@@ -211,9 +212,10 @@ fn inverted<const K: usize>(S: &SMatrix<f64, K, K>) -> Option<(SMatrix<f64, K, K
 
 impl Engine for Paper {
     type State = Gaussian<6>;
+    type World = Plane;
 
     fn first(&self, first: &First) -> Gaussian<6> {
-        let ([x, y], p) = (first.position, &self.prior);
+        let ([x, y, _], p) = (first.position, &self.prior);
         let variances =
             Vector6::new(p.position, p.position, p.speed, p.heading, p.turn_rate, p.platform_rate);
         Gaussian {
@@ -246,7 +248,7 @@ impl Engine for Paper {
             Sensor::Lidar => {
                 Self::corrected::<2>(state, &SVector::from([v[0], v[1]]), &[LIDAR; 2], believe)
             }
-            Sensor::Radar => {
+            Sensor::Radar if m.measures() == PolarValues::FLAT => {
                 let (sine, cosine) = libm::sincos(v[1]);
                 let [x, y, rate] = [v[0] * cosine, v[0] * sine, v[2]];
                 let truth = v.get(3..5).map_or([rate, v[1]], |both| [both[0], both[1]]);
@@ -260,7 +262,7 @@ impl Engine for Paper {
                 };
                 Self::corrected::<5>(state, &SVector::from(z), &RADAR, believe)
             }
-            Sensor::Gyro | Sensor::Pose => Ok(None),
+            Sensor::Radar | Sensor::Gyro | Sensor::Pose | Sensor::SpacePose => Ok(None),
         }
     }
 

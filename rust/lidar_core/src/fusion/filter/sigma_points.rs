@@ -6,11 +6,12 @@ use super::engine::{AcceptInnovation, Engine, Innovation, Link, Output, Single, 
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Mahalanobis};
 use crate::estimation::unscented::{Rooted, SigmaRule, Triangle, stacked, transformed};
-use crate::fusion::models::motion::{First, Motion};
+use crate::fusion::models::motion::First;
 use crate::fusion::models::platform::Platform;
-use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::{LineOfSight, Observation, polar_difference};
-use nalgebra::{Matrix1, SMatrix, SVector, Vector1};
+use crate::fusion::models::world::World;
+use crate::fusion::sensors::measurement::Measurement;
+use crate::fusion::sensors::sight::{Observer, SeenIn, SeenMotion, SeenValues};
+use nalgebra::SVector;
 
 /// A filter that moves sigma points through the models of `base`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +35,6 @@ pub struct SigmaState<const N: usize> {
 
 /// Weight and state of a sigma point.
 type Point<const N: usize> = (f64, SVector<f64, N>);
-type Corrected = Result<Option<Innovation>, Error>;
 
 impl<const N: usize> SigmaState<N> {
     fn new(rooted: Rooted<N>) -> Self {
@@ -61,28 +61,29 @@ impl<const N: usize> SigmaState<N> {
     }
 }
 
-impl<const N: usize, M: Motion<N>> Sigma<N, M> {
-    /// Correct `prior` by the measurement `z`. `expected` predicts the measurement of a state and
-    /// `minus` subtracts two measurements.
+/// Correction of a state by a measurement, if it is believed.
+struct SigmaCorrected<'a, 'b, const N: usize> {
+    rule: &'a SigmaRule,
+    prior: &'a mut SigmaState<N>,
+    believe: AcceptInnovation<'b>,
+}
+
+impl<const N: usize> Observer<N> for SigmaCorrected<'_, '_, N> {
+    type Output = Result<Innovation, Error>;
+
+    /// Correct the prior by a measurement.
     ///
     /// One triangle absorbs the joint deviations of measurement and state: its upper left block is
     /// the root of S, the block below is the gain times that root, the lower right block is the
     /// root of the posterior covariance.
-    fn corrected<const K: usize>(
-        &self,
-        prior: &mut SigmaState<N>,
-        z: &SVector<f64, K>,
-        R: &SMatrix<f64, K, K>,
-        expected: impl Fn(&SVector<f64, N>) -> SVector<f64, K>,
-        minus: impl Fn(&SVector<f64, K>, &SVector<f64, K>) -> SVector<f64, K>,
-        believe: AcceptInnovation<'_>,
-    ) -> Corrected {
-        let (points, mean) = (prior.points(&self.rule), prior.rooted.mean);
+    fn observe<const K: usize, V: SeenValues<N, K>>(self, seen: &V) -> Self::Output {
+        let Self { rule, prior, believe } = self;
+        let (points, mean) = (prior.points(rule), prior.rooted.mean);
         // The mean is formed from differences to the central point: bearings on both sides of pi,
         // averaged as plain numbers, would point backwards.
-        let center = expected(&points[0].1);
+        let center = seen.expected(&points[0].1);
         let apart: Vec<SVector<f64, K>> =
-            points.iter().map(|(_, point)| minus(&expected(point), &center)).collect();
+            points.iter().map(|(_, point)| seen.minus(&seen.expected(point), &center)).collect();
         let shift: SVector<f64, K> =
             points.iter().zip(&apart).map(|((weight, _), apart)| apart * *weight).sum();
         let mut columns = points.iter().zip(&apart).map(|((weight, point), apart)| {
@@ -92,18 +93,21 @@ impl<const N: usize, M: Motion<N>> Sigma<N, M> {
         let empty = Triangle::zero(K + N);
         let mut triangle =
             columns.fold(empty, |sum, (weight, column)| sum.weighted(weight, column));
+        let R = seen.noise();
         let noise = R.cholesky().ok_or(Error::NotPositiveDefinite { matrix: "R" })?.l();
         noise.column_iter().for_each(|c| triangle.absorb(stacked(c.into_owned().as_slice(), &[])));
         let triangle =
             central.map_or(triangle, |(weight, column)| triangle.weighted(weight, column));
-        let y = minus(z, &(center + shift));
+        let y = seen.minus(&seen.measured(), &(center + shift));
         let (state, innovation) = posterior(&prior.rooted, &triangle, &y);
         if believe(&innovation) {
             *prior = state;
         }
-        Ok(Some(innovation))
+        Ok(innovation)
     }
+}
 
+impl<const N: usize, M: SeenMotion<N>> Sigma<N, M> {
     /// Predicted sigma points of the state and of its noise.
     fn carried(
         &self,
@@ -154,15 +158,16 @@ fn posterior<const N: usize, const K: usize>(
     (SigmaState::new(rooted), innovation)
 }
 
-impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
+impl<const N: usize, M: SeenMotion<N>> Engine for Sigma<N, M> {
     type State = SigmaState<N>;
+    type World = M::World;
 
     fn first(&self, first: &First) -> SigmaState<N> {
         let start = self.base.first(first);
         SigmaState::new(Rooted::new(start.mean, &start.covariance))
     }
 
-    fn after_velocity(&self, cv: &Gaussian<4>) -> Option<SigmaState<N>> {
+    fn after_velocity(&self, cv: &<M::World as World>::Cv) -> Option<SigmaState<N>> {
         let start = self.base.after_velocity(cv)?;
         Some(SigmaState::new(Rooted::new(start.mean, &start.covariance)))
     }
@@ -192,34 +197,11 @@ impl<const N: usize, M: Motion<N>> Engine for Sigma<N, M> {
         m: &Measurement,
         platform: &Platform,
         believe: AcceptInnovation<'_>,
-    ) -> Corrected {
-        let motion = &self.base.motion;
-        if m.sensor() == Sensor::Gyro && M::PLATFORM_RATE.is_none() {
-            return Ok(None);
-        }
-        let sensor = platform.sensor_at(m.stamp_ns());
-        let sensor = sensor.as_ref();
-        let place = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).place().0;
-        let polar = |s: &SVector<f64, N>| LineOfSight::new(motion, s, platform, sensor).polar();
+    ) -> Result<Option<Innovation>, Error> {
+        let Single { motion, sensing, .. } = &self.base;
         let mean = state.rooted.mean;
-        let sight = LineOfSight::new(motion, &mean, platform, sensor);
-        match self.base.sensing.observation(m, sight.range()) {
-            Some(Observation::Position { z, R }) => {
-                let R = sight.place_noise(R);
-                self.corrected(state, &z, &R, place, |a, b| a - b, believe)
-            }
-            Some(Observation::Polar { z, R }) => {
-                let R = sight.polar_noise(R);
-                self.corrected(state, &z, &R, polar, polar_difference, believe)
-            }
-            Some(Observation::Rate { z, R }) => {
-                let Some(index) = M::PLATFORM_RATE else { return Ok(None) };
-                let expected = |s: &SVector<f64, N>| Vector1::new(s[index]);
-                let (z, R) = (Vector1::new(z), Matrix1::new(R));
-                self.corrected(state, &z, &R, expected, |a, b| a - b, believe)
-            }
-            None => Ok(None),
-        }
+        let corrected = SigmaCorrected { rule: &self.rule, prior: state, believe };
+        M::World::see(motion, &mean, m, sensing, platform, corrected).transpose()
     }
 
     fn blended(&self, parts: &[(f64, &SigmaState<N>)]) -> SigmaState<N> {

@@ -5,7 +5,10 @@
 use super::engine::{Link, MAX_STATES, Output};
 use crate::estimation::kalman::symmetrised;
 use crate::fusion::models::turn::wrapped;
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{SMatrix, SVector};
+
+/// Most states of a model in the plane.
+const IN_PLANE: usize = 6;
 
 /// One row of a run: state of the filter, its time, and the transition from the row before.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,23 +57,34 @@ fn back_from(rows: &[RunRow], end: usize, first: usize) -> Vec<Option<Output>> {
 
 /// State `earlier` corrected by the smoothed state after it; None if the covariance is singular.
 fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
-    let (m, P) = padded(earlier);
-    let (ms, Ps) = padded(later);
-    let (F, Q) = (&link.F, &link.Q);
+    // Models in the plane have six states at most: padded to nine they would take three times as
+    // long.
+    if earlier.count <= IN_PLANE {
+        return step_back_in::<IN_PLANE>(earlier, link, later);
+    }
+    step_back_in::<MAX_STATES>(earlier, link, later)
+}
+
+/// The same with states padded to S.
+fn step_back_in<const S: usize>(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
+    let (m, P) = padded::<S>(earlier);
+    let (ms, Ps) = padded::<S>(later);
+    let F = &link.F.fixed_view::<S, S>(0, 0).into_owned();
+    let Q = &link.Q.fixed_view::<S, S>(0, 0).into_owned();
     let FP = F * P;
     let predicted = symmetrised(FP * F.transpose() + Q);
-    let G = predicted.cholesky()?.solve(&FP).transpose();
-    let mut change = ms - link.mean;
+    let G = solved(&predicted, FP)?.transpose();
+    let mut change = ms - link.mean.fixed_rows::<S>(0);
     // The smoothed heading is wrapped, the predicted one is not: a full turn is no change.
     if let Some(index) = link.heading {
         change[index] = wrapped(change[index]);
     }
-    for index in earlier.count..MAX_STATES {
+    for index in earlier.count..S {
         change[index] = 0.0;
     }
     // Joseph form of the smoother: a sum of squares, where P + G (Ps - predicted) G' could turn
     // indefinite by rounding.
-    let kept = Matrix6::identity() - G * F;
+    let kept = SMatrix::identity() - G * F;
     let P = symmetrised(kept * P * kept.transpose() + G * (Q + Ps) * G.transpose());
     let mut mean = m + G * change;
     if let Some(index) = link.heading {
@@ -80,24 +94,34 @@ fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
     finite.then(|| cut(earlier.count, &mean, &P))
 }
 
-/// Mean and covariance of six states; states that the model does not have get unit covariance, so
-/// that the predicted covariance stays invertible.
-fn padded(output: &Output) -> (Vector6<f64>, Matrix6<f64>) {
-    let mut P = Matrix6::from_fn(|row, column| output.covariance[row][column]);
-    for index in output.count..MAX_STATES {
-        P[(index, index)] = 1.0;
-    }
-    (Vector6::from(output.mean), P)
+/// Solution X of `P` X = `B`; None unless `P` is positive definite.
+fn solved<const S: usize>(
+    P: &SMatrix<f64, S, S>,
+    B: SMatrix<f64, S, S>,
+) -> Option<SMatrix<f64, S, S>> {
+    Some(P.cholesky()?.solve(&B))
 }
 
-fn cut(count: usize, mean: &Vector6<f64>, P: &Matrix6<f64>) -> Output {
+/// Mean and covariance of S states; states that the model does not have get unit covariance, so
+/// that the predicted covariance stays invertible.
+fn padded<const S: usize>(output: &Output) -> (SVector<f64, S>, SMatrix<f64, S, S>) {
+    let mut P = SMatrix::<f64, S, S>::from_fn(|row, column| output.covariance[row][column]);
+    for index in output.count..S {
+        P[(index, index)] = 1.0;
+    }
+    (SVector::from_fn(|row, _| output.mean[row]), P)
+}
+
+fn cut<const S: usize>(count: usize, mean: &SVector<f64, S>, P: &SMatrix<f64, S, S>) -> Output {
     let mut covariance = [[0.0; MAX_STATES]; MAX_STATES];
     for (row, entries) in covariance.iter_mut().enumerate().take(count) {
         for (column, entry) in entries.iter_mut().enumerate().take(count) {
             *entry = P[(row, column)];
         }
     }
-    Output { count, mean: mean.data.0[0], covariance }
+    let mut wide = [0.0; MAX_STATES];
+    wide[..S].copy_from_slice(mean.as_slice());
+    Output { count, mean: wide, covariance }
 }
 
 #[cfg(test)]
@@ -105,7 +129,7 @@ mod tests {
     use super::*;
 
     fn output(mean: [f64; 2], covariance: [[f64; 2]; 2]) -> Output {
-        let mut wide = Output { count: 2, mean: [0.0; 6], covariance: [[0.0; 6]; 6] };
+        let mut wide = Output { count: 2, mean: [0.0; 9], covariance: [[0.0; 9]; 9] };
         wide.mean[..2].copy_from_slice(&mean);
         for (row, entries) in wide.covariance.iter_mut().zip(&covariance) {
             row[..2].copy_from_slice(entries);
@@ -117,9 +141,9 @@ mod tests {
     #[test]
     fn what_does_not_move_is_known_from_the_end() {
         let link = Link {
-            F: Matrix6::identity(),
-            Q: Matrix6::zeros(),
-            mean: Vector6::zeros(),
+            F: SMatrix::identity(),
+            Q: SMatrix::zeros(),
+            mean: SVector::zeros(),
             heading: None,
         };
         let first = output([0.0, 0.0], [[4.0, 1.0], [1.0, 2.0]]);

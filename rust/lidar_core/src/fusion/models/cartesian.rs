@@ -2,10 +2,11 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior, extended};
 use super::platform::Platform;
 use super::state_conversion::{ANY_RATE, StateConversion, capped, through, turn_rate};
 use super::turn::{Turn, direction, rotated};
+use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 
@@ -25,10 +26,10 @@ pub struct CoordinatedTurn;
 /// State of a target seen first; the velocity across the line of sight is unknown.
 fn first_cv(first: &First, prior: &Prior) -> Gaussian<4> {
     let [vx, vy] = direction(first.heading).map(|part| part * first.speed);
-    let [x, y] = first.position;
+    let [x, y, _] = first.position;
     // The variance of the speed belongs to both axes: zero across the line of sight is only the
     // mean of what is not measured.
-    let covariance = first.covariance(prior, [first.spread(prior); 2]);
+    let covariance = first.covariance::<4, 2>(prior, &[first.spread(prior); 2]);
     Gaussian { mean: Vector4::new(x, y, vx, vy), covariance }
 }
 
@@ -40,6 +41,7 @@ fn velocity_of<const N: usize>(s: &SVector<f64, N>) -> (Vector2<f64>, SMatrix<f6
 }
 
 impl Motion<4> for ConstantVelocity {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Absent];
     const HEADING: Option<usize> = None;
 
@@ -72,16 +74,19 @@ impl Motion<4> for ConstantVelocity {
         columns
     }
 
-    fn velocity(&self, s: &Vector4<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 4>) {
-        velocity_of(s)
-    }
-
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<4> {
         first_cv(first, prior)
     }
 }
 
+impl PlaneMotion<4> for ConstantVelocity {
+    fn velocity(&self, s: &Vector4<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 4>) {
+        velocity_of(s)
+    }
+}
+
 impl Motion<6> for ConstantAcceleration {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Jerk, Noise::Jerk, Noise::Absent];
     const HEADING: Option<usize> = None;
 
@@ -123,10 +128,6 @@ impl Motion<6> for ConstantAcceleration {
         columns
     }
 
-    fn velocity(&self, s: &Vector6<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 6>) {
-        velocity_of(s)
-    }
-
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<6> {
         extended(&first_cv(first, prior), &[prior.acceleration; 2])
     }
@@ -136,7 +137,14 @@ impl Motion<6> for ConstantAcceleration {
     }
 }
 
+impl PlaneMotion<6> for ConstantAcceleration {
+    fn velocity(&self, s: &Vector6<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 6>) {
+        velocity_of(s)
+    }
+}
+
 impl Motion<5> for CoordinatedTurn {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Turn];
     const HEADING: Option<usize> = None;
 
@@ -184,16 +192,18 @@ impl Motion<5> for CoordinatedTurn {
         columns
     }
 
-    fn velocity(&self, s: &Vector5<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 5>) {
-        velocity_of(s)
-    }
-
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<5> {
         extended(&first_cv(first, prior), &[prior.turn_rate])
     }
 
     fn after_velocity(&self, cv: &Gaussian<4>, prior: &Prior) -> Option<Gaussian<5>> {
         Some(extended(cv, &[prior.turn_rate]))
+    }
+}
+
+impl PlaneMotion<5> for CoordinatedTurn {
+    fn velocity(&self, s: &Vector5<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 5>) {
+        velocity_of(s)
     }
 }
 
@@ -254,7 +264,7 @@ impl StateConversion<5> for CoordinatedTurn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::models::motion::tests::check;
+    use crate::fusion::models::motion::tests::check_in_plane as check;
 
     #[test]
     fn models_agree_with_differences() {

@@ -3,9 +3,10 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::heading::{ArcLength, polar_first, velocity_of};
-use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior, extended};
 use super::platform::Platform;
 use super::turn::{Turn, direction, rotated};
+use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{SMatrix, SVector, Vector2, Vector5, Vector6};
 
@@ -93,6 +94,7 @@ fn relative<const N: usize>(
 }
 
 impl Motion<5> for CtrvDrone {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
@@ -129,6 +131,12 @@ impl Motion<5> for CtrvDrone {
         Some(Vector5::new(x, y, 0.0, -dt, 0.0) * libm::sqrt(platform.rate_variance))
     }
 
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<5> {
+        extended(&polar_first(first, prior), &[prior.turn_rate])
+    }
+}
+
+impl PlaneMotion<5> for CtrvDrone {
     fn velocity(
         &self,
         s: &Vector5<f64>,
@@ -136,13 +144,10 @@ impl Motion<5> for CtrvDrone {
     ) -> (Vector2<f64>, SMatrix<f64, 2, 5>) {
         relative(s, platform.rate, platform)
     }
-
-    fn first(&self, first: &First, prior: &Prior) -> Gaussian<5> {
-        extended(&polar_first(first, prior), &[prior.turn_rate])
-    }
 }
 
 impl Motion<6> for CtrvDroneRate {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Platform];
     const HEADING: Option<usize> = Some(3);
     const PLATFORM_RATE: Option<usize> = Some(5);
@@ -174,6 +179,12 @@ impl Motion<6> for CtrvDroneRate {
         columns
     }
 
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<6> {
+        extended(&polar_first(first, prior), &[prior.turn_rate, prior.platform_rate])
+    }
+}
+
+impl PlaneMotion<6> for CtrvDroneRate {
     fn velocity(
         &self,
         s: &Vector6<f64>,
@@ -183,16 +194,12 @@ impl Motion<6> for CtrvDroneRate {
         (J[(0, 5)], J[(1, 5)]) = (platform.lever[1], -platform.lever[0]);
         (velocity, J)
     }
-
-    fn first(&self, first: &First, prior: &Prior) -> Gaussian<6> {
-        extended(&polar_first(first, prior), &[prior.turn_rate, prior.platform_rate])
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::models::motion::tests::check;
+    use crate::fusion::models::motion::tests::check_in_plane as check;
 
     #[test]
     fn models_agree_with_differences() {
@@ -201,7 +208,7 @@ mod tests {
                 rate,
                 rate_variance: 0.01,
                 velocity: [3.0, -0.5],
-                lever: [0.3, -0.2],
+                lever: [0.3, -0.2, 0.0],
                 ..Platform::still()
             };
             for w in [0.0, 0.7] {

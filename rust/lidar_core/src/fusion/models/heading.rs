@@ -2,14 +2,15 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::{First, INPUTS, Motion, Noise, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior, extended};
 use super::platform::Platform;
 use super::state_conversion::{
     ANY_HEADING, ANY_RATE, StateConversion, along, capped, spread, through,
 };
 use super::turn::{Turn, direction};
+use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix2x4, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
+use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 
 /// Speed below which a velocity has no heading [m/s].
 const SLOWEST: f64 = 1e-3;
@@ -38,41 +39,31 @@ impl ArcLength {
     }
 }
 
-/// Position, speed and heading of a distribution of position and velocity.
-pub(super) fn polar_from(cv: &Gaussian<4>) -> Gaussian<4> {
-    let (vx, vy) = (cv.mean[2], cv.mean[3]);
+/// Speed and heading of a velocity, and their Jacobian.
+pub(super) fn polar_velocity(vx: f64, vy: f64) -> ([f64; 2], Matrix2<f64>) {
     // A target at rest has no heading; the least speed keeps the Jacobian finite.
     let speed = libm::hypot(vx, vy).max(SLOWEST);
     let heading = libm::atan2(vy, vx);
     let [cosine, sine] = direction(heading);
+    ([speed, heading], Matrix2::new(cosine, sine, -sine / speed, cosine / speed))
+}
+
+/// Position, speed and heading of a distribution of position and velocity.
+pub(super) fn polar_from(cv: &Gaussian<4>) -> Gaussian<4> {
+    let ([speed, heading], slopes) = polar_velocity(cv.mean[2], cv.mean[3]);
     let mut J = SMatrix::<f64, 4, 4>::identity();
-    J.fixed_view_mut::<2, 4>(2, 0).copy_from(&Matrix2x4::new(
-        0.0,
-        0.0,
-        cosine,
-        sine, //
-        0.0,
-        0.0,
-        -sine / speed,
-        cosine / speed,
-    ));
-    let mut covariance = J * cv.covariance * J.transpose();
-    let variance = covariance[(3, 3)];
-    if variance > ANY_HEADING {
-        // a scaled row and column keep the matrix positive semidefinite
-        let scale = libm::sqrt(ANY_HEADING / variance);
-        covariance.row_mut(3).scale_mut(scale);
-        covariance.column_mut(3).scale_mut(scale);
-    }
-    Gaussian { mean: Vector4::new(cv.mean[0], cv.mean[1], speed, heading), covariance }
+    J.fixed_view_mut::<2, 2>(2, 2).copy_from(&slopes);
+    let covariance = J * cv.covariance * J.transpose();
+    let mean = Vector4::new(cv.mean[0], cv.mean[1], speed, heading);
+    capped(Gaussian { mean, covariance }, 3, ANY_HEADING)
 }
 
 /// Position, speed and heading of a target seen first.
 pub(super) fn polar_first(first: &First, prior: &Prior) -> Gaussian<4> {
-    let [x, y] = first.position;
+    let [x, y, _] = first.position;
     // Without a measured speed the line of sight does not show where the target is heading.
     let heading = if first.speed == 0.0 { 0.0 } else { first.heading };
-    let covariance = first.covariance(prior, [first.spread(prior), prior.heading]);
+    let covariance = first.covariance::<4, 2>(prior, &[first.spread(prior), prior.heading]);
     Gaussian { mean: Vector4::new(x, y, first.speed, heading), covariance }
 }
 
@@ -88,6 +79,7 @@ pub(super) fn velocity_of<const N: usize>(
 }
 
 impl Motion<5> for Ctrv {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
@@ -154,10 +146,6 @@ impl Motion<5> for Ctrv {
         columns
     }
 
-    fn velocity(&self, s: &Vector5<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 5>) {
-        velocity_of(s)
-    }
-
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<5> {
         extended(&polar_first(first, prior), &[prior.turn_rate])
     }
@@ -167,7 +155,14 @@ impl Motion<5> for Ctrv {
     }
 }
 
+impl PlaneMotion<5> for Ctrv {
+    fn velocity(&self, s: &Vector5<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 5>) {
+        velocity_of(s)
+    }
+}
+
 impl Motion<6> for Ctra {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Jerk, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
@@ -239,16 +234,18 @@ impl Motion<6> for Ctra {
         columns
     }
 
-    fn velocity(&self, s: &Vector6<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 6>) {
-        velocity_of(s)
-    }
-
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<6> {
         extended(&polar_first(first, prior), &[prior.turn_rate, prior.acceleration])
     }
 
     fn after_velocity(&self, cv: &Gaussian<4>, prior: &Prior) -> Option<Gaussian<6>> {
         Some(extended(&polar_from(cv), &[prior.turn_rate, prior.acceleration]))
+    }
+}
+
+impl PlaneMotion<6> for Ctra {
+    fn velocity(&self, s: &Vector6<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 6>) {
+        velocity_of(s)
     }
 }
 
@@ -289,7 +286,7 @@ impl StateConversion<6> for Ctra {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::models::motion::tests::{check, difference};
+    use crate::fusion::models::motion::tests::{check_in_plane as check, difference};
 
     #[test]
     fn models_agree_with_differences() {

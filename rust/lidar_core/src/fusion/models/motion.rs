@@ -3,8 +3,9 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::platform::Platform;
+use super::world::{Plane, Space, World};
 use crate::estimation::kalman::{Gaussian, add_scaled};
-use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Independent noises that may drive a model.
 pub const INPUTS: usize = 3;
@@ -42,16 +43,18 @@ pub struct Prior {
 }
 
 /// First sight of a target: its position, and its velocity along the line of sight.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct First {
-    /// Position in the frame of the state [m].
-    pub position: [f64; 2],
+    /// Position in the frame of the state [m]; z is zero in the plane.
+    pub position: [f64; 3],
     /// Speed away from the sensor [m/s]; zero where it is not measured.
     pub speed: f64,
     /// Direction of that speed, counter-clockwise from x [rad].
     pub heading: f64,
+    /// Same above the plane of x and y [rad].
+    pub elevation: f64,
     /// Covariance of the position [m^2]; None for the variances of the prior.
-    pub noise: Option<[[f64; 2]; 2]>,
+    pub noise: Option<Matrix3<f64>>,
     /// Variance of the speed [m^2/s^2]; None for that of the prior.
     pub speed_variance: Option<f64>,
 }
@@ -63,26 +66,32 @@ impl First {
         self.speed_variance.unwrap_or(prior.speed)
     }
 
-    /// Covariance of position and of two more states with the given variances.
+    /// Covariance of a position of D dimensions, and of further states with the given variances.
     #[must_use]
-    pub fn covariance(&self, prior: &Prior, variances: [f64; 2]) -> Matrix4<f64> {
-        let [u, v] = variances;
-        let mut covariance =
-            Matrix4::from_diagonal(&Vector4::new(prior.position, prior.position, u, v));
-        if let Some(noise) = self.noise {
-            for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-                covariance[(row, column)] = noise[row][column];
-            }
+    pub fn covariance<const N: usize, const D: usize>(
+        &self,
+        prior: &Prior,
+        variances: &[f64],
+    ) -> SMatrix<f64, N, N> {
+        let mut covariance = SMatrix::zeros();
+        for (index, variance) in variances.iter().enumerate() {
+            covariance[(D + index, D + index)] = *variance;
+        }
+        for (row, column) in (0..D).flat_map(|row| (0..D).map(move |column| (row, column))) {
+            let told = if row == column { prior.position } else { 0.0 };
+            covariance[(row, column)] = self.noise.map_or(told, |noise| noise[(row, column)]);
         }
         covariance
     }
 }
 
-/// A motion model with N states; the first two are the position.
+/// A motion model with N states; the first ones are the position.
 ///
 /// The frame of the state is the sensor's where the sensor stands still or the model moves it,
 /// else the world's.
 pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
+    /// Plane or space.
+    type World: World;
     /// Noises that drive the model, in the order of the columns of [`Self::impulses`].
     const NOISES: [Noise; INPUTS];
     /// Index of the state that is a heading: it is kept unwrapped and wrapped on output.
@@ -136,30 +145,47 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
         None
     }
 
+    /// State of a target that has been seen once.
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<N>;
+
+    /// State of a target with known position and velocity; None for models that start by
+    /// themselves.
+    fn after_velocity(
+        &self,
+        _cv: &<Self::World as World>::Cv,
+        _prior: &Prior,
+    ) -> Option<Gaussian<N>> {
+        None
+    }
+}
+
+/// A motion in the plane; the first two states are the position.
+pub trait PlaneMotion<const N: usize>: Motion<N, World = Plane> {
     /// Velocity relative to the origin of the state's frame, and its Jacobian.
     fn velocity(
         &self,
         s: &SVector<f64, N>,
         platform: &Platform,
     ) -> (Vector2<f64>, SMatrix<f64, 2, N>);
-
-    /// State of a target that has been seen once.
-    fn first(&self, first: &First, prior: &Prior) -> Gaussian<N>;
-
-    /// State of a target with known position and velocity [x, y, vx, vy]; None for models that
-    /// start by themselves.
-    fn after_velocity(&self, _cv: &Gaussian<4>, _prior: &Prior) -> Option<Gaussian<N>> {
-        None
-    }
 }
 
-/// `start` extended by states with mean zero and the given variances.
-pub(crate) fn extended<const N: usize>(start: &Gaussian<4>, variances: &[f64]) -> Gaussian<N> {
+/// A motion in space; the first three states are the position.
+pub trait SpaceMotion<const N: usize>: Motion<N, World = Space> {
+    /// Velocity in the frame of the state, and its Jacobian.
+    fn velocity(&self, s: &SVector<f64, N>) -> (Vector3<f64>, SMatrix<f64, 3, N>);
+}
+
+/// `start` extended by states with mean zero and the given variances; zero for those that are not
+/// given.
+pub(crate) fn extended<const S: usize, const N: usize>(
+    start: &Gaussian<S>,
+    variances: &[f64],
+) -> Gaussian<N> {
     let (mut mean, mut covariance) = (SVector::<f64, N>::zeros(), SMatrix::<f64, N, N>::zeros());
-    mean.fixed_rows_mut::<4>(0).copy_from(&start.mean);
-    covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&start.covariance);
+    mean.fixed_rows_mut::<S>(0).copy_from(&start.mean);
+    covariance.fixed_view_mut::<S, S>(0, 0).copy_from(&start.covariance);
     for (index, variance) in variances.iter().enumerate() {
-        covariance[(4 + index, 4 + index)] = *variance;
+        covariance[(S + index, S + index)] = *variance;
     }
     Gaussian { mean, covariance }
 }
@@ -283,9 +309,6 @@ pub(crate) mod tests {
         let half = motion.moved(s, 0.5 * dt, platform);
         let again = motion.moved(&half, 0.5 * dt, platform);
         assert!((again - after).abs().max() < 1e-12, "two half steps: {again} {after}");
-        let (_, J) = motion.velocity(s, platform);
-        let expected = difference(s, |s| motion.velocity(s, platform).0);
-        assert!((J - expected).abs().max() < 1e-8, "velocity: {J} {expected}");
         let rests = [0.0, 0.3 * dt, dt];
         let mut left = rests.iter();
         motion.responses(&after, rests, platform, |got| {
@@ -296,6 +319,19 @@ pub(crate) mod tests {
         });
         assert_eq!(left.next(), None);
         check_noise(motion, s, dt, platform);
+    }
+
+    /// The same, and the velocity of a motion in the plane.
+    pub(crate) fn check_in_plane<const N: usize, M: PlaneMotion<N>>(
+        motion: &M,
+        s: &SVector<f64, N>,
+        dt: f64,
+        platform: &Platform,
+    ) {
+        check(motion, s, dt, platform);
+        let (_, J) = motion.velocity(s, platform);
+        let expected = difference(s, |s| motion.velocity(s, platform).0);
+        assert!((J - expected).abs().max() < 1e-8, "velocity: {J} {expected}");
     }
 
     fn check_noise<const N: usize, M: Motion<N>>(

@@ -1,5 +1,6 @@
 //! Motion of the platform that carries the sensor, as far as it is known.
 
+use super::space_pose::{SpacePose, SpaceSensorPose};
 use super::turn::{direction, rotated};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
@@ -22,10 +23,12 @@ pub struct Pose {
 }
 
 /// State of the platform. Without a pose, the frame of the target's state is the sensor's.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Platform {
     /// The last pose; states are in the world where there is one.
     pub pose: Option<Pose>,
+    /// The last pose in space, of which filters in the plane have none.
+    pub in_space: Option<Box<SpacePose>>,
     /// Turn rate measured by a gyro [rad/s].
     pub rate: f64,
     /// Variance of that rate [rad^2/s^2].
@@ -33,7 +36,7 @@ pub struct Platform {
     /// Velocity of the platform's origin, axes of the platform [m/s].
     pub velocity: [f64; 2],
     /// From the platform's origin to the sensor, axes of the platform [m].
-    pub lever: [f64; 2],
+    pub lever: [f64; 3],
 }
 
 /// The sensor in the world.
@@ -57,7 +60,14 @@ impl Platform {
     /// A platform that stands still, with the sensor at its origin.
     #[must_use]
     pub fn still() -> Self {
-        Self { pose: None, rate: 0.0, rate_variance: 0.0, velocity: [0.0; 2], lever: [0.0; 2] }
+        Self {
+            pose: None,
+            in_space: None,
+            rate: 0.0,
+            rate_variance: 0.0,
+            velocity: [0.0; 2],
+            lever: [0.0; 3],
+        }
     }
 
     /// Pose of the sensor at `stamp_ns`: the last pose, extrapolated at its velocity and with its
@@ -69,13 +79,20 @@ impl Platform {
         // scan that is older than the last pose.
         let dt = stamp_ns.saturating_sub(pose.stamp_ns) as f64 * 1e-9;
         let heading = direction(pose.yaw + pose.rate * dt);
-        let arm = rotated(heading, self.lever);
+        let lever = [self.lever[0], self.lever[1]];
+        let arm = rotated(heading, lever);
         let position = std::array::from_fn(|k| pose.position[k] + pose.velocity[k] * dt + arm[k]);
         let ([vx, vy], rate, covariance) = (pose.velocity, pose.rate, pose.covariance);
         // The sensor is off the turning point: a turning platform moves it sideways, and radar sees
         // that.
         let velocity = [vx - rate * arm[1], vy + rate * arm[0]];
-        Some(SensorPose { position, heading, velocity, lever: self.lever, rate, covariance })
+        Some(SensorPose { position, heading, velocity, lever, rate, covariance })
+    }
+
+    /// Pose of the sensor in space at `stamp_ns`. None before the first pose.
+    #[must_use]
+    pub fn space_sensor_at(&self, stamp_ns: i64) -> Option<SpaceSensorPose> {
+        self.in_space.as_ref().map(|pose| pose.sensor_at(stamp_ns, self.lever))
     }
 }
 
@@ -87,7 +104,7 @@ mod tests {
 
     #[test]
     fn the_sensor_is_carried_on_with_its_lever() -> Result<(), &'static str> {
-        let mut platform = Platform { lever: [1.0, 0.0], ..Platform::still() };
+        let mut platform = Platform { lever: [1.0, 0.0, 0.0], ..Platform::still() };
         assert_eq!(platform.sensor_at(0), None);
         let (position, velocity) = ([1.0, 2.0], [3.0, 0.0]);
         let yaw = std::f64::consts::FRAC_PI_2;

@@ -1,8 +1,9 @@
 //! Targets that stand.
 
-use super::motion::{First, INPUTS, Motion, Noise, Prior};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior};
 use super::platform::Platform;
 use super::state_conversion::StateConversion;
+use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2, Vector4, Vector6};
 
@@ -34,6 +35,7 @@ fn at_rest(place: [f64; 2], covariance: [[f64; 2]; 2]) -> Gaussian<4> {
 }
 
 impl Motion<4> for StandingTarget {
+    type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Absent];
     const HEADING: Option<usize> = None;
 
@@ -60,15 +62,18 @@ impl Motion<4> for StandingTarget {
         shifts(REST * dt)
     }
 
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<4> {
+        let known = first.covariance::<4, 2>(prior, &[0.0; 2]);
+        let [x, y, _] = first.position;
+        at_rest([x, y], [0, 1].map(|row| [0, 1].map(|column| known[(row, column)])))
+    }
+}
+
+impl PlaneMotion<4> for StandingTarget {
     fn velocity(&self, s: &Vector4<f64>, _: &Platform) -> (Vector2<f64>, SMatrix<f64, 2, 4>) {
         let mut jacobian = SMatrix::<f64, 2, 4>::zeros();
         (jacobian[(0, 2)], jacobian[(1, 3)]) = (1.0, 1.0);
         (Vector2::new(s[2], s[3]), jacobian)
-    }
-
-    fn first(&self, first: &First, prior: &Prior) -> Gaussian<4> {
-        let known = first.covariance(prior, [0.0; 2]);
-        at_rest(first.position, [0, 1].map(|row| [0, 1].map(|column| known[(row, column)])))
     }
 }
 
@@ -92,8 +97,8 @@ impl StateConversion<4> for StandingTarget {
 
     /// Less where it is not known where the target stands: a wide place that does not grow would fit
     /// measurements that have nothing in common.
-    fn tendency(&self, covariance: &Matrix6<f64>, prior: &Prior) -> f64 {
-        let widest = covariance[(0, 0)].max(covariance[(1, 1)]);
+    fn tendency(&self, at: &Gaussian<6>, prior: &Prior) -> f64 {
+        let widest = at.covariance[(0, 0)].max(at.covariance[(1, 1)]);
         STOPS * (prior.position / widest).min(1.0)
     }
 
@@ -108,7 +113,7 @@ impl StateConversion<4> for StandingTarget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::models::motion::tests::check;
+    use crate::fusion::models::motion::tests::check_in_plane as check;
 
     #[test]
     fn the_model_agrees_with_differences() {

@@ -4,6 +4,7 @@
 
 use super::motion::{Motion, Prior};
 use super::turn::direction;
+use super::world::World;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
 
@@ -14,7 +15,10 @@ pub(super) const ANY_HEADING: f64 = 4.0;
 /// Variance of an unknown turn rate [rad^2/s^2].
 pub(super) const ANY_RATE: f64 = 4.0;
 
-/// A model that can convert its state to and from the form [x, y, vx, vy, ax, ay].
+/// Position, velocity and acceleration in the world of a motion.
+pub type WideOf<M, const N: usize> = <<M as Motion<N>>::World as World>::Wide;
+
+/// A model that can convert its state to and from position, velocity and acceleration.
 pub trait StateConversion<const N: usize>: Motion<N> {
     /// Mean time for which a target follows this model [s]; None for that of the filter.
     const SOJOURN: Option<f64> = None;
@@ -22,16 +26,16 @@ pub trait StateConversion<const N: usize>: Motion<N> {
     const OF_NEW: f64 = 1.0;
 
     /// State in Cartesian form; states that the model does not have are taken from `other`.
-    fn cartesian(&self, state: &Gaussian<N>, other: Option<&Gaussian<6>>) -> Gaussian<6>;
+    fn cartesian(&self, state: &Gaussian<N>, other: Option<&WideOf<Self, N>>) -> WideOf<Self, N>;
 
-    /// How much a target of this covariance tends to this model when it leaves another one,
+    /// How much a target in this state tends to this model when it leaves another one,
     /// relative to the others.
-    fn tendency(&self, _covariance: &SMatrix<f64, 6, 6>, _prior: &Prior) -> f64 {
+    fn tendency(&self, _at: &WideOf<Self, N>, _prior: &Prior) -> f64 {
         1.0
     }
 
     /// State of this model that corresponds to `cartesian`.
-    fn adopted(&self, cartesian: &Gaussian<6>) -> Gaussian<N>;
+    fn adopted(&self, cartesian: &WideOf<Self, N>) -> Gaussian<N>;
 }
 
 /// Turn rate of a velocity under an acceleration, and its derivatives by the Cartesian state.
@@ -73,7 +77,14 @@ pub(super) fn along(s: &Vector6<f64>) -> (Vector4<f64>, SMatrix<f64, 4, 6>) {
 
 /// Cartesian form of speed, heading, turn rate and (with six states) acceleration.
 pub(super) fn spread<const N: usize>(state: &Gaussian<N>) -> Gaussian<6> {
-    let s = &state.mean;
+    let (mean, J) = spread_slopes(&state.mean);
+    through(&state.covariance, &J, mean)
+}
+
+/// That form of a state, and its Jacobian.
+pub(super) fn spread_slopes<const N: usize>(
+    s: &SVector<f64, N>,
+) -> (Vector6<f64>, SMatrix<f64, 6, N>) {
     let (v, w) = (s[2], s[4]);
     let pull = if N > 5 { s[5] } else { 0.0 };
     let [c, sine] = direction(s[3]);
@@ -93,8 +104,7 @@ pub(super) fn spread<const N: usize>(state: &Gaussian<N>) -> Gaussian<6> {
     if N > 5 {
         place(4, 5, turn.column(0).into());
     }
-    let mean = Vector6::new(s[0], s[1], velocity.x, velocity.y, force.x, force.y);
-    through(&state.covariance, &J, mean)
+    (Vector6::new(s[0], s[1], velocity.x, velocity.y, force.x, force.y), J)
 }
 
 pub(super) fn through<const A: usize, const B: usize>(
@@ -131,7 +141,11 @@ mod tests {
     use crate::fusion::models::motion::tests::difference;
     use nalgebra::{Matrix6, Vector5};
 
-    fn there_and_back<const N: usize, M: StateConversion<N>>(motion: &M, mean: SVector<f64, N>) {
+    fn there_and_back<const N: usize, const W: usize, M>(motion: &M, mean: SVector<f64, N>)
+    where
+        M: StateConversion<N>,
+        M::World: World<Wide = Gaussian<W>>,
+    {
         let covariance = SMatrix::<f64, N, N>::from_fn(|row, column| {
             if row == column { 0.04 } else { 0.002 * (row + column) as f64 }
         });

@@ -1,20 +1,24 @@
-//! Measurements of the sensors: positions; range, bearing and range rate; turn rates; poses.
+//! Measurements of the sensors: positions; ranges, angles and range rates; turn rates; poses.
 
 use crate::Error;
-use nalgebra::{Matrix2, Matrix3};
+use nalgebra::{Matrix6, SMatrix};
 use serde::{Deserialize, Serialize};
 
 /// Most values that one measurement has.
-pub const MAX_VALUES: usize = 6;
+pub const MAX_VALUES: usize = 12;
+/// Most values that have a covariance, and the entries of its upper triangle.
+pub const MAX_NOISY: usize = 6;
+const PACKED: usize = MAX_NOISY * (MAX_NOISY + 1) / 2;
 
 /// Sensor that a measurement comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Sensor {
-    /// Position of the target: x, y [m].
+    /// Position of the target: x, y, or x, y, z [m].
     Lidar,
-    /// Range [m], bearing counter-clockwise from x [rad], range rate [m/s], positive when the
-    /// range grows; or these and the target's true speed [m/s] and heading [rad], which only
-    /// reading C of the paper's model uses.
+    /// Range [m], bearing counter-clockwise from x [rad], elevation above the plane of x and y
+    /// [rad], range rate [m/s], positive when the range grows; as many of them as [`PolarValues`]
+    /// says. Or range, bearing, range rate and the target's true speed [m/s] and heading [rad],
+    /// which only reading C of the paper's model uses.
     Radar,
     /// The platform: turn rate [rad/s]; or that and the velocity of its origin in its own axes
     /// [m/s].
@@ -22,17 +26,68 @@ pub enum Sensor {
     /// The platform in the world: x, y [m], yaw [rad]; or these and the velocity in the world
     /// [m/s] and the turn rate [rad/s].
     Pose,
+    /// The platform in space: x, y, z [m], roll, pitch, yaw [rad]; or these, the velocity in the
+    /// world [m/s], and the turn rates about its own axes [rad/s].
+    SpacePose,
 }
 
-impl Sensor {
-    /// Number of values that have a covariance: the first ones.
-    #[must_use]
-    pub fn noisy(self) -> usize {
-        match self {
-            Self::Lidar => 2,
-            Self::Radar | Self::Pose => 3,
-            Self::Gyro => 1,
+/// Which of range, bearing, elevation and range rate a radar or another sensor gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PolarValues {
+    given: [bool; 4],
+    /// Places of the given values; what follows them is zero.
+    places: [u8; 4],
+    count: u8,
+}
+
+impl PolarValues {
+    /// Place of the range among all four values.
+    pub const RANGE: usize = 0;
+    /// Of the bearing.
+    pub const BEARING: usize = 1;
+    /// Of the elevation.
+    pub const ELEVATION: usize = 2;
+    /// Of the range rate.
+    pub const RANGE_RATE: usize = 3;
+    /// Range, bearing and range rate.
+    pub const FLAT: Self =
+        Self { given: [true, true, false, true], places: [0, 1, 3, 0], count: 3 };
+    /// Range, bearing, elevation and range rate.
+    pub const ALL: Self = Self { given: [true; 4], places: [0, 1, 2, 3], count: 4 };
+
+    /// Those of the four values that are given.
+    ///
+    /// # Errors
+    /// [`Error::Value`] if there is none.
+    pub fn new(given: [bool; 4]) -> Result<Self, Error> {
+        let (mut places, mut count) = ([0; 4], 0);
+        for place in (0..4).filter(|place| given[usize::from(*place)]) {
+            places[usize::from(count)] = place;
+            count += 1;
         }
+        if count > 0 {
+            return Ok(Self { given, places, count });
+        }
+        let (name, expected) = ("measures", "at least one value");
+        Err(Error::Value { name, expected, index: 0, got: "none".to_owned() })
+    }
+
+    /// Number of values.
+    #[must_use]
+    pub fn count(self) -> usize {
+        usize::from(self.count)
+    }
+
+    /// True if the value at this place is given.
+    #[must_use]
+    pub fn has(self, place: usize) -> bool {
+        self.given[place]
+    }
+
+    /// Places of the given values; what follows them is zero.
+    #[must_use]
+    pub fn places(self) -> [usize; 4] {
+        self.places.map(usize::from)
     }
 }
 
@@ -42,34 +97,49 @@ impl Sensor {
 pub struct Measurement {
     stamp_ns: i64,
     sensor: Sensor,
+    measures: PolarValues,
     values: [f64; MAX_VALUES],
     count: usize,
-    covariance: Option<[[f64; 3]; 3]>,
+    /// Upper triangle, row by row.
+    covariance: Option<[f64; PACKED]>,
 }
 
-/// A measurement as it is saved: stamp, sensor, values, covariance row by row.
-type SavedMeasurement = (i64, Sensor, Vec<f64>, Option<Vec<f64>>);
+/// A measurement as it is saved: stamp, sensor, what it measures, values, covariance row by row.
+type SavedMeasurement = (i64, Sensor, [bool; 4], Vec<f64>, Option<Vec<f64>>);
 
 impl From<Measurement> for SavedMeasurement {
     fn from(m: Measurement) -> Self {
         let size = m.noisy();
-        let entries = |rows: [[f64; 3]; 3]| {
-            rows[..size].iter().flat_map(|row| row[..size].to_vec()).collect()
-        };
-        (m.stamp_ns, m.sensor, m.values().to_vec(), m.covariance.map(entries))
+        let entries = m.covariance.map(|packed| {
+            let all = (0..size).flat_map(|row| (0..size).map(move |column| (row, column)));
+            all.map(|(row, column)| packed[packed_at(row, column)]).collect()
+        });
+        (m.stamp_ns, m.sensor, m.measures.given, m.values().to_vec(), entries)
     }
 }
 
 impl TryFrom<SavedMeasurement> for Measurement {
     type Error = Error;
 
-    fn try_from((stamp_ns, sensor, values, covariance): SavedMeasurement) -> Result<Self, Error> {
+    fn try_from(saved: SavedMeasurement) -> Result<Self, Error> {
+        let (stamp_ns, sensor, measures, values, covariance) = saved;
+        let measures = PolarValues::new(measures)?;
+        if sensor == Sensor::Radar && values.len() == measures.count() {
+            return Self::polar(stamp_ns, measures, &values, covariance.as_deref());
+        }
         Self::new(stamp_ns, sensor, &values, covariance.as_deref())
     }
 }
 
+/// Place of an entry of a covariance among those of its upper triangle.
+const fn packed_at(row: usize, column: usize) -> usize {
+    let (low, high) = if row < column { (row, column) } else { (column, row) };
+    low * MAX_NOISY - low * (low + 1) / 2 + high
+}
+
 impl Measurement {
-    /// A measurement; without `covariance`, row by row, the filter's configuration has it.
+    /// A measurement; without `covariance`, row by row, the filter's configuration has it. A radar
+    /// of three values measures range, bearing and range rate; of four, also the elevation.
     ///
     /// # Errors
     /// [`Error::Length`] for a number of values that the sensor does not have, [`Error::Value`]
@@ -80,20 +150,52 @@ impl Measurement {
         values: &[f64],
         covariance: Option<&[f64]>,
     ) -> Result<Self, Error> {
-        let allowed: [usize; 2] = match sensor {
-            Sensor::Lidar => [2, 2],
-            Sensor::Radar => [3, 5],
-            Sensor::Gyro => [1, 3],
-            Sensor::Pose => [3, 6],
+        let allowed: &[usize] = match sensor {
+            Sensor::Lidar => &[2, 3],
+            Sensor::Radar => &[3, 4, 5],
+            Sensor::Gyro => &[1, 3],
+            Sensor::Pose => &[3, 6],
+            Sensor::SpacePose => &[6, 12],
         };
         if !allowed.contains(&values.len()) {
             let expected = allowed[0];
             return Err(Error::Length { name: "values", expected, got: values.len() });
         }
+        let is_full = sensor == Sensor::Radar && values.len() == 4;
+        let measures = if is_full { PolarValues::ALL } else { PolarValues::FLAT };
+        Self::checked(stamp_ns, sensor, measures, values, covariance)
+    }
+
+    /// A measurement of some of range, bearing, elevation and range rate, in this order.
+    ///
+    /// # Errors
+    /// As of [`Self::new`].
+    pub fn polar(
+        stamp_ns: i64,
+        measures: PolarValues,
+        values: &[f64],
+        covariance: Option<&[f64]>,
+    ) -> Result<Self, Error> {
+        let expected = measures.count();
+        if values.len() != expected {
+            return Err(Error::Length { name: "values", expected, got: values.len() });
+        }
+        Self::checked(stamp_ns, Sensor::Radar, measures, values, covariance)
+    }
+
+    fn checked(
+        stamp_ns: i64,
+        sensor: Sensor,
+        measures: PolarValues,
+        values: &[f64],
+        covariance: Option<&[f64]>,
+    ) -> Result<Self, Error> {
         let mut padded = [0.0; MAX_VALUES];
         padded[..values.len()].copy_from_slice(values);
-        let covariance = covariance.map(|entries| checked(sensor, entries)).transpose()?;
-        Ok(Self { stamp_ns, sensor, values: padded, count: values.len(), covariance })
+        let count = values.len();
+        let plain = Self { stamp_ns, sensor, measures, values: padded, count, covariance: None };
+        let packed = covariance.map(|entries| packed(plain.noisy(), entries)).transpose()?;
+        Ok(Self { covariance: packed, ..plain })
     }
 
     /// Time of the measurement [ns].
@@ -108,51 +210,73 @@ impl Measurement {
         self.sensor
     }
 
+    /// What a radar measures.
+    #[must_use]
+    pub fn measures(&self) -> PolarValues {
+        self.measures
+    }
+
     /// The values, as many as the sensor gave.
     #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values[..self.count]
     }
 
-    /// Covariance of the first values, as many as [`Self::noisy`] says.
+    /// True if the measurement has a covariance of its own.
     #[must_use]
-    pub fn covariance(&self) -> Option<&[[f64; 3]; 3]> {
-        self.covariance.as_ref()
+    pub fn has_covariance(&self) -> bool {
+        self.covariance.is_some()
+    }
+
+    /// Variance of the value at `index`; None without a covariance.
+    #[must_use]
+    pub fn variance(&self, index: usize) -> Option<f64> {
+        self.covariance.map(|packed| packed[packed_at(index, index)])
+    }
+
+    /// Covariance of the first K values; None without one.
+    pub(in crate::fusion) fn covariance<const K: usize>(&self) -> Option<SMatrix<f64, K, K>> {
+        let packed = self.covariance.as_ref()?;
+        Some(SMatrix::from_fn(|row, column| packed[packed_at(row, column)]))
     }
 
     /// The measurement with independent errors of these variances, as many as [`Self::noisy`] says.
     pub(in crate::fusion) fn with_variances(&self, variances: &[f64]) -> Self {
-        let mut rows = [[0.0; 3]; 3];
+        let mut packed = [0.0; PACKED];
         for (index, variance) in variances.iter().enumerate() {
-            rows[index][index] = *variance;
+            packed[packed_at(index, index)] = *variance;
         }
-        Self { covariance: Some(rows), ..*self }
+        Self { covariance: Some(packed), ..*self }
     }
 
-    /// Number of values that have a covariance.
+    /// Number of values that have a covariance: the first ones.
     #[must_use]
     pub fn noisy(&self) -> usize {
-        self.sensor.noisy()
+        match self.sensor {
+            Sensor::Lidar => self.count,
+            Sensor::Radar => self.measures.count(),
+            Sensor::Gyro => 1,
+            Sensor::Pose => 3,
+            Sensor::SpacePose => 6,
+        }
+    }
+
+    /// True for a measurement of the platform's motion.
+    #[must_use]
+    pub fn is_of_platform(&self) -> bool {
+        matches!(self.sensor, Sensor::Gyro | Sensor::Pose | Sensor::SpacePose)
     }
 
     /// True if the values can be used: all are finite, and a range is positive.
     #[must_use]
     pub fn is_usable(&self) -> bool {
-        self.values().iter().all(|value| value.is_finite())
-            && (self.sensor != Sensor::Radar || self.values[0] > 0.0)
-    }
-
-    pub(super) fn matrix2(&self) -> Option<Matrix2<f64>> {
-        self.covariance.map(|rows| Matrix2::new(rows[0][0], rows[0][1], rows[1][0], rows[1][1]))
-    }
-
-    pub(super) fn matrix3(&self) -> Option<Matrix3<f64>> {
-        self.covariance.map(|rows| Matrix3::from_fn(|row, column| rows[row][column]))
+        let has_range = self.sensor == Sensor::Radar && self.measures.has(PolarValues::RANGE);
+        self.values().iter().all(|value| value.is_finite()) && (!has_range || self.values[0] > 0.0)
     }
 }
 
-fn checked(sensor: Sensor, entries: &[f64]) -> Result<[[f64; 3]; 3], Error> {
-    let size = sensor.noisy();
+/// Upper triangle of a checked covariance of `size` values.
+fn packed(size: usize, entries: &[f64]) -> Result<[f64; PACKED], Error> {
     if entries.len() != size * size {
         let name = "covariance";
         return Err(Error::Length { name, expected: size * size, got: entries.len() });
@@ -162,19 +286,19 @@ fn checked(sensor: Sensor, entries: &[f64]) -> Result<[[f64; 3]; 3], Error> {
         let scale = libm::sqrt((at(row, row) * at(column, column)).abs());
         (at(row, column) - at(column, row)).abs() <= 1e-9 * scale
     };
-    let mut rows = [[0.0; 3]; 3];
-    let mut filled = Matrix3::identity();
+    let mut packed = [0.0; PACKED];
+    let mut filled = Matrix6::identity();
     for row in 0..size {
         for column in 0..size {
             let value = 0.5 * (at(row, column) + at(column, row));
-            (rows[row][column], filled[(row, column)]) = (value, value);
+            (packed[packed_at(row, column)], filled[(row, column)]) = (value, value);
             if !symmetric(row, column) {
                 return Err(refused(row, entries));
             }
         }
     }
     if entries.iter().all(|entry| entry.is_finite()) && filled.cholesky().is_some() {
-        return Ok(rows);
+        return Ok(packed);
     }
     Err(refused(0, entries))
 }
@@ -190,14 +314,15 @@ mod tests {
 
     #[test]
     fn a_measurement_has_the_values_of_its_sensor() {
-        let of = |sensor, count: usize| Measurement::new(0, sensor, &[1.0; 6][..count], None);
+        let of = |sensor, count: usize| Measurement::new(0, sensor, &[1.0; 12][..count], None);
         for (sensor, counts) in [
-            (Sensor::Lidar, vec![2]),
-            (Sensor::Radar, vec![3, 5]),
+            (Sensor::Lidar, vec![2, 3]),
+            (Sensor::Radar, vec![3, 4, 5]),
             (Sensor::Gyro, vec![1, 3]),
             (Sensor::Pose, vec![3, 6]),
+            (Sensor::SpacePose, vec![6, 12]),
         ] {
-            for count in 0..=6 {
+            for count in 0..=12 {
                 assert_eq!(
                     of(sensor, count).is_ok(),
                     counts.contains(&count),
@@ -205,6 +330,23 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_radar_measures_some_of_four_values() -> Result<(), Error> {
+        assert!(PolarValues::new([false; 4]).is_err());
+        let angles = PolarValues::new([false, true, true, false])?;
+        assert_eq!((angles.count(), angles.places()), (2, [1, 2, 0, 0]));
+        let noise = [0.4, 0.1, 0.1, 0.3];
+        let m = Measurement::polar(0, angles, &[0.5, -0.1], Some(&noise))?;
+        assert_eq!((m.noisy(), m.variance(1)), (2, Some(0.3)));
+        assert!(m.is_usable(), "a bearing has no range that must be positive");
+        assert!(Measurement::polar(0, angles, &[0.5], None).is_err());
+        let saved = SavedMeasurement::from(m);
+        assert_eq!(Measurement::try_from(saved)?, m);
+        let all = Measurement::new(0, Sensor::Radar, &[1.0; 4], None)?;
+        assert_eq!(all.measures(), PolarValues::ALL);
+        Ok(())
     }
 
     #[test]

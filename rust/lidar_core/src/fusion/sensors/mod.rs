@@ -2,3 +2,7 @@
 
 pub mod measurement;
 pub mod observation;
+pub mod sensing;
+pub mod sight;
+pub mod space;
+pub mod told_pose;

@@ -2,10 +2,11 @@
 
 use super::lifecycle::{GyroUse, LifecycleRules, Outcome};
 use super::sensor_errors::SensorErrors;
-use super::target::{FilterStep, MeasurementResult, SavedTarget, Target};
+use super::target::{CvOf, FilterStep, MeasurementResult, SavedTarget, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::chi2;
+use crate::estimation::kalman::Gaussian;
 use crate::estimation::unscented::SigmaRule;
 use crate::fusion::filter::engine::{Engine, Innovation, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
@@ -14,11 +15,14 @@ use crate::fusion::filter::sigma_points::Sigma;
 use crate::fusion::filter::smoother::{RunRow, smoothed};
 use crate::fusion::model::{ForMixable, ForMotion, MIXABLE, Model};
 use crate::fusion::models::cartesian::ConstantVelocity;
-use crate::fusion::models::motion::{Motion, Noise, NoiseForm, Prior, ProcessNoise};
+use crate::fusion::models::motion::{Noise, NoiseForm, Prior, ProcessNoise};
 use crate::fusion::models::platform::Platform;
+use crate::fusion::models::space::SpaceVelocity;
 use crate::fusion::models::state_conversion::StateConversion;
+use crate::fusion::models::world::{Plane, Space, World};
 use crate::fusion::sensors::measurement::Measurement;
-use crate::fusion::sensors::observation::Sensing;
+use crate::fusion::sensors::sensing::Sensing;
+use crate::fusion::sensors::sight::SeenMotion;
 use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
@@ -86,7 +90,7 @@ pub struct FusionParameters {
     /// Rules for the life of a target.
     pub life: LifecycleRules,
     /// Offset of the sensor from the platform's origin, axes of the platform [m].
-    pub lever: [f64; 2],
+    pub lever: [f64; 3],
 }
 
 /// A filter of one target.
@@ -112,7 +116,7 @@ trait Tracked: Send + Sync {
     fn restore(&mut self, saved: &SavedTarget) -> Result<(), Error>;
 }
 
-impl<E: Engine> Tracked for Target<E> {
+impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Tracked for Target<E, S> {
     fn step(&mut self, m: &Measurement) -> FilterStep {
         Target::step(self, m)
     }
@@ -191,26 +195,29 @@ impl Filter {
     /// [`Error::Parameter`] for a method that does not fit the model.
     pub fn new(parameters: &FusionParameters) -> Result<Self, Error> {
         let p = parameters;
-        let linear = matches!(p.model, Model::ConstantVelocity | Model::ConstantAcceleration);
+        let linear = matches!(
+            p.model,
+            Model::ConstantVelocity
+                | Model::ConstantAcceleration
+                | Model::SpaceVelocity
+                | Model::SpaceAcceleration
+        );
         let fits = p.method != Method::Linear || linear;
-        require(
-            fits,
-            "method",
-            "\"kf\" with model \"cv\" or \"ca\" only",
-            format!("{:?}", p.model),
-        )?;
-        if let Method::Interacting { models, sojourn, quiet } = p.method {
-            let loud = std::iter::once(*p);
-            let shares = loud.chain(quiet.map(|share| p.with_noise(share)));
-            let modes = shares.enumerate().flat_map(|(copy, p)| {
-                let named = MIXABLE.iter().zip(models).filter(move |(model, wanted)| {
-                    *wanted && (copy == 0 || **model != Model::Standing)
-                });
-                named.filter_map(move |(model, _)| model.with_mixable(ModeOf(&p)))
-            });
-            let modes: Vec<Arc<dyn Mode>> = modes.collect();
-            require(!modes.is_empty(), "imm_models", "at least one model", "none")?;
-            return Ok(Self(p.tracked(Imm::new(modes, sojourn))));
+        let expected = "\"kf\" with model \"cv\", \"ca\", \"cv-3d\" or \"ca-3d\" only";
+        require(fits, "method", expected, format!("{:?}", p.model))?;
+        if let Method::Interacting { sojourn, .. } = p.method {
+            let in_plane: Vec<Arc<dyn Mode<Plane>>> =
+                p.modes(|model, task| model.with_mixable(task));
+            let in_space: Vec<Arc<dyn Mode<Space>>> =
+                p.modes(|model, task| model.with_mixable_in_space(task));
+            let fits = in_plane.is_empty() != in_space.is_empty();
+            let expected = "at least one model, and none in space beside one in the plane";
+            require(fits, "imm_models", expected, in_plane.len() + in_space.len())?;
+            return Ok(Self(if p.is_in_space() {
+                p.tracked(Imm::<_, 9>::new(in_space, sojourn), SpaceVelocity)
+            } else {
+                p.tracked(Imm::<_, 6>::new(in_plane, sojourn), ConstantVelocity)
+            }));
         }
         let has_gyro = p.life.gyro == GyroUse::Input;
         Ok(Self(p.model.with_motion(has_gyro, TargetOf(p))))
@@ -377,19 +384,54 @@ impl FusionParameters {
         Self { strengths: Strengths { acceleration, jerk, turn, ..self.strengths }, ..*self }
     }
 
-    fn tracked<E: Engine>(&self, engine: E) -> Box<dyn Tracked> {
-        let start = self.strengths.start;
+    /// True if targets are tracked in space, false in the plane.
+    #[must_use]
+    pub fn is_in_space(&self) -> bool {
+        match self.method {
+            Method::Interacting { models, .. } => {
+                let mut used = MIXABLE.iter().zip(models).filter(|(_, is_used)| *is_used);
+                used.any(|(model, _)| model.is_in_space())
+            }
+            _ => self.model.is_in_space(),
+        }
+    }
+
+    /// The models to mix that `make` knows, and their quiet copies.
+    fn modes<T>(&self, make: impl Fn(Model, ModeOf<'_>) -> Option<T>) -> Vec<T> {
+        let Method::Interacting { models, quiet, .. } = self.method else { return Vec::new() };
+        let loud = std::iter::once(*self);
+        let shares = loud.chain(quiet.map(|share| self.with_noise(share)));
+        let mut modes = Vec::new();
+        for (copy, p) in shares.enumerate() {
+            let named = MIXABLE
+                .iter()
+                .zip(models)
+                .filter(|(model, wanted)| *wanted && (copy == 0 || **model != Model::Standing));
+            modes.extend(named.filter_map(|(model, _)| make(*model, ModeOf(&p))));
+        }
+        modes
+    }
+
+    fn tracked<E: Engine, const N: usize, M>(&self, engine: E, start: M) -> Box<dyn Tracked>
+    where
+        M: SeenMotion<N, World = E::World>,
+        E::World: World<Cv = Gaussian<N>>,
+    {
+        let strength = M::NOISES.map(|noise| match noise {
+            Noise::Acceleration => self.strengths.start,
+            _ => 0.0,
+        });
         let starter = Single {
-            motion: ConstantVelocity,
-            noise: ProcessNoise { form: NoiseForm::Discrete, strength: [start, start, 0.0] },
+            motion: start,
+            noise: ProcessNoise { form: NoiseForm::Discrete, strength },
             prior: self.prior,
             sensing: self.sensing,
         };
         let platform = Platform { lever: self.lever, ..Platform::still() };
-        Box::new(Target::new(engine, starter, self.life, platform))
+        Box::new(Target::new(engine, starter, self.sensing, self.life, platform))
     }
 
-    fn single<const N: usize, M: Motion<N>>(&self, motion: M) -> Single<N, M> {
+    fn single<const N: usize, M: SeenMotion<N>>(&self, motion: M) -> Single<N, M> {
         let noise = ProcessNoise {
             form: self.strengths.form,
             strength: M::NOISES.map(|noise| self.strengths.of(noise)),
@@ -397,17 +439,23 @@ impl FusionParameters {
         Single { motion, noise, prior: self.prior, sensing: self.sensing }
     }
 
-    fn target<const N: usize, M: Motion<N>>(&self, motion: M) -> Box<dyn Tracked> {
+    fn target<const N: usize, const S: usize, M, C>(&self, motion: M, start: C) -> Box<dyn Tracked>
+    where
+        M: SeenMotion<N>,
+        M::World: World<Cv = Gaussian<S>>,
+        C: SeenMotion<S, World = M::World>,
+    {
         let base = self.single(motion);
         match self.method {
             Method::Sigma { spread, carries } => {
                 let rule = SigmaRule::new(N, spread.unwrap_or((N + 2) as f64));
-                self.tracked(Sigma { base, rule, carries })
+                self.tracked(Sigma { base, rule, carries }, start)
             }
             Method::Cubature => {
-                self.tracked(Sigma { base, rule: SigmaRule::new(N, N as f64), carries: false })
+                let rule = SigmaRule::new(N, N as f64);
+                self.tracked(Sigma { base, rule, carries: false }, start)
             }
-            _ => self.tracked(base),
+            _ => self.tracked(base, start),
         }
     }
 }
@@ -418,24 +466,34 @@ struct TargetOf<'a>(&'a FusionParameters);
 impl ForMotion for TargetOf<'_> {
     type Output = Box<dyn Tracked>;
 
-    fn run<const N: usize, M: Motion<N>>(self, motion: M) -> Self::Output {
-        self.0.target(motion)
+    fn run<const N: usize, M: SeenMotion<N, World = Plane>>(self, motion: M) -> Self::Output {
+        self.0.target(motion, ConstantVelocity)
+    }
+
+    fn run_in_space<const N: usize, M: SeenMotion<N, World = Space>>(
+        self,
+        motion: M,
+    ) -> Self::Output {
+        self.0.target(motion, SpaceVelocity)
     }
 
     fn published(self, paper: Paper) -> Self::Output {
         let Strengths { acceleration, turn, platform, .. } = self.0.strengths;
         let std = [acceleration, turn, platform];
-        self.0.tracked(Paper { std, prior: self.0.prior, ..paper })
+        self.0.tracked(Paper { std, prior: self.0.prior, ..paper }, ConstantVelocity)
     }
 }
 
 /// A mode of [`Imm`] whose motion is that of a model.
 struct ModeOf<'a>(&'a FusionParameters);
 
-impl ForMixable for ModeOf<'_> {
-    type Output = Arc<dyn Mode>;
+impl<W: World> ForMixable<W> for ModeOf<'_> {
+    type Output = Arc<dyn Mode<W>>;
 
-    fn run<const N: usize, M: StateConversion<N>>(self, motion: M) -> Self::Output {
+    fn run<const N: usize, M: StateConversion<N, World = W> + SeenMotion<N>>(
+        self,
+        motion: M,
+    ) -> Self::Output {
         mode(self.0.single(motion))
     }
 }

@@ -3,7 +3,7 @@
 
 use super::lifecycle::Outcome;
 use super::many_parameters::{ExistenceParameters, MAX_TARGETS, ManyParameters};
-use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks, is_of_platform};
+use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks};
 use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
@@ -27,8 +27,8 @@ const LIFETIME: f64 = 30.0;
 const VISIBLE: f64 = 100.0;
 /// Mean time for which a target is hidden [s].
 const HIDDEN: f64 = 1.5;
-/// Volume of the unit ball of 1 to 3 dimensions.
-const BALLS: [f64; AXES] = [2.0, PI, 4.0 / 3.0 * PI];
+/// Volume of the unit ball of 1 to 4 dimensions.
+const BALLS: [f64; AXES] = [2.0, PI, 4.0 / 3.0 * PI, 0.5 * PI * PI];
 /// Most pairs of tracks and measurements of a scan that are weighed; beyond, each track keeps its
 /// likeliest ones ...
 const MOST_PAIRS: usize = 20_000;
@@ -145,7 +145,7 @@ impl Tracks {
         assigned: &mut [Assigned],
     ) {
         let scan = space.scan;
-        let targets = || scan.measurements.iter().filter(|m| !is_of_platform(m) && m.is_usable());
+        let targets = || scan.measurements.iter().filter(|m| !m.is_of_platform() && m.is_usable());
         let scanner = self.scanners.entry(scan.source).or_default();
         for (k, of) in scanner.iter_mut().enumerate() {
             of.see(targets().filter(|m| kind(m) == k).map(Measurement::values));
@@ -169,7 +169,8 @@ impl Tracks {
         scanner: &[Surroundings; 2],
     ) -> JointEvidence {
         let (scan, existence) = (space.scan, space.existence);
-        let sensor = scan.measurements.iter().find(|m| !is_of_platform(m)).map(Measurement::sensor);
+        let sensor =
+            scan.measurements.iter().find(|m| !m.is_of_platform()).map(Measurement::sensor);
         // An empty scan: of what its scanner has measured before.
         let sensor = sensor.unwrap_or(if scanner[0] == Surroundings::default() {
             Sensor::Radar
@@ -237,7 +238,7 @@ impl Tracks {
             }
         }
         for (sensor, smallest) in smallest.iter().enumerate() {
-            let own = scan.iter().filter(|m| !is_of_platform(m) && kind(m) == sensor);
+            let own = scan.iter().filter(|m| !m.is_of_platform() && kind(m) == sensor);
             let count = own.filter(|m| m.is_usable()).count() as f64;
             for (k, log_determinant) in smallest.iter().enumerate() {
                 let axes = (k + 1) as f64;
@@ -275,7 +276,7 @@ impl Tracks {
         let Some(scanner) = self.scanners.get_mut(&scan.source) else { return };
         let mut unexplained = [Vec::new(), Vec::new()];
         for (m, left) in scan.measurements.iter().zip(&found.unexplained) {
-            if !is_of_platform(m) && m.is_usable() {
+            if !m.is_of_platform() && m.is_usable() {
                 unexplained[kind(m)].push((m.values(), *left));
             }
         }
@@ -361,7 +362,7 @@ impl Tracks {
         let mut unseen = self.unseen.clone();
         unseen.expect_speed(self.population.speed(space.parameters.filter.prior.speed));
         for (column, m) in scan.measurements.iter().enumerate() {
-            if is_of_platform(m) {
+            if m.is_of_platform() {
                 continue;
             }
             let share = scanner[kind(m)].share(&prior_of(existence, m.sensor()));

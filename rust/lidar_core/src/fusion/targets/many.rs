@@ -92,6 +92,12 @@ impl ManyTargets {
         })
     }
 
+    /// Parameters of the tracker and of the filters of its tracks.
+    #[must_use]
+    pub fn parameters(&self) -> &ManyParameters {
+        &self.parameters
+    }
+
     /// Process one scan of one scanner; returns the outcome of every measurement.
     ///
     /// A scan that comes late, but within the buffer, is inserted at its time, and the later scans
@@ -254,14 +260,14 @@ mod tests {
     use super::*;
     use crate::fusion::model::Model;
     use crate::fusion::sensors::measurement::Sensor;
-    use crate::fusion::sensors::observation::Sensing;
+    use crate::fusion::sensors::sensing::Sensing;
     use crate::fusion::targets::any_filter::Strengths;
 
     fn parameters() -> Result<ManyParameters, Error> {
         let filter = FusionParameters {
             model: Model::ConstantVelocity,
             strengths: Strengths { acceleration: 0.5, start: 1.0, ..Strengths::default() },
-            sensing: Sensing { lidar: [0.1; 2], radar: [0.1; 3], ..Sensing::default() },
+            sensing: Sensing { lidar: [0.1; 3], radar: [0.1; 4], ..Sensing::default() },
             life: LifecycleRules {
                 start_rows: 1,
                 gate: LifecycleRules::gates(Some(0.99))?,

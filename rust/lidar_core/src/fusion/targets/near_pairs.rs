@@ -3,8 +3,9 @@
 use super::any_filter::Filter;
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::models::turn::{direction, wrapped};
-use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::{Observation, Sensing};
+use crate::fusion::sensors::measurement::{Measurement, PolarValues, Sensor};
+use crate::fusion::sensors::observation::Observation;
+use crate::fusion::sensors::sensing::Sensing;
 use crate::tracking::near::{NearIndex, Rectangle};
 use std::f64::consts::{PI, TAU};
 
@@ -22,6 +23,8 @@ struct SensorIndex {
     /// A measurement with the largest variances of all: a window that it opens holds for each.
     probe: Measurement,
     numbers: Vec<usize>,
+    /// False for sensors whose measurements are all looked at.
+    is_indexed: bool,
     /// x and y of the LiDAR, range and bearing of the radar.
     native: NearIndex,
     /// Positions of the radar's ranges and bearings.
@@ -34,12 +37,20 @@ impl ScanIndex {
     /// Index of the usable measurements of targets.
     #[must_use]
     pub fn new(measurements: &[Measurement], sensing: &Sensing) -> Self {
-        let of = |sensor: Sensor| {
+        // What is compared with each other has the same values.
+        let mut kinds: Vec<(Sensor, PolarValues, usize)> = Vec::new();
+        let kind = |m: &Measurement| (m.sensor(), m.measures(), m.noisy());
+        for m in measurements.iter().filter(|m| !m.is_of_platform() && m.is_usable()) {
+            if !kinds.contains(&kind(m)) {
+                kinds.push(kind(m));
+            }
+        }
+        let of = |wanted| {
             let own = measurements.iter().enumerate();
-            let own = own.filter(|(_, m)| m.sensor() == sensor && m.is_usable());
+            let own = own.filter(|(_, m)| kind(m) == wanted && m.is_usable());
             SensorIndex::new(own.collect(), sensing)
         };
-        Self { sensors: [Sensor::Lidar, Sensor::Radar].into_iter().filter_map(of).collect() }
+        Self { sensors: kinds.into_iter().filter_map(of).collect() }
     }
 
     /// Replace `found` by the numbers of all measurements that may be within one of `gates` of a
@@ -63,7 +74,7 @@ impl ScanIndex {
 impl SensorIndex {
     fn new(own: Vec<(usize, &Measurement)>, sensing: &Sensing) -> Option<Self> {
         let (_, first) = own.first()?;
-        let (mut largest, mut widest) = ([0.0; 3], [0.0; 2]);
+        let (mut largest, mut widest) = ([0.0; 4], [0.0; 2]);
         let (mut native, mut converted) = (Vec::new(), Vec::new());
         for (number, m) in &own {
             let v = m.values();
@@ -81,7 +92,8 @@ impl SensorIndex {
         let probe = first.with_variances(&largest[..first.noisy()]);
         let numbers = own.iter().map(|(number, _)| *number).collect();
         let (native, converted) = (NearIndex::new(native), NearIndex::new(converted));
-        Some(Self { probe, numbers, native, converted, widest })
+        let is_indexed = first.sensor() == Sensor::Lidar || first.measures() == PolarValues::FLAT;
+        Some(Self { probe, numbers, is_indexed, native, converted, widest })
     }
 
     /// Append the measurements that are near what an innovation of the probe expects; false if they
@@ -99,8 +111,8 @@ impl SensorIndex {
             (center, half)
         };
         let (center, half) = match (self.probe.sensor(), innovation.count) {
-            _ if !gate.is_finite() => return false,
-            (Sensor::Lidar, 2) => around([v[0] - y[0], v[1] - y[1]], [0.0; 2]),
+            _ if !gate.is_finite() || !self.is_indexed => return false,
+            (Sensor::Lidar, 2 | 3) => around([v[0] - y[0], v[1] - y[1]], [0.0; 2]),
             (Sensor::Radar, 3) => around([v[0] - y[0], wrapped(v[1] - y[1])], [0.0; 2]),
             (Sensor::Radar, 2) => {
                 let [cosine, sine] = direction(v[1]);

@@ -8,7 +8,7 @@ use crate::error::require;
 use crate::estimation::minimise::{SimplexSearch, minimise};
 use crate::fusion::model::{MIXABLE, Model};
 use crate::fusion::models::motion::Noise;
-use crate::fusion::sensors::measurement::Measurement;
+use crate::fusion::sensors::measurement::{Measurement, PolarValues};
 use crate::util::cancel;
 
 /// Number of measurements after which a filter no longer depends on its start.
@@ -31,7 +31,7 @@ pub enum Quantity {
     Process(Noise),
     /// Standard deviation of the LiDAR, one factor for both axes.
     Lidar,
-    /// Standard deviation of the radar's range, bearing or range rate.
+    /// Standard deviation of a value of the radar, by its place in [`PolarValues`].
     Radar(usize),
 }
 
@@ -92,14 +92,21 @@ pub fn quantities(
     let mut found: Vec<Quantity> = process.map(|noise| Quantity::Process(*noise)).collect();
     let plain = |sensor| {
         let mut all = targets.iter().flatten();
-        sensors && all.any(|m| m.sensor() == sensor && m.covariance().is_none())
+        sensors && all.any(|m| m.sensor() == sensor && !m.has_covariance())
     };
     if plain(Sensor::Lidar) {
         found.push(Quantity::Lidar);
     }
     if plain(Sensor::Radar) {
-        let used = if parameters.sensing.convert_radar { 2 } else { 3 };
-        found.extend((0..used).map(Quantity::Radar));
+        let rate = PolarValues::RANGE_RATE;
+        let wanted = |place: &usize| {
+            let mut all = targets.iter().flatten();
+            let is_measured = |m: &Measurement| {
+                m.sensor() == Sensor::Radar && !m.has_covariance() && m.measures().has(*place)
+            };
+            (*place != rate || !parameters.sensing.convert_radar) && all.any(is_measured)
+        };
+        found.extend((0..=rate).filter(wanted).map(Quantity::Radar));
     }
     found
 }
@@ -141,8 +148,8 @@ pub fn fit(
             let widest = libm::log(WIDEST);
             quantity.scale(&mut parameters, libm::exp(log.clamp(-widest, widest)));
         }
-        if fitted.contains(&Quantity::Radar(2)) {
-            let variance = &mut parameters.sensing.radar[2];
+        if fitted.contains(&Quantity::Radar(PolarValues::RANGE_RATE)) {
+            let variance = &mut parameters.sensing.radar[PolarValues::RANGE_RATE];
             *variance = variance.max(least_rate * least_rate);
         }
         parameters

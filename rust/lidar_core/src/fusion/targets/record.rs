@@ -4,7 +4,7 @@ use super::any_filter::{Filter, FusionParameters, smooth_into};
 use super::lifecycle::Outcome;
 use super::target::MeasurementResult;
 use crate::Error;
-use crate::fusion::filter::engine::{Innovation, Output};
+use crate::fusion::filter::engine::{Innovation, MAX_INNOVATION, Output};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::util::cancel;
 use rayon::ThreadPool;
@@ -24,13 +24,13 @@ pub struct Record {
     pub means: Vec<f64>,
     /// Covariances, row by row.
     pub covariances: Vec<f64>,
-    /// Innovations, three values per row; NaN for values that were not compared.
+    /// Innovations, four values per row; NaN for values that were not compared.
     pub innovations: Vec<f64>,
     /// NIS; NaN if nothing was compared.
     pub nis: Vec<f64>,
-    /// Variances of the sensors as they are estimated at the end: of x and y of the LiDAR; of range,
-    /// bearing and range rate of the radar.
-    pub variances: ([f64; 2], [f64; 3]),
+    /// Variances of the sensors as they are estimated at the end: of x, y and z of the LiDAR; of
+    /// range, bearing, elevation and range rate of the radar.
+    pub variances: ([f64; 3], [f64; 4]),
 }
 
 impl Record {
@@ -41,9 +41,9 @@ impl Record {
             outcomes: Vec::with_capacity(rows),
             means: Vec::new(),
             covariances: Vec::new(),
-            innovations: Vec::with_capacity(3 * rows),
+            innovations: Vec::with_capacity(MAX_INNOVATION * rows),
             nis: Vec::with_capacity(rows),
-            variances: ([0.0; 2], [0.0; 3]),
+            variances: ([0.0; 3], [0.0; 4]),
         }
     }
 
@@ -91,11 +91,11 @@ impl Record {
 
 /// Values that were compared, then NaN.
 #[must_use]
-pub fn padded(innovation: Option<&Innovation>) -> [f64; 3] {
-    let mut values = [f64::NAN; 3];
-    if let Some(Innovation { values: compared, count, .. }) = innovation {
-        let count = (*count).min(3);
-        values[..count].copy_from_slice(&compared[..count]);
+pub fn padded(innovation: Option<&Innovation>) -> [f64; MAX_INNOVATION] {
+    let mut values = [f64::NAN; MAX_INNOVATION];
+    if let Some(innovation) = innovation {
+        let compared = innovation.recorded();
+        values[..compared.len()].copy_from_slice(compared);
     }
     values
 }

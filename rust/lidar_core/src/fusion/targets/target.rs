@@ -3,12 +3,13 @@
 use super::lifecycle::{GyroUse, LifecycleRules, Outcome};
 use super::sensor_errors::{SensorErrors, as_outlier};
 use crate::Error;
-use crate::estimation::kalman::Gaussian;
-use crate::fusion::filter::engine::{AcceptInnovation, Engine, Innovation, Link, Output, Single};
-use crate::fusion::models::cartesian::ConstantVelocity;
-use crate::fusion::models::platform::{Platform, Pose};
+use crate::fusion::filter::engine::{AcceptInnovation, Engine, Innovation, Link, Output};
+use crate::fusion::models::platform::Platform;
+use crate::fusion::models::world::World;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::{first_sight, position_noise};
+use crate::fusion::sensors::sensing::Sensing;
+use crate::fusion::sensors::sight::Sights;
+use crate::fusion::sensors::told_pose::TellPose;
 use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -34,20 +35,26 @@ pub struct FilterStep {
 /// Outcome and innovation of a measurement.
 pub type MeasurementResult = (Outcome, Option<Innovation>);
 
-/// Phase of the estimation.
-#[derive(Clone, Debug)]
-enum Phase<S> {
+/// Position and velocity in the world of an engine.
+pub type CvOf<E> = <<E as Engine>::World as World>::Cv;
+
+/// Phase of the estimation: a state of the model, and one of position and velocity.
+#[derive(Clone)]
+enum Phase<T, C> {
     Unseen,
     /// Estimated by a constant-velocity filter, after this many measurements.
-    Starting(Gaussian<4>, u32),
-    Running(S),
+    Starting(C, u32),
+    Running(T),
 }
 
+/// Phase of an engine.
+type PhaseOf<E> = Phase<<E as Engine>::State, CvOf<E>>;
+
 /// State that changes with measurements.
-#[derive(Clone, Debug)]
-struct Now<S> {
+#[derive(Clone)]
+struct Now<P> {
     stamp_ns: i64,
-    phase: Phase<S>,
+    phase: P,
     platform: Platform,
     /// NIS per degree of freedom, averaged over the window of a loss.
     ratio: f64,
@@ -57,30 +64,31 @@ struct Now<S> {
 }
 
 /// Parts that measurements do not change.
-#[derive(Clone, Debug)]
-struct FilterRules<E> {
+#[derive(Clone)]
+struct FilterRules<E, S> {
     engine: E,
-    starter: Single<4, ConstantVelocity>,
+    starter: S,
+    sensing: Sensing,
     life: LifecycleRules,
 }
 
 /// The state predicted to a later time, kept until the state changes.
-#[derive(Clone, Debug)]
-struct Ahead<S> {
+#[derive(Clone)]
+struct Ahead<P> {
     stamp_ns: i64,
-    phase: Phase<S>,
+    phase: P,
 }
 
 /// A filter of one target.
-#[derive(Clone, Debug)]
-pub struct Target<E: Engine> {
-    rules: FilterRules<E>,
-    now: Now<E::State>,
-    ahead: Option<Ahead<E::State>>,
+#[derive(Clone)]
+pub struct Target<E: Engine, S> {
+    rules: FilterRules<E, S>,
+    now: Now<PhaseOf<E>>,
+    ahead: Option<Ahead<PhaseOf<E>>>,
     /// Variance of the speed of a target seen first [m^2/s^2]; None for that of the prior.
     first_speed: Option<f64>,
     /// Recent measurements, each with the state after it.
-    history: VecDeque<(Measurement, Now<E::State>)>,
+    history: VecDeque<(Measurement, Now<PhaseOf<E>>)>,
 }
 
 /// [`Phase`] as plain numbers.
@@ -108,28 +116,31 @@ pub struct SavedTarget {
     history: Vec<(Measurement, SavedNow)>,
 }
 
-impl<E: Engine> FilterRules<E> {
-    fn saved(&self, now: &Now<E::State>) -> SavedNow {
+impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> FilterRules<E, S> {
+    fn saved(&self, now: &Now<PhaseOf<E>>) -> SavedNow {
         let phase = match &now.phase {
             Phase::Unseen => SavedPhase::Unseen,
-            Phase::Starting(cv, rows) => SavedPhase::Starting(cv.numbers(), *rows),
+            Phase::Starting(cv, rows) => SavedPhase::Starting(self.starter.numbers(cv), *rows),
             Phase::Running(state) => SavedPhase::Running(self.engine.numbers(state)),
         };
-        let Now { stamp_ns, platform, ratio, errors, .. } = *now;
-        SavedNow { stamp_ns, phase, platform, ratio, errors }
+        let Now { stamp_ns, ratio, errors, .. } = *now;
+        SavedNow { stamp_ns, phase, platform: now.platform.clone(), ratio, errors }
     }
 
-    fn restored(&self, saved: &SavedNow) -> Option<Now<E::State>> {
+    fn restored(&self, saved: &SavedNow) -> Option<Now<PhaseOf<E>>> {
         let phase = match &saved.phase {
             SavedPhase::Unseen => Phase::Unseen,
-            SavedPhase::Starting(cv, rows) => Phase::Starting(Gaussian::from_numbers(cv)?, *rows),
+            SavedPhase::Starting(cv, rows) => {
+                Phase::Starting(self.starter.state_of_numbers(cv)?, *rows)
+            }
             SavedPhase::Running(state) => Phase::Running(self.engine.state_of_numbers(state)?),
         };
-        let SavedNow { stamp_ns, platform, ratio, errors, .. } = *saved;
+        let SavedNow { stamp_ns, ratio, errors, .. } = *saved;
+        let platform = saved.platform.clone();
         Some(Now { stamp_ns, phase, platform, ratio, errors, looseness: 1.0 })
     }
 
-    fn predict(&self, phase: &mut Phase<E::State>, dt: f64, platform: &Platform) {
+    fn predict(&self, phase: &mut PhaseOf<E>, dt: f64, platform: &Platform) {
         match phase {
             Phase::Unseen => {}
             Phase::Starting(cv, _) => self.starter.predict(cv, dt, platform),
@@ -137,7 +148,7 @@ impl<E: Engine> FilterRules<E> {
         }
     }
 
-    fn loosen(&self, phase: &mut Phase<E::State>, factor: f64) {
+    fn loosen(&self, phase: &mut PhaseOf<E>, factor: f64) {
         match phase {
             Phase::Unseen => {}
             Phase::Starting(cv, _) => self.starter.loosen(cv, factor),
@@ -149,7 +160,7 @@ impl<E: Engine> FilterRules<E> {
     /// takes over.
     fn correct(
         &self,
-        phase: &mut Phase<E::State>,
+        phase: &mut PhaseOf<E>,
         m: &Measurement,
         platform: &Platform,
         believe: AcceptInnovation<'_>,
@@ -173,7 +184,7 @@ impl<E: Engine> FilterRules<E> {
     }
 
     /// State of the model after enough measurements.
-    fn after_start(&self, cv: &Gaussian<4>, rows: u32) -> Option<E::State> {
+    fn after_start(&self, cv: &CvOf<E>, rows: u32) -> Option<E::State> {
         let is_enough = rows >= self.life.start_rows;
         is_enough.then(|| self.engine.after_velocity(cv)).flatten()
     }
@@ -199,11 +210,12 @@ fn blended<E: Engine>(
     engine.blended(&parts)
 }
 
-impl<E: Engine> Target<E> {
+impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
     /// Filter without measurements; `starter` processes the first ones.
     pub fn new(
         engine: E,
-        starter: Single<4, ConstantVelocity>,
+        starter: S,
+        sensing: Sensing,
         life: LifecycleRules,
         platform: Platform,
     ) -> Self {
@@ -215,7 +227,7 @@ impl<E: Engine> Target<E> {
             errors: SensorErrors::default(),
             looseness: 1.0,
         };
-        let rules = FilterRules { engine, starter, life };
+        let rules = FilterRules { engine, starter, sensing, life };
         Self { rules, now, ahead: None, first_speed: None, history: VecDeque::new() }
     }
 
@@ -322,19 +334,16 @@ impl<E: Engine> Target<E> {
     fn advance(&mut self, m: &Measurement) -> MeasurementResult {
         let before = self.predict_to(m.stamp_ns());
         self.now.looseness = 1.0;
-        let taken = if matches!(m.sensor(), Sensor::Pose | Sensor::Gyro) {
-            self.take_platform_motion(m)
-        } else {
-            self.take_target(m)
-        };
-        if taken.0 == Outcome::Singular {
+        let taken =
+            if m.is_of_platform() { self.take_platform_motion(m) } else { self.take_target(m) };
+        if matches!(taken.0, Outcome::Singular | Outcome::Invalid) {
             self.now.phase = before;
         }
         taken
     }
 
     /// Replace the state by its prediction; returns the state before.
-    fn predict_to(&mut self, stamp_ns: i64) -> Phase<E::State> {
+    fn predict_to(&mut self, stamp_ns: i64) -> PhaseOf<E> {
         if let Some(ahead) = self.ahead.take().filter(|ahead| ahead.stamp_ns == stamp_ns) {
             return std::mem::replace(&mut self.now.phase, ahead.phase);
         }
@@ -408,7 +417,8 @@ impl<E: Engine> Target<E> {
         });
         match update {
             Err(_) => (Outcome::Singular, None),
-            Ok(None) => self.start(m, Outcome::Started, None),
+            Ok(None) if matches!(now.phase, Phase::Unseen) => self.start(m, Outcome::Started, None),
+            Ok(None) => (Outcome::Invalid, None),
             Ok(lost) if outcome == Outcome::Restarted => self.start(m, outcome, lost),
             Ok(innovation) => {
                 (now.stamp_ns, now.ratio) = (m.stamp_ns(), ratio);
@@ -422,9 +432,9 @@ impl<E: Engine> Target<E> {
     /// error, the state is made less certain.
     fn adapted(&mut self, m: &Measurement, memory: f64) -> Result<Measurement, Error> {
         let Self { rules, now, .. } = self;
-        let sensing = rules.starter.sensing;
+        let sensing = rules.sensing;
         let before = now.errors;
-        let look = |phase: &mut Phase<E::State>, m: &Measurement| {
+        let look = |phase: &mut PhaseOf<E>, m: &Measurement| {
             rules.correct(phase, m, &now.platform, &mut |_| false)
         };
         let Some(first) = look(&mut now.phase, &now.errors.seen_by(m, &sensing))? else {
@@ -445,7 +455,7 @@ impl<E: Engine> Target<E> {
         let moved = likelihood(look(&mut loose, &adapted)?);
         if moved > likelihood(look(&mut now.phase, &outlier)?) {
             (now.phase, now.looseness) = (loose, MANOEUVRE);
-            if before.is_known(m.sensor()) {
+            if before.is_known(m) {
                 // What is blamed on the state says nothing about a sensor that is known.
                 now.errors = before;
                 return Ok(before.seen_by(m, &sensing));
@@ -482,15 +492,12 @@ impl<E: Engine> Target<E> {
         outcome: Outcome,
         lost: Option<Innovation>,
     ) -> MeasurementResult {
-        let sensor = self.now.platform.sensor_at(m.stamp_ns());
-        let Some(mut first) = first_sight(m, sensor.as_ref()) else {
-            return (Outcome::Invalid, None);
-        };
-        if !self.rules.life.radar_starts_speed {
-            (first.speed, first.heading) = (0.0, 0.0);
-        }
-        if self.rules.life.starts_as_measured {
-            first.noise = position_noise(m, &self.rules.starter.sensing, sensor.as_ref());
+        let (life, sensing) = (&self.rules.life, &self.rules.sensing);
+        let as_measured = life.starts_as_measured;
+        let sight = E::World::first_sight(m, sensing, &self.now.platform, as_measured);
+        let Some(mut first) = sight else { return (Outcome::Invalid, lost) };
+        if !life.radar_starts_speed {
+            (first.speed, first.heading, first.elevation) = (0.0, 0.0, 0.0);
         }
         first.speed_variance = self.first_speed;
         let state = self.rules.engine.first(&first);
@@ -508,18 +515,19 @@ impl<E: Engine> Target<E> {
     /// Store the motion of the platform from here on.
     fn take_platform_motion(&mut self, m: &Measurement) -> MeasurementResult {
         let values = m.values();
-        let mut platform = self.now.platform;
-        if m.sensor() == Sensor::Pose {
-            let covariance = self.rules.starter.sensing.pose_noise(m);
-            let pose = pose_of(m, self.now.platform.pose);
-            platform.pose = Some(Pose { covariance, ..pose });
-        } else if let [_, vx, vy] = *values {
-            platform.velocity = [vx, vy];
+        let mut platform = self.now.platform.clone();
+        let sensing = self.rules.sensing;
+        if m.sensor() == Sensor::Gyro {
+            if let [_, vx, vy] = *values {
+                platform.velocity = [vx, vy];
+            }
+        } else {
+            E::World::tell_pose(&mut platform, m, &sensing);
         }
         let mut innovation = None;
         if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Input {
             platform.rate = values[0];
-            platform.rate_variance = self.rules.starter.sensing.gyro_variance(m);
+            platform.rate_variance = sensing.gyro_variance(m);
         }
         if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Measurement {
             let Self { rules, now, .. } = self;
@@ -554,7 +562,7 @@ impl<E: Engine> Target<E> {
         self.output_of(&phase)
     }
 
-    fn output_of(&self, phase: &Phase<E::State>) -> Option<Output> {
+    fn output_of(&self, phase: &PhaseOf<E>) -> Option<Output> {
         match phase {
             Phase::Unseen => None,
             Phase::Starting(cv, _) => {
@@ -563,23 +571,4 @@ impl<E: Engine> Target<E> {
             Phase::Running(state) => Some(self.rules.engine.output(state)),
         }
     }
-}
-
-/// Pose in a measurement, without covariance; a missing velocity is computed from the last pose.
-fn pose_of(m: &Measurement, last: Option<Pose>) -> Pose {
-    let v = m.values();
-    let (stamp_ns, position, yaw) = (m.stamp_ns(), [v[0], v[1]], v[2]);
-    if let [_, _, _, vx, vy, rate] = *v {
-        let velocity = [vx, vy];
-        return Pose { stamp_ns, position, yaw, velocity, rate, covariance: None };
-    }
-    let (velocity, rate) = ([0.0; 2], 0.0);
-    let standing = Pose { stamp_ns, position, yaw, velocity, rate, covariance: None };
-    let Some(last) = last else { return standing };
-    let dt = stamp_ns.saturating_sub(last.stamp_ns) as f64 * 1e-9;
-    if dt <= 0.0 {
-        return Pose { velocity: last.velocity, rate: last.rate, ..standing };
-    }
-    let velocity = std::array::from_fn(|k| (position[k] - last.position[k]) / dt);
-    Pose { velocity, rate: crate::fusion::models::turn::wrapped(yaw - last.yaw) / dt, ..standing }
 }

@@ -270,7 +270,7 @@ impl Tracks {
         work.scans += 1;
         let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
         let mut assigned = vec![Assigned::default(); scan.measurements.len()];
-        for m in scan.measurements.iter().filter(|m| is_of_platform(m)) {
+        for m in scan.measurements.iter().filter(|m| m.is_of_platform()) {
             self.unseen.step(m);
             self.all.iter_mut().for_each(|track| {
                 track.filter.step(m);
@@ -419,7 +419,7 @@ impl Tracks {
         assigned: &mut [Assigned],
     ) {
         for (column, m) in scan.measurements.iter().enumerate() {
-            if assigned[column].id.is_some() || is_of_platform(m) {
+            if assigned[column].id.is_some() || m.is_of_platform() {
                 continue;
             }
             let mut filter = self.unseen.clone();
@@ -526,10 +526,6 @@ impl TargetTrack {
 fn is_another_target(track: &mut TargetTrack, m: &Measurement) -> bool {
     let least = FOREIGN * track.belief.presence.hidden_share();
     least > CERTAINLY_OWN && track.filter.tail(m) < least
-}
-
-pub(super) fn is_of_platform(m: &Measurement) -> bool {
-    matches!(m.sensor(), Sensor::Gyro | Sensor::Pose)
 }
 
 /// # Errors

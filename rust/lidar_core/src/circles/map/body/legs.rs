@@ -7,9 +7,9 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::{BodyMeasurement, RoundBody};
+use super::RoundBody;
+use super::measurement::{BodyMeasurement, Legs};
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
 /// Largest radius of the circle that a leg shows [m]; trousers, and few rays.
 const THICKEST: f64 = 0.17;
@@ -30,17 +30,6 @@ const SIZE: [f64; 2] = [0.1, 0.3];
 /// body was measured at least [s].
 const OWN: f64 = 0.12;
 const KNOWN: f64 = 1.0;
-
-/// How many legs a measurement is put together of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(in crate::circles::map) enum Legs {
-    /// It is as it was seen.
-    None,
-    /// A single leg of a known person.
-    One,
-    /// Two legs.
-    Two,
-}
 
 /// Put legs together: a person's measurement takes the place of one leg, and the other one becomes a
 /// part of it.

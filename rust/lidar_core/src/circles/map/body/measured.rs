@@ -2,7 +2,8 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::{KNOWN, RoundBody, STAYED};
+use super::measurement::STAYED;
+use super::{KNOWN, RoundBody};
 use crate::Error;
 use crate::circles::map::circle_measurement::{CircleMeasurement, Measures};
 use crate::circles::map::element::exceeds;

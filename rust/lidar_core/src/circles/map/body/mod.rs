@@ -2,25 +2,25 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-pub(super) mod legs;
+mod legs;
 pub(super) mod look;
 mod measured;
+pub(super) mod measurement;
 pub(super) mod outline;
 mod person;
 mod places;
 
-use self::legs::Legs;
-use self::look::{Look, Looks};
-use self::outline::{Outline, OutlineMeasurement};
+use self::look::Looks;
+use self::measurement::{BodyMeasurement, Legs};
+use self::outline::Outline;
 use self::person::{Gait, Person};
 use self::places::{axes, is_one};
-use super::circle_measurement::{CircleMeasurement, new_state};
+use super::circle_measurement::new_state;
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
 use super::modes::{ElementModes, halted};
 use super::parameters::MissLimits;
 use super::rules::Rules;
-use super::view::earlier::Trace;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::CircleVisibility;
 use crate::Error;
@@ -33,11 +33,6 @@ use serde::{Deserialize, Serialize};
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
 
-/// Largest logarithm of the Bayes factor that earlier scans give.
-const EVIDENCE: f64 = 1.5;
-/// Traces that tell nothing, and that tell most.
-const EVEN: f64 = 0.8;
-const STAYED: f64 = 0.95;
 /// Standard deviation of the position up to which a body adopts what touches it [m].
 const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
@@ -45,37 +40,6 @@ const TRUST: f64 = 4.0;
 
 /// Least ratio of the radii of two measurements of one object, if one of them is large.
 const LEAST_RATIO: f64 = 0.5;
-
-/// A body as one segment of one scan shows it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct BodyMeasurement {
-    /// Circle of the body, or the circle that represents it.
-    pub(super) circle: CircleMeasurement,
-    /// Circle that its rays may show, if its shape looks different.
-    pub(super) round: Option<CircleMeasurement>,
-    /// Outline, if it is no circle.
-    pub(super) outline: Option<OutlineMeasurement>,
-    /// Only one face was seen, which does not show its kind.
-    pub(super) is_face: bool,
-    /// Time of the measurement [ns].
-    pub(super) time_ns: i64,
-    /// Direction from the sensor to it, of length one.
-    pub(super) sight: [f64; 2],
-    /// From where and with which rays it was seen; None: unknown.
-    pub(super) look: Option<Look>,
-    /// Share of its points where earlier scans met a surface, not free space; None: unknown.
-    pub(super) trace: Option<Trace>,
-    /// Whether it is put together of the legs of a person.
-    pub(super) legs: Legs,
-}
-
-impl BodyMeasurement {
-    /// Logarithm of the Bayes factor for standing: what moves is where space was free.
-    fn evidence(&self) -> f64 {
-        self.trace
-            .map_or(0.0, |trace| EVIDENCE * ((trace - EVEN) / (STAYED - EVEN)).clamp(-1.0, 1.0))
-    }
-}
 
 /// A body: its circle, or the circle that represents it, and its outline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

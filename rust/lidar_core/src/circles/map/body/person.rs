@@ -1,6 +1,6 @@
 //! How probable it is that a body is a person.
 
-use super::legs::Legs;
+use super::measurement::Legs;
 use serde::{Deserialize, Serialize};
 
 /// Logarithm of the odds that a new body is a person, and the largest odds either way.

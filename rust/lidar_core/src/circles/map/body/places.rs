@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::BodyMeasurement;
+use super::measurement::BodyMeasurement;
 use crate::circles::map::rules::Rules;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector3};

@@ -29,6 +29,8 @@ const LIFT: f64 = 0.06;
 const ASIDE_STD: f64 = 0.02;
 /// A ball's centre lies behind the centroid of its near side by this share of its radius.
 const BALL_SHIFT: f64 = 0.66;
+/// Rays above a target that lie this far apart in height are of several rows [m].
+const ROWS_APART: f64 = 0.1;
 /// Smallest radius to start with [m].
 const LEAST_RADIUS: f64 = 0.05;
 
@@ -40,6 +42,10 @@ pub(super) struct OpenFrame {
     pub(crate) radius: f64,
     /// Share of the rays inside the outline that hit: 1 for a solid target.
     pub(super) solid_share: f64,
+    /// Share of the rays inside the ellipse of its points that hit.
+    pub(super) filled_share: f64,
+    /// Whether rays pass below it; None if nothing tells.
+    pub(super) is_free_below: Option<bool>,
     centroid: Vector3<f64>,
     sight: Vector3<f64>,
     /// Half the width of the points themselves [m].
@@ -74,6 +80,8 @@ impl OpenFrame {
                 + along * (shift_std * shift_std + range_std * range_std / count),
             radius,
             solid_share: outline.solid_share,
+            filled_share: outline.filled_share,
+            is_free_below: outline.is_free_below,
             centroid,
             sight,
             reach: outline.reach,
@@ -87,8 +95,9 @@ impl OpenFrame {
     }
 
     pub(super) fn into_center(self, is_cut: bool) -> Center {
-        let Self { position, covariance, radius, .. } = self;
-        Center { position, covariance: symmetrised(covariance), radius, is_cut }
+        let Self { position, covariance, radius, filled_share, is_free_below, .. } = self;
+        let covariance = symmetrised(covariance);
+        Center { position, covariance, radius, filled_share, is_free_below, is_cut }
     }
 }
 
@@ -108,6 +117,8 @@ struct SeenExtent {
     /// Between neighbouring rays at the target [m].
     ray_gap: f64,
     solid_share: f64,
+    filled_share: f64,
+    is_free_below: Option<bool>,
 }
 
 impl SeenExtent {
@@ -130,17 +141,64 @@ impl SeenExtent {
         };
         let reach = hits.iter().map(|&hit| off(hit)).fold(0.0, f64::max);
         let distance = (centroid - origin).norm();
-        let passing: Vec<f64> = observation
+        let passing: Vec<[f64; 2]> = observation
             .passing
             .iter()
             .filter(|ray| ray.direction.dot(sight) > 0.0)
             .map(|ray| ray.origin + ray.direction * (distance / ray.direction.dot(sight)))
-            .map(|place| off(flat(place)))
+            .map(flat)
             .collect();
-        let within = |radius: f64| passing.iter().filter(|&&off| off < radius).count() as f64;
+        let within = |radius: f64| passing.iter().filter(|&&ray| off(ray) < radius).count() as f64;
         let window = reach + super::target_observation::MARGIN;
         let count = hits.len() as f64;
         let ray_gap = window * (PI / (count + within(window))).sqrt();
-        Self { reach, ray_gap, solid_share: count / (count + within(reach + 0.5 * ray_gap)) }
+        let solid_share = count / (count + within(reach + 0.5 * ray_gap));
+        Self {
+            reach,
+            ray_gap,
+            solid_share,
+            filled_share: filled_share(&hits, &passing, ray_gap),
+            is_free_below: is_free_below(&hits, &passing, ray_gap),
+        }
     }
+}
+
+/// Whether rays pass below the hits, both in a plane across the line of sight [m], the second axis
+/// upwards. Of what stands on the ground, and of what the lower edge of the field of view cuts off,
+/// none do. None if the rows of the scanner are too far apart to tell: few pass above, too.
+fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
+    let bounds = |axis: usize| {
+        let values = hits.iter().map(|hit| hit[axis]);
+        [values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max)]
+    };
+    let ([left, right], [low, high]) = (bounds(0), bounds(1));
+    let beside = |ray: &&[f64; 2]| ray[0] >= left - ray_gap && ray[0] <= right + ray_gap;
+    let level = passing.iter().filter(beside).map(|ray| ray[1]);
+    if level.clone().any(|up| up < low) {
+        return Some(true);
+    }
+    let above = level.filter(|&up| up > high);
+    let rows = above.clone().fold(f64::MIN, f64::max) - above.fold(f64::MAX, f64::min);
+    (rows >= ROWS_APART).then_some(false)
+}
+
+/// Share of the rays inside the ellipse of two standard deviations of the hits that are hits, both in
+/// a plane across the line of sight [m]. A disc fills its ellipse, and so does a bar; rays of
+/// `ray_gap` [m] apart tell nothing smaller.
+fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> f64 {
+    let count = hits.len() as f64;
+    let mean: [f64; 2] =
+        std::array::from_fn(|axis| hits.iter().map(|hit| hit[axis]).sum::<f64>() / count);
+    let [mut xx, mut xy, mut yy] = [ray_gap * ray_gap / 12.0, 0.0, ray_gap * ray_gap / 12.0];
+    for hit in hits {
+        let [x, y] = [hit[0] - mean[0], hit[1] - mean[1]];
+        (xx, xy, yy) = (xx + x * x / count, xy + x * y / count, yy + y * y / count);
+    }
+    let determinant = xx * yy - xy * xy;
+    let is_inside = |place: &&[f64; 2]| {
+        let [x, y] = [place[0] - mean[0], place[1] - mean[1]];
+        yy * x * x - 2.0 * xy * x * y + xx * y * y <= 4.0 * determinant
+    };
+    let [hit, missed] = [hits, passing].map(|rays| rays.iter().filter(is_inside).count() as f64);
+    if hit + missed > 0.0 { hit / (hit + missed) } else { 1.0 }
 }

@@ -35,6 +35,10 @@ pub struct Center {
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,
+    /// Share of the rays inside the ellipse of its points that hit, 0 to 1: small for what is loose.
+    pub filled_share: f64,
+    /// Whether rays pass below it; None if nothing tells.
+    pub is_free_below: Option<bool>,
     /// Whether something nearer may hide a part of the target.
     pub is_cut: bool,
 }
@@ -120,6 +124,8 @@ impl Center {
                     + weight * (1.0 - weight) * offset * offset.transpose(),
             ),
             radius: weight * ball.radius + (1.0 - weight) * frame.radius,
+            filled_share: frame.filled_share,
+            is_free_below: frame.is_free_below,
             is_cut: observation.is_cut,
         }
     }

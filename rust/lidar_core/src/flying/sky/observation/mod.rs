@@ -1,16 +1,18 @@
 //! Observation of the sky by one scan, given its sensor: which directions are sky, and how far.
 
+mod haze;
 mod reach;
 mod surfaces;
 #[cfg(test)]
 mod tests;
 
 use super::floor::FloorFinder;
-use super::grid::{CELLS, GRID};
+use super::grid::{CELLS, GRID, SECTORS};
 use super::{NEVER, Sky};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, norm};
+use haze::Haze;
 
 /// What was cast longer ago counts less: time constant [s].
 const EVIDENCE_TIME: f64 = 1.0;
@@ -56,6 +58,26 @@ pub(crate) struct ScanToObserve<'a> {
     pub(crate) map: &'a VoxelMap,
 }
 
+impl ScanToObserve<'_> {
+    /// Place in the frame of the sensor and range of the return in a row [m].
+    #[inline]
+    fn return_at(&self, row: usize) -> Option<([f64; 3], f64)> {
+        let point = wide(self.points[row]);
+        let range = norm(point);
+        let is_return = range.is_finite() && range > LEAST_RANGE;
+        (is_return && !self.no_return.is_some_and(|flags| flags[row])).then_some((point, range))
+    }
+}
+
+/// Row, range [m] and cell, in the frame of the map, of every return.
+fn returns_of<'a>(scan: &'a ScanToObserve<'_>) -> impl Iterator<Item = (usize, f64, usize)> + 'a {
+    let of_row = |row| {
+        let (point, range) = scan.return_at(row)?;
+        Some((row, range, GRID.cell(scan.map_from_lidar.rotate(point))))
+    };
+    (0..scan.points.len()).filter_map(of_row)
+}
+
 /// Observation of the sky by one scan; its changes of [`Sky`] are kept apart until the scan is
 /// accepted.
 #[derive(Default)]
@@ -72,6 +94,9 @@ pub(crate) struct SkyObservation {
     /// Returns per cell, as the sensor sees them and in the frame of the map.
     of_sensor: Vec<u32>,
     hits: Vec<u32>,
+    /// Droplets per cell, as the sensor sees them; they are no hits.
+    drops: Vec<u32>,
+    haze: Haze,
     /// Range of the nearest return in every cell [m].
     nearest: Vec<f32>,
     /// Rays expected in every cell.
@@ -114,7 +139,8 @@ pub(crate) struct SkyObservation {
 impl SkyObservation {
     /// Evaluate a scan: directions, reach and share of the sky.
     pub(crate) fn fill(&mut self, sky: &Sky, scan: &ScanToObserve<'_>) {
-        self.count(scan);
+        let ground = sky.last_ns.map_or(f64::NEG_INFINITY, |_| sky.lowest + ON_GROUND);
+        self.count(scan, ground);
         self.stamp_ns = scan.stamp_ns;
         self.has_returns = !self.samples.is_empty();
         (self.place, self.share, self.rays) = (scan.map_from_lidar.translation, 0.0, 0.0);
@@ -202,9 +228,14 @@ impl SkyObservation {
         self.has_returns
     }
 
-    /// Returns per cell, as the sensor sees them.
-    pub(super) fn seen_by_sensor(&self) -> &[u32] {
-        &self.of_sensor
+    /// Whether each row of the scan is a droplet or flake in the air; empty in clear air.
+    pub(crate) fn is_droplet(&self) -> &[bool] {
+        self.haze.is_droplet()
+    }
+
+    /// Returns per cell, as the sensor sees them, and those of droplets among them.
+    pub(super) fn seen_by_sensor(&self) -> [&[u32]; 2] {
+        [&self.of_sensor, &self.drops]
     }
 
     /// Move the observation into `sky`; false if the scan holds no return.
@@ -223,31 +254,50 @@ impl SkyObservation {
         true
     }
 
-    fn count(&mut self, scan: &ScanToObserve<'_>) {
-        for counts in [&mut self.of_sensor, &mut self.hits] {
+    fn count(&mut self, scan: &ScanToObserve<'_>, ground: f64) {
+        for counts in [&mut self.of_sensor, &mut self.hits, &mut self.drops] {
             counts.clear();
             counts.resize(CELLS, 0);
         }
         self.nearest.clear();
         self.nearest.resize(CELLS, f32::INFINITY);
-        self.samples.clear();
-        let grid = &*GRID;
-        let step = (scan.points.len() / SAMPLES).max(1);
-        for (row, &point) in scan.points.iter().enumerate() {
-            let point = wide(point);
-            let range = norm(point);
-            if !(range.is_finite() && range > LEAST_RANGE)
-                || scan.no_return.is_some_and(|flags| flags[row])
-            {
-                continue;
-            }
-            let turned = scan.map_from_lidar.rotate(point);
-            self.of_sensor[grid.cell(point)] += 1;
-            let cell = grid.cell(turned);
+        self.haze.clear();
+        let (mut returns, mut sectors) = (0, [false; SECTORS]);
+        for (row, range, cell) in returns_of(scan) {
             self.hits[cell] += 1;
             self.nearest[cell] = self.nearest[cell].min(range as f32);
-            if row % step == 0 || self.samples.is_empty() {
-                self.samples.push([range, turned[2]]);
+            self.haze.add(row, cell, range);
+            returns += 1;
+            sectors[usize::from(GRID.bands[cell].1)] = true;
+        }
+        let sectors = sectors.iter().filter(|&&is_seen| is_seen).count();
+        let place = scan.map_from_lidar;
+        if self.haze.find(scan.points, place, ground, scan.map, returns, sectors) {
+            self.hits.fill(0);
+            self.nearest.fill(f32::INFINITY);
+            for (row, range, cell) in returns_of(scan) {
+                if !self.haze.is_droplet()[row] {
+                    self.hits[cell] += 1;
+                    self.nearest[cell] = self.nearest[cell].min(range as f32);
+                }
+            }
+        }
+        self.count_for_sensor(scan);
+    }
+
+    /// Count the returns by direction in the frame of the sensor, and take samples.
+    fn count_for_sensor(&mut self, scan: &ScanToObserve<'_>) {
+        self.samples.clear();
+        let step = (scan.points.len() / SAMPLES).max(1);
+        let is_droplet = self.haze.is_droplet();
+        for row in 0..scan.points.len() {
+            let Some((point, range)) = scan.return_at(row) else { continue };
+            let cell = GRID.cell(point);
+            self.of_sensor[cell] += 1;
+            if is_droplet.get(row) == Some(&true) {
+                self.drops[cell] += 1;
+            } else if row % step == 0 || self.samples.is_empty() {
+                self.samples.push([range, scan.map_from_lidar.rotate(point)[2]]);
             }
         }
     }

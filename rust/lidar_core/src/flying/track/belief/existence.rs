@@ -5,15 +5,15 @@
 //! Every set of detections says how well each of the three explains what was seen of a track. How often
 //! tracks begin that have no target is learnt from those that end.
 //!
-//! The same evidence tells about the kind, if there is something: what flies and what moves on the
-//! ground is a target; what is static stands; clutter comes and goes.
+//! The same evidence tells whether what exists stands: see [`Kinds`].
 
 use super::super::measurement::Evidence;
 use super::super::motion::position_block;
 use super::super::state::{PointTrack, seconds};
 use super::super::visibility::occupancy::ENOUGH_RAYS;
+use super::kinds::Kinds;
 use crate::tracking::existence::{Presence, Sojourn};
-use crate::tracking::kind::{KINDS, KindBelief};
+use crate::tracking::kind::KindBelief;
 use serde::{Deserialize, Serialize};
 
 /// A track is removed if its target is less probable.
@@ -53,7 +53,7 @@ pub(in crate::flying::track) enum Sight {
 
 /// How likely each cause makes something: a target, one that gives no returns for a while, something
 /// that stands, and what comes and goes. Only ratios count.
-type Likelihood = [f64; 4];
+type CauseLikelihoods = [f64; 4];
 
 impl Sight {
     /// Of a track without points, through whose place so many rays went.
@@ -86,13 +86,13 @@ impl Sight {
 
     /// Shares of what was seen of tracks, with and without targets, of simulated sensors as their
     /// drivers deliver them and in rain, dust, leaves and among insects.
-    fn likelihood(self, around: Surroundings) -> Likelihood {
+    fn likelihood(self, around: ExpectedClutter) -> CauseLikelihoods {
         let [target, hidden, standing, fleeting] = self.shares();
         let more = if self.is_in_free_space() { around.clutter } else { 1.0 };
         [target, hidden, standing, more * fleeting]
     }
 
-    fn shares(self) -> Likelihood {
+    fn shares(self) -> CauseLikelihoods {
         match self {
             Self::Unseen => [1.0; 4],
             Self::Missed => [0.06, 0.42, 0.10, 0.60],
@@ -107,9 +107,9 @@ impl Sight {
 
 /// Of a detection that seems to be a part of a surface: one in thirty of those of targets, half of
 /// those of parts.
-const JOINED: Likelihood = [0.033, 0.033, 0.5, 0.033];
+const JOINED: CauseLikelihoods = [0.033, 0.033, 0.5, 0.033];
 /// Of having moved.
-const HAS_MOVED: Likelihood = [0.9, 0.9, 0.03, 0.6];
+const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
 /// What comes and goes does so anywhere in the gate of a track; what is there is found near its
 /// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
 /// two at no distance, for the largest distance of default gates, and its bounds: neither are targets
@@ -117,35 +117,32 @@ const HAS_MOVED: Likelihood = [0.9, 0.9, 0.03, 0.6];
 const NEAREST: f64 = 25.0;
 const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
 /// Of two detections that only a fast target explains: few targets are that fast.
-const IS_FAST: Likelihood = [0.3, 0.3, 1.0, 1.0];
+const IS_FAST: CauseLikelihoods = [0.3, 0.3, 1.0, 1.0];
 /// Of having more points around it than its own.
 const AMONG_STRAYS: f64 = 0.02;
 
-/// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`.
-const KIND_SHARES: [f64; KINDS] = [0.05, 0.5, 0.05, 0.2, 0.2];
-
 /// What is known of the causes of a track.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(in crate::flying::track) struct Belief {
+pub(in crate::flying::track) struct TrackBelief {
     presence: Presence,
     /// Probability that something stands there, if there is no target.
     standing: f64,
     stamp_ns: i64,
     has_moved: bool,
-    kinds: KindBelief,
+    kinds: Kinds,
 }
 
-impl Belief {
+impl TrackBelief {
     /// Before anything was seen.
     pub(in crate::flying::track) fn unknown(stamp_ns: i64) -> Self {
         let presence = Presence::measured(0.5);
-        let kinds = KindBelief::prior(KIND_SHARES);
+        let kinds = Kinds::new();
         Self { presence, standing: 0.5, stamp_ns, has_moved: false, kinds }
     }
 
     /// Of a new track.
     pub(in crate::flying::track) fn born(
-        around: Surroundings,
+        around: ExpectedClutter,
         track: &PointTrack,
         stamp_ns: i64,
     ) -> Self {
@@ -153,9 +150,7 @@ impl Belief {
         let mut belief = Self { presence, ..Self::unknown(stamp_ns) };
         for evidence in track.before.into_iter().chain([track.first]) {
             belief.take(Sight::of_detection(evidence).likelihood(around));
-            if evidence.is_joined {
-                belief.take(JOINED);
-            }
+            belief.take_shape(evidence);
         }
         if track.before.is_some() {
             belief.take(IS_FAST);
@@ -188,15 +183,25 @@ impl Belief {
     }
 
     /// Probabilities of what the target is.
-    pub(in crate::flying::track) fn kinds(&self) -> &KindBelief {
-        &self.kinds
+    pub(in crate::flying::track) fn kinds(&self) -> KindBelief {
+        self.kinds.belief()
     }
 
-    fn take(&mut self, [target, hidden, standing, fleeting]: Likelihood) {
+    /// Enter what a detection shows of the target itself.
+    fn take_shape(&mut self, evidence: Evidence) {
+        if evidence.is_joined {
+            self.take(JOINED);
+            self.kinds.see_joined();
+        }
+        if let Some(shape) = evidence.shape {
+            self.kinds.measure(shape);
+        }
+    }
+
+    fn take(&mut self, [target, hidden, standing, fleeting]: CauseLikelihoods) {
         let share = self.presence.hidden / self.presence.existence;
         let of_target = share * hidden + (1.0 - share) * target;
-        let of_any = (of_target + standing + fleeting) / 3.0;
-        self.kinds = self.kinds.weighed([of_any, of_target, of_target, standing, fleeting]);
+        self.kinds.see(of_target, standing);
         let without = self.standing * standing + (1.0 - self.standing) * fleeting;
         self.standing *= standing / without;
         self.presence = self.presence.weighed(target / without, hidden / without);
@@ -207,7 +212,7 @@ impl Belief {
 pub(in crate::flying::track) fn weigh(
     track: &mut PointTrack,
     evidence: Option<Evidence>,
-    around: Surroundings,
+    around: ExpectedClutter,
     stamp_ns: i64,
 ) {
     let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
@@ -226,8 +231,8 @@ pub(in crate::flying::track) fn weigh(
             belief.take([near, near, near, 1.0]);
         }
     }
-    if evidence.is_some_and(|evidence| evidence.is_joined) {
-        belief.take(JOINED);
+    if let Some(evidence) = evidence {
+        belief.take_shape(evidence);
     }
     track.belief = belief;
 }
@@ -255,7 +260,7 @@ const FEWEST: f64 = 0.02;
 
 /// What new tracks, and detections in the gates of tracks, are expected to be.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::flying::track) struct Surroundings {
+pub(in crate::flying::track) struct ExpectedClutter {
     /// Probability that a new track has a target.
     prior: f64,
     /// Detections of what comes and goes, over the usual.
@@ -264,12 +269,12 @@ pub(in crate::flying::track) struct Surroundings {
 
 /// How often tracks begin that have no target.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub(in crate::flying::track) struct Births {
+pub(in crate::flying::track) struct FalseBirths {
     sets: f64,
     without_target: f64,
 }
 
-impl Births {
+impl FalseBirths {
     /// Take in a set of detections.
     pub(in crate::flying::track) fn count_set(&mut self) {
         let kept = 1.0 - 1.0 / MEMORY;
@@ -285,12 +290,12 @@ impl Births {
     }
 
     /// What is expected of the next set, beside tracks that are there already.
-    pub(in crate::flying::track) fn expected(&self, tracks: &[PointTrack]) -> Surroundings {
+    pub(in crate::flying::track) fn expected(&self, tracks: &[PointTrack]) -> ExpectedClutter {
         let new = tracks.iter().filter(|track| !track.was_confirmed);
         let alive: f64 = new.map(|track| 1.0 - track.belief.existence(track)).sum();
         let without = (FALSE_PRIOR + self.without_target + alive) / (SETS_PRIOR + self.sets);
         let [low, high] = CLUTTER_BOUNDS;
-        Surroundings {
+        ExpectedClutter {
             prior: TARGETS / (TARGETS + without.max(FEWEST)),
             clutter: (without / USUAL).sqrt().clamp(low, high),
         }

@@ -1,0 +1,346 @@
+//! Droplets and flakes in the air: near returns of a volume, not of surfaces.
+//!
+//! Fog, rain and snow return a few rays from anywhere on their first metres, in all directions, at
+//! ranges that are as random as the directions. So a return is one of a droplet if the returns beside
+//! it, in direction and range, are no more than chance explains: as dense as those in front of it, since
+//! droplets become fewer with range. They count as such only if the air is full of them.
+
+use super::super::grid::{CELLS, GRID, SECTORS};
+use crate::flying::map::blocks::Cursor;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::geometry::lattice::{floor, wide};
+use crate::geometry::transform::Transform;
+use std::ops::Range;
+use std::sync::LazyLock;
+
+/// Droplets return from nearer than this [m].
+const FARTHEST: f64 = 10.0;
+/// Depth of a bin of range [m], and their number.
+const BIN: f64 = 0.25;
+const BINS: usize = 40;
+/// Bins to either side that are beside a return, and those before these, which show what chance gives.
+const BESIDE: usize = 1;
+const BEFORE: usize = 7;
+/// Returns beside one that chance gives less often than the second are of a surface; so are those that
+/// chance gives less often than the first, if one of a surface is beside them. At least so many.
+const CHANCES: [f64; 2] = [0.05, 1e-3];
+const LEAST_BESIDE: u32 = 2;
+/// Counts above which limits are those of the last one, in proportion.
+const TABLE: usize = 256;
+/// The air is full if this share of all returns are of droplets, in this share of the sectors that
+/// return anything.
+const FULL_SHARE: f64 = 0.03;
+const FULL_SECTORS: f64 = 0.75;
+/// Droplets do not stay: of those further than this [m], at least this share lies where the map has
+/// seen free space.
+const JUDGED_FROM: f64 = 2.0;
+const LEAST_FREE: f64 = 0.5;
+/// Returns that are judged to see whether the air is full, at most.
+const SAMPLES: usize = 1024;
+/// Fewer droplets tell nothing.
+const FEWEST: usize = 20;
+
+/// Fewest returns beside one that make it one of a surface, by the number of those before it.
+static LIMITS: LazyLock<[[u32; 2]; TABLE]> = LazyLock::new(|| {
+    std::array::from_fn(|before| {
+        let mean = (before * (2 * BESIDE + 1)) as f64 / BEFORE as f64;
+        CHANCES.map(|chance| limit(mean, chance).max(LEAST_BESIDE))
+    })
+});
+
+/// What a return seems to be of, by the returns beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seems {
+    Droplet,
+    Either,
+    Surface,
+}
+
+/// Near returns of one scan.
+#[derive(Default)]
+pub(super) struct Haze {
+    /// Returns by cell of direction and bin of range.
+    counts: Vec<u8>,
+    /// Row and bin of every near return.
+    near: Vec<(u32, u32)>,
+    /// Bins with returns of surfaces.
+    is_solid: Vec<bool>,
+    /// Whether each row is a droplet; empty in clear air.
+    is_droplet: Vec<bool>,
+    /// Droplets per sector.
+    sectors: Vec<u32>,
+}
+
+impl Haze {
+    pub(super) fn clear(&mut self) {
+        self.counts.clear();
+        self.counts.resize(CELLS * BINS, 0);
+        self.near.clear();
+        self.is_droplet.clear();
+    }
+
+    /// Note a return of a cell.
+    #[inline]
+    pub(super) fn add(&mut self, row: usize, cell: usize, range: f64) {
+        if range < FARTHEST {
+            let at = cell * BINS + ((range / BIN) as usize).min(BINS - 1);
+            self.counts[at] = self.counts[at].saturating_add(1);
+            self.near.push((row as u32, at as u32));
+        }
+    }
+
+    /// Whether each row of a scan is a droplet; empty in clear air.
+    pub(super) fn is_droplet(&self) -> &[bool] {
+        &self.is_droplet
+    }
+
+    /// Find the droplets among `points`, of which `returns` are in `sectors_seen` sectors; true if the
+    /// air is full of them. What is lower than `ground` above the sensor is none [m]; `map` is
+    /// the map before the scan.
+    pub(super) fn find(
+        &mut self,
+        points: &[[f32; 3]],
+        map_from_lidar: &Transform,
+        ground: f64,
+        map: &VoxelMap,
+        returns: usize,
+        sectors_seen: usize,
+    ) -> bool {
+        let step = (self.near.len() / SAMPLES).max(1);
+        let mut cursor = Cursor::new(&map.blocks);
+        let (mut droplets, mut judged, mut free) = (0usize, 0usize, 0usize);
+        self.sectors.clear();
+        self.sectors.resize(SECTORS, 0);
+        for &(row, at) in self.near.iter().step_by(step) {
+            let place = map_from_lidar.apply(wide(points[row as usize]));
+            let is_low = place[2] - map_from_lidar.translation[2] < ground;
+            if is_low || self.seems(at as usize) != Seems::Droplet {
+                continue;
+            }
+            droplets += 1;
+            self.sectors[usize::from(GRID.bands[at as usize / BINS].1)] += 1;
+            if (at as usize % BINS) as f64 * BIN < JUDGED_FROM {
+                continue;
+            }
+            let Some(voxel) = floor(map.lattice().scaled(place)) else { continue };
+            judged += 1;
+            free += usize::from(map.known(cursor.stored(voxel)) < map.uncertain_from());
+        }
+        let filled = self.sectors.iter().filter(|&&count| count > 0).count();
+        let is_full = droplets >= FEWEST
+            && (droplets * step) as f64 >= FULL_SHARE * returns as f64
+            && filled as f64 >= FULL_SECTORS * sectors_seen as f64
+            && judged > 0
+            && free as f64 >= LEAST_FREE * judged as f64;
+        if is_full {
+            self.mark(points, map_from_lidar, ground);
+        }
+        is_full
+    }
+
+    /// Mark the rows of droplets.
+    fn mark(&mut self, points: &[[f32; 3]], map_from_lidar: &Transform, ground: f64) {
+        self.is_solid.clear();
+        self.is_solid.resize(CELLS * BINS, false);
+        self.is_droplet.resize(points.len(), false);
+        for &(row, at) in &self.near {
+            let turned = map_from_lidar.rotate(wide(points[row as usize]));
+            let is_surface = turned[2] < ground || self.seems(at as usize) == Seems::Surface;
+            self.is_solid[at as usize] |= is_surface;
+            self.is_droplet[row as usize] = !is_surface;
+        }
+        for &(row, at) in &self.near {
+            if self.is_droplet[row as usize] && self.seems(at as usize) == Seems::Either {
+                self.is_droplet[row as usize] = !self.is_beside_surface(at as usize);
+            }
+        }
+    }
+
+    fn is_beside_surface(&self, at: usize) -> bool {
+        let (cell, bin) = (at / BINS, at % BINS);
+        GRID.beside(cell)
+            .iter()
+            .any(|&other| self.is_solid[usize::from(other) * BINS..][beside(bin)].contains(&true))
+    }
+
+    /// What a return in the bin `at` seems to be of.
+    fn seems(&self, at: usize) -> Seems {
+        let (cell, bin) = (at / BINS, at % BINS);
+        let beside = beside(bin);
+        let before = beside.start.saturating_sub(BEFORE)..beside.start;
+        let (mut count, mut nearer) = (0, 0);
+        for &other in GRID.beside(cell) {
+            let of_cell = &self.counts[usize::from(other) * BINS..][..BINS];
+            let sum = |counts: &[u8]| counts.iter().map(|&count| u32::from(count)).sum::<u32>();
+            count += sum(&of_cell[beside.clone()]);
+            nearer += sum(&of_cell[before.clone()]);
+        }
+        if before.is_empty() {
+            return Seems::Droplet; // so near that nothing tells
+        }
+        let nearer = nearer as usize * BEFORE / before.len();
+        let beyond = (nearer as f64 / (TABLE - 1) as f64).max(1.0);
+        let limits = LIMITS[nearer.min(TABLE - 1)].map(|limit| f64::from(limit) * beyond);
+        match f64::from(count.saturating_sub(1)) {
+            others if others >= limits[1] => Seems::Surface,
+            others if others >= limits[0] => Seems::Either,
+            _ => Seems::Droplet,
+        }
+    }
+}
+
+/// Bins beside a bin, and that bin.
+fn beside(bin: usize) -> Range<usize> {
+    bin.saturating_sub(BESIDE)..(bin + BESIDE + 1).min(BINS)
+}
+
+/// Least count that is met with less than a chance where `mean` are expected (Poisson).
+fn limit(mean: f64, chance: f64) -> u32 {
+    let mut term = libm::exp(-mean);
+    let (mut below, mut count) = (term, 1);
+    while 1.0 - below > chance {
+        term *= mean / f64::from(count);
+        below += term;
+        count += 1;
+    }
+    count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::flying::map::parameters::tests::parameters;
+    use crate::flying::sky::grid::PARTS;
+
+    /// Numbers in [0, 1), always the same.
+    fn numbers() -> impl FnMut() -> f64 {
+        let mut state = 12_345_u64;
+        move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        }
+    }
+
+    /// Rays everywhere above the horizon, of which a share end in the air, at up to 6 m; a wall of 30
+    /// degrees at 4 m, the number of its returns, and those of a ball at 5 m.
+    fn scan(share: f64) -> (Vec<[f32; 3]>, usize, usize) {
+        let (mut random, mut points, mut solid) = (numbers(), Vec::new(), Vec::new());
+        let mut n_wall = 0;
+        for part in 0..CELLS * PARTS * PARTS {
+            let direction = wide(GRID.parts[part]);
+            let end = |range: f64| direction.map(|value| (range * value) as f32);
+            if direction[2] < 0.0 {
+                continue;
+            }
+            if random() < share {
+                points.push(end(0.3 + 5.7 * random()));
+            } else if direction[0] > 0.9 && direction[1].abs() < 0.26 && direction[2] < 0.4 {
+                solid.push(end(4.0 / direction[0]));
+                n_wall += 1;
+            } else if direction[1] > 0.9985 {
+                solid.push(end(5.0));
+            }
+        }
+        let n_drops = points.len();
+        points.extend(solid);
+        (points, n_drops, n_wall)
+    }
+
+    /// A map that has seen nothing but free space within 6 m.
+    fn free_map() -> Result<VoxelMap, Error> {
+        let mut map = VoxelMap::new(parameters())?;
+        let middle = |index: usize| (index as f32 - 25.0) * 0.25 + 0.1;
+        let grid = |index: usize| [index / 2601, index / 51 % 51, index % 51].map(middle);
+        map.set_free(&(0..51 * 51 * 51).map(grid).collect::<Vec<_>>())?;
+        Ok(map)
+    }
+
+    fn found(points: &[[f32; 3]], map: &VoxelMap) -> (Haze, bool) {
+        let mut haze = Haze::default();
+        haze.clear();
+        for (row, &point) in points.iter().enumerate() {
+            let place = wide(point);
+            haze.add(row, GRID.cell(place), crate::geometry::transform::norm(place));
+        }
+        let (pose, ground) = (Transform::IDENTITY, f64::NEG_INFINITY);
+        let is_full = haze.find(points, &pose, ground, map, points.len(), SECTORS);
+        (haze, is_full)
+    }
+
+    #[test]
+    fn droplets_everywhere_are_found_and_a_wall_and_a_ball_among_them_are_not() -> Result<(), Error>
+    {
+        let map = VoxelMap::new(parameters())?;
+        for share in [0.03, 0.06, 0.15] {
+            let (points, n_drops, n_wall) = scan(share);
+            let (haze, is_full) = found(&points, &map);
+            assert!(is_full, "{share}");
+            let kept = |rows: Range<usize>| rows.filter(|&row| !haze.is_droplet()[row]).count();
+            assert!(20 * kept(0..n_drops) < n_drops, "{share}: {} of {n_drops}", kept(0..n_drops));
+            let (wall, ball) = (n_drops..n_drops + n_wall, n_drops + n_wall..points.len());
+            assert!(wall.len() > 500 && ball.len() >= 10);
+            assert!(100 * kept(wall.clone()) > 98 * wall.len(), "{share}");
+            assert_eq!(kept(ball.clone()), ball.len(), "{share}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn stray_returns_in_one_direction_and_few_ones_do_not_fill_the_air() -> Result<(), Error> {
+        let map = free_map()?;
+        let (points, n_drops, _) = scan(0.06);
+        let keeps =
+            |row: usize, point: &[f32; 3]| row >= n_drops || point[1] > 0.8 * point[0].abs();
+        let of_a_bush = points.iter().enumerate().filter(|&(row, point)| keeps(row, point));
+        let bush: Vec<[f32; 3]> = of_a_bush.map(|(_, &point)| point).collect();
+        assert!(bush.len() > points.len() / 10);
+        assert!(!found(&bush, &map).1 && found(&bush, &map).0.is_droplet().is_empty());
+        let (few, ..) = scan(0.0005);
+        assert!(!found(&few, &map).1);
+        Ok(())
+    }
+
+    #[test]
+    fn twigs_that_stay_do_not_fill_the_air() -> Result<(), Error> {
+        let mut map = free_map()?;
+        let (points, n_drops, _) = scan(0.06);
+        assert!(found(&points, &map).1);
+        map.set_occupied(&points[..n_drops])?;
+        assert!(!found(&points, &map).1);
+        assert!(!found(&points, &VoxelMap::new(parameters())?).1, "nothing is known yet");
+        Ok(())
+    }
+
+    #[test]
+    fn ground_seen_at_a_grazing_angle_does_not_fill_the_air() -> Result<(), Error> {
+        let mut map = free_map()?;
+        let ground = |part: usize| {
+            let direction = wide(GRID.parts[part]);
+            let range = 1.5 / -direction[2];
+            (0.0..10.0).contains(&range).then(|| direction.map(|value| (range * value) as f32))
+        };
+        let points: Vec<[f32; 3]> = (0..CELLS * PARTS * PARTS).filter_map(ground).collect();
+        map.set_occupied(&points)?;
+        assert!(points.len() > 10_000 && !found(&points, &map).1);
+        Ok(())
+    }
+
+    #[test]
+    fn limits_are_quantiles_of_poisson_counts() {
+        for mean in [0.0, 0.3, 2.0, 20.0, 55.0] {
+            for chance in CHANCES {
+                let count = limit(mean, chance);
+                let at_least = |from: u32| {
+                    let below = (0..from).map(|k| {
+                        let log: f64 = (1..=k).map(|i| (mean / f64::from(i)).ln()).sum();
+                        (log - mean).exp()
+                    });
+                    1.0 - below.sum::<f64>()
+                };
+                assert!(at_least(count) <= chance + 1e-12, "{mean} {chance}");
+                assert!(count == 1 || at_least(count - 1) > chance - 1e-12, "{mean} {chance}");
+            }
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! Plane and space: the forms of a state that all models of one of them share.
+
+use super::motion::extended;
+use crate::estimation::kalman::Gaussian;
+use std::fmt::Debug;
+
+/// Plane or space.
+pub trait World: Clone + Copy + Debug + Send + Sync + 'static {
+    /// Position and velocity.
+    type Cv: Clone + Debug + Send + Sync + 'static;
+    /// Position, velocity and acceleration: the form that models exchange.
+    type Wide: Clone + Debug + Send + Sync + 'static;
+
+    /// `cv` with an acceleration that is zero.
+    fn widened(cv: &Self::Cv) -> Self::Wide;
+}
+
+/// States [x, y, vx, vy] and [x, y, vx, vy, ax, ay].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plane;
+
+/// States [x, y, z, vx, vy, vz] and [x, y, z, vx, vy, vz, ax, ay, az].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Space;
+
+impl World for Plane {
+    type Cv = Gaussian<4>;
+    type Wide = Gaussian<6>;
+
+    fn widened(cv: &Gaussian<4>) -> Gaussian<6> {
+        extended(cv, &[])
+    }
+}
+
+impl World for Space {
+    type Cv = Gaussian<6>;
+    type Wide = Gaussian<9>;
+
+    fn widened(cv: &Gaussian<6>) -> Gaussian<9> {
+        extended(cv, &[])
+    }
+}

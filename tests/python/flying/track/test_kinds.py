@@ -1,0 +1,103 @@
+"""Kinds of tracks: what hovers from the first scan on, insects, people at the edge of the view."""
+
+import numpy as np
+import pytest
+from flying_scenes import YARD, feed, lidar, scans_of, wall, yard
+
+from lidar_core import TrackKind
+from lidar_core.flying import FlyingObjectDetector
+from lidar_core.sim import Circle, Hexacopter, Person, Sphere, Target, Waypoints
+
+FINE = lidar(rows=128, columns=1024)
+HOVER_S = 2.0
+BURN_IN_SCANS = 10
+
+
+def frames_of(scene):
+    detector = FlyingObjectDetector()
+    return [feed(detector, simulated) for simulated in scans_of(scene)]
+
+
+def kinds_at(frame, place, reach=0.6):
+    """Kinds and numbers of the tracks near a place."""
+    near = np.linalg.norm(frame.tracks.position - place, axis=1) <= reach
+    return frame.tracks.kind[near].tolist(), frame.tracks.id[near].tolist()
+
+
+def hovering(*, moves):
+    """A ball that hovers for two seconds, and then flies on at 3 m/s if it `moves`."""
+    start, end = (6.0, 4.0, 3.5), (6.0, 10.0, 3.5) if moves else (6.0, 4.0, 3.5)
+    motion = Waypoints(times=(HOVER_S, HOVER_S + 2.0), positions=(start, end))
+    scene = yard(Target(shape=Sphere(radius=0.3), motion=motion), scans=30)
+    return start, frames_of(scene)
+
+
+def test_what_hovers_is_unknown_until_it_moves_and_keeps_its_number():
+    place, frames = hovering(moves=True)
+    numbers = set()
+    for frame in frames[BURN_IN_SCANS : int(10 * HOVER_S)]:
+        kinds, ids = kinds_at(frame, place)
+        assert kinds == [TrackKind.UNKNOWN]
+        numbers |= set(ids)
+    moved = [frame for frame in frames if len(frame.tracks.flying)]
+    first = moved[0].stamp_ns - frames[0].stamp_ns
+    # 0.1 m of way at 3 m/s, and 0.3 s after that.
+    assert HOVER_S < first * 1e-9 <= HOVER_S + 0.4 + 1e-6
+    numbers |= {number for frame in moved for number in frame.tracks.flying.id.tolist()}
+    assert len(numbers) == 1
+    assert len(frames[-1].tracks) == len(frames[-1].tracks.flying) == 1
+
+
+def test_what_hangs_still_never_flies():
+    place, frames = hovering(moves=False)
+    for frame in frames[BURN_IN_SCANS:]:
+        assert kinds_at(frame, place)[0] == [TrackKind.UNKNOWN]
+        assert len(frame.tracks.flying) == 0
+
+
+def test_things_on_the_ground_and_at_walls_are_no_hovering_targets():
+    post = wall((5.0, -3.0, 0.4), (0.3, 0.3, 0.8))
+    sign = wall((11.2, 2.0, 3.0), (0.2, 0.4, 0.4))
+    for frame in frames_of(yard(scans=14, bodies=(*YARD, post, sign)))[BURN_IN_SCANS:]:
+        assert len(frame.tracks) == 0
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind"), [(Sphere(radius=0.03), TrackKind.CLUTTER), (Sphere(radius=0.15), None)]
+)
+def test_insects_are_clutter_and_small_targets_fly(shape, kind):
+    way = Circle(center=(0.0, 0.0, 3.2), radius=2.5, speed=1.5, phase=0.3)
+    frames = frames_of(yard(Target(shape=shape, motion=way), scans=30, lidar=FINE))
+    found = [frame.tracks for frame in frames[20:] if len(frame.tracks)]
+    assert found
+    expected = {TrackKind.FLYING if kind is None else kind}
+    assert {number for tracks in found for number in tracks.kind.tolist()} == expected
+    for tracks in found:
+        np.testing.assert_allclose(tracks.kind_probability.sum(axis=1), 1, atol=1e-9)
+
+
+def test_a_person_whose_feet_are_out_of_view_does_not_fly():
+    """From a height of 3 m and 22.5 degrees down, the feet of who is 5 m away are not seen."""
+    line = ((4.0, -2.0, 0.0), (4.0, 2.0, 0.0))
+    walk = Waypoints(times=(0.0, 3.0), positions=line)
+    person = Target(shape=Person(height=1.85), motion=walk, clutter=True)
+    frames = frames_of(yard(person, scans=30, lidar=FINE))
+    assert sum(len(frame.tracks.flying) for frame in frames) == 0
+
+
+def test_a_drone_as_high_as_a_person_flies():
+    line = ((5.5, -2.0, 1.7), (5.5, 2.0, 1.7))
+    way = Waypoints(times=(0.0, 3.0), positions=line)
+    frames = frames_of(
+        yard(Target(shape=Hexacopter(radius=0.325), motion=way), scans=30, lidar=FINE)
+    )
+    found = [len(frame.tracks.flying) for frame in frames[20:]]
+    assert sum(found) >= 0.9 * len(found)
+
+
+def test_rows_of_a_kind_are_chosen():
+    _, frames = hovering(moves=True)
+    tracks = frames[-1].tracks
+    assert len(tracks.where(tracks.kind == TrackKind.GROUND)) == 0
+    same = tracks.where(np.ones(len(tracks), bool))
+    assert same.to_dict() == tracks.to_dict()
