@@ -156,8 +156,9 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
             ray_time_ns=scan.stamp_ns + scan.time_increment_ns * np.arange(len(scan.ranges)),
             pose_stamps_ns=made.pose_stamps_ns,
         ).map
-        # What is measured is where objects are for the scanner, whatever its pose is.
-        wrong = poses[0] @ np.linalg.inv(made.poses[0])
+        # What is measured is where objects are for the scanner, whatever its pose is. Late poses
+        # are moved on by the map, which is in the world then.
+        wrong = np.eye(4) if poses_of is late else poses[0] @ np.linalg.inv(made.poses[0])
         truth = made.truth
         for row in range(len(truth.hits)):
             if truth.hits[row] < 5:
