@@ -109,7 +109,8 @@ def test_elements_in_mcap_are_scene_entities(tmp_path, maps):
     assert [[item.id for item in update.entities] for update in updates] == [["4", "9"], [], ["9"]]
     entity, state = updates[0].entities[1], maps[0]
     disc = entity.cylinders[0]
-    assert (entity.frame_id, entity.texts[0].text) == ("map", "9")
+    assert (entity.frame_id, entity.texts[0].text) == ("map", "9 person")
+    assert updates[0].entities[0].texts[0].text == "4"
     np.testing.assert_array_equal([disc.pose.position.x, disc.pose.position.y], state.center[1])
     assert disc.size.x == 2 * state.radius[1]
     assert disc.pose.orientation.w == 1
