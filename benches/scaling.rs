@@ -165,6 +165,7 @@ fn tracking(count: u32) -> Result<f64, Error> {
                 delay: None,
                 confidence: None,
                 is_joined: None,
+                shape: None,
             };
             tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns)?;
             tracker.new_detections(&detections, &occupied)?;
