@@ -58,15 +58,8 @@ fn track(c: &mut Criterion) -> Result<(), Error> {
                 let start = Instant::now();
                 for _ in 0..rounds {
                     stamp_ns += PERIOD_NS;
-                    let detections = Detections {
-                        stamp_ns,
-                        positions: &positions,
-                        covariance: None,
-                        extent: None,
-                        delay: None,
-                        confidence: None,
-                        is_joined: None,
-                    };
+                    let detections =
+                        Detections { stamp_ns, positions: &positions, ..Detections::default() };
                     let seen = tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns);
                     std::hint::black_box(seen.is_ok());
                     std::hint::black_box(tracker.new_detections(&detections, &occupied).is_ok());

@@ -157,15 +157,8 @@ fn tracking(count: u32) -> Result<f64, Error> {
     least(|| {
         for _ in 0..5 {
             stamp_ns += PERIOD_NS;
-            let detections = Detections {
-                stamp_ns,
-                positions: &positions,
-                covariance: None,
-                extent: None,
-                delay: None,
-                confidence: None,
-                is_joined: None,
-            };
+            let detections =
+                Detections { stamp_ns, positions: &positions, ..Detections::default() };
             tracker.new_point_cloud(&cloud, None, &occupied, None, stamp_ns)?;
             tracker.new_detections(&detections, &occupied)?;
         }

@@ -20,7 +20,7 @@ use nalgebra::{Matrix3, Vector3};
 const MAX_DELAY: f64 = 10.0;
 
 /// Detections of one time, in the tracker's frame.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Detections<'a> {
     /// Time they describe [ns].
     pub stamp_ns: i64,
