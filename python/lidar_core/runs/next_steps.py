@@ -92,7 +92,7 @@ def _poses(
     recording: Recording, info: RecordingInfo, topic: TopicInfo, stamps: str | None
 ) -> tuple[list[str], str]:
     """Options that tell where the scans of a topic were taken, and a remark."""
-    if "pose" in topic.kind:
+    if "pose" in topic.kind and _tried(recording, topic, _Try({})) is True:
         return [], ""
     if stamps is not None:
         chosen = recording.options.model_copy(update={"stamps": stamps})

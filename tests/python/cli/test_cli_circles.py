@@ -330,15 +330,14 @@ def test_problems_of_a_configuration_file_name_it(recording, tmp_path, text, pro
 
 def test_the_first_scan_does_not_count_for_the_time_per_scan():
     times = ScanTimes()
-    poses = np.tile(np.eye(4), (3, 1, 1))
-    poses[:, 0, 3] = [1.0, 2.0, 4.0]
-    times.add(0, 500.0, {"fit": 1.0}, poses[0])
+    places = np.diag([1.0, 2.0, 4.0])
+    times.add(0, 500.0, {"fit": 1.0}, places[0])
     assert times.ms_per_scan == {"total": 500.0, "fit": 1.0}
-    times.add(1, 2.0, {"fit": 1.5}, poses[1])
-    times.add(2, 4.0, {"fit": 2.5}, poses[2])
+    times.add(1, 2.0, {"fit": 1.5}, places[1])
+    times.add(2, 4.0, {"fit": 2.5}, places[2])
     assert times.ms_per_scan == {"total": 3.0, "fit": 2.0}
     assert times.table()["total_ms"].tolist() == [500.0, 2.0, 4.0]
-    assert times.table()["sensor_x"].tolist() == [1.0, 2.0, 4.0]
+    assert times.table()["sensor_y"].tolist() == [0.0, 2.0, 0.0]
 
 
 def test_points_of_long_runs_are_thinned(recording, monkeypatch):

@@ -206,8 +206,8 @@ mod tests {
     #[test]
     fn near_pairs_are_those_of_comparing_all() -> Result<(), Error> {
         let sigma = Method::Sigma { spread: None, carries: false };
-        let mixed =
-            Method::Interacting { models: [true; MIXABLE.len()], sojourn: 1.0, quiet: Some(0.1) };
+        let models = MIXABLE.map(|model| !model.is_in_space());
+        let mixed = Method::Interacting { models, sojourn: 1.0, quiet: Some(0.1) };
         for (model, method) in [
             (Model::ConstantVelocity, Method::Linear),
             (Model::ConstantVelocity, Method::Extended),
