@@ -89,8 +89,8 @@ def test_dpkt_reads_the_same(tmp_path_factory, ticks, order):
     got = list(packets(path))
     with path.open("rb") as file:
         expected = list(dpkt.pcapng.Reader(file))
-    assert [data for _, data in got] == [data for _, data in expected]
-    np.testing.assert_allclose([stamp * 1e-9 for stamp, _ in got], [t for t, _ in expected])
+    assert [one.data for one in got] == [data for _, data in expected]
+    np.testing.assert_allclose([one.stamp_ns * 1e-9 for one in got], [t for t, _ in expected])
     as_pcap = list(dpkt.pcap.Reader(AsPcap(path)))
     assert [data for _, data in as_pcap] == [data for _, data in expected]
     np.testing.assert_allclose([t for t, _ in as_pcap], [t for t, _ in expected], atol=2e-6)
@@ -112,7 +112,7 @@ def test_every_interface_has_its_own_clock_and_sections_begin_anew(tmp_path):
             ]
         )
     )
-    assert list(packets(path)) == [
+    assert [(one.stamp_ns, one.data) for one in packets(path)] == [
         (BASE_NS, b"a"),
         (2_500_000_000, b"b"),
         (BASE_NS, b"c"),
@@ -131,16 +131,13 @@ def test_every_cut_is_refused_and_flipped_bytes_raise_nothing_else(tmp_path):
         for value in (0, 0xFF, whole[position] ^ 1, whole[position] ^ 0x80):
             path.write_bytes(whole[:position] + bytes([value]) + whole[position + 1 :])
             with suppress(FormatError):
-                assert all(len(data) < len(whole) for _, data in packets(path))
+                assert all(len(one.data) < len(whole) for one in packets(path))
 
 
-def test_a_capture_of_an_ouster_says_how_to_convert(tmp_path):
+def test_a_capture_of_an_ouster_says_what_is_missing(tmp_path):
     path = tmp_path / "a.pcapng"
     path.write_bytes(section() + interface() + packet(BASE_NS // 1000, b"a"))
-    with pytest.raises(FormatError, match="not Velodyne's; for Ouster, put its"):
-        lc.io.open_recording(path)
-    path.with_suffix(".json").write_text("{}")
-    with pytest.raises(FormatError, match="ouster-sdk reads pcap; convert it: editcap -F pcap"):
+    with pytest.raises(FormatError, match=r"not Velodyne's; for Ouster, put its \.json"):
         lc.io.open_recording(path)
 
 
