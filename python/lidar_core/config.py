@@ -197,7 +197,9 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
         case "model_type":
             text = "expected a table of parameters"
         case "tuple_type" | "list_type":
-            header = ".".join(part for part in problem["loc"] if isinstance(part, str))
+            # A field that takes one of several kinds is followed by the kind, such as tuple[...].
+            names = [part for part in problem["loc"] if isinstance(part, str) and "[" not in part]
+            header = ".".join(names)
             as_tables = f", its tables as [[{header}]]" if isinstance(received, dict) else ""
             text = f"expected a list{as_tables}"
         case "less_than_equal" if place in fields and "[m]" in (fields[place].description or ""):

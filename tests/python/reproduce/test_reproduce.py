@@ -85,6 +85,12 @@ SHORT = {
     "flying-drivers": Short(
         ("vlp-16/recall", "livox-avia/false_tracks", "xt32/target scans"), modes=("best_mode",)
     ),
+    "flying-situations": Short(
+        ("fixed wing 2.2 m: recall, goal >= 0.98", "goals met"), modes=("best_mode",)
+    ),
+    "tracking-takeover": Short(
+        ("stood, another 1 m away, alone: number taken over, goal <= .05",), modes=("best_mode",)
+    ),
     "flying-surfaces": Short(
         ("fog/sky known@4m", "wet/surfaces cleared", "glass/false_tracks", "all/target scans"),
         modes=("best_mode",),
@@ -209,7 +215,7 @@ def two_items(monkeypatch):
 # Every item
 
 
-NIGHTLY = {"flying-real", "circles-real"}
+NIGHTLY = {"flying-real", "flying-situations", "circles-real"}
 """Items that take minutes even in short."""
 
 

@@ -148,7 +148,7 @@ def test_a_place_is_checked(tmp_path):
 def test_a_table_where_a_list_is_expected_is_told_how_to_write_it():
     with pytest.raises(ConfigError, match=r"^jobs: expected a list, its tables as \[\[jobs\]\], g"):
         BatchConfig.load({"jobs": {"a": {"commands": ["info x"]}}})
-    with pytest.raises(ConfigError, match=r"^jobs\.0\.rows: .* its tables as \[\[jobs\.rows\]\]"):
+    with pytest.raises(ConfigError, match=r"^jobs\.0\.rows\b.* its tables as \[\[jobs\.rows\]\]"):
         BatchConfig.load({"jobs": [{"name": "a", "commands": ["info x"], "rows": {"a": 1}}]})
     with pytest.raises(ConfigError, match=r"^jobs: expected a list, got 3$"):
         BatchConfig.load({"jobs": 3})

@@ -13,7 +13,7 @@ from lidar_core import ConfigError, FormatError, runs
 from lidar_core.circles import CirclesConfig
 from lidar_core.cli import app
 from lidar_core.flying import FlyingConfig
-from lidar_core.fusion import FusionConfig, MultiTargetConfig
+from lidar_core.fusion import FusionConfig
 from lidar_core.io import PoseOptions, Span, read_columns
 from lidar_core.sim import Overflight, circle_scenes, overfly
 
@@ -128,8 +128,6 @@ def test_what_cannot_be_used_is_refused_before_a_folder_is_made(recordings, tmp_
     folder = tmp_path / "run"
     with pytest.raises(ConfigError, match=r"expected FlyingConfig .*, got CirclesConfig"):
         runs.detect(recordings["detect"], CirclesConfig(), folder)
-    with pytest.raises(ConfigError, match="one target"):
-        runs.fuse(recordings["fuse"], MultiTargetConfig(), folder)
     with pytest.raises(lc.InputError, match="no measurements"):
         runs.fuse(recordings["fuse"], None, folder, span=Span(start=100.0))
     with pytest.raises(ConfigError, match="no topic"):
