@@ -51,8 +51,8 @@ def local_places(
     Examples
     --------
     >>> east = local_places(*(np.array([v]) for v in (59.0, 10.001, 0.0)), (59.0, 10.0, 0.0))
-    >>> east.round(2).tolist()
-    [[57.47, 0.0, -0.0]]
+    >>> east.round(1).tolist()
+    [[57.5, 0.0, -0.0]]
     """
     phi, lam, _ = np.deg2rad(origin)
     (cp, cl), (sp, sl) = np.cos([phi, lam]), np.sin([phi, lam])
