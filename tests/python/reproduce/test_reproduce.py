@@ -135,6 +135,7 @@ SHORT = {
             "autoferry 2/one-to-one share, lesser target",
             "autoferry 17/GOSPA, empty output",
             "autoferry/mean MOTA",
+            "delphi esr/NIS per value",
         ),
         modes=("best_mode",),
     ),
