@@ -1,6 +1,7 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
+use super::company::Way;
 use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
@@ -126,6 +127,7 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) hits: u32,
     pub(super) confirmed: bool,
     pub(super) belief: Belief,
+    pub(super) way: Way,
 }
 
 /// All tracks at one time.
@@ -247,7 +249,8 @@ impl Tracks {
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
             let output = track.filter.output_at(stamp_ns)?;
-            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, belief, .. } = *track;
+            let TargetTrack { id, born_ns, seen_ns, hits, belief, .. } = *track;
+            let confirmed = track.confirmed && !track.way.is_left_out();
             let existence = Some(belief.presence.existence).filter(|p| !p.is_nan());
             Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed, existence })
         });
@@ -289,6 +292,7 @@ impl Tracks {
             let candidates = self.candidates(parameters, scan, &index, |_| true, &assigned, work);
             let space = IntegratedScan { parameters, existence, scan };
             self.integrate(&space, &candidates, births, &mut assigned);
+            self.keep_company(parameters, stamp_ns);
             within("tracks", self.all.len())?;
             return Ok(assigned);
         }
@@ -300,6 +304,7 @@ impl Tracks {
         let measured = self.measured_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
         self.all.retain(|track| track.stays(stamp_ns, parameters));
+        self.keep_company(parameters, stamp_ns);
         self.start(parameters, scan, &measured, births, &mut assigned);
         within("tracks", self.all.len())?;
         Ok(assigned)
@@ -453,6 +458,7 @@ impl<F> TargetTrack<F> {
             hits: self.hits,
             confirmed: self.confirmed,
             belief: self.belief,
+            way: self.way.clone(),
         }
     }
 }
@@ -470,6 +476,7 @@ impl TargetTrack {
             hits: 1,
             confirmed: false,
             belief: Belief::default(),
+            way: Way::default(),
         }
     }
 
