@@ -25,7 +25,7 @@ const PATIENCE: u32 = 5;
 
 /// Where a track was, and with whom.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Way {
+pub(super) struct RecentPath {
     /// Times [ns] and places [m], oldest first.
     places: Vec<(i64, [f64; 2])>,
     /// Scans of late in which the track went along with an older one.
@@ -34,7 +34,7 @@ pub(super) struct Way {
     is_standing: bool,
 }
 
-impl Way {
+impl RecentPath {
     /// True for tracks that are not reported: parts, and those that stand.
     pub(super) fn is_left_out(&self) -> bool {
         self.is_part || self.is_standing

@@ -1,7 +1,7 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
-use super::company::Way;
+use super::company::RecentPath;
 use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
@@ -127,7 +127,7 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) hits: u32,
     pub(super) confirmed: bool,
     pub(super) belief: Belief,
-    pub(super) way: Way,
+    pub(super) way: RecentPath,
 }
 
 /// All tracks at one time.
@@ -476,7 +476,7 @@ impl TargetTrack {
             hits: 1,
             confirmed: false,
             belief: Belief::default(),
-            way: Way::default(),
+            way: RecentPath::default(),
         }
     }
 
