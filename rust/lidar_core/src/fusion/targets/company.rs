@@ -1,10 +1,9 @@
 //! Way of a track lately: whether it stands, and whether it goes along with an older one ahead or
 //! astern, as parts of one long object do.
 
-use super::many_parameters::ManyParameters;
-use super::tracks::Tracks;
 use crate::tracking::near::{NearIndex, Rectangle};
 use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
 
 /// Times between two places that are kept [ns].
 const STEP_NS: i64 = 1_000_000_000;
@@ -63,67 +62,61 @@ impl RecentPath {
     }
 }
 
-/// A reported track at one time.
-struct Fellow {
-    row: usize,
+/// A confirmed track at one time.
+pub(super) struct Fellow<'a> {
+    pub(super) path: &'a mut RecentPath,
+    pub(super) place: [f64; 2],
+    /// Number of measurements, time of the first one [ns], number of the track.
+    pub(super) rank: (Reverse<u32>, i64, i64),
+}
+
+/// A track that does not stand.
+#[derive(Clone, Copy)]
+struct Course {
     place: [f64; 2],
     velocity: Option<[f64; 2]>,
 }
 
-impl Tracks {
-    /// Say of every confirmed track whether it stands, and whether it is part of another one.
-    pub(super) fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
-        let (slowest, distance) = (parameters.report_speed, parameters.birth_distance);
-        if slowest <= 0.0 && distance <= 0.0 {
-            return;
-        }
-        let mut fellows = Vec::new();
-        for (row, track) in self.all.iter_mut().enumerate().filter(|(_, track)| track.confirmed) {
-            let Some(output) = track.filter.output_at(stamp_ns) else { continue };
-            let place = [output.mean[0], output.mean[1]];
-            if !place.iter().all(|value| value.is_finite()) {
-                continue;
-            }
-            track.way.pass(stamp_ns, place);
-            let mean = track.way.velocity(stamp_ns, place, STANDING_NS);
-            track.way.is_standing = mean.is_some_and(|v| libm::hypot(v[0], v[1]) < slowest);
-            if !track.way.is_standing {
-                let velocity = track.way.velocity(stamp_ns, place, ALONG_NS);
-                fellows.push(Fellow { row, place, velocity });
-            }
-        }
-        if distance > 0.0 {
-            self.find_parts(&mut fellows, distance);
-        }
+/// Say of every confirmed track whether it stands, slower than `slowest`, and whether it is part
+/// of one with more measurements, no track starting within `distance` of another.
+pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64, stamp_ns: i64) {
+    for one in &mut all {
+        one.path.pass(stamp_ns, one.place);
+        let mean = one.path.velocity(stamp_ns, one.place, STANDING_NS);
+        one.path.is_standing = mean.is_some_and(|v| libm::hypot(v[0], v[1]) < slowest);
     }
-
-    /// Mark those that go along with a track that has more measurements.
-    fn find_parts(&mut self, fellows: &mut [Fellow], distance: f64) {
-        fellows.sort_by_key(|one| {
-            let track = &self.all[one.row];
-            (std::cmp::Reverse(track.hits), track.born_ns, track.id)
-        });
-        let index = NearIndex::new(fellows.iter().map(|one| one.place).zip(0..).collect());
-        let mut leads = vec![false; fellows.len()];
-        let mut near = Vec::new();
-        let reach = libm::hypot(PART[0], PART[1]) * distance;
-        for (number, one) in fellows.iter().enumerate() {
-            near.clear();
-            index.collect(&Rectangle::around(one.place, [reach; 2]), &mut near);
-            let is_along =
-                near.iter().any(|other| leads[*other] && fellows[*other].has(one, distance));
-            let way = &mut self.all[one.row].way;
-            way.together = match is_along {
-                true => (way.together + 1).min(2 * PATIENCE),
-                false => way.together.saturating_sub(1),
-            };
-            way.is_part = is_along && way.together > PATIENCE;
-            leads[number] = !is_along;
-        }
+    if distance <= 0.0 {
+        return;
+    }
+    all.retain(|one| !one.path.is_standing);
+    all.sort_by_key(|one| one.rank);
+    let course = |one: &Fellow<'_>| Course {
+        place: one.place,
+        velocity: one.path.velocity(stamp_ns, one.place, ALONG_NS),
+    };
+    let courses: Vec<Course> = all.iter().map(course).collect();
+    let index = NearIndex::new(courses.iter().map(|one| one.place).zip(0..).collect());
+    let mut leads = vec![false; all.len()];
+    let mut near = Vec::new();
+    let reach = libm::hypot(PART[0], PART[1]) * distance;
+    for (number, one) in all.iter_mut().enumerate() {
+        near.clear();
+        index.collect(&Rectangle::around(one.place, [reach; 2]), &mut near);
+        let own = courses[number];
+        let is_along =
+            near.iter().any(|other| leads[*other] && courses[*other].has(&own, distance));
+        let path = &mut *one.path;
+        path.together = if is_along {
+            (path.together + 1).min(2 * PATIENCE)
+        } else {
+            path.together.saturating_sub(1)
+        };
+        path.is_part = is_along && path.together > PATIENCE;
+        leads[number] = !is_along;
     }
 }
 
-impl Fellow {
+impl Course {
     /// True if `other` may be a part of the same object.
     fn has(&self, other: &Self, distance: f64) -> bool {
         let (Some(own), Some(its)) = (self.velocity, other.velocity) else { return false };

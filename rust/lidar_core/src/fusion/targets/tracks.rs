@@ -1,7 +1,7 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
-use super::company::RecentPath;
+use super::company::{Fellow, RecentPath, keep_company};
 use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
@@ -15,6 +15,7 @@ use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{Population, Surroundings};
 use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
@@ -403,6 +404,23 @@ impl Tracks {
         for (track, weighted) in self.all.iter_mut().zip(of_track) {
             track.absorb(scan, &weighted);
         }
+    }
+
+    /// Say of every confirmed track whether it stands or is part of another one.
+    fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
+        let ManyParameters { report_speed, birth_distance, .. } = *parameters;
+        if report_speed <= 0.0 && birth_distance <= 0.0 {
+            return;
+        }
+        let confirmed = self.all.iter_mut().filter(|track| track.confirmed);
+        let fellows = confirmed.filter_map(|track| {
+            let output = track.filter.output_at(stamp_ns)?;
+            let place = [output.mean[0], output.mean[1]];
+            let rank = (Reverse(track.hits), track.born_ns, track.id);
+            let is_finite = place.iter().all(|value| value.is_finite());
+            is_finite.then_some(Fellow { path: &mut track.way, place, rank })
+        });
+        keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
     }
 
     /// Positions of the tracks that were measured at `stamp_ns`.
