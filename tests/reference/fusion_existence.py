@@ -8,6 +8,7 @@ Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994.
 
 import numpy as np
 
+from reference.fusion_company import keep_company
 from reference.fusion_many import gaussian_step
 
 CERTAIN, DOUBTFUL, MOST = 0.9, 0.5, 1 - 1e-9
@@ -180,6 +181,7 @@ class IntegratedTargets:
         self.start(left * share, measured, numbers, is_settled)
         self.unite()
         self.judge(scanner, largest)
+        keep_company(self.config, self.stamp, self.tracks)
         return numbers
 
     def age(self):

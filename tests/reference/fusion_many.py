@@ -4,6 +4,8 @@ from itertools import permutations, product
 
 import numpy as np
 
+from reference.fusion_company import keep_company
+
 
 def gaussian_step(mean, covariance, dt, density):
     """Constant velocity [x, y, vx, vy] under white acceleration."""
@@ -59,6 +61,7 @@ class ManyTargets:
         for track in self.tracks:
             self.judge(track)
         self.tracks = [track for track in self.tracks if self.stays(track, stamp)]
+        keep_company(self.config, stamp, self.tracks)
         for column, place in enumerate(places):
             near = any(np.hypot(*(at - place)) < self.config.birth_distance for at in measured)
             if numbers[column] >= 0 or near:
@@ -71,6 +74,7 @@ class ManyTargets:
                 "history": [1],
                 "sources": {source},
                 "seen": stamp,
+                "born": stamp,
                 "stamp": stamp,
                 "confirmed": False,
                 "hits": 1,

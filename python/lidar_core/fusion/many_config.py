@@ -71,7 +71,16 @@ class MultiTargetConfig(Config):
         ge=0,
         le=1e6,
         description="No track starts nearer than this to one that the same scan measured: parts"
-        " of an object are no objects [m].",
+        " of an object are no objects. A track that goes along ahead or astern of one with more"
+        " measurements, up to 1.5 times as far along and 0.6 times across, is a part of it and not"
+        " reported [m].",
+    )
+    report_speed: float = Field(
+        0.0,
+        ge=0,
+        le=1e3,
+        description="A track is not reported while the mean of its speed over the last 15 s is"
+        " below this: for clutter that stands, where targets do not; 0: all are [m/s].",
     )
 
     association: Literal["integrated", "nearest", "joint"] = Field(
@@ -114,12 +123,14 @@ class MultiTargetConfig(Config):
                 initial_speed=6.0,
                 gate_probability=0.999,
             ),
-            association="nearest",
-            confirm_hits=3,
-            confirm_window=6,
+            association="joint",
+            clutter=(1e-5, 1e-4),
+            confirm_hits=4,
+            confirm_window=8,
             max_coast=15.0,
             max_position_std=12.0,
             birth_distance=20.0,
+            report_speed=0.4,
         )
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from lidar_core.reproduce.tracking.arena import Arena
 from lidar_core.reproduce.tracking.clutter import scored
 from lidar_core.reproduce.tracking.existence import ARENAS, Hypotheses, hypotheses, told
 from lidar_core.reproduce.tracking.takeover import is_kept, outcomes
+from reference.fusion_company import is_reported
 from reference.fusion_existence import IntegratedTargets, joint_events
 
 GATE = 0.99
@@ -67,7 +68,7 @@ def agrees(tracker, oracle, stamp):
     expected = sorted(oracle.tracks, key=lambda track: track["id"])
     assert tracks.id.tolist() == [track["id"] for track in expected]
     assert tracks.hits.tolist() == [track["hits"] for track in expected]
-    assert tracks.confirmed.tolist() == [track["confirmed"] for track in expected]
+    assert tracks.confirmed.tolist() == [is_reported(track) for track in expected]
     for row, track in enumerate(expected):
         np.testing.assert_allclose(tracks.existence[row], track["p"], atol=ORACLE)
         np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)

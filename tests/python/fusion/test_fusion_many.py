@@ -22,6 +22,7 @@ from lidar_core.fusion import (
     read_autoferry,
     target_coverage,
 )
+from reference.fusion_company import is_reported
 from reference.fusion_many import JointTargets, ManyTargets
 
 STEP_NS = 500_000_000
@@ -40,9 +41,9 @@ SMALL = MultiTargetConfig(
     birth_distance=1.5,
 )
 SCENARIOS = (2, 3, 4, 5, 13, 17)
-COVERED = {"integrated": 0.65, "nearest": 0.85, "joint": 0.65}
+COVERED = {"integrated": 0.65, "nearest": 0.85, "joint": 0.8}
 """Least share of the time for which a target has a track of its own; 0.85 is the goal."""
-SHARED = {(17, 2): 0.30}
+SHARED = {(17, 2): 0.25}
 """Targets, by scenario and number, that miss the goal: beside another one whose track is theirs."""
 
 
@@ -78,7 +79,7 @@ def test_the_tracker_agrees_with_the_oracle(association, seed):
         np.testing.assert_allclose(got.nis, oracle.nis, atol=ORACLE)
         tracks = tracker.tracks_at(stamp, confirmed=False)
         assert tracks.id.tolist() == [track["id"] for track in oracle.tracks]
-        assert tracks.confirmed.tolist() == [track["confirmed"] for track in oracle.tracks]
+        assert tracks.confirmed.tolist() == [is_reported(track) for track in oracle.tracks]
         assert tracks.hits.tolist() == [track["hits"] for track in oracle.tracks]
         for row, track in enumerate(oracle.tracks):
             np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)
@@ -134,7 +135,7 @@ def test_scans_in_any_order_give_what_the_oracle_gets_in_order(association, seed
         np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)
         np.testing.assert_allclose(tracks.covariances[row], track["cov"], atol=ORACLE)
         assert tracks.hits[row] == track["hits"]
-        assert tracks.confirmed[row] == track["confirmed"]
+        assert tracks.confirmed[row] == is_reported(track)
 
 
 def test_a_late_scan_leaves_the_numbers_of_tracks():
@@ -563,3 +564,71 @@ def test_only_near_pairs_are_compared_and_each_track_is_predicted_once(count, sp
         assert looks <= health.n_pairs <= (1.5 if association == "nearest" else 3) * looks
     else:
         assert health.n_pairs > 10 * looks
+
+
+# What is not reported: parts of long objects, and what stands
+
+
+def reported(ways, config, *, seconds=20.0):
+    """Numbers of the tracks reported at the end, of places (2,) over time [s], 2 scans a second."""
+    tracker = MultiTargetTracker(config)
+    for k in range(int(2 * seconds)):
+        stamp = 500_000_000 * k
+        seen = [Measurement(stamp, "lidar", way(0.5 * k), np.eye(2)) for way in ways]
+        tracker.process(stamp, seen, source="lidar")
+    return tracker.tracks_at(stamp), tracker.tracks_at(stamp, confirmed=False)
+
+
+def sailing(x, y):
+    return lambda t: [x + 2.0 * t, y]
+
+
+@pytest.mark.parametrize("association", ["nearest", "integrated"])
+@pytest.mark.parametrize(
+    ("x", "y", "count"),
+    [
+        (24.0, 0.0, 1),  # the bow of the same ship
+        (-24.0, 4.0, 1),  # its stern
+        (0.0, 24.0, 2),  # a ship abreast
+        (40.0, 0.0, 2),  # another one ahead
+    ],
+)
+def test_ends_of_a_long_ship_are_one_track_and_ships_abreast_are_two(association, x, y, count):
+    config = MultiTargetConfig.boats().model_copy(update={"association": association})
+    told, held = reported([sailing(0.0, 0.0), sailing(x, y)], config)
+    assert (len(told.id), len(held.id)) == (count, 2)
+
+
+def test_what_goes_the_other_way_is_no_part():
+    ways = [sailing(0.0, 0.0), lambda t: [66.0 - 2.0 * t, 3.0]]
+    told, _ = reported(ways, MultiTargetConfig.boats())
+    assert len(told.id) == 2
+
+
+def test_a_track_that_stands_is_reported_once_it_moves():
+    def starting(t):
+        return [50.0 + max(0.0, 2.0 * (t - 20.0)), 0.0]
+
+    config = MultiTargetConfig.boats()
+    ways = [sailing(0.0, 30.0), starting]
+    assert [len(one.id) for one in reported(ways, config)] == [1, 2]
+    told, _ = reported(ways, config, seconds=26.0)
+    assert len(told.id) == 2
+    all_told, _ = reported(ways, config.model_copy(update={"report_speed": 0.0}))
+    assert len(all_told.id) == 2
+
+
+def test_ways_are_kept_with_the_state_of_a_tracker():
+    config = MultiTargetConfig.boats()
+    ways = [sailing(0.0, 0.0), sailing(24.0, 0.0), lambda t: [90.0, 40.0]]
+    one, other = MultiTargetTracker(config), MultiTargetTracker(config)
+    for k in range(60):
+        stamp = 500_000_000 * k
+        seen = [Measurement(stamp, "lidar", way(0.5 * k), np.eye(2)) for way in ways]
+        if k == 23:
+            other = MultiTargetTracker.from_bytes(other.to_bytes())
+        for tracker in (one, other):
+            tracker.process(stamp, seen, source="lidar")
+        ids = [tracker.tracks_at(stamp).id.tolist() for tracker in (one, other)]
+        assert ids[0] == ids[1]
+    assert len(ids[0]) == 1

@@ -147,6 +147,7 @@ impl Default for ManyParameters {
             max_coast: 2.0,
             max_position_std: 5.0,
             birth_distance: 0.0,
+            report_speed: 0.0,
             association: TargetAssociation::Integrated(ExistenceParameters::default()),
         }
     }

@@ -24,6 +24,7 @@ pub(crate) struct MultiTargetConfig {
     max_coast: f64,
     max_position_std: f64,
     birth_distance: f64,
+    report_speed: f64,
     association: String,
     detection_probability: f64,
     clutter: [f64; 2],
@@ -48,6 +49,7 @@ impl MultiTargetConfig {
             max_coast: self.max_coast,
             max_position_std: self.max_position_std,
             birth_distance: self.birth_distance,
+            report_speed: self.report_speed,
             association: arrays::choice("association", &self.association, &associations)?,
         })
     }

@@ -21,6 +21,8 @@ pub struct ManyParameters {
     pub max_position_std: f64,
     /// Least distance of a new track from a track measured by the same scan [m].
     pub birth_distance: f64,
+    /// Mean speed of the last 15 s below which a track is not reported [m/s].
+    pub report_speed: f64,
     /// Association of measurements with tracks.
     pub association: TargetAssociation,
 }

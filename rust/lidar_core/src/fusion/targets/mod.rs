@@ -1,6 +1,7 @@
 //! Targets over time: one or many, whole recordings, maximum likelihood noise.
 
 pub mod any_filter;
+mod company;
 pub mod integrated;
 pub mod lifecycle;
 pub mod many;

@@ -1,6 +1,7 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
+use super::company::{Fellow, RecentPath, keep_company};
 use super::integrated::{Belief, IntegratedScan};
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
@@ -14,6 +15,7 @@ use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{Population, Surroundings};
 use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
@@ -126,6 +128,7 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) hits: u32,
     pub(super) confirmed: bool,
     pub(super) belief: Belief,
+    pub(super) way: RecentPath,
 }
 
 /// All tracks at one time.
@@ -247,7 +250,8 @@ impl Tracks {
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
             let output = track.filter.output_at(stamp_ns)?;
-            let TargetTrack { id, born_ns, seen_ns, hits, confirmed, belief, .. } = *track;
+            let TargetTrack { id, born_ns, seen_ns, hits, belief, .. } = *track;
+            let confirmed = track.confirmed && !track.way.is_left_out();
             let existence = Some(belief.presence.existence).filter(|p| !p.is_nan());
             Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed, existence })
         });
@@ -289,6 +293,7 @@ impl Tracks {
             let candidates = self.candidates(parameters, scan, &index, |_| true, &assigned, work);
             let space = IntegratedScan { parameters, existence, scan };
             self.integrate(&space, &candidates, births, &mut assigned);
+            self.keep_company(parameters, stamp_ns);
             within("tracks", self.all.len())?;
             return Ok(assigned);
         }
@@ -300,6 +305,7 @@ impl Tracks {
         let measured = self.measured_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
         self.all.retain(|track| track.stays(stamp_ns, parameters));
+        self.keep_company(parameters, stamp_ns);
         self.start(parameters, scan, &measured, births, &mut assigned);
         within("tracks", self.all.len())?;
         Ok(assigned)
@@ -400,6 +406,23 @@ impl Tracks {
         }
     }
 
+    /// Say of every confirmed track whether it stands or is part of another one.
+    fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
+        let ManyParameters { report_speed, birth_distance, .. } = *parameters;
+        if report_speed <= 0.0 && birth_distance <= 0.0 {
+            return;
+        }
+        let confirmed = self.all.iter_mut().filter(|track| track.confirmed);
+        let fellows = confirmed.filter_map(|track| {
+            let output = track.filter.output_at(stamp_ns)?;
+            let place = [output.mean[0], output.mean[1]];
+            let rank = (Reverse(track.hits), track.born_ns, track.id);
+            let is_finite = place.iter().all(|value| value.is_finite());
+            is_finite.then_some(Fellow { path: &mut track.way, place, rank })
+        });
+        keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
+    }
+
     /// Positions of the tracks that were measured at `stamp_ns`.
     fn measured_at(&self, stamp_ns: i64) -> NearIndex {
         let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
@@ -453,6 +476,7 @@ impl<F> TargetTrack<F> {
             hits: self.hits,
             confirmed: self.confirmed,
             belief: self.belief,
+            way: self.way.clone(),
         }
     }
 }
@@ -470,6 +494,7 @@ impl TargetTrack {
             hits: 1,
             confirmed: false,
             belief: Belief::default(),
+            way: RecentPath::default(),
         }
     }
 

@@ -1,0 +1,132 @@
+//! Way of a track lately: whether it stands, and whether it goes along with an older one ahead or
+//! astern, as parts of one long object do.
+
+use crate::tracking::near::{NearIndex, Rectangle};
+use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
+
+/// Times between two places that are kept [ns].
+const STEP_NS: i64 = 1_000_000_000;
+/// How far back the mean speed looks that says whether a track stands, and how long the track must
+/// be known [ns].
+const STANDING_NS: [i64; 2] = [15_000_000_000, 5_000_000_000];
+/// The same for the velocity of tracks that go along with one another.
+const ALONG_NS: [i64; 2] = [5_000_000_000, 2_000_000_000];
+/// Largest distance of parts of one object along its way and across it, over the distance within
+/// which no track starts: objects are long rather than wide, and what goes abreast is another one.
+const PART: [f64; 2] = [1.5, 0.6];
+/// Largest difference of the velocities of parts [m/s].
+const SLIP: f64 = 3.0;
+/// Speed below which an object has no direction [m/s].
+const SLOWEST: f64 = 0.3;
+/// Scans for which a track has to go along before it counts as a part.
+const PATIENCE: u32 = 5;
+
+/// Where a track was, and with whom.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct RecentPath {
+    /// Times [ns] and places [m], oldest first.
+    places: Vec<(i64, [f64; 2])>,
+    /// Scans of late in which the track went along with an older one.
+    together: u32,
+    is_part: bool,
+    is_standing: bool,
+}
+
+impl RecentPath {
+    /// True for tracks that are not reported: parts, and those that stand.
+    pub(super) fn is_left_out(&self) -> bool {
+        self.is_part || self.is_standing
+    }
+
+    fn pass(&mut self, stamp_ns: i64, place: [f64; 2]) {
+        if self.places.last().is_none_or(|(last, _)| stamp_ns.saturating_sub(*last) >= STEP_NS) {
+            self.places.push((stamp_ns, place));
+        }
+        let oldest = stamp_ns.saturating_sub(STANDING_NS[0]);
+        self.places.retain(|(stamp, _)| *stamp >= oldest);
+    }
+
+    /// Mean velocity over the last `span` [ns] until now; None if less than `least` is known.
+    fn velocity(
+        &self,
+        stamp_ns: i64,
+        place: [f64; 2],
+        [span, least]: [i64; 2],
+    ) -> Option<[f64; 2]> {
+        let oldest = stamp_ns.saturating_sub(span);
+        let (since, from) = self.places.iter().find(|(stamp, _)| *stamp >= oldest)?;
+        let elapsed = stamp_ns.saturating_sub(*since);
+        let seconds = elapsed as f64 * 1e-9;
+        (elapsed >= least).then(|| [(place[0] - from[0]) / seconds, (place[1] - from[1]) / seconds])
+    }
+}
+
+/// A confirmed track at one time.
+pub(super) struct Fellow<'a> {
+    pub(super) path: &'a mut RecentPath,
+    pub(super) place: [f64; 2],
+    /// Number of measurements, time of the first one [ns], number of the track.
+    pub(super) rank: (Reverse<u32>, i64, i64),
+}
+
+/// A track that does not stand.
+#[derive(Clone, Copy)]
+struct Course {
+    place: [f64; 2],
+    velocity: Option<[f64; 2]>,
+}
+
+/// Say of every confirmed track whether it stands, slower than `slowest`, and whether it is part
+/// of one with more measurements, no track starting within `distance` of another.
+pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64, stamp_ns: i64) {
+    for one in &mut all {
+        one.path.pass(stamp_ns, one.place);
+        let mean = one.path.velocity(stamp_ns, one.place, STANDING_NS);
+        one.path.is_standing = mean.is_some_and(|v| libm::hypot(v[0], v[1]) < slowest);
+    }
+    if distance <= 0.0 {
+        return;
+    }
+    all.retain(|one| !one.path.is_standing);
+    all.sort_by_key(|one| one.rank);
+    let course = |one: &Fellow<'_>| Course {
+        place: one.place,
+        velocity: one.path.velocity(stamp_ns, one.place, ALONG_NS),
+    };
+    let courses: Vec<Course> = all.iter().map(course).collect();
+    let index = NearIndex::new(courses.iter().map(|one| one.place).zip(0..).collect());
+    let mut leads = vec![false; all.len()];
+    let mut near = Vec::new();
+    let reach = libm::hypot(PART[0], PART[1]) * distance;
+    for (number, one) in all.iter_mut().enumerate() {
+        near.clear();
+        index.collect(&Rectangle::around(one.place, [reach; 2]), &mut near);
+        let own = courses[number];
+        let is_along =
+            near.iter().any(|other| leads[*other] && courses[*other].has(&own, distance));
+        let path = &mut *one.path;
+        path.together = if is_along {
+            (path.together + 1).min(2 * PATIENCE)
+        } else {
+            path.together.saturating_sub(1)
+        };
+        path.is_part = is_along && path.together > PATIENCE;
+        leads[number] = !is_along;
+    }
+}
+
+impl Course {
+    /// True if `other` may be a part of the same object.
+    fn has(&self, other: &Self, distance: f64) -> bool {
+        let (Some(own), Some(its)) = (self.velocity, other.velocity) else { return false };
+        let speed = libm::hypot(own[0], own[1]);
+        if speed < SLOWEST || libm::hypot(own[0] - its[0], own[1] - its[1]) > SLIP {
+            return false;
+        }
+        let [dx, dy] = [other.place[0] - self.place[0], other.place[1] - self.place[1]];
+        let along = (dx * own[0] + dy * own[1]) / speed;
+        let across = (dx * own[1] - dy * own[0]) / speed;
+        along.abs() <= PART[0] * distance && across.abs() <= PART[1] * distance
+    }
+}
