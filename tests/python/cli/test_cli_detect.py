@@ -440,7 +440,7 @@ def test_broken_ouster_files_are_refused(recordings, tmp_path):
         assert not (tmp_path / "a").exists()
 
 
-# --- the map without what moved --------------------------------------------------------------------
+# --- the map without what moved -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ending", ["lcvm", "ply", "pcd"])

@@ -4,6 +4,7 @@ from copy import deepcopy
 from functools import cache
 
 import numpy as np
+import pytest
 from flying_scenes import YARD, drone, feed, lidar, scans_of, yard
 
 from lidar_core import PointClass, VoxelMap, sim
@@ -87,6 +88,7 @@ def test_paper_mode_has_no_moving_points():
     assert not any((frame.point_class == MOVING).any() for frame in frames)
 
 
+@pytest.mark.nightly
 def test_a_copy_goes_on_to_the_same_points():
     made, *_ = flown(PASSER, 32)
     detector = FlyingObjectDetector(FlyingConfig())

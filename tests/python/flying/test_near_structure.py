@@ -1,4 +1,4 @@
-"""Targets that come close to walls keep their tracks; what stands or walks beside walls gets none."""
+"""Targets that come close to walls keep their tracks; what stands or walks there gets none."""
 
 from functools import cache
 
@@ -62,6 +62,7 @@ def test_people_and_poles_beside_walls_do_not_fly():
     assert not any((frame.tracks.kind == TrackKind.FLYING).any() for frame in frames)
 
 
+@pytest.mark.nightly
 def test_a_track_does_not_eat_the_wall_that_its_target_went_behind():
     """The target flies past the end of a wall and is hidden behind it: the wall is no target."""
     behind = drone(
