@@ -35,7 +35,7 @@ const FEWEST: usize = 4;
 type Keys = BuildHasherDefault<KeyHasher>;
 
 /// Voxels of one size.
-struct Layer {
+struct VoxelLayer {
     map: VoxelMap,
     /// Voxels in which points were while they were free, and those of them that were beside nothing.
     met_free: HashSet<Place, Keys>,
@@ -45,13 +45,13 @@ struct Layer {
 /// Stage that takes scans and tells what stands.
 pub(crate) struct StaticMapper {
     /// Fine, then coarse.
-    layers: [Layer; 2],
+    layers: [VoxelLayer; 2],
     integrator: Integrator,
     /// The first point in every cell, frame of the map [m].
     points: HashMap<Place, [f32; 3], Keys>,
 }
 
-/// State of a [`Layer`] as bytes are written from it, in ascending order.
+/// State of a [`VoxelLayer`] as bytes are written from it, in ascending order.
 #[derive(Serialize)]
 struct LayerState<'a> {
     map: MapState<'a>,
@@ -81,7 +81,7 @@ pub(crate) struct SavedStaticMapper {
     points: Vec<(Place, [f32; 3])>,
 }
 
-impl Layer {
+impl VoxelLayer {
     fn beside(of: &MapParameters, [voxel_size, max_range]: [f64; 2]) -> Result<Self, Error> {
         let rays = Rays::OnePerEnd;
         let parameters = MapParameters { voxel_size, max_range, rays, ..of.clone() };
@@ -172,7 +172,7 @@ impl StaticMapper {
     /// As [`VoxelMap::new`].
     pub(crate) fn beside(of: &MapParameters, workers: Workers) -> Result<Self, Error> {
         Ok(Self {
-            layers: [Layer::beside(of, FINE)?, Layer::beside(of, COARSE)?],
+            layers: [VoxelLayer::beside(of, FINE)?, VoxelLayer::beside(of, COARSE)?],
             integrator: Integrator::on(workers),
             points: HashMap::default(),
         })
@@ -257,7 +257,7 @@ impl StaticMapper {
     pub(crate) fn restored(saved: SavedStaticMapper, workers: Workers) -> Result<Self, Error> {
         let [fine, coarse] = saved.layers;
         Ok(Self {
-            layers: [Layer::restored(fine)?, Layer::restored(coarse)?],
+            layers: [VoxelLayer::restored(fine)?, VoxelLayer::restored(coarse)?],
             integrator: Integrator::on(workers),
             points: saved.points.into_iter().collect(),
         })
