@@ -457,8 +457,8 @@ def test_the_static_map_is_written_and_can_be_read(recording, tmp_path, ending):
 @pytest.mark.parametrize("name", ["static.xyz", "static", "missing/static.ply"])
 def test_static_maps_that_cannot_be_written_are_refused_before_the_run(recording, tmp_path, name):
     result = run_command(recording, "-o", tmp_path / "run", "--static-map", tmp_path / name)
-    assert result.exit_code == 2
-    assert "static" in result.stderr
+    assert isinstance(result.exception, ConfigError)
+    assert "static" in str(result.exception)
     assert not (tmp_path / "run").exists()
 
 
@@ -467,6 +467,6 @@ def test_a_static_map_does_not_replace_what_is_read(recording, tmp_path):
     write_cloud(known, np.zeros((3, 3)))
     before = known.read_bytes()
     result = run_command(recording, "-o", tmp_path / "run", "--map", known, "--static-map", known)
-    assert result.exit_code == 2
-    assert "replaced" in result.stderr
+    assert isinstance(result.exception, ConfigError)
+    assert "replaced" in str(result.exception)
     assert known.read_bytes() == before
