@@ -45,7 +45,7 @@ LIKELIHOOD = {
     "sure": (0.33, 0.02, 0.02, 0.08),
 }
 HAS_MOVED = (0.9, 0.9, 0.03, 0.6)
-NEAREST, NEAR_BOUNDS = 25.0, (0.4, 2.5)
+NEAREST, NEAR_BOUNDS, NEAR_THIRD = 25.0, (0.4, 2.5), 10.0
 IS_FAST = (0.3, 0.3, 1.0, 1.0)
 SPEEDS, TIMES = (8.0, 60.0), (0.02, 0.25)  # [m/s], [s]
 AMONG_STRAYS = 0.02
@@ -535,7 +535,7 @@ class Tracker:
         def offset(row, column):
             new, track = fresh[row], self.tracks[column]
             stamp = max(new.stamp, track.stamp)
-            ways = self.ways(self.waiting(track, stamp), *self.at(new, stamp))
+            ways = self.ways(self.waiting(track, stamp), *self.measured(new, stamp))
             return min(filter(None, ways), key=cost, default=None)
 
         fed, known = [], list(self.tracks)
@@ -552,14 +552,15 @@ class Tracker:
             if track.seen < new.born:
                 stamp = max(new.stamp, track.stamp)
                 waiting = self.waiting(track, stamp)
+                z, R, late = self.measured(new, stamp)
                 self.move(new, stamp)
-                ahead, turned = self.ways(waiting, new.x, new.P)
+                ahead, turned = self.ways(waiting, new.r, new.P[:3, :3])
                 track.x, track.P, track.stamp = waiting[0].x, waiting[0].P, stamp
                 if turned is not None and (ahead is None or cost(turned) < cost(ahead)):
                     track.x, track.P, track.aged = new.x, new.P, new.aged
                     track.extent, track.seen, track.seen_at = new.extent, new.seen, new.seen_at
                 else:
-                    self.correct(track, new.r, new.P[:3, :3], new.extent)
+                    self.correct(track, z, R, new.extent, late)
         return fed
 
     def fast_pair(self, new, known):
@@ -597,11 +598,19 @@ class Tracker:
         x = np.r_[r, velocity, np.zeros(3)]
         return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
-    def ways(self, waiting, x, P):
+    def measured(self, new, stamp):
+        """Place and covariance of a hypothesis, and the time after `stamp` when it is there [s]."""
+        if new.stamp == new.born == stamp:
+            return new.place, new.P[:3, :3] - new.delay**2 * new.P[3, 3] * EYE, new.delay
+        x, P = self.at(new, stamp)
+        return x[:3], P[:3, :3], 0.0
+
+    def ways(self, waiting, z, R, late=0.0):
         """Offsets of a detection from where its target would be: ahead, or where it turned."""
         track, reach, strayed = waiting
-        ahead = (x - track.x)[:3], (P + track.P)[:3, :3]
-        turned = x[:3] - track.seen_at, P[:3, :3] + (strayed or 0.0) ** 2 * EYE
+        H = np.hstack([EYE, late * EYE, late**2 / 2 * EYE])
+        ahead = z - H @ track.x, R + H @ track.P @ H.T
+        turned = z - track.seen_at, R + (strayed or 0.0) ** 2 * EYE
         return [
             ahead if np.linalg.norm(ahead[0]) <= reach else None,
             turned if strayed is not None and np.linalg.norm(turned[0]) <= reach else None,
@@ -691,7 +700,8 @@ class Tracker:
         if sight != ("followed" if track.has_moved else "few"):
             track.take(likelihood(sight, clutter))
             if nis is not None and shown:
-                near = np.clip(NEAREST * np.exp(-nis / 2), *NEAR_BOUNDS)
+                most = NEAR_THIRD if track.before and track.n_detections == 3 else NEAR_BOUNDS[1]
+                near = np.clip(NEAREST * np.exp(-nis / 2), NEAR_BOUNDS[0], most)
                 track.take((near, near, near, 1))
         if shown:
             track.measure(shape)

@@ -32,6 +32,10 @@ MAP = (
     "What is known beforehand, in the fixed frame: map.lcvm of an earlier run, or a cloud, mesh or"
     " OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
 )
+STATIC_MAP = (
+    "Write the map without all that moved: voxels of 0.1 m as .lcvm, points in the fixed frame as"
+    " .pcd or .ply. Scans take longer."
+)
 REPEAT = "Play the recording this often: lets a short one open the gate of the background."
 
 
@@ -54,6 +58,7 @@ def command(
     scan_rate: ScanRate = None,
     repeat: Annotated[int, typer.Option(min=1, help=REPEAT, rich_help_panel=READ)] = 1,
     known_map: Annotated[Path | None, typer.Option("--map", help=MAP)] = None,
+    static_map: Annotated[Path | None, typer.Option(metavar="OUT", help=STATIC_MAP)] = None,
     threads: Threads,
 ) -> None:
     """Find and track flying objects in RECORDING; write tables, trajectories, map and picture.
@@ -75,6 +80,7 @@ def command(
             clouds=cloud,
             repeat=repeat,
             known_map=known_map,
+            static_map=static_map,
             threads=threads,
             mcap=options.mcap,
             picture=options.picture,

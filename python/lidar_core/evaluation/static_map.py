@@ -9,12 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core.arrays import as_finite_rows, as_mask
 from lidar_core.errors import FormatError, InputError
-from lidar_core.io import open_recording, read_cloud
+from lidar_core.io import ReadOptions, open_recording, read_cloud
 from lidar_core.messages import Scan
 from lidar_core.run_folder import RUN_FILE
 
 TRUTH_FILE = "gt_cloud.pcd"
 """The labelled cloud in a folder of the benchmark."""
+LARGEST = 2**32
+"""Largest file of a map [bytes]."""
 SAME = 0.05
 """A point this near to one of the map is in the map [m]: `min_dis` of the benchmark."""
 FARTHEST = 2.0**20
@@ -163,7 +165,8 @@ def read_static_map(path: str | Path) -> tuple[NDArray[np.float64], float | None
     place = Path(path)
     if (place / RUN_FILE).is_file():
         place = place / "map.lcvm"
-    cloud = read_cloud(place)
+    # A map of a whole street is larger than a message of a recording may be.
+    cloud = read_cloud(place, options=ReadOptions(max_record_bytes=LARGEST))
     return cloud.points, cloud.resolution
 
 

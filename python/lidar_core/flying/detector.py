@@ -263,6 +263,26 @@ class FlyingObjectDetector(FullState):
         with naming(path):
             self._detector.load_map(path)
 
+    def make_static_map(self) -> None:
+        """From the next scan on, keep a map of all that stands, without what moved.
+
+        What moved is where space was free before, or is free afterwards. Voxels of 0.1 m tell up to
+        20 m, voxels of 0.25 m up to 40 m. Every scan takes several times as long.
+        """
+        self._detector.make_static_map()
+
+    def static_points(self) -> NDArray[np.float64]:
+        """Points of all that stands, (N, 3) [m], world frame.
+
+        Of points within 3 cm of each other one is kept. Empty without `make_static_map`.
+        """
+        return self._detector.static_points()
+
+    def save_static_map(self, path: str | PathLike[str]) -> None:
+        """Write the voxels of 0.1 m of all that stands to a file that `VoxelMap.load` reads."""
+        with naming(path):
+            self._detector.save_static_map(path)
+
     def reanchor(self) -> bool:
         """Go on after a jump of the pose (relocalisation, GNSS step).
 

@@ -39,10 +39,11 @@ from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult
 from lidar_core.runs.scan_times import ScanTimes
 from lidar_core.runs.settings import ConfigChoice, config_of_run
+from lidar_core.runs.static_map import check_static_map, write_static_map
 from lidar_core.viz import FlyingView, draw_flying
 from lidar_core.viz.scan_log import log_flying
 
-CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN)
+CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN, PointClass.MOVING)
 """Classes of points with information that the detector gives."""
 
 
@@ -57,6 +58,7 @@ def detect(
     clouds: Sequence[str] = (),
     repeat: Annotated[int, Field(ge=1)] = 1,
     known_map: str | PathLike[str] | None = None,
+    static_map: str | PathLike[str] | None = None,
     threads: int = 1,
     mcap: bool | None = None,
     picture: bool = True,
@@ -87,6 +89,9 @@ def detect(
         How often the recording is played: opens the burn-in gate on short recordings.
     known_map : str or Path, optional
         Map of an earlier run (.lcvm), or a cloud or mesh in the fixed frame [m].
+    static_map : str or Path, optional
+        File to write: the map without all that moved, as voxels of 0.1 m (.lcvm) or as points in
+        the world frame (.pcd, .ply) [m]. An earlier file is replaced. Scans take longer.
     threads : int
         Threads used, >= 1; results do not depend on it.
     mcap : bool, optional
@@ -112,7 +117,7 @@ def detect(
     Raises
     ------
     ConfigError
-        A value or topic that cannot be used.
+        A value or topic that cannot be used, or a `static_map` that cannot be written.
     FormatError
         The recording cannot be read, or has no poses; no folder is left. Or a checkpoint is
         damaged.
@@ -135,6 +140,10 @@ def detect(
     (2, True)
     """
     source = Path(recording)
+    known = None if known_map is None else Path(known_map)
+    cleaned = None if static_map is None else Path(static_map)
+    if cleaned is not None:
+        check_static_map(cleaned, reads=(source, known))
     folder, writes_mcap = folder_to_write(
         output,
         mcap=mcap,
@@ -144,7 +153,6 @@ def detect(
         resume=resume,
     )
     chosen = config_of_run(config, FlyingConfig, "flying")
-    known = None if known_map is None else Path(known_map)
     job = RecordingJob(
         command="detect",
         sort=Scan,
@@ -159,14 +167,20 @@ def detect(
         on_progress=on_progress,
         repeat=repeat,
         inputs={"map": known},
-        note={"clouds": list(clouds), "repeat": repeat},
+        note={"clouds": list(clouds), "repeat": repeat}
+        | ({} if cleaned is None else {"static_map": str(cleaned)}),
         checkpoint=checkpoint,
         resume=resume,
     )
     run = FlyingRun(FlyingObjectDetector(chosen, threads=threads), threads=threads)
     if known is not None:
         load_known_map(run.detector, known)
-    return job.run(run)
+    if cleaned is None:
+        return job.run(run)
+    run.detector.make_static_map()
+    result = job.run(run)
+    write_static_map(run.detector, cleaned)
+    return result
 
 
 def load_known_map(detector: FlyingObjectDetector, path: Path) -> None:

@@ -29,7 +29,14 @@ from lidar_core import (
     sim,
 )
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-from lidar_core.io import McapWriter, open_recording, posed_scans, write_npz
+from lidar_core.io import (
+    McapWriter,
+    open_recording,
+    posed_scans,
+    read_cloud,
+    write_cloud,
+    write_npz,
+)
 from lidar_core.messages import Pose, Scan
 
 SCANS = 20
@@ -431,3 +438,35 @@ def test_broken_ouster_files_are_refused(recordings, tmp_path):
         assert done.returncode == 2
         assert done.stderr.startswith(f"error: {file}")
         assert not (tmp_path / "a").exists()
+
+
+# --- the map without what moved -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["lcvm", "ply", "pcd"])
+def test_the_static_map_is_written_and_can_be_read(recording, tmp_path, ending):
+    place = tmp_path / f"static.{ending}"
+    few = ("--end", 0.3, "--no-mcap", "--no-picture")
+    result_of(recording, "-o", tmp_path / "run", "--static-map", place, *few)
+    cloud = read_cloud(place)
+    assert len(cloud.points) > 1000
+    assert cloud.resolution == (0.1 if ending == "lcvm" else None)
+    assert np.abs(cloud.points).max() < 150
+
+
+@pytest.mark.parametrize("name", ["static.xyz", "static", "missing/static.ply"])
+def test_static_maps_that_cannot_be_written_are_refused_before_the_run(recording, tmp_path, name):
+    result = run_command(recording, "-o", tmp_path / "run", "--static-map", tmp_path / name)
+    assert isinstance(result.exception, ConfigError)
+    assert "static" in str(result.exception)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_static_map_does_not_replace_what_is_read(recording, tmp_path):
+    known = tmp_path / "known.ply"
+    write_cloud(known, np.zeros((3, 3)))
+    before = known.read_bytes()
+    result = run_command(recording, "-o", tmp_path / "run", "--map", known, "--static-map", known)
+    assert isinstance(result.exception, ConfigError)
+    assert "replaced" in str(result.exception)
+    assert known.read_bytes() == before

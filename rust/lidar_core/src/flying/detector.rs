@@ -6,6 +6,7 @@
 use super::background::burn_in::BurnIn;
 use super::background::pose_jump::{HeldScan, PoseCheck};
 use super::background::static_points::StaticPoints;
+use super::classify::expected::near_structure;
 use super::classify::pockets::free_pockets;
 use super::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use super::detect::detection::Teammate;
@@ -19,6 +20,8 @@ use super::integrate::integrator::Integrator;
 use super::integrate::pose_weights::PoseNoise;
 use super::map::local_map::LocalMap;
 use super::map::voxel_map::VoxelMap;
+use super::moving::ground_movers::GroundMovers;
+use super::moving::static_map::StaticMapper;
 use super::parameters::FlyingParameters;
 use super::point_class::PointClass;
 use super::reporting_gate::ReportingGate;
@@ -26,6 +29,7 @@ use super::scan::prepared::{Prepared, RawScan};
 use super::scan::sensors::Sensors;
 use super::track::{PointCloudTracker, Track};
 use crate::Error;
+use crate::geometry::lattice::wide;
 use crate::geometry::transform::Transform;
 use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
@@ -52,6 +56,10 @@ pub struct FlyingObjectDetector {
     integrator: Integrator,
     static_points: StaticPoints,
     tracker: PointCloudTracker,
+    movers: GroundMovers,
+    /// Where a map of all that stands is asked for.
+    static_map: Option<StaticMapper>,
+    makes_static_map: bool,
 }
 
 impl FlyingObjectDetector {
@@ -75,6 +83,9 @@ impl FlyingObjectDetector {
             integrator: Integrator::on(workers.clone()),
             static_points: StaticPoints::default(),
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
+            movers: GroundMovers::default(),
+            static_map: None,
+            makes_static_map: false,
             workers,
             parameters,
         })
@@ -112,11 +123,12 @@ impl FlyingObjectDetector {
         let covariance = raw.pose_covariance;
         let noise = pose.noise(covariance, &scan.pose, local.map_from_world, *range_std);
         let (burn_in, gate) = self.next_burn_in(raw);
-        let cast = self.classify_and_cast(&noise, &mut clock, &mut timing)?;
+        let cast = self.classify_and_cast(&noise, stamp_ns, &mut clock, &mut timing)?;
         self.tracker.check_room(self.classifier.count_of(PointClass::Flying))?;
 
         // The last stage that may refuse the scan.
         let stats = self.update_map(&noise, cast)?;
+        self.map_what_stands()?;
         let standing = self.accept(raw, burn_in, gate);
         timing.integrate = clock.lap();
         if self.parameters.removal_waits {
@@ -162,15 +174,46 @@ impl FlyingObjectDetector {
     fn classify_and_cast(
         &mut self,
         noise: &PoseNoise,
+        stamp_ns: i64,
         clock: &mut Clock,
         timing: &mut Timing,
     ) -> Result<Option<Result<(), Error>>, Error> {
         let waits = self.take_off_ground().is_some(); // points of it are added after classification
-        let Self { parameters, workers, local, burn_in, scan, classifier, integrator, .. } = self;
+        let Self {
+            parameters,
+            workers,
+            local,
+            burn_in,
+            scan,
+            classifier,
+            integrator,
+            movers,
+            tracker,
+            ..
+        } = self;
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
-        let input = ScanToClassify { scan, local, background_extent, parameters, pool };
+        let distance = parameters.classify.close_distance;
+        let follows = parameters.classify.follow_tracks;
+        let targets = if follows { tracker.expected_at(stamp_ns) } else { Vec::new() };
+        let expected = near_structure(targets, &local.map, distance);
+        let input = ScanToClassify {
+            scan,
+            local,
+            background_extent,
+            parameters,
+            expected: &expected,
+            pool,
+        };
         let watch = cancel::watch();
-        let mut classify = || watch.run(|| classifier.classify(&input, clock));
+        let mut classify = || {
+            watch.run(|| {
+                let [cluster_ms, classify_ms] = classifier.classify(&input, clock)?;
+                if parameters.tells_movers() {
+                    movers.find(&scan.points, classifier.class(), &local.map, stamp_ns);
+                }
+                Ok::<_, Error>([cluster_ms, classify_ms + clock.lap()])
+            })
+        };
         let (classified, cast) = match pool.filter(|_| !waits) {
             Some(pool) => {
                 let rays = ClassifiedScan::before_classes(scan, noise);
@@ -213,7 +256,8 @@ impl FlyingObjectDetector {
         if parameters.classify.after_update {
             let background_extent = burn_in.background_extent(parameters);
             let pool = workers.pool();
-            let input = ScanToClassify { scan, local, background_extent, parameters, pool };
+            let input =
+                ScanToClassify { scan, local, background_extent, parameters, expected: &[], pool };
             classifier.reclassify(&input)?;
         }
         Ok(stats)
@@ -253,7 +297,16 @@ impl FlyingObjectDetector {
         standing: &[usize],
     ) -> Result<ScanDetections, Error> {
         let Self {
-            parameters, workers, local, teammates, scan, classifier, tracker, burn_in, ..
+            parameters,
+            workers,
+            local,
+            teammates,
+            scan,
+            classifier,
+            tracker,
+            burn_in,
+            movers,
+            ..
         } = self;
         let FlyingParameters { target_radius, range_std, .. } = *parameters;
         let view = ScanView::new(scan, target_radius, range_std, noise.spread, workers.pool());
@@ -263,9 +316,14 @@ impl FlyingObjectDetector {
         let mut found = detect(&input, classifier.clusters(), classifications);
         watch(tracker, &input, classifier, standing, stamp_ns);
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
-        let classified = ScanToClassify { scan, local, background_extent, parameters, pool };
+        let expected = &[]; // the classes are known
+        let classified =
+            ScanToClassify { scan, local, background_extent, parameters, expected, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
-        add_followed(&input, &local.map, classifier, &mut found, &followed);
+        add_followed(&input, &local.map, classifier, &mut found, &followed.rows);
+        for index in followed.on_ground.iter().filter_map(|&row| classifier.cluster_of(row)) {
+            movers.add(classifier.clusters().get(index).members);
+        }
         Ok(found)
     }
 
@@ -274,6 +332,7 @@ impl FlyingObjectDetector {
         let world_from_lidar = self.local.world_from_map().after(&self.scan.pose);
         self.pose_check.held = Some(HeldScan { sensor: raw.sensor.to_owned(), world_from_lidar });
         self.classifier.leave_unknown(&self.scan);
+        self.movers.skip();
         self.frame(raw, ScanDetections::default(), None, gate, timing)
     }
 
@@ -290,7 +349,8 @@ impl FlyingObjectDetector {
         let frame =
             Frame { tracks, gate, integrated, timing, ..Frame::of(raw.stamp_ns, scan, class) };
         let frame = frame.with_own_body(self.sensors.own_body(raw, scan));
-        frame.with_detections(&found, &self.local.world_from_map())
+        let frame = frame.with_detections(&found, &self.local.world_from_map());
+        frame.with_movers(self.movers.rows())
     }
 
     /// Confirmed tracks predicted to `stamp_ns`, world frame: compensates latency.
@@ -368,6 +428,42 @@ impl FlyingObjectDetector {
         Ok(())
     }
 
+    /// From the next scan on, make a map of all that stands: points without those of what moved.
+    pub fn make_static_map(&mut self) {
+        self.makes_static_map = true;
+    }
+
+    /// Points of all that stands [m, world], a few centimetres apart; none without
+    /// [`Self::make_static_map`].
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub fn static_points(&self) -> Result<Vec<[f64; 3]>, Error> {
+        let world_from_map = self.local.world_from_map();
+        let points = self.static_map.as_ref().map_or_else(|| Ok(Vec::new()), |map| map.points())?;
+        Ok(points.into_iter().map(|point| world_from_map.apply(wide(point))).collect())
+    }
+
+    /// Write the voxels of all that stands to a file that [`VoxelMap::load`] reads.
+    ///
+    /// # Errors
+    /// As [`VoxelMap::save`], and [`Error::Interrupted`].
+    pub fn save_static_map(&self, path: &Path) -> Result<(), Error> {
+        let empty = || VoxelMap::new(self.local.map.parameters().clone());
+        self.static_map.as_ref().map_or_else(empty, StaticMapper::cleaned)?.save(path)
+    }
+
+    /// The last stage that may refuse the scan: into the map of all that stands, if that is asked for.
+    fn map_what_stands(&mut self) -> Result<(), Error> {
+        let Self { static_map, local, workers, scan, makes_static_map, .. } = self;
+        if !*makes_static_map {
+            return Ok(());
+        }
+        let known = static_map.take();
+        let make = || StaticMapper::beside(local.map.parameters(), workers.clone());
+        static_map.insert(known.map_or_else(make, Ok)?).take(scan)
+    }
+
     /// Points [m, world] in the frame of the map.
     #[must_use]
     pub fn in_map(&self, points: &[[f64; 3]]) -> Vec<[f32; 3]> {
@@ -395,6 +491,8 @@ impl FlyingObjectDetector {
             held: &self.pose_check.held,
             static_points: self.static_points.saved(),
             tracker: self.tracker.state(),
+            movers: self.movers.saved(),
+            static_map: self.static_map.as_ref().map(StaticMapper::state),
         };
         sealed(KIND, &self.parameters, &state)
     }
@@ -419,6 +517,11 @@ impl FlyingObjectDetector {
         (detector.is_reporting, detector.pose_check.held) = (saved.is_reporting, saved.held);
         detector.static_points = StaticPoints::restored(saved.static_points);
         detector.tracker.restore(saved.tracker)?;
+        detector.movers = GroundMovers::restored(saved.movers);
+        let workers = detector.workers.clone();
+        let restored = |saved| StaticMapper::restored(saved, workers);
+        detector.static_map = saved.static_map.map(restored).transpose()?;
+        detector.makes_static_map = detector.static_map.is_some();
         Ok(detector)
     }
 
@@ -450,6 +553,8 @@ impl FlyingObjectDetector {
         self.tracker.reset();
         (self.is_reporting, self.pose_check.held) = (false, None);
         self.static_points.clear();
+        self.movers.clear();
+        self.static_map = None;
         self.sensors.forget_places();
     }
 }

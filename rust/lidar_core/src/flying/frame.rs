@@ -94,6 +94,14 @@ impl Frame {
         self
     }
 
+    /// Take over the rows of the points of ground movers.
+    pub(super) fn with_movers(mut self, rows: &[u32]) -> Self {
+        for &row in rows.iter().filter(|_| self.gate == ReportingGate::Open) {
+            self.point_class[row as usize] = PointClass::Moving;
+        }
+        self
+    }
+
     /// Take over the detections, if they are reported; otherwise no point flies.
     pub(super) fn with_detections(
         mut self,

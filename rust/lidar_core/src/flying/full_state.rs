@@ -6,6 +6,8 @@ use super::background::static_points::PointsOfVoxel;
 use super::detect::detection::Teammate;
 use super::map::blocks::Place;
 use super::map::full_state::{LocalState, SavedLocalMap};
+use super::moving::ground_movers::Stay;
+use super::moving::static_map::{SavedStaticMapper, StaticMapperState};
 use super::scan::sensors::SavedSensors;
 use super::track::{SavedTracker, TrackerState};
 use serde::{Deserialize, Serialize};
@@ -25,6 +27,8 @@ pub(super) struct DetectorState<'a> {
     pub(super) held: &'a Option<HeldScan>,
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
     pub(super) tracker: TrackerState<'a>,
+    pub(super) movers: Vec<(Place, Stay)>,
+    pub(super) static_map: Option<StaticMapperState<'a>>,
 }
 
 /// [`DetectorState`] as it is read back.
@@ -39,4 +43,6 @@ pub(super) struct SavedDetector {
     pub(super) held: Option<HeldScan>,
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
     pub(super) tracker: SavedTracker,
+    pub(super) movers: Vec<(Place, Stay)>,
+    pub(super) static_map: Option<SavedStaticMapper>,
 }

@@ -39,6 +39,7 @@ pub mod frame;
 mod full_state;
 pub mod integrate;
 pub mod map;
+pub mod moving;
 pub mod parameters;
 pub mod point_class;
 pub mod reporting_gate;

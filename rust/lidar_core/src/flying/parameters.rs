@@ -7,7 +7,7 @@ use super::integrate::pose_weights::PoseParameters;
 use super::map::parameters::MapParameters;
 use super::map::parameters::Separation;
 use super::scan::sensor::SensorParameters;
-use super::track::TrackerParameters;
+use super::track::{Confirmation, TrackerParameters};
 use crate::Error;
 use crate::geometry::cluster::Clustering;
 use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
@@ -54,6 +54,13 @@ pub struct FlyingParameters {
 }
 
 impl FlyingParameters {
+    /// Whether points of ground movers have a class of their own: where tracks have kinds, and every
+    /// point has its class before the map is updated.
+    pub(super) fn tells_movers(&self) -> bool {
+        let has_kinds = matches!(self.tracker.confirmation, Confirmation::Existence { .. });
+        has_kinds && !self.classify.after_update
+    }
+
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work together.
     pub(super) fn check(&self) -> Result<(), Error> {

@@ -16,6 +16,8 @@ pub enum PointClass {
     Flying = 2,
     /// Neither background nor known to fly.
     Unknown = 3,
+    /// On something that moves on the ground; maps take it as unknown.
+    Moving = 4,
 }
 
 impl From<PointClass> for u8 {
@@ -33,10 +35,10 @@ impl From<PointClass> for u8 {
 /// [`Error::Limit`] for too many, [`Error::Value`] for the number of no class.
 pub fn classes_from_numbers(numbers: &[u8]) -> Result<Vec<PointClass>, Error> {
     check_points(numbers.len())?;
-    if let Some(index) = numbers.iter().position(|&number| number > PointClass::Unknown.into()) {
+    if let Some(index) = numbers.iter().position(|&number| number > PointClass::Moving.into()) {
         return Err(Error::Value {
             name: "point_class",
-            expected: "0 invalid, 1 background, 2 flying or 3 unknown",
+            expected: "0 invalid, 1 background, 2 flying, 3 unknown or 4 moving",
             index,
             got: numbers[index].to_string(),
         });
@@ -56,6 +58,7 @@ fn class_from_number(number: u8) -> PointClass {
         1 => PointClass::Background,
         2 => PointClass::Flying,
         3 => PointClass::Unknown,
+        4 => PointClass::Moving,
         _ => PointClass::Invalid,
     }
 }
@@ -71,21 +74,21 @@ mod tests {
 
     #[test]
     fn numbers_of_classes_are_those_of_the_interface() -> Result<(), Error> {
-        let classes = classes_from_numbers(&[0, 1, 2, 3])?;
-        use PointClass::{Background, Flying, Invalid, Unknown};
-        assert_eq!(classes, [Invalid, Background, Flying, Unknown]);
+        let classes = classes_from_numbers(&[0, 1, 2, 3, 4])?;
+        use PointClass::{Background, Flying, Invalid, Moving, Unknown};
+        assert_eq!(classes, [Invalid, Background, Flying, Unknown, Moving]);
         let memory = classes.as_ptr().cast::<u8>();
         let numbers = numbers_from_classes(classes);
-        assert_eq!(numbers, [0, 1, 2, 3]);
+        assert_eq!(numbers, [0, 1, 2, 3, 4]);
         assert_eq!(numbers.as_ptr(), memory); // nothing is copied on the way out
         Ok(())
     }
 
     #[test]
     fn the_first_number_of_no_class_is_refused() {
-        let refused = classes_from_numbers(&[0, 3, 4, 255]);
+        let refused = classes_from_numbers(&[0, 4, 5, 255]);
         let is_named =
-            |error: &Error| matches!(error, Error::Value { index: 2, got, .. } if got == "4");
+            |error: &Error| matches!(error, Error::Value { index: 2, got, .. } if got == "5");
         assert!(refused.as_ref().is_err_and(is_named), "{refused:?}");
     }
 }

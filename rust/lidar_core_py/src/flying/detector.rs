@@ -177,6 +177,22 @@ impl PyFlyingObjectDetector {
         self.0.with(py, |detector| detector.load_map(&path))
     }
 
+    fn make_static_map(&self, py: Python<'_>) -> Result<(), BorderError> {
+        self.0.with(py, |detector| {
+            detector.make_static_map();
+            Ok(())
+        })
+    }
+
+    /// Points of all that stands, world frame [m].
+    fn static_points<'py>(&self, py: Python<'py>) -> Result<Rows3<'py, f64>, BorderError> {
+        arrays::rows_into(py, self.0.with_stoppable(py, |detector| detector.static_points())?)
+    }
+
+    fn save_static_map(&self, py: Python<'_>, path: PathBuf) -> Result<(), BorderError> {
+        self.0.with(py, |detector| detector.save_static_map(&path))
+    }
+
     /// The map as bytes; equal maps give equal bytes.
     fn map_bytes(&self, py: Python<'_>) -> Result<Vec<u8>, BorderError> {
         self.0.with(py, |detector| Ok(detector.map().to_bytes()))

@@ -10,12 +10,14 @@ from lidar_core.evaluation import assign
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, Tracks
 from lidar_core.reproduce.common import simulator_seed
 from lidar_core.reproduce.flying.real_data.scores import FEWEST, GATE, GATE_SDS, START_S
-from lidar_core.reproduce.flying.situations.scenes import scene
+from lidar_core.reproduce.flying.situations.scenes import HEIGHT, scene
 from lidar_core.reproduce.jobs import Part
 from lidar_core.sim import Simulator
 
 NOBODY = -1
 """In place of the number of a track: the target has none."""
+SOUGHT = 20.0
+"""Range in which the default configuration looks for targets [m]."""
 APART = 10
 """Scans without returns after which a target comes anew."""
 
@@ -147,10 +149,15 @@ def _changes(track: NDArray[np.float64]) -> int:
 
 
 def passes(part: Part) -> tuple[list[bool], NDArray[np.bool_]]:
-    """Whether each pass has a track by its third detection, and the scans due after that."""
+    """Whether each pass has a track by its third detection, and the scans due after that.
+
+    A pass is what happens within the range in which targets are sought: beyond it they turn.
+    """
+    away = np.linalg.norm(part["place"] - (0.0, 0.0, HEIGHT), axis=2)
+    is_seen = (part["hits"] >= FEWEST) & (away <= SOUGHT)
     in_time, due = [], np.zeros(part["hits"].shape, np.bool_)
-    for target, hits in enumerate(part["hits"].T):
-        seen = np.flatnonzero(hits >= FEWEST)
+    for target, column in enumerate(is_seen.T):
+        seen = np.flatnonzero(column)
         for run in np.split(seen, np.flatnonzero(np.diff(seen) > APART) + 1):
             detected = run[part["is_detected"][run, target] > 0]
             if len(detected) < 3:

@@ -70,6 +70,8 @@ pub(crate) struct Classification {
     pub(crate) explored: Vec<Voxel>,
     /// Share of free voxels in the shell around a flying cluster.
     pub(crate) clearance: f64,
+    /// A track has predicted it beside structure.
+    pub(crate) is_expected: bool,
 }
 
 /// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`:
@@ -266,7 +268,7 @@ impl ClusterRules<'_> {
     }
 
     /// True if a cluster has another size than a flying object, or is too far away.
-    fn is_gated(&self, cluster: &Cluster<'_>, group_extent: f64) -> bool {
+    pub(crate) fn is_gated(&self, cluster: &Cluster<'_>, group_extent: f64) -> bool {
         let p = self.parameters;
         p.max_extent.is_some_and(|extent| group_extent > extent)
             || p.upright_height.is_some_and(|height| is_upright(cluster.extent(), height))
@@ -302,6 +304,7 @@ impl ClusterRules<'_> {
             class: PointClass::Flying,
             explored,
             clearance,
+            is_expected: false,
         })
     }
 

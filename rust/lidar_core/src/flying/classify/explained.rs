@@ -27,7 +27,8 @@ pub(crate) struct Explained {
 }
 
 impl Explained {
-    /// Find the explained points of a scan on the map before it. None if clusters must be found as a whole:
+    /// Find the explained points of a scan on the map before it, without the rows
+    /// `expected`, which may be of targets. None if clusters must be found as a whole:
     /// some points of a cluster decide by their number, by their voxels or on a later map, voxels are
     /// too large for rule A, or the map explains less than half of the points.
     pub(crate) fn find(
@@ -36,6 +37,7 @@ impl Explained {
         map: &VoxelMap,
         parameters: &FlyingParameters,
         pool: Option<&ThreadPool>,
+        expected: &[usize],
     ) -> Option<&[bool]> {
         let FlyingParameters { clustering, classify, cluster_voxels, .. } = parameters;
         let counts = clustering.min_points > 1 || clustering.max_points.is_some();
@@ -58,6 +60,7 @@ impl Explained {
             }),
             None => find((points, found)),
         };
+        expected.iter().for_each(|&row| self.is_explained[row] = false);
         (2 * n_explained > n_points).then_some(self.is_explained.as_slice())
     }
 }
@@ -110,6 +113,16 @@ impl WithSimd for Find<'_> {
         }
         [n_points, n_explained]
     }
+}
+
+/// True if the map explains a point as [`Explained::find`] does.
+pub(crate) fn is_explained(map: &VoxelMap, close_distance: f64, point: [f64; 3]) -> bool {
+    let Some(reach) = voxels_in_reach(map.lattice().voxel_size(), close_distance) else {
+        return false;
+    };
+    let mut cursor = Cursor::new(&map.blocks);
+    floor(map.lattice().scaled(point))
+        .is_some_and(|home| cursor.is_tentative(home) || reach > 0 && any_beside(&mut cursor, home))
 }
 
 /// True if a voxel among the neighbours of `home` is tentatively occupied.
@@ -227,7 +240,7 @@ mod tests {
         assert_eq!(expected[..40], [PointClass::Flying; 40]);
         assert_eq!(all, points.len());
         let mut explained = Explained::default();
-        let found = explained.find(&points, &map, &parameters, None).map(<[bool]>::to_vec);
+        let found = explained.find(&points, &map, &parameters, None, &[]).map(<[bool]>::to_vec);
         let found = found.unwrap_or_default();
         let (class, searched) = classes(&points, &map, Some(&found))?;
         assert_eq!(class, expected);
@@ -244,10 +257,10 @@ mod tests {
         let mut map = VoxelMap::new(usual.map.clone())?;
         let points = [[1.05, 2.05, 3.05], [1.1, 2.1, 3.1], [9.1, 2.1, 3.1]];
         let mut explained = Explained::default();
-        assert_eq!(explained.find(&points, &map, &usual, None), None);
+        assert_eq!(explained.find(&points, &map, &usual, None, &[]), None);
         map.set_occupied(&points[..1])?;
         let found = Some([true, true, false].as_slice());
-        assert_eq!(explained.find(&points, &map, &usual, None), found);
+        assert_eq!(explained.find(&points, &map, &usual, None, &[]), found);
         let changes: [fn(&mut FlyingParameters); 6] = [
             |changed| changed.clustering.min_points = 2,
             |changed| changed.clustering.max_points = Some(9),
@@ -259,7 +272,7 @@ mod tests {
         for change in changes {
             let mut changed = usual.clone();
             change(&mut changed);
-            assert_eq!(explained.find(&points, &map, &changed, None), None);
+            assert_eq!(explained.find(&points, &map, &changed, None, &[]), None);
         }
         Ok(())
     }

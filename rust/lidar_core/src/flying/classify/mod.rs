@@ -2,6 +2,7 @@
 
 pub mod classifier;
 pub(crate) mod clusters;
+pub(crate) mod expected;
 pub(crate) mod explained;
 pub(crate) mod flood;
 pub(crate) mod grouping;

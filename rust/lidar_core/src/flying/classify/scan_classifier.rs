@@ -2,7 +2,8 @@
 
 use super::classifier::{Classification, Classifier, ClusterRules, reclassify};
 use super::clusters::{Cluster, Clusters};
-use super::explained::Explained;
+use super::expected::ExpectedIn;
+use super::explained::{Explained, is_explained};
 use super::occupied_nearby::OccupiedNearby;
 use crate::Error;
 use crate::flying::map::local_map::LocalMap;
@@ -11,6 +12,7 @@ use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::{PointClass, replace};
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
+use crate::flying::track::ExpectedTarget;
 use crate::geometry::cluster::angular_gap::AngularGap;
 use crate::geometry::cluster::joined::JoinedLabeller;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
@@ -38,7 +40,16 @@ pub(crate) struct ScanToClassify<'a> {
     /// Larger clusters are background [m].
     pub(crate) background_extent: Option<f64>,
     pub(crate) parameters: &'a FlyingParameters,
+    /// Targets that tracks predict near structure.
+    pub(crate) expected: &'a [ExpectedTarget],
     pub(crate) pool: Option<&'a ThreadPool>,
+}
+
+impl<'a> ScanToClassify<'a> {
+    fn expected(&self) -> ExpectedIn<'a> {
+        let scan = self.scan;
+        ExpectedIn::new(self.expected, &scan.points, scan.delays.as_deref(), &self.local.map)
+    }
 }
 
 /// Stage that finds the clusters of a scan and their classes. Its results stay until the next scan,
@@ -55,6 +66,10 @@ pub(crate) struct ScanClassifier {
     classifications: Vec<Classification>,
     /// Class of each cluster on a later map.
     later: Vec<Classification>,
+    /// Rows of points that may be of targets that tracks predict near structure, ascending.
+    expected: Vec<usize>,
+    /// Clusters that fly since tracks predict them.
+    claimed: Vec<usize>,
     /// Class of every row.
     class: Vec<PointClass>,
 }
@@ -81,11 +96,52 @@ impl ScanClassifier {
 
         let Self { clusters, classifier, classifications, .. } = self;
         classify_clusters_of(input, clusters, classifier, classifications)?;
+        self.claim(input);
         self.class_rows(input.scan);
         if input.parameters.classify.after_update {
             replace(&mut self.class, PointClass::Flying, PointClass::Unknown); // rule B follows after the map update
         }
         Ok([cluster_ms, clock.lap()])
+    }
+
+    /// Make what tracks predict near structure flying: it is background by the rules.
+    fn claim(&mut self, input: &ScanToClassify<'_>) {
+        let Self { clusters, classifications, claimed, expected, .. } = self;
+        claimed.clear();
+        let p = &input.parameters.classify;
+        if input.expected.is_empty() || p.after_update {
+            return;
+        }
+        let (map, scan) = (&input.local.map, input.scan);
+        let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
+        let rules = ClusterRules { map, points, origin, parameters: p };
+        // Whatever is linked to structure is a part of it.
+        let is_apart = |cluster: &Cluster<'_>| {
+            cluster.members.iter().all(|&row| {
+                expected.binary_search(&(row as usize)).is_ok()
+                    || !is_explained(map, p.close_distance, wide(points[row as usize]))
+            })
+        };
+        let may_be_one = |index: usize, cluster: &Cluster<'_>| {
+            !clusters.is_joined(index)
+                && cluster.members.len() >= p.min_points
+                && !rules.is_gated(cluster, cluster.diagonal())
+                && may_fly(map, scan, cluster)
+                && is_apart(cluster)
+        };
+        let all = (0..clusters.len()).map(|index| (index, clusters.get(index)));
+        claimed.extend(input.expected().clusters(all, may_be_one));
+        claimed.retain(|&index| classifications[index].class != PointClass::Flying);
+        for &index in claimed.iter() {
+            let (class, is_expected) = (PointClass::Flying, true);
+            classifications[index] =
+                Classification { class, is_expected, ..Classification::default() };
+        }
+    }
+
+    /// Clusters that fly since tracks predict them, although structure is near.
+    pub(crate) fn claimed(&self) -> &[usize] {
+        &self.claimed
     }
 
     /// Evaluate rule B again, on the map after the scan.
@@ -195,7 +251,7 @@ impl ScanClassifier {
     }
 
     fn label(&mut self, input: &ScanToClassify<'_>) -> Result<(), Error> {
-        let Self { labeller, explained, middles, .. } = self;
+        let Self { labeller, explained, middles, expected, .. } = self;
         let (scan, parameters, lattice) = (input.scan, input.parameters, input.local.map.lattice());
         let middle = |&point: &[f32; 3]| match floor(lattice.scaled(wide(point))) {
             Some(voxel) => lattice.center(voxel).map(|value| value as f32),
@@ -210,7 +266,9 @@ impl ScanClassifier {
         let gap = AngularGap { origin: scan.pose.translation, max_angle };
         let max_distance = parameters.clustering.max_distance;
         cancel::check()?;
-        let is_joined = explained.find(points, &input.local.map, parameters, input.pool);
+        expected.clear();
+        expected.extend(input.expected().rows());
+        let is_joined = explained.find(points, &input.local.map, parameters, input.pool, expected);
         cancel::check()?;
         match is_joined {
             Some(is_joined) => {

@@ -60,7 +60,10 @@ pub(crate) fn detect<'c>(
         let mut detection =
             Detection::of(scan, &cluster, classification, input.parameters.range_std);
         detection.confidence *= trust(scan, &cluster);
-        detection.is_joined = !is_flying.is_empty() && is_joined(scan, &cluster, &is_flying);
+        // What a track has led beside structure is known to be another thing.
+        detection.is_joined = !is_flying.is_empty()
+            && !classification.is_expected
+            && is_joined(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
             // How many rays go into a sky that is known by its density is a guess.

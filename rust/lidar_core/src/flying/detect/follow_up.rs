@@ -7,12 +7,46 @@ use crate::Error;
 use crate::flying::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
-use crate::flying::track::{Detections, PointCloudTracker};
+use crate::flying::track::{Detections, Occupancy, PointCloudTracker};
+use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
+use crate::tracking::kind::TrackKind;
 use std::borrow::Cow;
 
-/// Give the scan, its detections and its hints to the tracker. Returns rows of points that confirmed
-/// tracks follow.
+/// The centroid of a cluster may lie outside its box by rounding [m].
+const ROUNDING: f64 = 1e-3;
+
+/// A row of every cluster that a confirmed track follows, and those of tracks of ground movers.
+pub(crate) struct Followed {
+    pub(crate) rows: Vec<u32>,
+    pub(crate) on_ground: Vec<u32>,
+}
+
+/// Occupied space, without what tracks have claimed in it.
+struct BesideClaimed<'a> {
+    map: &'a VoxelMap,
+    /// Lower and upper corners of boxes around clusters [m].
+    boxes: Vec<[[f64; 3]; 2]>,
+}
+
+impl BesideClaimed<'_> {
+    /// True if a place is within `distance` [m] of a box.
+    fn is_claimed(&self, place: [f64; 3], distance: f64) -> bool {
+        self.boxes.iter().any(|[low, high]| {
+            let away =
+                |axis: usize| (low[axis] - place[axis]).max(place[axis] - high[axis]).max(0.0);
+            norm([0, 1, 2].map(away)) <= distance
+        })
+    }
+}
+
+impl Occupancy for BesideClaimed<'_> {
+    fn any_within(&self, point: [f64; 3], distance: f64) -> bool {
+        !self.is_claimed(point, ROUNDING) && self.map.any_within(point, distance)
+    }
+}
+
+/// Give the scan, its detections and its hints to the tracker.
 ///
 /// # Errors
 /// As [`PointCloudTracker::new_point_cloud`] and [`PointCloudTracker::new_detections`].
@@ -23,14 +57,25 @@ pub(crate) fn update_tracks(
     view: &ScanView<'_>,
     found: &ScanDetections,
     stamp_ns: i64,
-) -> Result<Vec<u32>, Error> {
+) -> Result<Followed, Error> {
     let (map, scan) = (&input.local.map, input.scan);
     let mut points = Cow::from(&scan.points);
     for &row in &found.hidden {
         points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
     }
     let delays = scan.delays.as_deref();
-    let seen = tracker.new_point_cloud(&points, delays, map, Some(view), stamp_ns)?;
+    let claimed = classifier.claimed().iter().map(|&index| classifier.clusters().get(index));
+    let beside = BesideClaimed { map, boxes: claimed.map(|one| [one.low, one.high]).collect() };
+    let distance = tracker.parameters().clustering.max_distance;
+    for (row, _) in (0..)
+        .zip(classifier.class())
+        .filter(|(_, class)| !beside.boxes.is_empty() && **class == PointClass::Background)
+    {
+        if beside.is_claimed(wide(scan.points[row]), distance) {
+            points.to_mut()[row] = [f32::NAN; 3]; // structure beside a target is no part of it
+        }
+    }
+    let seen = tracker.new_point_cloud(&points, delays, &beside, Some(view), stamp_ns)?;
     for (&id, &row) in seen.corrected.iter().zip(&seen.rows) {
         if !tracker.is_confirmed(id) && classifier.is_hint(input, row)? {
             tracker.hint(id);
@@ -54,8 +99,15 @@ pub(crate) fn update_tracks(
         extent: Some(&extent),
     };
     tracker.new_detections(&detections, map)?;
-    let followed = seen.corrected.into_iter().zip(seen.rows);
-    Ok(followed.filter(|&(id, _)| tracker.is_confirmed(id)).map(|(_, row)| row).collect())
+    let mut followed = Followed { rows: Vec::new(), on_ground: Vec::new() };
+    for (id, row) in seen.corrected.into_iter().zip(seen.rows) {
+        if tracker.is_confirmed(id) {
+            followed.rows.push(row);
+            let is_on_ground = tracker.kind_of(id) == Some(TrackKind::Ground);
+            followed.on_ground.extend(is_on_ground.then_some(row));
+        }
+    }
+    Ok(followed)
 }
 
 /// Have the tracker watch the clusters `standing`, which are in free space and have become background.

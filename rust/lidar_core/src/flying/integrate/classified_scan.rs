@@ -70,7 +70,7 @@ impl<'a> ClassifiedScan<'a> {
 /// Counts of one scan's update of the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IntegrateStats {
-    /// Points used, per class background, flying, unknown.
+    /// Points used, per class background, flying, unknown; moving ones count as unknown.
     pub points: [usize; 3],
     /// Entries without information: class invalid, not finite, or without a direction.
     pub skipped: usize,
@@ -107,7 +107,7 @@ pub(super) fn content_of(class: PointClass) -> Option<Content> {
     match class {
         PointClass::Background => Some(Content::Background),
         PointClass::Flying => Some(Content::Flying),
-        PointClass::Unknown => Some(Content::Unknown),
+        PointClass::Unknown | PointClass::Moving => Some(Content::Unknown),
         PointClass::Invalid => None,
     }
 }

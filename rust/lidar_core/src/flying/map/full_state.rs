@@ -54,7 +54,7 @@ impl VoxelMap {
         }
     }
 
-    fn restored(saved: SavedMap) -> Result<Self, Error> {
+    pub(crate) fn restored(saved: SavedMap) -> Result<Self, Error> {
         let mut map = Self::new(saved.parameters)?;
         map.blocks.restore(saved.blocks)?;
         map.changes = Changes::restored(saved.changes, map.blocks.len())?;

@@ -13,7 +13,7 @@ use super::state::PointTrack;
 use super::update::Updater;
 use super::visibility::occupancy::Occupancy;
 use crate::Error;
-use crate::estimation::kalman::{self, Gaussian};
+use crate::estimation::kalman::{self, Gaussian, symmetrised};
 use nalgebra::{Matrix3, Vector3};
 
 /// No scan takes longer [s].
@@ -170,20 +170,22 @@ impl PendingTrack {
 
     /// Difference to a detection and its covariance, of the more probable of the places where the
     /// target may be; None if the detection is out of reach.
-    fn offset(&self, detection: &Gaussian<9>) -> Option<Offset> {
+    fn offset(&self, detection: &MeasuredPlace) -> Option<Offset> {
         match (self.if_ahead(detection), self.if_turned(detection)) {
             (Some(one), Some(other)) if cost(&other) < cost(&one) => Some(other),
             (one, other) => one.or(other),
         }
     }
 
-    fn if_ahead(&self, detection: &Gaussian<9>) -> Option<Offset> {
-        let covariance = position_block(&self.track.estimate.covariance);
-        self.offset_to(self.track.position(), covariance, detection)
+    #[allow(non_snake_case)] // textbook letters
+    fn if_ahead(&self, detection: &MeasuredPlace) -> Option<Offset> {
+        let H = position_matrix(detection.delay);
+        let covariance = symmetrised(H * self.track.estimate.covariance * H.transpose());
+        self.offset_to(self.track.position_after(detection.delay), covariance, detection)
     }
 
     /// As if the target had turned since it was seen.
-    fn if_turned(&self, detection: &Gaussian<9>) -> Option<Offset> {
+    fn if_turned(&self, detection: &MeasuredPlace) -> Option<Offset> {
         let std = self.strayed?;
         self.offset_to(self.track.seen_at, Matrix3::identity() * (std * std), detection)
     }
@@ -192,11 +194,10 @@ impl PendingTrack {
         &self,
         place: Vector3<f64>,
         covariance: Matrix3<f64>,
-        detection: &Gaussian<9>,
+        detection: &MeasuredPlace,
     ) -> Option<Offset> {
-        let y = position(detection) - place;
-        let known = position_block(&detection.covariance);
-        (y.norm() <= self.reach).then_some((y, known + covariance))
+        let y = detection.position - place;
+        (y.norm() <= self.reach).then_some((y, detection.covariance + covariance))
     }
 
     /// The track after a turn that led to a detection: its motion is not known any more. None if the
@@ -204,8 +205,9 @@ impl PendingTrack {
     fn turned_to(&self, found: &PointTrack, model: &Motion) -> Option<PointTrack> {
         let mut found = found.clone();
         found.predict(found.stamp_ns.max(self.track.stamp_ns), model);
-        let turned = cost(&self.if_turned(&found.estimate)?);
-        let is_turned = self.if_ahead(&found.estimate).is_none_or(|one| turned < cost(&one));
+        let place = MeasuredPlace::at_stamp(&found.estimate);
+        let turned = cost(&self.if_turned(&place)?);
+        let is_turned = self.if_ahead(&place).is_none_or(|one| turned < cost(&one));
         let PointTrack { estimate, aged, stamp_ns, seen_ns, seen_at, extent, .. } = found;
         let known = self.track.clone();
         is_turned.then_some(PointTrack {
@@ -217,6 +219,34 @@ impl PendingTrack {
             extent,
             ..known
         })
+    }
+}
+
+/// Where a hypothesis is at a time after its stamp.
+struct MeasuredPlace {
+    position: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    /// Time after the stamp [s].
+    delay: f64,
+}
+
+impl MeasuredPlace {
+    fn at_stamp(estimate: &Gaussian<9>) -> Self {
+        let covariance = position_block(&estimate.covariance);
+        Self { position: position(estimate), covariance, delay: 0.0 }
+    }
+
+    /// Of a fresh detection at the time when it was measured: where it was at the stamp of its scan,
+    /// before that, nobody knows without its velocity. A target of 30 m/s moves by metres meanwhile.
+    fn of(hypothesis: &PointTrack, velocity_std: f64) -> Self {
+        let at_stamp = Self::at_stamp(&hypothesis.estimate);
+        if hypothesis.stamp_ns != hypothesis.born_ns || hypothesis.delay == 0.0 {
+            return at_stamp;
+        }
+        // What its unknown velocity adds to the place at the stamp is taken off.
+        let unknown = (hypothesis.delay * velocity_std).powi(2);
+        let covariance = at_stamp.covariance - Matrix3::identity() * unknown;
+        Self { position: hypothesis.born_at, covariance, delay: hypothesis.delay }
     }
 }
 
@@ -307,13 +337,22 @@ impl Updater {
         let is_ahead = waiting.iter().any(|one| one.track.stamp_ns > now_ns);
         let furthest = waiting.iter().map(PendingTrack::furthest).fold(0.0, f64::max);
         let reach = if is_ahead { f64::INFINITY } else { furthest };
-        let rows = hypotheses.iter().map(PointTrack::position);
+        let velocity_std = self.parameters.initial_std[1];
+        let places: Vec<MeasuredPlace> =
+            hypotheses.iter().map(|one| MeasuredPlace::of(one, velocity_std)).collect();
+        let latest = places.iter().map(|place| place.delay.abs()).fold(0.0, f64::max);
+        let fastest = waiting.iter().map(|one| one.track.velocity().norm()).fold(0.0, f64::max);
+        let reach = reach + latest * fastest;
+        let rows = places.iter().map(|place| place.position);
         let columns = waiting.iter().map(|one| one.track.position());
         let track_of = self.assign(rows, columns, reach, |row, column| {
             let (hypothesis, waiting) = (&hypotheses[row], &waiting[column]);
             let is_behind = waiting.track.stamp_ns > now_ns;
             let reached = is_behind.then(|| hypothesis.at(waiting.track.stamp_ns, model));
-            waiting.offset(reached.as_ref().unwrap_or(&hypothesis.estimate))
+            match reached {
+                Some(estimate) => waiting.offset(&MeasuredPlace::at_stamp(&estimate)),
+                None => waiting.offset(&places[row]),
+            }
         })?;
         Ok(self.feed(tracks, &waiting, hypotheses, &track_of))
     }
@@ -402,11 +441,17 @@ impl Updater {
         let model = &self.parameters.motion;
         let stamp_ns = hypothesis.stamp_ns.max(track.stamp_ns);
         track.predict(stamp_ns, model);
+        let is_now = hypothesis.stamp_ns == stamp_ns;
         hypothesis.predict(stamp_ns, model);
+        let place = if is_now {
+            MeasuredPlace::of(&hypothesis, self.parameters.initial_std[1])
+        } else {
+            MeasuredPlace::at_stamp(&hypothesis.estimate)
+        };
         let measurement = Measurement {
-            position: hypothesis.position(),
-            covariance: position_block(&hypothesis.estimate.covariance),
-            delay: 0.0,
+            position: place.position,
+            covariance: place.covariance,
+            delay: place.delay,
             extent: hypothesis.extent,
             n_points: 0,
             is_cut: false,

@@ -77,6 +77,26 @@ pub struct Track {
     pub kind_probability: [f64; KINDS],
 }
 
+/// A target that was not seen for longer is not expected any more [s].
+const EXPECTED: f64 = 0.5;
+/// It is expected within so many standard deviations of where it is predicted, but no further than
+/// this from its box [m].
+const EXPECTED_STDS: f64 = 2.5;
+const FARTHEST: f64 = 0.5;
+
+/// A target that a track predicts, at the stamp of a scan.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ExpectedTarget {
+    /// [m].
+    pub(crate) position: [f64; 3],
+    /// [m/s].
+    pub(crate) velocity: [f64; 3],
+    /// Half of the sides of the box around all places where a part of it may be [m].
+    pub(crate) half: [f64; 3],
+    /// Usual sides of its own box [m].
+    pub(crate) size: [f64; 3],
+}
+
 /// Changes of the tracks by one call, by their numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
@@ -294,6 +314,39 @@ impl PointCloudTracker {
     /// Whether track `id` is there and confirmed.
     pub(crate) fn is_confirmed(&self, id: i64) -> bool {
         self.tracks.iter().any(|track| track.id == id && track.confirmed)
+    }
+
+    /// What the target of track `id` is; None where tracks are confirmed by counts.
+    pub(crate) fn kind_of(&self, id: i64) -> Option<TrackKind> {
+        let track = self.tracks.iter().find(|track| track.id == id)?;
+        self.kinds(track).map(|kinds| kinds.kind())
+    }
+
+    /// Where targets of the kind Flying are predicted at `stamp_ns`, of confirmed tracks that were seen
+    /// lately.
+    pub(crate) fn expected_at(&self, stamp_ns: i64) -> Vec<ExpectedTarget> {
+        let is_known = |track: &&PointTrack| {
+            let kind = self.kinds(track).map(|kinds| kinds.kind());
+            track.confirmed
+                && kind == Some(TrackKind::Flying)
+                && seconds(track.seen_ns, stamp_ns) <= EXPECTED
+        };
+        let model = &self.parameters().motion;
+        let target = |track: &PointTrack| {
+            let state = track.at(stamp_ns, model);
+            let (mean, covariance) = (state.mean, state.covariance);
+            let size = track.size;
+            ExpectedTarget {
+                position: [mean[0], mean[1], mean[2]],
+                velocity: [mean[3], mean[4], mean[5]],
+                half: [0, 1, 2].map(|axis| {
+                    let std = covariance[(axis, axis)].max(0.0).sqrt();
+                    0.5 * size[axis] + (EXPECTED_STDS * std).min(FARTHEST)
+                }),
+                size,
+            }
+        };
+        self.tracks.iter().filter(is_known).map(target).collect()
     }
 
     /// The cluster of track `id` in the newest cloud is in free space, though it has too few points

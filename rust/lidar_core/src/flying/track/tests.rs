@@ -389,3 +389,39 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
     }
     Ok(())
 }
+
+/// Numbers and existence of the tracks of a target of 30 m/s that a rolling scan meets `delay` after
+/// its stamp, in so many scans; `step` is what it flies from one to the next [m].
+fn passer(delay: f64, scans: i64, step: f64) -> Result<Vec<(i64, f64)>, Error> {
+    let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
+    for scan in 0..scans {
+        let stamp_ns = scan * STEP_NS;
+        let position = [step * scan as f64, 8.0, 3.0];
+        let point = position.map(|value| value as f32);
+        let delays = [delay as f32];
+        tracker.new_point_cloud(&[point], Some(&delays), &free(), None, stamp_ns)?;
+        let found = Detections {
+            stamp_ns,
+            positions: &[position],
+            covariance: Some(&[[[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]]),
+            delay: Some(&[delay]),
+            confidence: Some(&[0.9]),
+            ..Detections::default()
+        };
+        tracker.new_detections(&found, &free())?;
+    }
+    let tracks = tracker.tracks_at((scans - 1) * STEP_NS);
+    Ok(tracks.into_iter().map(|track| (track.id, track.existence)).collect())
+}
+
+#[test]
+fn a_fast_target_is_known_by_its_third_detection_however_late_in_the_scan() -> Result<(), Error> {
+    for delay in [0.0, 0.03, 0.09] {
+        let probable: Vec<_> =
+            passer(delay, 3, 3.0)?.into_iter().filter(|&(_, existence)| existence > 0.9).collect();
+        assert_eq!(probable.len(), 1, "{delay}: {probable:?}");
+        let later = passer(delay, 8, 3.0)?;
+        assert!(later.iter().any(|&(id, p)| id == probable[0].0 && p > 0.99), "{delay}: {later:?}");
+    }
+    Ok(())
+}

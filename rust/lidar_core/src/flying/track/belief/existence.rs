@@ -116,6 +116,9 @@ const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
 /// that well described, nor is the rest that scattered.
 const NEAREST: f64 = 25.0;
 const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
+/// The upper bound of the first detection after the two that began the track of a fast target: that
+/// three lie on a straight line metres apart, what comes and goes hardly ever does.
+const NEAR_THIRD: f64 = 10.0;
 /// Of two detections that only a fast target explains: few targets are that fast.
 const IS_FAST: CauseLikelihoods = [0.3, 0.3, 1.0, 1.0];
 /// Of having more points around it than its own.
@@ -227,7 +230,9 @@ pub(in crate::flying::track) fn weigh(
     if sight.tells(belief.has_moved) {
         belief.take(sight.likelihood(around));
         if let Some(near) = near.filter(|_| evidence.is_some()) {
-            let near = near.clamp(NEAR_BOUNDS[0], NEAR_BOUNDS[1]);
+            let is_third = track.before.is_some() && track.n_detections == 3;
+            let most = if is_third { NEAR_THIRD } else { NEAR_BOUNDS[1] };
+            let near = near.clamp(NEAR_BOUNDS[0], most);
             belief.take([near, near, near, 1.0]);
         }
     }

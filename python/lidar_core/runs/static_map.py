@@ -1,0 +1,45 @@
+"""A map of all that stands, which a run writes beside its folder."""
+
+from pathlib import Path
+
+from lidar_core.errors import ConfigError
+from lidar_core.extras import require
+from lidar_core.flying import FlyingObjectDetector
+from lidar_core.io import write_cloud
+
+ENDINGS = (".lcvm", ".pcd", ".ply")
+
+
+def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
+    """Refuse a place that cannot be written, before any work.
+
+    Raises
+    ------
+    ConfigError
+        Another ending, a folder that is not there, or a file that the run reads.
+    MissingExtraError
+        PCD without pypcd4.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in ENDINGS:
+        raise ConfigError(
+            f"static_map: expected a file that ends in {', '.join(ENDINGS)}, got {path}"
+        )
+    if not path.parent.is_dir():
+        raise ConfigError(f"static_map: {path.parent} is no folder")
+    if path.is_dir():
+        raise ConfigError(f"static_map: {path} is a folder")
+    if path.exists() and any(
+        one is not None and one.exists() and path.samefile(one) for one in reads
+    ):
+        raise ConfigError(f"static_map: {path} is read by this run, and would be replaced")
+    if suffix == ".pcd":
+        require("pypcd4", extra="io", purpose="writing PCD")
+
+
+def write_static_map(detector: FlyingObjectDetector, path: Path) -> None:
+    """Write what stands: voxels of 0.1 m, or points in the world frame [m]."""
+    if path.suffix.lower() == ".lcvm":
+        detector.save_static_map(path)
+    else:
+        write_cloud(path, detector.static_points())

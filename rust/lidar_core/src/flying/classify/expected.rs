@@ -1,0 +1,116 @@
+//! Targets that tracks predict near structure.
+//!
+//! What is close to an occupied voxel is background by rule A, whatever it is. Where a confirmed track
+//! predicts its target, a cluster of its own that is where nothing stands is that target.
+
+use super::clusters::Cluster;
+use crate::flying::map::blocks::Cursor;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::track::{ExpectedTarget, Occupancy};
+use crate::geometry::lattice::{floor, wide};
+use crate::geometry::transform::norm;
+
+/// Points this far outside the box of a target may be its own: it brakes before a wall [m].
+const MARGIN: f64 = 0.25;
+/// No target is taken for smaller than this [m].
+const SMALLEST: f64 = 0.3;
+/// A cluster is at most so many times as large as its target.
+const LARGEST: f64 = 1.6;
+
+/// A scan in which targets are looked for.
+#[derive(Clone, Copy)]
+pub(crate) struct ExpectedIn<'a> {
+    /// Those near structure; the others need no help.
+    targets: &'a [ExpectedTarget],
+    pub(crate) points: &'a [[f32; 3]],
+    /// Time of every point after the stamp [s].
+    pub(crate) delays: Option<&'a [f32]>,
+    map: &'a VoxelMap,
+}
+
+/// The targets that are near structure, as far as rule A looks.
+pub(crate) fn near_structure(
+    mut targets: Vec<ExpectedTarget>,
+    map: &VoxelMap,
+    close_distance: f64,
+) -> Vec<ExpectedTarget> {
+    targets.retain(|target| {
+        let reach = close_distance + norm(target.half) + map.lattice().voxel_size();
+        map.any_within(target.position, reach)
+    });
+    targets
+}
+
+impl<'a> ExpectedIn<'a> {
+    pub(crate) fn new(
+        targets: &'a [ExpectedTarget],
+        points: &'a [[f32; 3]],
+        delays: Option<&'a [f32]>,
+        map: &'a VoxelMap,
+    ) -> Self {
+        Self { targets, points, delays, map }
+    }
+
+    /// Rows of the points that may be of a target: near where it is predicted, and where nothing
+    /// stands.
+    pub(crate) fn rows(self) -> Vec<usize> {
+        let mut cursor = Cursor::new(&self.map.blocks);
+        let is_chosen = |&row: &usize| {
+            let point = wide(self.points[row]);
+            self.targets.iter().any(|target| self.holds(target, point, row, MARGIN))
+                && self.is_clear(&mut cursor, point)
+        };
+        if self.targets.is_empty() {
+            return Vec::new();
+        }
+        (0..self.points.len()).filter(is_chosen).collect()
+    }
+
+    /// The cluster of every target that has one: of those that may be it and that
+    /// `is_allowed` knows as such, the one with the most points.
+    pub(crate) fn clusters<'c>(
+        self,
+        clusters: impl Iterator<Item = (usize, Cluster<'c>)> + Clone,
+        is_allowed: impl Fn(usize, &Cluster<'_>) -> bool,
+    ) -> Vec<usize> {
+        let best = |target: &ExpectedTarget| {
+            let own = clusters.clone().filter(|(index, cluster)| {
+                self.may_be(target, cluster) && is_allowed(*index, cluster)
+            });
+            own.max_by_key(|(index, cluster)| (cluster.members.len(), usize::MAX - index))
+        };
+        let mut found: Vec<usize> =
+            self.targets.iter().filter_map(best).map(|(index, _)| index).collect();
+        found.sort_unstable();
+        found.dedup();
+        found
+    }
+
+    fn may_be(self, target: &ExpectedTarget, cluster: &Cluster<'_>) -> bool {
+        let Some(&row) = cluster.members.first() else { return false };
+        let largest = LARGEST * target.size.into_iter().fold(SMALLEST, f64::max);
+        // Only the near side of a target is seen, so the centroid of its points is not its centre.
+        let is_near = self.holds(target, cluster.centroid, row as usize, MARGIN);
+        if !is_near || cluster.extent().iter().any(|&side| side > largest) {
+            return false;
+        }
+        let mut cursor = Cursor::new(&self.map.blocks);
+        let is_clear = |row: &&u32| self.is_clear(&mut cursor, wide(self.points[**row as usize]));
+        2 * cluster.members.iter().filter(is_clear).count() > cluster.members.len()
+    }
+
+    /// True if a place is within the box of a target at the time of a row, and so much around it.
+    fn holds(self, target: &ExpectedTarget, place: [f64; 3], row: usize, margin: f64) -> bool {
+        let delay = self.delays.map_or(0.0, |delays| f64::from(delays[row]));
+        (0..3).all(|axis| {
+            let offset = place[axis] - target.position[axis] - delay * target.velocity[axis];
+            offset.abs() <= target.half[axis] + margin // false for NaN
+        })
+    }
+
+    /// True if the voxel of a place was observed, and nothing stands in it.
+    fn is_clear(self, cursor: &mut Cursor<'_>, place: [f64; 3]) -> bool {
+        floor(self.map.lattice().scaled(place))
+            .is_some_and(|voxel| !cursor.stored(voxel).is_nan() && !cursor.is_tentative(voxel))
+    }
+}
