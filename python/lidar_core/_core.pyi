@@ -337,6 +337,8 @@ class CircleMap:
         NDArray[np.bool_],
         NDArray[np.bool_],
         NDArray[np.float64],
+        NDArray[np.float64],
+        tuple[NDArray[np.uint8], NDArray[np.float64]],
     ]: ...
     def reset(self) -> None: ...
 
@@ -394,6 +396,8 @@ class CirclePipeline:
         NDArray[np.bool_],
         NDArray[np.bool_],
         NDArray[np.float64],
+        NDArray[np.float64],
+        tuple[NDArray[np.uint8], NDArray[np.float64]],
     ]: ...
     def shapes_at(
         self, stamp_ns: int

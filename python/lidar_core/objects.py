@@ -260,6 +260,14 @@ class CircleElements(ObjectTable):
     person_probability : ndarray, shape (M,), float64
         Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs
         where the scan meets them. 0 with the filter of the paper.
+    existence : ndarray, shape (M,), float64
+        Probability that there is an object, and not a chance group of rays, 0 to 1; 1 with the
+        filter of the paper.
+    kind : ndarray, shape (M,), uint8
+        A `TrackKind`: STATIC what has not moved, GROUND what moves, also while it stands; UNKNOWN
+        if undecided, and with the filter of the paper.
+    kind_probability : ndarray, shape (M, 5), float64
+        Probability of every `TrackKind`, if there is an object; the sum is 1.
     stamp_ns : int
         Time of the states [ns].
     """
@@ -275,6 +283,9 @@ class CircleElements(ObjectTable):
     seen_ns: NDArray[np.int64]
     visible: NDArray[np.bool_]
     person_probability: NDArray[np.float64]
+    existence: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    kind_probability: NDArray[np.float64]
     stamp_ns: int
 
 

@@ -91,6 +91,12 @@ def autoferry(path: Path) -> None:
     read_autoferry(path)
 
 
+def objects(path: Path) -> None:
+    from lidar_core.fusion import read_delphi
+
+    read_delphi(path)
+
+
 def voxel_map(path: Path) -> None:
     from lidar_core.flying import FlyingObjectDetector
     from lidar_core.flying.voxel_map import VoxelMap
@@ -189,6 +195,8 @@ def entries_of(name: str) -> list[Entry]:
         found += [poses, laser_radar, columns]
     if suffix in (".csv", ".npz", ".parquet"):
         found += [columns, measurements, scored]
+    if suffix == ".csv":
+        found.append(objects)
     if suffix == ".mcap":
         found.append(columns)
     by_ending = {

@@ -200,6 +200,9 @@ def _tables(folder: Path) -> None:
     rows = np.array([[k * 10**8, 1, 1, *range(1, 7), 5, 0.1, 0.2, 3] for k in range(6)])
     text = "\n".join(",".join(f"{v:g}" for v in row) for row in rows)
     (folder / "table.csv").write_text(f"{names}\n{text}\n")
+    header = "time_ns,trackID,track_angle_rad,track_range_m,track_range_rate_m_per_s"
+    slots = [f"{k * 5 * 10**7},{k % 3},0.1,{10 + k}.5,-2.5" for k in range(6)]
+    (folder / "objects.csv").write_text("\n".join([header, *slots, ""]))
     table = {name: rows[:, n] for n, name in enumerate(names.split(","))}
     for name in ("t_ns", "track_id", "target_id", "hits"):
         table[name] = table[name].astype(np.int64)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import (
     READ,
     WRITTEN,
@@ -34,7 +35,10 @@ FILM = "Draw film.mp4, or film.gif without ffmpeg, beside the picture."
 def command(
     options: RunOptions,
     *,
-    scan: Annotated[list[str], typer.Option(help=SCAN, rich_help_panel=READ)] = [],  # noqa: B006
+    scan: Annotated[
+        list[str],
+        typer.Option(help=SCAN, rich_help_panel=READ, autocompletion=completion.SCANS),
+    ] = [],  # noqa: B006
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,
     point_time: Annotated[str | None, typer.Option(help=SWEEP, rich_help_panel=READ)] = None,
     stamps: Stamps = None,

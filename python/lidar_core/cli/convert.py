@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import (
     JsonFile,
     consoles,
@@ -51,7 +52,10 @@ def command(
         ),
     ],
     topic: Annotated[
-        list[str] | None, typer.Option(help="Scans of this topic alone; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            help="Scans of this topic alone; may be repeated.", autocompletion=completion.ALL
+        ),
     ] = None,
     start: Start = 0.0,
     end: End = None,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import (
     READ,
     Threads,
@@ -39,7 +40,12 @@ def command(
     options: RunOptions,
     *,
     cloud: Annotated[
-        list[str], typer.Option(help="Topic of a LiDAR; may be repeated.", rich_help_panel=READ)
+        list[str],
+        typer.Option(
+            help="Topic of a LiDAR; may be repeated.",
+            rich_help_panel=READ,
+            autocompletion=completion.CLOUDS,
+        ),
     ] = [],  # noqa: B006
     point_time: Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)] = None,
     no_return: Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)] = None,

@@ -111,7 +111,7 @@ def _coverage(
     reach: float,
     gap: float,
 ) -> TargetCoverage:
-    counted = _seen_times(number, scans, reach, gap)
+    counted = seen_times(number, scans, reach, gap)
     served = [
         pair[number]
         for pair, counts in zip(pairs, counted, strict=True)
@@ -128,10 +128,10 @@ def _coverage(
     )
 
 
-def _seen_times(
+def seen_times(
     number: int, scans: Sequence[DetectionScan], reach: float, gap: float
 ) -> NDArray[np.bool_]:
-    """Scans between two detections of a target that are at most `gap` apart."""
+    """Scans (K,) between two detections of a target that are at most `gap` [s] apart."""
     stamps = np.array([scan.stamp_ns for scan in scans], np.int64)
     has_truth = np.array([number in scan.truth for scan in scans], np.bool_)
     hits = [

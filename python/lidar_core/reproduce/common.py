@@ -40,6 +40,11 @@ def share(part: float, whole: float) -> float | None:
     return float(part / whole) if whole else None
 
 
+def in_space(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places (N, 2) with z = 0."""
+    return np.pad(places, ((0, 0), (0, 1)))
+
+
 def middles(edges: Sequence[float]) -> list[float]:
     """Middles of groups between `edges`."""
     return [(near + far) / 2 for near, far in pairwise(edges)]

@@ -41,6 +41,7 @@ MODULES = (
     "fusion.noise_power",
     "fusion.drone_yaw",
     "fusion.consistency",
+    "fusion.real",
     "tracking.noise",
     "tracking.dropout",
     "tracking.scaling",

@@ -17,12 +17,14 @@ from lidar_core.fusion import (
     TableOptions,
     read_autoferry,
     read_bag,
+    read_delphi,
     read_measurements,
 )
 from lidar_core.fusion import (
     fit_noise as fit_noise_of,
 )
 from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
+from lidar_core.fusion.recordings.delphi import is_delphi
 from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import TABLES
 from lidar_core.io import Span
@@ -67,7 +69,8 @@ def fuse(
     Parameters
     ----------
     recording : str or Path
-        L/R text, a table (CSV, Parquet, .npz), a ROS recording, or detections of Autoferry.
+        L/R text, a table (CSV, Parquet, .npz), a ROS recording, detections of Autoferry, or
+        object lists of Delphi radars (CSV, or a folder of them).
     config : FusionConfig, MultiTargetConfig, ConfigChoice or None
         Configuration of the filter of one target, or of the tracker of many; None is best mode.
     output : str or Path
@@ -253,6 +256,9 @@ class _FuseJob:
         if recording.suffix == ".json":
             self._check_read("detections of Autoferry", ())
             return TargetScans(read_autoferry(recording), "Autoferry"), {}
+        if is_delphi(recording):
+            self._check_read("object lists of Delphi", ())
+            return TargetScans(read_delphi(recording), "Delphi ESR"), {}
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()

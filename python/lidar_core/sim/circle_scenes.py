@@ -16,6 +16,23 @@ from lidar_core.sim.solids.people import Barrel, Person
 from lidar_core.sim.solids.shapes import Box, Cylinder, Plane
 from lidar_core.sim.types import Vector
 
+__all__ = [
+    "ENDLESS",
+    "HEIGHT",
+    "LAB_VOLUME",
+    "RATE",
+    "SensorMotion",
+    "hidden",
+    "lab",
+    "neighbours",
+    "occlusion",
+    "scanner",
+    "several",
+    "single",
+    "trees",
+    "walkers",
+]
+
 HEIGHT = 1.0
 """Of the sensor [m]."""
 RATE = 20.0
@@ -307,3 +324,7 @@ def _room(low: tuple[float, float], high: tuple[float, float], height: float) ->
         wall(size[0], thick, (x, low[1] - thick / 2, level)),
         wall(size[0], thick, (x, high[1] + thick / 2, level)),
     )
+
+
+def __dir__() -> list[str]:
+    return __all__

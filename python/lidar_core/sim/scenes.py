@@ -212,3 +212,7 @@ def _drifting(
     start: tuple[float, float, float], step: tuple[float, float, float], scans: int
 ) -> Target:
     return Target(shape=Sphere(radius=DRONE_RADIUS), motion=_line(start, step, scans))
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -6,6 +6,17 @@ from pydantic import Field
 
 from lidar_core.config import Config
 
+__all__ = [
+    "ASPHALT",
+    "CONCRETE",
+    "DARK",
+    "GLASS",
+    "GLOSSY",
+    "LEAVES",
+    "PLASTIC",
+    "WET",
+]
+
 
 class Surface(Config):
     """Shares of the light that meets a surface.
@@ -47,3 +58,7 @@ GLASS = Surface(reflectivity=0.01, mirror=0.08, clear=0.95)
 
 Answers: TypeAlias = list[Surface | None]
 """One per surface of a scene; none: every ray that meets it returns."""
+
+
+def __dir__() -> list[str]:
+    return __all__

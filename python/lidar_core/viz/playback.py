@@ -1,7 +1,9 @@
 """Playback of a run from its files: scans in the world frame, objects and outlines over time."""
 
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -21,7 +23,10 @@ from lidar_core.objects import Objects, ShapeElements
 from lidar_core.run_folder import RUN_FILE
 
 Capability: TypeAlias = Literal["flying", "circles", "fusion"]
-_WorldScan: TypeAlias = tuple[int, NDArray[np.float32], NDArray[np.uint8], NDArray[np.float64]]
+Trails: TypeAlias = dict[int, NDArray[np.float64]]
+_WorldScan: TypeAlias = tuple[
+    int, NDArray[np.float32], NDArray[np.uint8], NDArray[np.float64] | None
+]
 
 RECORDING, MAP = "run.mcap", "map.lcvm"
 CORNERS = 36  # of a circle
@@ -163,24 +168,53 @@ class Playback:
         path = self.folder / MAP
         return path if path.is_file() else None
 
-    def moments(self) -> Iterator[Moment]:
-        """Times of scans and of estimates, ascending; no scans where the run kept none."""
-        last = -1
-        for stamp_ns, points, classes, sensor in self._scans():
-            for between in self._stamps(last, stamp_ns):
-                yield self._moment(between, _NO_POINTS, _NO_CLASSES)
-            yield self._moment(stamp_ns, points, classes, sensor)
-            last = stamp_ns
-        for after in self._stamps(last, None):
-            yield self._moment(after, _NO_POINTS, _NO_CLASSES)
+    def times(self) -> list[int]:
+        """Times [ns] of scans with points, ascending; those of estimates where there are none."""
+        found = [stamp_ns for stamp_ns, points, _, _ in self._views() if len(points)]
+        return found or [stamp_ns for stamp_ns, _, _, _ in self._views()]
 
-    def _stamps(self, after: int, before: int | None) -> list[int]:
-        """Times of estimates between two scans."""
-        return [
-            stamp
-            for stamp in sorted(self._rows.keys() | self._shape_rows.keys())
-            if stamp > after and (before is None or stamp < before)
-        ]
+    def moments(self, chosen: Collection[int] | None = None) -> Iterator[Moment]:
+        """Times of scans and of estimates, ascending; no scans where the run kept none.
+
+        Without `chosen`, times [ns], all.
+        """
+        for view in self._views():
+            if chosen is None or view[0] in chosen:
+                yield self._moment(*view)
+
+    def trails(self, moment: Moment, most: int | None) -> Trails:
+        """Positions (S, 3) [m] of every object of a moment up to then, at most the last so many."""
+        found = {}
+        for name in moment.objects.id.tolist():
+            stamps, places = self._ways[name]
+            end = int(np.searchsorted(stamps, moment.stamp_ns, side="right"))
+            found[name] = places[0 if most is None else max(0, end - most) : end]
+        return found
+
+    @cached_property
+    def _ways(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.float64]]]:
+        """Times [ns] and positions (S, 3) [m] of every object."""
+        columns = self._columns
+        order = np.lexsort((columns["t_ns"], columns["track_id"]))
+        places = _objects(columns, order, least=0.0).position
+        names, starts = np.unique(columns["track_id"][order], return_index=True)
+        parts = zip(
+            np.split(columns["t_ns"][order], starts[1:]),
+            np.split(places, starts[1:]),
+            strict=True,
+        )
+        return dict(zip(names.tolist(), parts, strict=False))
+
+    def _views(self) -> Iterator[_WorldScan]:
+        """Scans, and between them the times that have estimates alone."""
+        stamps = sorted(self._rows.keys() | self._shape_rows.keys())
+        begin = 0
+        for scan in self._scans():
+            end = bisect_left(stamps, scan[0], begin)
+            yield from ((stamp, _NO_POINTS, _NO_CLASSES, None) for stamp in stamps[begin:end])
+            yield scan
+            begin = bisect_right(stamps, scan[0], end)
+        yield from ((stamp, _NO_POINTS, _NO_CLASSES, None) for stamp in stamps[begin:])
 
     def _moment(
         self,

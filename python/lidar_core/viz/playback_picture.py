@@ -1,6 +1,5 @@
 """One time of a run as PNG, or the run as a film, with matplotlib; needs no display."""
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
 from lidar_core.viz.figure import INK, opaque_legend, write_figure
 from lidar_core.viz.film import write_film
-from lidar_core.viz.playback import Moment, Playback
+from lidar_core.viz.playback import Moment, Playback, Trails
 
 SIZE, DPI = (12.0, 6.0), 90
 FILM_DPI = 70
@@ -60,18 +59,14 @@ def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> 
     MissingExtraError
         matplotlib is not installed.
     """
-    shown = [(moment, trails) for moment, trails in _moments_with_trails(run) if len(moment.points)]
-    shown = shown or list(_moments_with_trails(run))
-    if not shown:
-        raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
-    first = shown[0][0].stamp_ns
-    seconds = [(moment.stamp_ns - first) * 1e-9 for moment, _ in shown]
-    number = len(shown) - 1 if at is None else int(np.argmin(np.abs(np.array(seconds) - at)))
-    moment, trails = shown[number]
-    scene = _Scene.of(run, [shown[number]])
+    times = _times(run)
+    seconds = (np.array(times) - times[0]) * 1e-9
+    number = len(times) - 1 if at is None else int(np.argmin(np.abs(seconds - at)))
+    moment, trails = shown = _followed(run, times[number : number + 1])[0]
+    scene = _Scene.of(run, [shown])
     return write_figure(
         path,
-        lambda figure: _compose(figure, scene, moment, trails, seconds[number]),
+        lambda figure: _compose(figure, scene, moment, trails, float(seconds[number])),
         size=SIZE,
         dpi=DPI,
     )
@@ -109,18 +104,15 @@ def draw_film(
     MissingExtraError
         matplotlib or, for .mp4, ffmpeg is not installed.
     """
-    followed = list(_moments_with_trails(run))
-    kept = [one for one in followed if len(one[0].points)] or followed
-    if not kept:
-        raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
-    picked = kept[:: max(1, -(-len(kept) // frames))]
+    times = _times(run)
+    picked = _followed(run, times[:: max(1, -(-len(times) // frames))])
     scene = _Scene.of(run, picked)
 
     def paint(figure: Any) -> Iterator[None]:
         for number, (moment, trails) in enumerate(picked):
             on_frame(number, len(picked))
             figure.clear()
-            seconds = (moment.stamp_ns - kept[0][0].stamp_ns) * 1e-9
+            seconds = (moment.stamp_ns - times[0]) * 1e-9
             _compose(figure, scene, moment, trails, seconds)
             yield
         on_frame(len(picked), len(picked))
@@ -128,19 +120,19 @@ def draw_film(
     return write_film(path, paint, size=SIZE, dpi=FILM_DPI, rate=rate)
 
 
-Trails = dict[int, NDArray[np.float64]]
+def _times(run: Playback) -> list[int]:
+    """Times [ns] that can be drawn."""
+    times = run.times()
+    if not times:
+        raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
+    return times
 
 
-def _moments_with_trails(run: Playback) -> Iterator[tuple[Moment, Trails]]:
-    """Moments with the last positions of every object in them."""
-    trails: dict[int, list[NDArray[np.float64]]] = defaultdict(list)
-    for moment in run.moments():
-        for name, position in zip(moment.objects.id.tolist(), moment.objects.position, strict=True):
-            trails[name].append(position)
-            if run.capability != "fusion":
-                del trails[name][:-TRAIL]
-        names = moment.objects.id.tolist()
-        yield moment, {name: np.array(trails[name]) for name in names}
+def _followed(run: Playback, times: Sequence[int]) -> list[tuple[Moment, Trails]]:
+    """Moments with the last positions of every object in them; fused targets keep all."""
+    most = None if run.capability == "fusion" else TRAIL
+    chosen = frozenset(times)
+    return [(moment, run.trails(moment, most)) for moment in run.moments(chosen)]
 
 
 @dataclass(frozen=True, slots=True)

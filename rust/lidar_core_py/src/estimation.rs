@@ -9,6 +9,9 @@ use lidar_core::estimation::chi2;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
+/// Tables of costs with at most so many entries are assigned within a millisecond.
+const BRIEF: usize = 4096;
+
 /// Column of every row of a table of costs, -1 for none; pairs dearer than `gate` are forbidden.
 #[pyfunction]
 #[pyo3(signature = (cost, *, gate, unassigned))]
@@ -20,13 +23,15 @@ pub(crate) fn assign_columns<'py>(
 ) -> Result<Bound<'py, PyArray1<i64>>, BorderError> {
     let [rows, columns] = [cost.shape()[0], cost.shape()[1]];
     let costs = arrays::flat("cost", &cost)?;
-    let found = stoppable(py, || {
+    let work = || {
         let near = costs.iter().enumerate().filter(|(_, cost)| **cost <= gate);
         let pairs: Vec<Pair> = near
             .map(|(at, &cost)| Pair { row: at / columns, column: at % columns, cost })
             .collect();
         assign(rows, columns, &pairs, unassigned)
-    })?;
+    };
+    // A thread that watches for signals takes longer than a small table.
+    let found = if costs.len() <= BRIEF { detached(py, work)? } else { stoppable(py, work)? };
     let found = found.into_iter().map(|column| column.map_or(-1, |column| column as i64));
     Ok(found.collect::<Vec<i64>>().into_pyarray(py))
 }

@@ -33,7 +33,10 @@ def filled(kind, rows):
             vector, squares[3], scalar, vector, numbers, scalar, numbers
         ),
         CircleElements: lambda: CircleElements(
-            numbers, plane, plane, scalar, squares[5], scalar, numbers, hits, scalar, at
+            *(numbers, plane, plane, scalar, squares[5], scalar, numbers, hits, scalar, scalar),
+            numbers.astype(np.uint8),
+            rng.random((rows, 5)),
+            at,
         ),
         ShapeElements: lambda: ShapeElements(
             numbers,

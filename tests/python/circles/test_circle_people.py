@@ -69,6 +69,54 @@ def test_a_person_on_two_legs_is_one_element_and_a_person(seed):
     assert last.person_probability[near(last, start + velocity * 5.9)].max() > 0.9
 
 
+def test_people_who_pass_each_other_closely_stay_two():
+    """Both were known for a second; at 3 s they are 0.3 m apart."""
+    ways = [((2.5, -3.0), (0.0, 1.0)), ((2.8, 3.0), (0.0, -1.0))]
+    things = lambda time: [leg for at, way in ways for leg in legs(time, start=at, velocity=way)]  # noqa: E731
+    maps = run(things, seconds=6.0)
+    known = set(maps[20].id.tolist())
+    for found, time in ((maps[20], 2.0), (maps[58], 5.8)):
+        own = [near(found, np.array(at) + np.array(way) * time) for at, way in ways]
+        assert [len(rows) for rows in own] == [1, 1]
+    assert {int(number) for rows in own for number in found.id[rows]} <= known
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.6, 3.14])
+def test_who_starts_to_walk_is_noticed_within_half_a_second(heading):
+    """Away from the scanner, across, and towards it."""
+    way = np.array([np.cos(heading), np.sin(heading)])
+
+    def things(time):
+        return [(*(np.array([4.0, 0.0]) + way * max(0.0, time - 3.0)), 0.2)]
+
+    maps = run(things, seconds=3.6)
+    speeds = [np.linalg.norm(found.velocity, axis=1).max(initial=0.0) for found in maps]
+    assert max(speeds[5:30]) < 0.05
+    assert min(speeds[35:]) > 0.3
+
+
+def test_what_creeps_is_not_taken_for_standing():
+    maps = run(lambda time: [(3.0, -1.0 + 0.35 * max(0.0, time - 1.0), 0.15)], seconds=5.0)
+    speeds = [np.linalg.norm(found.velocity, axis=1).max(initial=0.0) for found in maps[20:]]
+    assert np.mean(np.array(speeds) > 0.2) > 0.9
+
+
+def test_what_comes_into_sight_bit_by_bit_does_not_move():
+    """Someone walks in front of a large post and a box's face, which stand."""
+    things = lambda time: [  # noqa: E731
+        (3.5, 0.0, 0.3),
+        (3.6, 1.2, 0.12),
+        (2.0, -2.0 + 0.8 * time, 0.15),
+    ]
+    maps = run(things, seconds=5.0)
+    speeds = [
+        found.velocity[near(found, place, 0.3)]
+        for found in maps[8:]
+        for place in ((3.5, 0.0), (3.6, 1.2))
+    ]
+    assert (np.linalg.norm(np.vstack(speeds), axis=1) > 0.3).mean() <= 0.02
+
+
 def test_two_thin_posts_that_stand_stay_two_elements_and_no_persons():
     maps = run(lambda _: [(2.5, 0.0, 0.06), (2.5, 0.45, 0.06), (4.0, -1.0, 0.15)], seconds=4.0)
     assert all(len(near(found, (2.5, 0.22), 0.4)) == 2 for found in maps[10:])

@@ -326,17 +326,6 @@ def test_a_part_of_a_table_is_fused(table, tmp_path):
     assert str(empty.exception).startswith(text)
 
 
-@pytest.mark.parametrize("separator", [";", "\t"])
-def test_a_table_without_commas_is_told_so(table, tmp_path, separator):
-    other = tmp_path / "other.csv"
-    other.write_text("t_ns,x,y\n0,1,2\n".replace(",", separator))
-    refused = command(other, "-o", tmp_path / "run")
-    assert isinstance(refused.exception, FormatError)
-    assert str(refused.exception) == (
-        f"{other}: expected values between commas, these are between {separator!r}"
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "option", "value"),
     [

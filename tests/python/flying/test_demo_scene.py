@@ -14,6 +14,9 @@ MEAN_ERROR = 0.25  # [m]: the visible side of a sphere of 0.325 m lies about 0.2
 LOWEST_RECALL = 0.98
 
 
+pytestmark = pytest.mark.xdist_group("demo scene")
+
+
 @pytest.fixture(scope="module")
 def scores():
     return {seed: score(seed) for seed in range(10)}

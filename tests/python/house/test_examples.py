@@ -99,7 +99,7 @@ def test_elements_of_the_map_are_honest():
     assert 2.6 < figure(text, "mean") < 3.4
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_drone_in_a_real_scan_is_tracked_and_nothing_else(seed, recordings):
     recording = recordings / "3d" / "ouster" / OS1
     text = output_of(

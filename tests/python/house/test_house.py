@@ -11,6 +11,7 @@ import sys
 import tomllib
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from repository import ROOT
@@ -240,6 +241,17 @@ def test_every_public_part_is_listed():
     listed = dir(lidar_core)
     assert set(lidar_core._LAZY) | set(lidar_core._HOMES) <= set(lidar_core.__all__) <= set(listed)
     assert listed == sorted(set(listed))
+
+
+def test_dir_shows_the_api_alone():
+    parts, shown = [lidar_core], []
+    while parts:
+        part = parts.pop()
+        shown.append(part.__name__)
+        assert dir(part) == sorted(part.__all__), part.__name__
+        inside = (getattr(part, name) for name in dir(part))
+        parts += [thing for thing in inside if isinstance(thing, ModuleType)]
+    assert {"lidar_core.sim.scenes", "lidar_core.sim.surfaces", "lidar_core.io"} <= set(shown)
 
 
 def test_the_entry_point_is_the_command():

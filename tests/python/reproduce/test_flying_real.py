@@ -133,7 +133,16 @@ def test_without_the_recordings_the_item_names_their_variable(monkeypatch, tmp_p
 # Recordings
 
 
-@pytest.mark.parametrize("name", sorted(real.LENGTHS))
+LONG = ("radiate_tiny_foggy",)  # a table of text per scan
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.nightly if name in LONG else ())
+        for name in sorted(real.LENGTHS)
+    ],
+)
 def test_every_sequence_is_read_whole_with_its_poses(name, recordings, monkeypatch):
     monkeypatch.setenv("LIDAR_CORE_DATA", str(recordings))
     items = list(sequence_scans(sequence_named(name)))

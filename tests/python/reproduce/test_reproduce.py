@@ -129,6 +129,16 @@ SHORT = {
     "fusion-consistency": Short(
         ("ctrv, ekf: steps inside the band",), modes=("best_mode",), scans=10
     ),
+    "fusion-real": Short(
+        (
+            "obj_pose/2-D RMSE over that, noise told x 1/3",
+            "autoferry 2/one-to-one share, lesser target",
+            "autoferry 17/GOSPA, empty output",
+            "autoferry/mean MOTA",
+            "delphi esr/NIS per value",
+        ),
+        modes=("best_mode",),
+    ),
     "tracking-noise": Short(
         ("ctrv: RMSE, noise told x 0.2", "ctrv: NEES / 2, noise told right"),
         modes=("best_mode",),

@@ -321,7 +321,7 @@ def test_a_report_replaces_an_earlier_one_and_nothing_else(circles, tmp_path):
 
 def test_a_long_run_of_fuse_gives_a_small_page(tmp_path):
     """NIS of every measurement is in a picture, true places are thinned to their end."""
-    count = 4 * MOST_DRAWN
+    count = MOST_DRAWN + MOST_DRAWN // 10
     rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(count)]
     (tmp_path / "long.txt").write_text("\n".join(rows) + "\n")
     made("fuse", tmp_path / "long.txt", "-o", tmp_path / "run", "--no-picture", "--no-mcap")

@@ -173,7 +173,8 @@ class CircleMap(FullState):
 
 def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElements:
     """Confirmed elements of those that the core gives."""
-    number, mean, covariance, age, seen_ns, visible, confirmed, person = arrays
+    number, mean, covariance, age, seen_ns, visible, confirmed, *more = arrays
+    person, existence, kinds = more
     mean = mean[confirmed]
     return CircleElements(
         id=number[confirmed],
@@ -185,6 +186,9 @@ def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElemen
         seen_ns=seen_ns[confirmed],
         visible=visible[confirmed],
         person_probability=person[confirmed],
+        existence=existence[confirmed],
+        kind=kinds[0][confirmed],
+        kind_probability=kinds[1][confirmed],
         stamp_ns=stamp_ns,
     )
 

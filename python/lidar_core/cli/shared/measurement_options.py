@@ -4,6 +4,7 @@ from typing import Annotated, TypeAlias
 
 import typer
 
+from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import READ
 from lidar_core.errors import ConfigError
 
@@ -21,7 +22,10 @@ Method: TypeAlias = Annotated[str | None, typer.Option(help=_METHOD)]
 ColumnNames: TypeAlias = Annotated[
     list[str], typer.Option("--column", help=_COLUMN, rich_help_panel=READ)
 ]
-Topics: TypeAlias = Annotated[list[str], typer.Option("--topic", help=_TOPIC, rich_help_panel=READ)]
+Topics: TypeAlias = Annotated[
+    list[str],
+    typer.Option("--topic", help=_TOPIC, rich_help_panel=READ, autocompletion=completion.ALL),
+]
 TimeUnit: TypeAlias = Annotated[str | None, typer.Option(help=_TIME_UNIT, rich_help_panel=READ)]
 Azimuths: TypeAlias = Annotated[
     list[str], typer.Option("--azimuth", help=_AZIMUTH, rich_help_panel=READ)

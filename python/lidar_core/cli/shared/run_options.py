@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 
+from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import READ, WRITTEN, JsonFile, Mode, given
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ Recover: TypeAlias = Annotated[bool, typer.Option("--recover", help=_RECOVER)]
 Start: TypeAlias = Annotated[float, typer.Option(min=0, help=_START, rich_help_panel=READ)]
 End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END, rich_help_panel=READ)]
 Odom: TypeAlias = Annotated[
-    str | None, typer.Option(help="Topic of the poses.", rich_help_panel=READ)
+    str | None,
+    typer.Option(help="Topic of the poses.", rich_help_panel=READ, autocompletion=completion.POSES),
 ]
 PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE, rich_help_panel=READ)]
 FixedFrame: TypeAlias = Annotated[

@@ -175,7 +175,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     kind = f"table ({place.suffix[1:]})"
     targets = None
     if TRUE_ID in columns:
-        numbers = _numbers(place, columns, TRUE_ID)[kept]
+        numbers = numbers_in(place, columns, TRUE_ID)[kept]
         targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
     return MeasurementLog([m for _, m in made], truth, kind, origin, targets)
 
@@ -222,7 +222,7 @@ def _in_metres(place: Path, columns: Columns) -> tuple[Columns, tuple[float, flo
         )
     start = given[0]
     names = [f"{start}{name}" for name in ("lat", "lon", "alt")]
-    parts = [_numbers(place, columns, name) for name in names if name in columns]
+    parts = [numbers_in(place, columns, name) for name in names if name in columns]
     altitude = parts[2] if len(parts) == 3 else np.zeros(len(parts[0]))
     whole = np.isfinite(parts[0]) & np.isfinite(parts[1])
     bad = whole & ~((np.abs(parts[0]) <= 90) & (np.abs(parts[1]) <= 360))
@@ -246,7 +246,7 @@ def _renamed(place: Path, columns: Columns, names: Mapping[str, str]) -> Columns
     return columns | {ours: columns[theirs] for ours, theirs in names.items()}
 
 
-def _numbers(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
+def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
     """A column as numbers; empty cells are NaN."""
     column = columns[name]
     if column.dtype.kind in "fiub":
@@ -273,7 +273,7 @@ def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
         texts = stamps_of_texts(column, str(place))
         if texts is not None:
             return texts
-    numbers = _numbers(place, columns, "t_ns")
+    numbers = numbers_in(place, columns, "t_ns")
     bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
     if bad.any():
         row = int(np.argmax(bad))
@@ -297,7 +297,7 @@ def _values(
     def numbers(name: str) -> NDArray[np.float64]:
         if name not in columns:
             return np.full(count, np.nan)
-        column = _numbers(place, columns, name) * (angle if name in angles else 1.0)
+        column = numbers_in(place, columns, name) * (angle if name in angles else 1.0)
         if name == "turn_rate":
             return -column if "turn_rate" in azimuth else column
         if name == "bearing":
@@ -335,7 +335,7 @@ def _pose_covariances(
     scales = (1.0, 1.0, angle)
     stds = np.stack(
         [
-            _numbers(place, columns, name) * scale
+            numbers_in(place, columns, name) * scale
             for name, scale in zip(POSE_STD, scales, strict=True)
         ],
         axis=1,
@@ -387,7 +387,7 @@ def _truth(
 ) -> TargetTruth | None:
     if not set(TRUTH) <= set(columns):
         return None
-    values = np.stack([_numbers(place, columns, name) for name in TRUTH], axis=1)[rows]
+    values = np.stack([numbers_in(place, columns, name) for name in TRUTH], axis=1)[rows]
     if not np.isfinite(values).all():
         raise FormatError(f"{place}: a true value is not finite; leave the columns true_* out")
     return TargetTruth(stamps[rows], values[:, :2], values[:, 2:], None, None)

@@ -9,11 +9,13 @@ import numpy as np
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.elements import element_columns, element_rows
 from lidar_core.io.tables.long_table import write_long_table
-from lidar_core.io.tables.tracks import write_trajectories
+from lidar_core.io.tables.tracks import KIND_PROBABILITIES, write_trajectories
+from lidar_core.messages import TrackKind
 from lidar_core.objects import CircleElements
 
 STATE = ("x", "y", "vx", "vy", "radius")
-COLUMNS = element_columns(STATE, more=("person_probability",))
+BELIEFS = ("person_probability", "existence", *KIND_PROBABILITIES)
+COLUMNS = element_columns(STATE, texts=("kind",), more=BELIEFS)
 """Columns of the circles table: SI units, world frame."""
 
 
@@ -58,6 +60,7 @@ def map_columns(maps: Iterable[CircleElements], frame_id: str) -> dict[str, Any]
     values = np.array(
         [[*state.center[row], *state.velocity[row], state.radius[row]] for state, row in rows]
     ).reshape(-1, len(STATE))
+    beliefs = np.array([_beliefs(state, row) for state, row in rows]).reshape(-1, len(BELIEFS))
     covariance = np.array([state.covariance[row] for state, row in rows]).reshape(-1, 5, 5)
     return {
         "track_id": np.array(numbers, np.int64),
@@ -65,9 +68,8 @@ def map_columns(maps: Iterable[CircleElements], frame_id: str) -> dict[str, Any]
         "first_ns": np.array([first[number] for number in numbers], np.int64),
         "last_ns": np.array([int(state.seen_ns[row]) for state, row in rows], np.int64),
         **dict(zip(STATE, values.T, strict=True)),
-        "person_probability": np.array(
-            [float(state.person_probability[row]) for state, row in rows], np.float64
-        ),
+        "kind": [_kind(state, row) for state, row in rows],
+        **dict(zip(BELIEFS, beliefs.T, strict=True)),
         **covariance_columns(STATE, covariance),
     }
 
@@ -80,5 +82,15 @@ def write_circles_tum(folder: str | Path, maps: Iterable[CircleElements]) -> lis
 
 def _values(state: CircleElements, row: int) -> Sequence[Any]:
     place, velocity = state.center[row].tolist(), state.velocity[row].tolist()
-    person = float(state.person_probability[row])
-    return (*place, *velocity, float(state.radius[row]), person)
+    numbers = (*place, *velocity, float(state.radius[row]), *_beliefs(state, row))
+    return (_kind(state, row), *numbers)
+
+
+def _kind(state: CircleElements, row: int) -> str:
+    return TrackKind(int(state.kind[row])).name.lower()
+
+
+def _beliefs(state: CircleElements, row: int) -> list[float]:
+    """Values of `BELIEFS`."""
+    likely = state.kind_probability[row].tolist()
+    return [float(state.person_probability[row]), float(state.existence[row]), *likely]

@@ -24,6 +24,7 @@ from lidar_core.io.poses.pose_files import MAX_FILE_BYTES, read_poses
 Columns: TypeAlias = dict[str, NDArray[Any]]
 """Columns of equal length by name; those of `write_tracks_table`, as far as they are known."""
 
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 TRACK_FILE = re.compile(r"track_(\d+)\.txt")
 FOREIGN = (".parquet", ".mcap")
 """Endings of tables that libraries parse."""
@@ -36,7 +37,9 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     Parameters
     ----------
     path : str or Path
-        A table with a row per object and time, .csv, .parquet or .npz (one array per column); a
+        A table with a row per object and time, .csv (commas, semicolons or tabs between values;
+        with the latter two numbers may have decimal commas), .parquet or .npz (one array per
+        column); a
         TUM trajectory .txt or .tum, or a folder of track_ID.txt as `write_tum` writes; an MCAP
         file with tracks as `write_mcap` writes.
     trusted : bool, optional
@@ -92,22 +95,29 @@ def _check(place: Path, size: int) -> None:
 
 def _read_csv(path: Path) -> Columns:
     with reading(str(path)), path.open(newline="", encoding="utf-8") as file:
-        lines = csv.reader(file)
+        separator = _separator(file.readline())
+        file.seek(0)
+        lines = csv.reader(file, delimiter=separator)
         names = next(lines, [])
-        for separator in ";\t":
-            if len(names) == 1 and separator in names[0]:
-                raise FormatError(
-                    f"{path}: expected values between commas, these are between {separator!r}"
-                )
         rows = []
         for row in lines:
             if len(row) != len(names):
                 raise FormatError(
                     f"{path}, line {lines.line_num}: expected {len(names)} values, got {len(row)}"
                 )
-            rows.append(row)
+            rows.append(row if separator == "," else [_point(text) for text in row])
     values: Iterable[Sequence[str]] = zip(*rows, strict=True) if rows else [()] * len(names)
     return {name: _parse(column) for name, column in zip(names, values, strict=True)}
+
+
+def _separator(names: str) -> str:
+    """What stands between the names of columns: a comma, else a semicolon, else a tab."""
+    return next((one for one in ",;\t" if one in names), ",")
+
+
+def _point(text: str) -> str:
+    """A number with a point for its decimal comma; other texts as they are."""
+    return text.replace(",", ".") if DECIMAL_COMMA.fullmatch(text) else text
 
 
 def _parse(column: Sequence[str]) -> NDArray[Any]:

@@ -1,5 +1,7 @@
 """What the items about networks share: who estimates circles, and how wrong the circles are."""
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ MEASURES = {"MSE": "m^2", "MAE": "m", "p99": "m"}
 _ROWS = 2048
 
 
+@cache  # every job of an item asks, and a network is read whole
 def checksums() -> dict[str, str]:
     """SHA-256 of the networks that come with the package, by name."""
     return {name: str(CircleNetwork(name).card["sha256"]) for name in shipped()}

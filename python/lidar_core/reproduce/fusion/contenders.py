@@ -12,6 +12,10 @@ SAMPLE_1_NOISE = Noise(0.01, (0.1, 0.001, 0.1))
 JUMPS = 0.6
 """Deviation of its range rates from a smooth motion [m/s]: the true speed jumps."""
 OURS = Noise(0.01, (0.1, 0.001, JUMPS))
+TOLD = {"x 0.2": 0.2, "x 1/3": 1 / 3, "x 0.5": 0.5, "right": 1.0, "x 2": 2.0, "x 3": 3.0}
+"""Factors on the standard deviations of the sensors that a filter is told."""
+REFERENCE = {"gate_probability": None, "loss_ratio": None, "sensor_noise": "configured"}
+"""A filter that believes what it is told, and every measurement."""
 LINEAR = "linear KF"
 LINEAR_LIDAR = "linear KF, LiDAR alone"
 EKF = "EKF-CTRV"

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_core.evaluation import ospa
 from lidar_core.fusion import FusionConfig, MultiTargetConfig
-from lidar_core.reproduce.common import BLUE, GREY, RED
+from lidar_core.reproduce.common import BLUE, GREY, RED, in_space
 from lidar_core.reproduce.tracking.arena import Arena, are_matched, followed
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 
@@ -46,11 +45,6 @@ def scored(arena: Arena, config: MultiTargetConfig, rng: np.random.Generator) ->
         far = ospa(in_space(places), in_space(moment.truth), cutoff=CUTOFF, order=1.0)
         rows.append((far, len(places) - found, len(moment.truth) - found))
     return Score(*np.mean(rows, axis=0).tolist())
-
-
-def in_space(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same with z = 0."""
-    return np.hstack([places, np.zeros((len(places), 1))])
 
 
 def _measure(request: Request) -> Measured:

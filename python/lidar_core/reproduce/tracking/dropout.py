@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from lidar_core.fusion import FusionConfig, Measurements, run_batch
 from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.reproduce.common import BLUE, GREY
-from lidar_core.reproduce.fusion.contenders import FIXED
+from lidar_core.reproduce.fusion.contenders import FIXED, REFERENCE
 from lidar_core.reproduce.fusion.laser_radar import in_turn, measured
-from lidar_core.reproduce.tracking.noise import REFERENCE
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 
 STEP_NS, STEPS = 50_000_000, 500

@@ -11,16 +11,12 @@ from lidar_core.evaluation import nees
 from lidar_core.fusion import FusionConfig, Measurements, Run, run_batch
 from lidar_core.reproduce.common import BLUE, RED
 from lidar_core.reproduce.fusion import ensembles
-from lidar_core.reproduce.fusion.contenders import FIXED
+from lidar_core.reproduce.fusion.contenders import FIXED, REFERENCE, TOLD
 from lidar_core.reproduce.fusion.laser_radar import OBJ_POSE, course, measured, measurements
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 
-TOLD = {"x 0.2": 0.2, "x 1/3": 1 / 3, "x 0.5": 0.5, "right": 1.0, "x 2": 2.0, "x 3": 3.0}
-"""Factors on the standard deviations of the sensors that a filter is told."""
 SETTLED = 60
 """Measurements of the first 3 s, which do not count."""
-REFERENCE = {"gate_probability": None, "loss_ratio": None, "sensor_noise": "configured"}
-"""A filter that believes what it is told, and every measurement."""
 COURSE = "way of obj_pose"
 
 

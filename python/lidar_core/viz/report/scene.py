@@ -72,13 +72,8 @@ def scene_of(
 
 def _picked(run: Playback) -> Iterator[Moment]:
     """Times with a scan, or all where the run kept none; thinned evenly, the last one included."""
-    found = [(moment.stamp_ns, len(moment.points) > 0) for moment in run.moments()]
-    with_scan = [stamp for stamp, has_scan in found if has_scan]
-    stamps = with_scan or [stamp for stamp, _ in found]
-    chosen = {stamps[row] for row in _rows(len(stamps), MOST_MOMENTS).tolist()}
-    for moment in run.moments():
-        if moment.stamp_ns in chosen:
-            yield moment
+    times = run.times()
+    yield from run.moments({times[row] for row in _rows(len(times), MOST_MOMENTS).tolist()})
 
 
 def _rows(count: int, most: int) -> NDArray[np.int64]:

@@ -13,6 +13,7 @@ use lidar_core::circles::map::{
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
+use lidar_core::tracking::kind::KINDS;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
@@ -101,7 +102,7 @@ pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
 /// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible,
-/// confirmed, probability of a person.
+/// confirmed, probability of a person, of existence, kind and probabilities of kinds (M, 5).
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
@@ -111,6 +112,8 @@ pub(crate) type Elements<'py> = (
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f64>>),
 );
 
 /// Number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2, 2), age, time of the last
@@ -273,6 +276,8 @@ pub(crate) fn element_arrays<'py>(
     let count = all.len();
     let numbers = |value: fn(&MapElement) -> i64| all.iter().map(value).collect::<Vec<i64>>();
     let flags = |value: fn(&MapElement) -> bool| all.iter().map(value).collect::<Vec<bool>>();
+    let kinds: Vec<u8> = all.iter().map(|element| u8::from(element.kind)).collect();
+    let likely: Vec<f64> = all.iter().flat_map(|element| element.kinds).collect();
     let means: Vec<f64> = all.iter().flat_map(|element| element.state.mean.data.0[0]).collect();
     let covariances: Vec<f64> = all
         .iter()
@@ -287,6 +292,8 @@ pub(crate) fn element_arrays<'py>(
         flags(|element| element.visible).into_pyarray(py),
         flags(|element| element.confirmed).into_pyarray(py),
         all.iter().map(|element| element.person).collect::<Vec<f64>>().into_pyarray(py),
+        all.iter().map(|element| element.existence).collect::<Vec<f64>>().into_pyarray(py),
+        (kinds.into_pyarray(py), likely.into_pyarray(py).reshape([count, KINDS])?),
     ))
 }
 

@@ -2,6 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::belief::ElementBelief;
 use super::element_motion::ElementStep;
 use super::parameters::{Independent, MissLimits};
 use super::rules::Rules;
@@ -76,8 +77,10 @@ pub(super) trait State: Clone {
         false
     }
 
-    /// Decide what the state is reported as, after a scan.
-    fn settle(&mut self, _: &Rules) {}
+    /// Decide what the state is reported as, after a scan; true if it stands.
+    fn settle(&mut self, _: &Rules) -> bool {
+        true
+    }
 
     /// True if both states are of one object.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool;
@@ -130,6 +133,9 @@ pub(super) struct Element<S> {
     /// Bits of the last scans, the newest lowest: 1 if the scan measured the element.
     history: u64,
     pub(super) confirmed: bool,
+    pub(super) belief: ElementBelief,
+    /// Time since the belief last heard whether it stands [s].
+    unheard: f64,
     /// The position is too uncertain to be reported.
     lost: bool,
     /// Observation by the newest scan of `watcher`.
@@ -152,6 +158,8 @@ impl<S: State> Element<S> {
             n_measurements: 1,
             history: 1,
             confirmed: false,
+            belief: ElementBelief::new(),
+            unheard: 0.0,
             lost: false,
             seen: ScanEvidence::Measured,
             watcher: sensor,
@@ -161,11 +169,19 @@ impl<S: State> Element<S> {
         }
     }
 
+    /// Predict the element by `step`.
+    pub(super) fn predict(&mut self, step: &ElementStep) {
+        self.state.predict(step);
+        self.belief.predict(step.seconds);
+        self.unheard += step.seconds;
+    }
+
     /// Count a scan that measured the element.
     pub(super) fn measured(&mut self, (stamp_ns, sensor): (i64, u32)) {
         self.seen_ns = stamp_ns;
         self.n_measurements = self.n_measurements.saturating_add(1);
         self.history = self.history << 1 | 1;
+        self.belief.measured();
         (self.seen, self.watcher) = (ScanEvidence::Measured, sensor);
         // Only an unbroken series of misses removes an element.
         (self.absent, self.unmatched, self.hidden) = Default::default();
@@ -182,6 +198,7 @@ impl<S: State> Element<S> {
         let seen = ScanEvidence::Unmeasured(visibility);
         if seen.is_visible() || sensor == self.watcher {
             self.history <<= 1;
+            self.belief.unmeasured(visibility);
             (self.seen, self.watcher) = (seen, sensor);
         }
     }
@@ -201,7 +218,11 @@ impl<S: State> Element<S> {
 
     /// Decide what is reported of the element after a scan.
     pub(super) fn settle(&mut self, rules: &Rules) {
-        self.state.settle(rules);
+        let stands = self.state.settle(rules);
+        if self.seen == ScanEvidence::Measured {
+            self.belief.moves(stands, self.unheard);
+            self.unheard = 0.0;
+        }
         self.lost = self.state.is_lost(rules);
     }
 
@@ -245,6 +266,7 @@ impl<S: State> Element<S> {
             self.hidden = twin.hidden;
         }
         self.state.absorb(twin.state, is_newer);
+        self.belief = self.belief.united(twin.belief);
         self.n_measurements = self.n_measurements.max(twin.n_measurements);
         self.history |= twin.history;
     }

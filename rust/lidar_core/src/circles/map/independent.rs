@@ -96,6 +96,9 @@ impl Elements {
                 visible: body.is_visible(),
                 confirmed: body.is_reported(),
                 person: body.state.person(),
+                existence: body.belief.existence(),
+                kinds: body.belief.kinds().probabilities(),
+                kind: body.belief.kinds().kind(),
             }
         };
         self.bodies.iter().filter(|body| !body.state.outline.is_large()).map(predicted).collect()
@@ -161,7 +164,7 @@ fn take_in<S: State>(
     // A second sensor may have a scan of the same stamp: no time, no noise and no switch of modes.
     if dt > 0.0 {
         let step = rules.motion().step(dt);
-        all.iter_mut().for_each(|element| element.state.predict(&step));
+        all.iter_mut().for_each(|element| element.predict(&step));
     }
     let states = || all.iter().map(|one| &one.state);
     let (measurements, wholes) = S::wholes(states(), &seen.measurements, rules);

@@ -4,6 +4,7 @@
 //! per element. It uses the covariance of every circle, the view of the scan, and several modes of
 //! motion: see [`Independent`].
 
+mod belief;
 mod body;
 mod circle_measurement;
 mod element;
@@ -33,6 +34,7 @@ pub use view::visibility::{CircleVisibility, ScanWithLimits, SortedView};
 use super::shape::ShapeKind;
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
+use crate::tracking::kind::{KINDS, TrackKind};
 use crate::util::full_state::{impossible, opened, sealed};
 use history::History;
 use joint::JointMap;
@@ -61,6 +63,12 @@ pub struct MapElement {
     pub confirmed: bool,
     /// Probability that it is a person; 0 with the filter of the paper.
     pub person: f64,
+    /// Probability that there is an object; 1 with the filter of the paper.
+    pub existence: f64,
+    /// Probabilities of the kinds of the object, if there is one.
+    pub kinds: [f64; KINDS],
+    /// The kind that is more probable than all others together.
+    pub kind: TrackKind,
 }
 
 /// An element that is no circle, predicted to a time.

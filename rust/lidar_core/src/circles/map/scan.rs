@@ -140,9 +140,10 @@ impl KeptScan {
 
     /// Note which bodies are where earlier scans met something.
     pub(super) fn compare(&mut self, points: Option<&[Vec<[f64; 2]>]>, earlier: &Earlier) {
-        let bodies = self.bodies.measurements.iter_mut();
-        for (body, points) in bodies.zip(points.unwrap_or_default()) {
-            body.trace = earlier.trace(points, self.from.stamp_ns);
+        let Some(points) = points.filter(|points| !points.is_empty()) else { return };
+        let before = earlier.before(&self.from);
+        for (body, points) in self.bodies.measurements.iter_mut().zip(points) {
+            body.trace = before.trace(points);
         }
     }
 

@@ -53,21 +53,7 @@ pub(super) fn put_together(
         .filter(|body| body.person.has_legs())
         .map(|body| place(&body.circle().mean))
         .collect();
-    for (number, person) in people.iter().enumerate() {
-        let nearest = |leg: &Vector3<f64>| {
-            let others = people.iter().enumerate();
-            others.min_by(|one, two| apart(one.1, leg).total_cmp(&apart(two.1, leg)))
-        };
-        let mut own: Vec<usize> = free
-            .iter()
-            .copied()
-            .filter(|&leg| apart(person, &seen[leg].circle.z) < REACH)
-            .filter(|&leg| nearest(&seen[leg].circle.z).is_some_and(|(one, _)| one == number))
-            .collect();
-        own.sort_by(|&one, &two| {
-            let far = |leg: usize| apart(person, &seen[leg].circle.z);
-            far(one).total_cmp(&far(two))
-        });
+    for own in shared_out(&people, seen, &free) {
         match own[..] {
             [one, two, ..] if apart(&seen[one].circle.z, &seen[two].circle.z) < STEP => {
                 join(seen, wholes, [one, two]);
@@ -89,6 +75,30 @@ pub(super) fn put_together(
         join(seen, wholes, [one, two]);
         free.retain(|&leg| leg != one && leg != two);
     }
+}
+
+/// Legs of each known person, the nearest first: no more than two, and no leg of two people. Where
+/// people pass each other, the nearest person of a leg may have both of its own already.
+fn shared_out(
+    people: &[Vector3<f64>],
+    seen: &[BodyMeasurement],
+    free: &[usize],
+) -> Vec<Vec<usize>> {
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+    for (number, person) in people.iter().enumerate() {
+        let near = free.iter().map(|&leg| (apart(person, &seen[leg].circle.z), number, leg));
+        pairs.extend(near.filter(|&(far, ..)| far < REACH));
+    }
+    pairs.sort_by(|one, two| one.0.total_cmp(&two.0).then((one.1, one.2).cmp(&(two.1, two.2))));
+    let mut owned = vec![Vec::new(); people.len()];
+    let mut is_taken = vec![false; seen.len()];
+    for (_, person, leg) in pairs {
+        if owned[person].len() < 2 && !is_taken[leg] {
+            owned[person].push(leg);
+            is_taken[leg] = true;
+        }
+    }
+    owned
 }
 
 impl RoundBody {

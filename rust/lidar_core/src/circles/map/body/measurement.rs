@@ -47,6 +47,11 @@ pub(in crate::circles::map) struct BodyMeasurement {
 }
 
 impl BodyMeasurement {
+    /// True if all of it is where earlier scans met a surface.
+    pub(super) fn has_stayed(&self) -> bool {
+        self.trace.is_some_and(|trace| trace >= STAYED)
+    }
+
     /// Logarithm of the Bayes factor for standing: what moves is where space was free.
     pub(super) fn evidence(&self) -> f64 {
         self.trace

@@ -14,7 +14,7 @@ use self::look::Looks;
 use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
 use self::person::{Gait, Person};
-use self::places::{axes, is_one};
+use self::places::{axes, is_one, moves_by};
 use super::circle_measurement::new_state;
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
@@ -38,6 +38,16 @@ const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
 const TRUST: f64 = 4.0;
 
+/// Squared velocity, in its covariance, from which an element that stood moves, and below which one
+/// that moved stands.
+const MOVES: f64 = 4.0;
+const RESTS: f64 = 0.25;
+
+/// Time for which both of two people were measured before they met [s].
+const MET: f64 = 1.0;
+/// Distance from a person within which something new may be a part of it [m].
+const BESIDE: f64 = 1.0;
+
 /// Least ratio of the radii of two measurements of one object, if one of them is large.
 const LEAST_RATIO: f64 = 0.5;
 
@@ -54,6 +64,8 @@ pub(super) struct RoundBody {
     rough: f64,
     /// The body is reported as standing.
     stands: bool,
+    /// All that the last scan met of it was there in earlier scans.
+    has_stayed: bool,
     /// Direction in which it was seen last, of length one.
     sight: [f64; 2],
     looks: Looks,
@@ -62,6 +74,8 @@ pub(super) struct RoundBody {
     waiting: f64,
     /// Time for which it was measured [s].
     known: f64,
+    /// It was first seen beside a person, and may be a part of it.
+    is_beside: bool,
     person: Person,
 }
 
@@ -147,6 +161,22 @@ impl RoundBody {
         }
     }
 
+    /// True if both are people, who may pass each other closely: neither is a part of the other.
+    fn passes(&self, other: &Self) -> bool {
+        self.is_somebody() && other.is_somebody()
+    }
+
+    /// True if it is a person, and surely no part of another one.
+    fn is_somebody(&self) -> bool {
+        self.person.has_legs() && self.known >= MET && !self.is_beside
+    }
+
+    /// Distance of a circle from the body [m].
+    fn apart(&self, z: &Vector3<f64>) -> f64 {
+        let mean = self.circle().mean;
+        libm::hypot(mean[0] - z[0], mean[1] - z[1])
+    }
+
     /// True if a measurement may be of this body by its size. A large body and what stands inside
     /// its circle are two objects.
     fn is_alike(&self, seen: &BodyMeasurement) -> bool {
@@ -169,7 +199,9 @@ impl State for RoundBody {
         // The noise of the others tells what to expect of a new one: they are seen by the same
         // scanner from the same poses.
         let known = rules.parameters().center_noise * rules.parameters().center_noise;
+        let mut is_beside = false;
         let (sum, weight) = others.fold((known * TRUST, TRUST), |(sum, weight), other| {
+            is_beside |= other.person.has_legs() && other.apart(&seen.circle.z) < BESIDE;
             let (mean, more) = other.jitter.mean();
             (sum + mean * (more - TRUST).max(0.0), weight + (more - TRUST).max(0.0))
         });
@@ -178,12 +210,14 @@ impl State for RoundBody {
             outline: Outline::new(seen.outline.as_ref(), seen.is_face, rules),
             jitter: Jitter::new((sum / weight).max(known), TRUST),
             rough: 0.0,
-            stands: false,
+            stands: rules.has_standing(),
+            has_stayed: seen.has_stayed(),
             sight: seen.sight,
             looks: Looks::default(),
             waits: 0,
             waiting: 0.0,
             known: 0.0,
+            is_beside,
             person: Person::default(),
         };
         body.circle =
@@ -230,6 +264,7 @@ impl State for RoundBody {
         }
         self.listen(&used, seen.time_ns);
         self.sight = seen.sight;
+        self.has_stayed = seen.has_stayed();
         self.person.hear(&self.gait(seen.legs), self.waiting);
         self.known += self.waiting;
         (self.waits, self.waiting) = (0, 0.0);
@@ -290,6 +325,9 @@ impl State for RoundBody {
             view.of(&circle, rules.visibility_test())
         };
         let here = ask([0.0, 0.0]);
+        if here == CircleVisibility::Returns && self.is_somebody() {
+            return CircleVisibility::Occluded; // these rays may end on someone who passes
+        }
         if here != CircleVisibility::SeenThrough {
             return here;
         }
@@ -321,17 +359,25 @@ impl State for RoundBody {
         exceeds(&state.covariance.fixed_view::<2, 2>(0, 0).into_owned(), limit * limit)
     }
 
-    /// The decision between standing and moving has a hysteresis.
-    fn settle(&mut self, rules: &Rules) {
+    /// The decision between standing and moving has a hysteresis. What is not known to move stands:
+    /// of a new element, and of one that shows another part of itself, the velocity is a guess. What
+    /// is where earlier scans met it does not move, whatever its fits say.
+    fn settle(&mut self, rules: &Rules) -> bool {
         let [begin, end] = rules.parameters().standing.hysteresis;
         let probability = self.circle.standing(rules.motion());
-        self.stands = probability > begin || self.stands && probability >= end;
+        let least = if self.stands { MOVES } else { RESTS };
+        self.stands = rules.has_standing()
+            && (probability > begin
+                || self.has_stayed
+                || self.stands && probability >= end
+                || moves_by(&self.circle()) < least);
+        self.stands
     }
 
     /// True if the centre of one body lies inside the other, or the gap between them is small.
     /// Large bodies have corners, between which there may be others: they are never twins.
     fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
-        if self.outline.is_large() || other.outline.is_large() {
+        if self.outline.is_large() || other.outline.is_large() || self.passes(other) {
             return false;
         }
         let [one, two] = [self, other].map(|body| {

@@ -5,7 +5,7 @@
 use super::measurement::BodyMeasurement;
 use crate::circles::map::rules::Rules;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// True if two circles (x, y, r) are one object.
 pub(super) fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
@@ -33,6 +33,13 @@ pub(super) fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
         }
     }
     wholes
+}
+
+/// Squared velocity of a body in its covariance: small if it may as well stand.
+pub(super) fn moves_by(state: &Gaussian<5>) -> f64 {
+    let velocity = Vector2::new(state.mean[2], state.mean[3]);
+    let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(2, 2).into_owned();
+    P.try_inverse().map_or(0.0, |inverse| velocity.dot(&(inverse * velocity)))
 }
 
 /// Axes of the ellipse of one standard deviation of the centre [m].

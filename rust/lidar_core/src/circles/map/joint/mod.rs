@@ -17,6 +17,7 @@ use super::{MapElement, MapOutcome, seconds};
 use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
+use crate::tracking::kind::TrackKind;
 use crate::util::full_state::impossible;
 use covariance::{Covariance, ELEMENT, place};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -151,6 +152,9 @@ impl JointMap {
                     visible: landmark.seen_ns == newest_ns,
                     confirmed: true,
                     person: 0.0,
+                    existence: 1.0,
+                    kinds: [1.0, 0.0, 0.0, 0.0, 0.0],
+                    kind: TrackKind::Unknown,
                 }
             })
             .collect()

@@ -3,8 +3,9 @@
 //! Source: the idea of Wang, Thorpe & Thrun, "Online simultaneous localization and mapping with
 //! detection and tracking of moving objects", ICRA 2003: what moves is where space was free.
 
+use super::surface::Met;
 use super::viewpoint::Viewpoint;
-use super::visibility::Met;
+use super::visibility::SortedView;
 use crate::circles::map::seconds;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -15,8 +16,16 @@ const AGES: [f64; 4] = [0.4, 0.8, 1.2, 1.6];
 const SLACK: (f64, f64) = (0.1, 0.6);
 /// Least time between scans that are kept [s].
 const APART: f64 = 0.1;
-/// Distance of a point from a surface that was met there [m]: noise, and points between rays.
-const MARGIN: f64 = 0.12;
+/// Least and largest distance of a point from a surface that was met there [m], and how many times
+/// the usual distance it is: noise of ranges and poses, which most of the scan shows.
+const MARGIN: [f64; 2] = [0.02, 0.12];
+const USUAL: f64 = 4.0;
+/// Points by which a scan shows the usual distance, at least and at most, and the largest distance
+/// of one that was met before [m].
+const SAMPLES: [usize; 2] = [20, 100];
+const KNOWN: f64 = 0.3;
+/// Largest distance behind its old place of a surface that moved away from the scanner [m].
+const RECEDED: f64 = 0.3;
 /// Most points of one object that are looked up.
 const MOST_POINTS: usize = 40;
 /// Least share of the answers that must tell something.
@@ -25,6 +34,75 @@ const LEAST_KNOWN: f64 = 0.5;
 /// Share of the points of an object at which earlier scans met a surface, among those at which they
 /// met a surface or free space.
 pub(in crate::circles::map) type Trace = f64;
+
+/// Earlier scans that are asked about one scan.
+pub(in crate::circles::map) struct Before<'a> {
+    now: &'a Viewpoint,
+    asked: Vec<Asked<'a>>,
+}
+
+/// An earlier scan, and the largest distance of a point from a surface that it met there [m].
+struct Asked<'a> {
+    from: &'a Viewpoint,
+    view: &'a SortedView,
+    margin: f64,
+}
+
+impl Before<'_> {
+    /// Trace of an object with these points in the world; None if earlier scans tell too little.
+    pub(in crate::circles::map) fn trace(&self, points: &[[f64; 2]]) -> Option<Trace> {
+        let every = points.len().div_ceil(MOST_POINTS).max(1);
+        let (mut there, mut free, mut total) = (0, 0, 0);
+        for asked in &self.asked {
+            for &point in points.iter().step_by(every) {
+                total += 1;
+                match asked.view.met(asked.from.pose.level(point, 0.0).center, asked.margin) {
+                    Met::Surface => there += 1,
+                    Met::Free => free += 1,
+                    Met::Unknown if self.has_receded(point, asked) => free += 1,
+                    Met::Unknown => {}
+                }
+            }
+        }
+        let known = there + free;
+        let is_known = known > 0 && f64::from(known) >= LEAST_KNOWN * f64::from(total);
+        is_known.then(|| f64::from(there) / f64::from(known))
+    }
+
+    /// True if a surface was just before this point, and rays pass there now: it moved away.
+    fn has_receded(&self, point: [f64; 2], asked: &Asked<'_>) -> bool {
+        let Some(view) = &self.now.view else { return false };
+        let Some(old) = asked.view.before(asked.from.pose.level(point, 0.0).center) else {
+            return false;
+        };
+        let old = asked.from.pose.world_point(old);
+        libm::hypot(point[0] - old[0], point[1] - old[1]) < RECEDED
+            && view.met(self.now.pose.level(old, 0.0).center, asked.margin) == Met::Free
+    }
+}
+
+/// Largest distance of a point of the scan `now` from a surface that an earlier one met there [m].
+///
+/// Most of a scan stands, so that the usual distance is that of noise: of the ranges, and of the
+/// pose over the time between both.
+fn margin(now: &Viewpoint, then: &Viewpoint, view: &SortedView) -> f64 {
+    let [least, most] = MARGIN;
+    let Some(seen) = &now.view else { return most };
+    let every = seen.len().div_ceil(SAMPLES[1]).max(1);
+    let off = |number: usize| {
+        let (bearing, range) = seen.ray(number);
+        let point = [range * libm::cos(bearing), range * libm::sin(bearing)];
+        let place = then.pose.level(now.pose.world_point(point), 0.0).center;
+        view.distance(place).filter(|off| range.is_finite() && *off < KNOWN)
+    };
+    let mut distances: Vec<f64> = (0..seen.len()).step_by(every).filter_map(off).collect();
+    if distances.len() < SAMPLES[0] {
+        return most;
+    }
+    let middle = distances.len() / 2;
+    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
+    (USUAL * *median).clamp(least, most)
+}
 
 /// Recent viewpoints, the oldest first.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -38,37 +116,22 @@ impl Earlier {
         self.views.iter().all(|one| one.view.as_ref().is_some_and(|view| view.is_sound()))
     }
 
-    /// Trace of an object with these points in the world; None if earlier scans tell too little.
-    pub(in crate::circles::map) fn trace(
-        &self,
-        points: &[[f64; 2]],
-        stamp_ns: i64,
-    ) -> Option<Trace> {
-        let every = points.len().div_ceil(MOST_POINTS).max(1);
-        let mut asked: Vec<i64> = Vec::new();
-        let (mut there, mut free, mut total) = (0, 0, 0);
+    /// Scans of before a viewpoint that tell what moves.
+    pub(in crate::circles::map) fn before<'a>(&'a self, now: &'a Viewpoint) -> Before<'a> {
+        let mut asked: Vec<Asked<'a>> = Vec::new();
         for age in AGES {
             let is_of_age = |one: &&Viewpoint| {
-                let found = seconds(one.stamp_ns, stamp_ns);
+                let found = seconds(one.stamp_ns, now.stamp_ns);
                 found >= age * (1.0 - SLACK.0) && found < age + SLACK.1
             };
-            let Some(from) = self.views.iter().rev().find(is_of_age) else { continue };
-            let Some(view) = from.view.as_ref().filter(|_| !asked.contains(&from.stamp_ns)) else {
-                continue;
-            };
-            asked.push(from.stamp_ns);
-            for &point in points.iter().step_by(every) {
-                total += 1;
-                match view.met(from.pose.level(point, 0.0).center, MARGIN) {
-                    Met::Surface => there += 1,
-                    Met::Free => free += 1,
-                    Met::Unknown => {}
-                }
+            let found = self.views.iter().rev().find(is_of_age);
+            if let Some((one, view)) = found.and_then(|one| Some((one, one.view.as_ref()?)))
+                && asked.iter().all(|known| known.from.stamp_ns != one.stamp_ns)
+            {
+                asked.push(Asked { from: one, view, margin: margin(now, one, view) });
             }
         }
-        let known = there + free;
-        let is_known = known > 0 && f64::from(known) >= LEAST_KNOWN * f64::from(total);
-        is_known.then(|| f64::from(there) / f64::from(known))
+        Before { now, asked }
     }
 
     /// Keep a viewpoint with a view, and forget what is too old.
@@ -111,15 +174,20 @@ mod tests {
     #[test]
     fn a_trace_tells_old_surfaces_from_places_that_were_free() -> Result<(), Error> {
         let mut earlier = Earlier::default();
-        assert_eq!(earlier.trace(&[[4.0, 0.0]], 0), None);
+        let first = from(0)?;
+        assert_eq!(earlier.before(&first).trace(&[[4.0, 0.0]]), None);
         for scan in 0..20 {
             earlier.keep(&from(scan * 100_000_000)?);
         }
         let at = |range: f64, bearing: f64| {
             [1.0 + range * libm::cos(bearing), range * libm::sin(bearing)]
         };
-        let ask = |points: &[[f64; 2]]| earlier.trace(points, 2_000_000_000);
-        assert_eq!(ask(&[at(3.0, -0.2), at(3.05, -0.3)]), Some(1.0));
+        let now = from(2_000_000_000)?;
+        let before = earlier.before(&now);
+        let ask = |points: &[[f64; 2]]| before.trace(points);
+        assert_eq!(ask(&[at(3.0, -0.2), at(3.01, -0.3)]), Some(1.0));
+        // Where nothing else is off by as much, it has moved.
+        assert_eq!(ask(&[at(2.97, -0.2)]), Some(0.0));
         assert_eq!(ask(&[at(2.0, -0.2), at(5.0, 0.3)]), Some(0.0));
         assert_eq!(ask(&[at(5.0, -0.2)]), None); // hidden behind the nearer surface
         assert_eq!(ask(&[at(5.0, 2.0)]), None); // out of view

@@ -2,5 +2,6 @@
 
 pub(super) mod earlier;
 pub(super) mod level_pose;
+pub(super) mod surface;
 pub(super) mod viewpoint;
 pub(super) mod visibility;

@@ -5,6 +5,7 @@ use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
+use std::ops::Range;
 
 use crate::circles::map::parameters::VisibilityTest;
 
@@ -80,17 +81,6 @@ fn ascending(bearings: &[f64], ranges: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (of(bearings), of(ranges))
 }
 
-/// Answer of a scan to the question if something was at a point.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::circles::map) enum Met {
-    /// A ray ended there.
-    Surface,
-    /// All rays beside it passed beyond.
-    Free,
-    /// Hidden, out of view, or no information.
-    Unknown,
-}
-
 /// Numbers of rays that met a circle: passed through, ended on it, ended before it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Votes {
@@ -128,35 +118,33 @@ impl SortedView {
         votes.visibility(test)
     }
 
-    /// Content of a place, in the frame of the scan: surface, free or unknown, up to `margin` [m].
-    pub(in crate::circles::map) fn met(&self, [x, y]: [f64; 2], margin: f64) -> Met {
-        let (distance, bearing) = (libm::hypot(x, y), libm::atan2(y, x));
+    /// Mean angle from ray to ray [rad].
+    pub(super) fn step(&self) -> f64 {
         let (Some(first), Some(last)) = (self.bearings.first(), self.bearings.last()) else {
-            return Met::Unknown;
+            return 0.0;
         };
-        let step = (last - first) / (self.bearings.len().max(2) - 1) as f64;
-        let half = (margin / distance.max(margin)).max(step);
-        let mut is_free = false;
-        for turn in [-TAU, 0.0, TAU] {
-            let low = self.bearings.partition_point(|&ray| ray < bearing + turn - half);
-            let high = self.bearings.partition_point(|&ray| ray <= bearing + turn + half);
-            for &range in self.ranges[low..high.max(low)].iter().filter(|range| !range.is_nan()) {
-                if (range - distance).abs() < margin {
-                    return Met::Surface;
-                }
-                if range < distance {
-                    return self.surface_beside([low, high], distance, margin);
-                }
-                is_free = true;
-            }
-        }
-        if is_free && distance < self.range_max { Met::Free } else { Met::Unknown }
+        (last - first) / (self.bearings.len().max(2) - 1) as f64
     }
 
-    /// Content of a place where a ray ended nearer than `distance`: surface if another ended there.
-    fn surface_beside(&self, [low, high]: [usize; 2], distance: f64, margin: f64) -> Met {
-        let is_there = |range: &f64| (range - distance).abs() < margin;
-        if self.ranges[low..high].iter().any(is_there) { Met::Surface } else { Met::Unknown }
+    /// Rays up to an angle `half` beside a bearing.
+    pub(super) fn around(&self, bearing: f64, half: f64) -> Range<usize> {
+        let low = self.bearings.partition_point(|&ray| ray < bearing - half);
+        low..self.bearings.partition_point(|&ray| ray <= bearing + half).max(low)
+    }
+
+    /// Bearing [rad] and range [m] of a ray.
+    pub(super) fn ray(&self, number: usize) -> (f64, f64) {
+        (self.bearings[number], self.ranges[number])
+    }
+
+    /// Number of rays.
+    pub(super) fn len(&self) -> usize {
+        self.ranges.len()
+    }
+
+    /// Largest range that is measured [m].
+    pub(super) fn range_max(&self) -> f64 {
+        self.range_max
     }
 
     /// Area between the sensor and the ends of all rays [m^2].

@@ -1,0 +1,139 @@
+"""Reader of the object lists of Delphi's ESR radar, as CSV."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
+from lidar_core.fusion.recordings.table import numbers_in
+from lidar_core.io.files.guard import check_size
+from lidar_core.io.tables.columns import read_columns
+
+TIME, SLOT = "time_ns", "trackID"
+VALUES = ("track_range_m", "track_angle_rad", "track_range_rate_m_per_s")
+SOURCE = "radar"
+STD = (0.25, 0.0087, 0.12)
+"""Standard deviations of range [m], angle [rad] and range rate [m/s]: the lists state none.
+
+Source: what a tracker of many targets measures beside what it expects, in a recording of a moving
+car; medians, so that slots that pass to another object do not count.
+"""
+PAUSE_NS = 5_000_000
+"""A longer pause between two rows is one between two scans."""
+HEAD_BYTES = 4096
+
+
+def is_delphi(path: str | Path) -> bool:
+    """Whether a file, or the first one of a folder of CSV files, has the columns of such lists."""
+    files = _files(Path(path))
+    if not files or not files[0].is_file():
+        return False
+    with files[0].open("rb") as file:
+        names = file.read(HEAD_BYTES).partition(b"\n")[0].decode("utf-8", "replace")
+    return VALUES[0] in [name.strip() for name in names.split(",")]
+
+
+def read_delphi(path: str | Path) -> list[DetectionScan]:
+    """Read the objects that an ESR radar tracked, scan by scan.
+
+    Parameters
+    ----------
+    path : str or Path
+        A CSV file, or a folder of them. A row is a slot of a scan: time_ns [ns], trackID,
+        track_range_m [m], track_angle_rad [rad] and track_range_rate_m_per_s [m/s]; other columns
+        are not read. Slots without an object have range 0.
+
+    Returns
+    -------
+    scans : list of DetectionScan
+        By time, empty ones included: range, bearing and range rate in the frame of the radar,
+        whose x points ahead and y to the left; the radar counts angles to the right. All rows of
+        a scan have the stamp of its first.
+
+    Raises
+    ------
+    FormatError
+        No such lists; the text names file, column and row.
+    LimitError
+        More than 256 MiB.
+
+    Notes
+    -----
+    Slots are used again for other objects, so that their numbers are no identities. The radar
+    filters its objects already: their errors hang together over time.
+    """
+    place = Path(path)
+    files = _files(place)
+    if not files:
+        raise FormatError(f"{place}: expected a CSV file of objects, or a folder of them")
+    check_size(
+        str(place),
+        sum(file.stat().st_size for file in files),
+        limit=MAX_FILE_BYTES,
+        key="nothing",
+        what="object lists of bytes",
+    )
+    rows = np.concatenate([_rows(file) for file in files])
+    rows = rows[np.argsort(rows["stamp"], kind="stable")]
+    return [_scan(rows[start:end]) for start, end in _bounds(rows)]
+
+
+def _files(place: Path) -> list[Path]:
+    return sorted(place.glob("*.csv")) if place.is_dir() else [place]
+
+
+def _rows(place: Path) -> NDArray[np.void]:
+    """Rows of one file: stamp, slot, range, angle, rate."""
+    columns = read_columns(place)
+    missing = [name for name in (TIME, SLOT, *VALUES) if name not in columns]
+    if missing:
+        raise FormatError(f"{place}: no column {missing[0]} among {', '.join(columns) or 'none'}")
+    whole = columns[TIME]
+    if whole.dtype.kind != "i":
+        # Float64 does not hold nanoseconds of today.
+        bad = [row for row, text in enumerate(whole.tolist()) if not str(text).isdecimal()]
+        row = bad[0] if bad else 0
+        raise FormatError(
+            f"{place}, row {row}: {TIME}: expected whole nanoseconds, got {whole[row]!r}"
+            if len(whole)
+            else f"{place}: no rows in this file"
+        )
+    numbers = {name: numbers_in(place, columns, name) for name in (SLOT, *VALUES)}
+    for name, column in numbers.items():
+        wrong = ~np.isfinite(column)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise FormatError(
+                f"{place}, row {row}: {name}: expected a number, got {columns[name][row]}"
+            )
+    made = np.zeros(len(whole), [("stamp", "i8"), ("slot", "f8"), ("values", "f8", 3)])
+    made["stamp"], made["slot"] = whole, numbers[SLOT]
+    made["values"] = np.stack([numbers[name] for name in VALUES], axis=1)
+    return made
+
+
+def _bounds(rows: NDArray[np.void]) -> Sequence[tuple[int, int]]:
+    """First and next row of every scan: they end at a pause, and before a slot that comes again."""
+    starts, slots = [0], {float(rows["slot"][0])}
+    for row in range(1, len(rows)):
+        slot = float(rows["slot"][row])
+        if rows["stamp"][row] - rows["stamp"][row - 1] > PAUSE_NS or slot in slots:
+            starts.append(row)
+            slots = set()
+        slots.add(slot)
+    return list(zip(starts, [*starts[1:], len(rows)], strict=True))
+
+
+def _scan(rows: NDArray[np.void]) -> DetectionScan:
+    stamp = int(rows["stamp"][0])
+    noise = np.diag(np.square(STD))
+    found = [
+        Measurement(stamp, "radar", [far, -angle, rate], noise)
+        for far, angle, rate in rows["values"].tolist()
+        if far > 0
+    ]
+    return DetectionScan(stamp, SOURCE, found, np.zeros(2), {})

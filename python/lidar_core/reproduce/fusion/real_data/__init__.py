@@ -1,0 +1,1 @@
+"""Recordings of LiDAR and radar, and how well their targets are followed."""

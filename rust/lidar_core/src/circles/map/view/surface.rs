@@ -1,0 +1,135 @@
+//! What a scan met at a point: a surface, free space, or nothing known.
+
+use super::visibility::SortedView;
+use std::f64::consts::TAU;
+
+/// Largest gap between the ends of neighbouring rays that met one surface [m].
+const JOINED: f64 = 0.3;
+
+/// Answer of a scan to the question if something was at a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::circles::map) enum Met {
+    /// A ray ended there.
+    Surface,
+    /// All rays beside it passed beyond.
+    Free,
+    /// Hidden, out of view, or no information.
+    Unknown,
+}
+
+impl SortedView {
+    /// Content of a place, in the frame of the scan: a surface if one was within `margin` [m].
+    pub(in crate::circles::map) fn met(&self, point: [f64; 2], margin: f64) -> Met {
+        let (distance, bearing) =
+            (libm::hypot(point[0], point[1]), libm::atan2(point[1], point[0]));
+        let half = (margin / distance.max(margin)).max(self.step());
+        let mut is_free = false;
+        for turn in [-TAU, 0.0, TAU] {
+            let around = self.around(bearing + turn, half);
+            if around.is_empty() {
+                continue;
+            }
+            let (low, high) = (around.start.saturating_sub(1), (around.end + 1).min(self.len()));
+            if self.off(point, low..high) < margin {
+                return Met::Surface;
+            }
+            for ray in around {
+                let range = self.ray(ray).1;
+                if range < distance {
+                    return Met::Unknown; // behind something
+                }
+                is_free |= !range.is_nan();
+            }
+        }
+        if is_free && distance < self.range_max() { Met::Free } else { Met::Unknown }
+    }
+
+    /// Where the ray beside a place ended, if that was nearer than the place.
+    pub(super) fn before(&self, point: [f64; 2]) -> Option<[f64; 2]> {
+        let (distance, bearing) =
+            (libm::hypot(point[0], point[1]), libm::atan2(point[1], point[0]));
+        let half = 0.51 * self.step();
+        let mut rays =
+            [-TAU, 0.0, TAU].into_iter().flat_map(|turn| self.around(bearing + turn, half));
+        let (bearing, range) = self.ray(rays.next()?);
+        (range < distance).then(|| [range * libm::cos(bearing), range * libm::sin(bearing)])
+    }
+
+    /// Distance of a point from the nearest surface that the scan met beside it [m]; None if the
+    /// scan does not tell, infinite where it met nothing.
+    pub(in crate::circles::map) fn distance(&self, point: [f64; 2]) -> Option<f64> {
+        let bearing = libm::atan2(point[1], point[0]);
+        let half = 2.0 * self.step();
+        let found = [-TAU, 0.0, TAU].into_iter().map(|turn| self.around(bearing + turn, half));
+        let around = found.into_iter().find(|rays| !rays.is_empty())?;
+        Some(self.off(point, around))
+    }
+
+    /// Distance of a point from the surfaces that the rays of a range met [m].
+    ///
+    /// Between two rays that met one surface it is straight. Beside another one, a surface reaches
+    /// across half of the gap between the rays.
+    fn off(&self, point: [f64; 2], rays: std::ops::Range<usize>) -> f64 {
+        let mut least = f64::INFINITY;
+        let mut before: Option<[f64; 2]> = None;
+        for number in rays {
+            let (bearing, range) = self.ray(number);
+            if !range.is_finite() {
+                before = None;
+                continue;
+            }
+            let (sin, cos) = (libm::sin(bearing), libm::cos(bearing));
+            let end = [range * cos, range * sin];
+            let reach = 0.5 * range * self.step();
+            let face =
+                [-1.0, 1.0].map(|side| [end[0] - side * reach * sin, end[1] + side * reach * cos]);
+            least = least.min(from_stretch(point, face));
+            if let Some(before) = before
+                && libm::hypot(end[0] - before[0], end[1] - before[1]) < JOINED
+            {
+                least = least.min(from_stretch(point, [before, end]));
+            }
+            before = Some(end);
+        }
+        least
+    }
+}
+
+/// Distance of a point from a stretch of a line [m].
+fn from_stretch([x, y]: [f64; 2], [from, to]: [[f64; 2]; 2]) -> f64 {
+    let [along_x, along_y] = [to[0] - from[0], to[1] - from[1]];
+    let square = along_x * along_x + along_y * along_y;
+    let share = ((x - from[0]) * along_x + (y - from[1]) * along_y) / square.max(f64::MIN_POSITIVE);
+    let share = share.clamp(0.0, 1.0);
+    libm::hypot(x - from[0] - share * along_x, y - from[1] - share * along_y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::circles::map::view::visibility::ScanWithLimits;
+    use crate::circles::preprocess::polar_scan::PolarScan;
+
+    #[test]
+    fn a_surface_is_where_rays_end_and_between_them() -> Result<(), Error> {
+        // A slanted wall x = 4 + y, seen by a ray each 0.02 rad, 8 cm and more apart.
+        let bearings: Vec<f64> = (-20..=20).map(|ray| 0.02 * f64::from(ray)).collect();
+        let ranges = bearings.iter().map(|ray| 4.0 / (libm::cos(*ray) - libm::sin(*ray))).collect();
+        let scan = PolarScan { ranges, bearings };
+        let view = ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
+        for y in [-0.3, -0.21, 0.0, 0.07, 0.31] {
+            assert_eq!(view.met([4.0 + y, y], 0.01), Met::Surface);
+            assert_eq!(view.met([3.9 + y, y], 0.02), Met::Free);
+            assert_eq!(view.met([4.1 + y, y], 0.02), Met::Unknown);
+            let [before_x, before_y] = view.before([4.1 + y, y]).unwrap_or([f64::NAN; 2]);
+            assert!((before_x - 4.0 - before_y).abs() < 1e-9 && (before_y - y).abs() < 0.1);
+            assert_eq!(view.before([3.9 + y, y]), None);
+            let off = view.distance([3.9 + y, y]).unwrap_or(f64::NAN);
+            assert!((off - 0.1 / 2.0_f64.sqrt()).abs() < 1e-3, "{off}");
+        }
+        assert_eq!(view.met([0.0, 3.0], 0.02), Met::Unknown);
+        assert_eq!(view.distance([0.0, 3.0]), None);
+        Ok(())
+    }
+}
