@@ -12,8 +12,8 @@ use super::{NEVER, Sky};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, norm};
-use haze::{Air, Haze};
 pub(super) use haze::RecentReturns;
+use haze::{Air, Haze};
 
 /// What was cast longer ago counts less: time constant [s].
 const EVIDENCE_TIME: f64 = 1.0;
