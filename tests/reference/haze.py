@@ -71,8 +71,8 @@ def droplets(points, cells, beside, sectors, ground, free_at, window=()):
 
     `cells` are their cells of direction, `beside` the neighbours of every cell, `sectors` the
     sector of azimuth of every cell; what is lower than `ground` is none. `free_at` tells of
-    places, seen from the sensor, whether the map had seen free space there before the scan. `window`
-    holds cells and bins of the near returns of the scans before.
+    places, seen from the sensor, whether the map had seen free space there before the scan.
+    `window` holds cells and bins of the near returns of the scans before.
     """
     length = np.linalg.norm(points, axis=1)
     near = np.flatnonzero(length < FARTHEST)
