@@ -122,5 +122,5 @@ def test_in_fog_the_sky_behind_droplets_is_the_one_that_the_oracle_finds():
 
 @pytest.mark.nightly
 def test_droplets_near_the_sensor_are_no_robot_that_hides_rays():
-    """By default the directions of the robot are looked for: only the car's roof hides rays."""
+    """By default the robot is looked for: only the roof of the car hides rays."""
     compared(*fog_scans(), in_fog=True, least_rays=15_000, config=FlyingConfig(), hidden=0.01)
