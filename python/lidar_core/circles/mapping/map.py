@@ -171,7 +171,7 @@ class CircleMap(FullState):
         self._map.reset()
 
 
-def elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> CircleElements:
+def elements_of(arrays: tuple[Any, ...], stamp_ns: int) -> CircleElements:
     """Confirmed elements of those that the core gives."""
     number, mean, covariance, age, seen_ns, visible, confirmed, *more = arrays
     person, existence, kinds = more

@@ -38,9 +38,9 @@ const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
 const TRUST: f64 = 4.0;
 
-/// Squared velocity, in its covariance, from which an element that stood moves, and below which one
-/// that moved stands.
-const MOVES: f64 = 4.0;
+/// Squared velocity, in its covariance, from which an element that stood moves: 95 % of chi-square of
+/// 2 degrees of freedom; and below which one that moved stands.
+const MOVES: f64 = 5.99;
 const RESTS: f64 = 0.25;
 
 /// Time for which both of two people were measured before they met [s].

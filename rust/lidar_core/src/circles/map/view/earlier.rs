@@ -36,7 +36,7 @@ const LEAST_KNOWN: f64 = 0.5;
 pub(in crate::circles::map) type Trace = f64;
 
 /// Earlier scans that are asked about one scan.
-pub(in crate::circles::map) struct Before<'a> {
+pub(in crate::circles::map) struct EarlierViews<'a> {
     now: &'a Viewpoint,
     asked: Vec<Asked<'a>>,
 }
@@ -48,7 +48,7 @@ struct Asked<'a> {
     margin: f64,
 }
 
-impl Before<'_> {
+impl EarlierViews<'_> {
     /// Trace of an object with these points in the world; None if earlier scans tell too little.
     pub(in crate::circles::map) fn trace(&self, points: &[[f64; 2]]) -> Option<Trace> {
         let every = points.len().div_ceil(MOST_POINTS).max(1);
@@ -117,7 +117,7 @@ impl Earlier {
     }
 
     /// Scans of before a viewpoint that tell what moves.
-    pub(in crate::circles::map) fn before<'a>(&'a self, now: &'a Viewpoint) -> Before<'a> {
+    pub(in crate::circles::map) fn before<'a>(&'a self, now: &'a Viewpoint) -> EarlierViews<'a> {
         let mut asked: Vec<Asked<'a>> = Vec::new();
         for age in AGES {
             let is_of_age = |one: &&Viewpoint| {
@@ -131,7 +131,7 @@ impl Earlier {
                 asked.push(Asked { from: one, view, margin: margin(now, one, view) });
             }
         }
-        Before { now, asked }
+        EarlierViews { now, asked }
     }
 
     /// Keep a viewpoint with a view, and forget what is too old.

@@ -71,27 +71,27 @@ impl SortedView {
     /// across half of the gap between the rays.
     fn off(&self, point: [f64; 2], rays: std::ops::Range<usize>) -> f64 {
         let mut least = f64::INFINITY;
-        let mut before: Option<[f64; 2]> = None;
         for number in rays {
-            let (bearing, range) = self.ray(number);
-            if !range.is_finite() {
-                before = None;
-                continue;
-            }
-            let (sin, cos) = (libm::sin(bearing), libm::cos(bearing));
-            let end = [range * cos, range * sin];
+            let Some(end) = self.end(number) else { continue };
+            let [range, bearing] = [self.ray(number).1, self.ray(number).0];
             let reach = 0.5 * range * self.step();
-            let face =
-                [-1.0, 1.0].map(|side| [end[0] - side * reach * sin, end[1] + side * reach * cos]);
-            least = least.min(from_stretch(point, face));
-            if let Some(before) = before
-                && libm::hypot(end[0] - before[0], end[1] - before[1]) < JOINED
-            {
-                least = least.min(from_stretch(point, [before, end]));
+            let aside = [-reach * libm::sin(bearing), reach * libm::cos(bearing)];
+            for (neighbour, side) in [(number.checked_sub(1), -1.0), (Some(number + 1), 1.0)] {
+                let beside =
+                    neighbour.filter(|&one| one < self.len()).and_then(|one| self.end(one));
+                let joined = beside
+                    .filter(|one| libm::hypot(end[0] - one[0], end[1] - one[1]) < JOINED)
+                    .unwrap_or([end[0] + side * aside[0], end[1] + side * aside[1]]);
+                least = least.min(from_stretch(point, [end, joined]));
             }
-            before = Some(end);
         }
         least
+    }
+
+    /// Place where a ray ended; None without return.
+    fn end(&self, number: usize) -> Option<[f64; 2]> {
+        let (bearing, range) = self.ray(number);
+        range.is_finite().then(|| [range * libm::cos(bearing), range * libm::sin(bearing)])
     }
 }
 
