@@ -56,8 +56,16 @@ def _grid():
 
 CENTERS, BESIDE = _grid()
 AZIMUTHS = np.arctan2(CENTERS[:, 1], CENTERS[:, 0])
-BAND = np.clip((np.arcsin(CENTERS[:, 2]) + np.pi / 2) / np.pi * BANDS, 0, BANDS - 1).astype(int)
-SECTOR = ((AZIMUTHS / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+
+
+def band_of(heights):
+    """Band of elevation of unit directions, given their heights; on a border the upper one."""
+    bands = (np.arcsin(heights) + np.pi / 2) / np.pi * BANDS + 1e-9
+    return np.clip(bands, 0, BANDS - 1).astype(int)
+
+
+BAND = band_of(CENTERS[:, 2])
+SECTOR = ((AZIMUTHS / (2 * np.pi) + 0.5) * SECTORS + 1e-9).astype(int) % SECTORS
 WIDEST = max(map(len, BESIDE))
 PADDED = np.array([np.pad(row, (0, WIDEST - len(row)), mode="edge") for row in BESIDE])
 """Neighbours of every cell, itself included; the last one repeated."""
@@ -89,9 +97,7 @@ def density_of(counts, scans):
             seen = solid[band] > 0
             found = np.sort(returns[band][seen] / solid[band][seen] / scans)[::-1]
             by_band[band] = found[min(3, len(found) - 1)] if len(found) else 0.0
-        return lambda ways: by_band[
-            np.clip((np.arcsin(ways[:, 2]) + np.pi / 2) / np.pi * BANDS, 0, BANDS - 1).astype(int)
-        ]
+        return lambda ways: by_band[band_of(np.clip(ways[:, 2], -1, 1))]
     own = counts / SOLID / scans
     twins = [cell_of(CENTERS * [1, y, z]) for y in (1, -1) for z in (1, -1)]
     cells = np.max([own[twin] for twin in twins], axis=0)
@@ -143,6 +149,7 @@ class SkyOracle:
     counts: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, np.int64))
     drops: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, np.int64))
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    air: haze.Haze = field(default_factory=haze.Haze)
     lowest: float = 0.0
     usual: float = 0.0
     last_ns: int | None = None
@@ -164,8 +171,8 @@ class SkyOracle:
         is_drop = np.zeros(len(rows), bool)
         if air is not None:
             low = -np.inf if self.last_ns is None else self.lowest + 0.35
-            is_drop = haze.droplets(
-                turned, cells, BESIDE, SECTOR, low, lambda ways: air(origin + ways) == 0
+            is_drop = self.air.droplets(
+                turned, cells, BESIDE, SECTOR, low, lambda ways: air(origin + ways) == 0, stamp_ns
             )
         drops = cell_of(found[is_drop])
         all_found = found

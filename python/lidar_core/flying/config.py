@@ -101,7 +101,8 @@ class ClusterConfig(Config):
         ge=0,
         le=0.5,
         description="Gaps of this angle times the range of the nearer point are inside a cluster"
-        " too, three times the angle between the rays of an OS1-128 [rad]; paper: 0.",
+        " too, three times the angle between the rays of an OS1-128 [rad]; sparser sensors whose"
+        " sky is found, and that have no rows, widen it; paper: 0.",
     )
     min_points: int = Field(
         1, ge=1, le=MOST_POINTS, description="Smaller clusters are unknown (count, no unit)."

@@ -12,6 +12,7 @@ use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::{PointClass, replace};
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::ON_GROUND;
+use crate::flying::sky::source::SkySource;
 use crate::flying::track::ExpectedTarget;
 use crate::geometry::cluster::angular_gap::AngularGap;
 use crate::geometry::cluster::joined::JoinedLabeller;
@@ -24,6 +25,9 @@ use rayon::ThreadPool;
 /// Things that are no higher than this and lie as low as the lowest returns are patches of ground
 /// [m].
 const FLAT: f64 = 0.1;
+/// Gaps of so many times the angle between rays are inside a cluster, up to the second value [rad].
+const GAP: f64 = 3.0;
+const WIDEST_GAP: f64 = 0.06;
 /// Points this near to a small cluster may be of the same target, and up to the second distance none
 /// may be beside it [m].
 const OWN_RADIUS: f64 = 0.75;
@@ -262,7 +266,10 @@ impl ScanClassifier {
             middles.extend(scan.points.iter().map(middle));
         }
         let points = if parameters.cluster_voxels { middles } else { &scan.points };
-        let max_angle = parameters.cluster_angle;
+        let max_angle = match parameters.cluster_angle {
+            0.0 => 0.0,
+            stated => gap_between_rays(scan).max(stated),
+        };
         let gap = AngularGap { origin: scan.pose.translation, max_angle };
         let max_distance = parameters.clustering.max_distance;
         cancel::check()?;
@@ -278,6 +285,14 @@ impl ScanClassifier {
             None => labeller.label(points, &gap, &parameters.clustering, input.pool),
         }
     }
+}
+
+/// Angle between rays beyond which the returns of one thing fall apart, where rays without rows
+/// have to be found: there no setting can state it [rad].
+fn gap_between_rays(scan: &Prepared) -> f64 {
+    let observation = scan.sky_observation.as_ref().filter(|_| scan.sky == SkySource::Density);
+    let density = observation.map_or(0.0, |observation| observation.mean_density());
+    if density > 0.0 { (GAP / density.sqrt()).min(WIDEST_GAP) } else { 0.0 }
 }
 
 /// Class of a point of which only its place is known.

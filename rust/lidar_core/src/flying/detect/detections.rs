@@ -96,14 +96,15 @@ fn centers<'c>(
     input.view.centers_of(&rows)
 }
 
-/// Whether each row of a scan is of a flying cluster; empty where rays without return are given, so
-/// that no hole has to be asked for.
+/// Whether each row of a scan is of a flying cluster; empty where no hole has to be asked for: rays
+/// without return are given, or the air is full of droplets, which take returns away everywhere.
 fn flying_rows<'c>(
     scan: &Prepared,
     clusters: &Clusters,
     classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> Vec<bool> {
-    if scan.sky_observation.is_none() {
+    let observation = scan.sky_observation.as_ref();
+    if observation.is_none_or(|observation| !observation.is_droplet().is_empty()) {
         return Vec::new();
     }
     let mut is_flying = vec![false; scan.points.len()];

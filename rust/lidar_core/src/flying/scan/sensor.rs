@@ -54,6 +54,8 @@ pub(crate) struct Sensor {
     pub(crate) sky: Option<Sky>,
     pub(crate) body: Option<Box<Body>>,
     learnt_scans: u32,
+    /// The air was full of droplets once.
+    is_in_droplets: bool,
     /// Scans with a near return, per cell of direction.
     near_counts: Vec<u32>,
     directions: Vec<[f32; 3]>,
@@ -67,6 +69,7 @@ pub(super) struct SavedSensor {
     sky: Option<Sky>,
     body: Option<Box<Body>>,
     learnt_scans: u32,
+    is_in_droplets: bool,
     near_counts: Vec<u32>,
     directions: Vec<[f32; 3]>,
 }
@@ -80,6 +83,7 @@ impl Sensor {
             last_stamp_ns: None,
             last_pose: None,
             learnt_scans: 0,
+            is_in_droplets: false,
             near_counts: Vec::new(),
             directions: Vec::new(),
         }
@@ -93,6 +97,7 @@ impl Sensor {
             sky: self.sky.clone(),
             body: self.body.clone(),
             learnt_scans: self.learnt_scans,
+            is_in_droplets: self.is_in_droplets,
             near_counts: self.near_counts.clone(),
             directions: self.directions.clone(),
         }
@@ -117,6 +122,7 @@ impl Sensor {
         }
         (self.last_stamp_ns, self.last_pose) = (saved.last_stamp_ns, saved.last_pose);
         (self.body, self.learnt_scans) = (saved.body, saved.learnt_scans);
+        self.is_in_droplets = saved.is_in_droplets;
         (self.near_counts, self.directions) = (saved.near_counts, saved.directions);
         Ok(())
     }
@@ -223,13 +229,14 @@ impl Sensor {
         }
     }
 
-    fn count_near(&mut self, points: &[[f32; 3]]) {
+    fn count_near(&mut self, points: &[[f32; 3]], is_droplet: &[bool]) {
         let cells = 6 * FACE_CELLS * FACE_CELLS;
         self.near_counts.resize(cells, 0);
         let mut near = vec![false; cells];
-        for point in points.iter().map(|&point| wide(point)) {
+        for (row, point) in points.iter().map(|&point| wide(point)).enumerate() {
             let range = norm(point);
-            if range > 0.0 && range < self.parameters.learn_mask_range {
+            let is_near = range > 0.0 && range < self.parameters.learn_mask_range;
+            if is_near && is_droplet.get(row) != Some(&true) {
                 near[cell_of(point)] = true;
             }
         }
@@ -261,15 +268,22 @@ impl Sensor {
     ) {
         self.last_stamp_ns = Some(stamp_ns);
         self.last_pose = Some(*pose);
+        let mut is_droplet: &[bool] = &[];
         if let (Some(sky), Some(observation)) = (&mut self.sky, observation) {
             sky.take(observation, points);
+            is_droplet = observation.is_droplet();
+        }
+        if !is_droplet.is_empty() && !self.is_in_droplets {
+            // Near returns so far may have been of droplets.
+            (self.is_in_droplets, self.learnt_scans) = (true, 0);
+            self.near_counts.clear();
         }
         if let Some(body) = &mut self.body {
             body.learn(points, no_return, pose);
         }
         if self.learnt_scans < self.parameters.learn_mask_scans {
             self.learnt_scans += 1;
-            self.count_near(points);
+            self.count_near(points, is_droplet);
         }
         if needs_directions {
             if self.directions.len() != points.len() {
@@ -331,6 +345,18 @@ pub(crate) mod tests {
             find_body: false,
             returns_per_ray: 1,
         }
+    }
+
+    #[test]
+    fn near_returns_of_droplets_hide_nothing_and_those_of_the_robot_do() {
+        let learns = SensorParameters { learn_mask_scans: 10, ..parameters() };
+        let points = [[0.6, 0.0, 0.1], [0.0, 0.7, 0.1]];
+        let mut sensor = Sensor::new(learns);
+        for _ in 0..10 {
+            sensor.learnt_scans += 1;
+            sensor.count_near(&points, &[true, false]);
+        }
+        assert!(!sensor.is_masked(0, wide(points[0])) && sensor.is_masked(1, wide(points[1])));
     }
 
     #[test]

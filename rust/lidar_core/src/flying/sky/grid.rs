@@ -22,6 +22,9 @@ pub(crate) const PARTS: usize = 3;
 const REACH: f64 = 2.4 * PI / 180.0;
 /// Directions around a centre that are tried for neighbours.
 const TRIED: usize = 24;
+/// Middles of cells lie on the borders of bands and sectors. They count for the upper one, whatever
+/// the rounding, and so do directions this near to a border, in bands or sectors.
+const ON_BORDER: f64 = 1e-9;
 /// Places of a coordinate in a table, so that no arc tangent is needed per point.
 const TABLE: usize = 1024;
 
@@ -163,14 +166,14 @@ fn solid_angle(cell: usize) -> f64 {
 
 fn band_and_sector(direction: [f64; 3]) -> (u8, u8) {
     let azimuth = libm::atan2(direction[1], direction[0]);
-    let sector = ((azimuth / TAU + 0.5) * SECTORS as f64) as usize % SECTORS;
+    let sector = ((azimuth / TAU + 0.5) * SECTORS as f64 + ON_BORDER) as usize % SECTORS;
     (band_of(direction[2]) as u8, sector as u8)
 }
 
 /// Band of elevation of a unit direction, given its height.
 pub(crate) fn band_of(z: f64) -> usize {
     let elevation = libm::asin(z.clamp(-1.0, 1.0));
-    (((elevation + FRAC_PI_2) / PI * BANDS as f64) as usize).min(BANDS - 1)
+    (((elevation + FRAC_PI_2) / PI * BANDS as f64 + ON_BORDER) as usize).min(BANDS - 1)
 }
 
 /// Elevations between which a band lies [rad].

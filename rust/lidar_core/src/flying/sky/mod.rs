@@ -25,6 +25,7 @@ pub(crate) use observation::{ON_GROUND, ScanToObserve, SkyObservation};
 use crate::Error;
 use crate::geometry::transform::{minus, norm};
 use crate::util::full_state::impossible;
+use observation::RecentReturns;
 use serde::{Deserialize, Serialize};
 
 /// Scans in which a known sensor is held against the returns.
@@ -68,6 +69,8 @@ pub(crate) struct Sky {
     surface_ns: Vec<i64>,
     /// Since when every cell is sky [ns], or [`NEVER`].
     since_ns: Vec<i64>,
+    /// Near returns of the last scans, while the air is full of droplets.
+    recent: RecentReturns,
     /// The place that `since_ns` was seen from.
     place: [f64; 3],
     /// Height of the lowest returns, relative to the sensor [m].
@@ -97,6 +100,7 @@ impl Sky {
             surface: vec![f32::INFINITY; CELLS],
             surface_ns: vec![i64::MIN; CELLS],
             since_ns: vec![NEVER; CELLS],
+            recent: RecentReturns::default(),
             place: [0.0; 3],
             lowest: 0.0,
             usual: 0.0,
@@ -116,6 +120,7 @@ impl Sky {
         let times = [saved.surface_ns.len(), saved.since_ns.len()];
         if [lengths, times].as_flattened().iter().any(|&len| len != CELLS)
             || !saved.emission.is_whole()
+            || !saved.recent.is_whole()
         {
             return Err(impossible("a sky with another number of directions"));
         }
@@ -189,6 +194,7 @@ impl Sky {
         self.evidence.fill(0.0);
         self.surface_ns.fill(i64::MIN);
         self.since_ns.fill(NEVER);
+        self.recent.clear();
         self.last_ns = None;
     }
 

@@ -4,12 +4,16 @@
 //! ranges that are as random as the directions. So a return is one of a droplet if the returns beside
 //! it, in direction and range, are no more than chance explains: as dense as those in front of it, since
 //! droplets become fewer with range. They count as such only if the air is full of them.
+//!
+//! Droplets are elsewhere in every scan, while what is real stays near its place for some scans. So
+//! where the returns of one scan are too few to tell, those of the last half second are asked.
 
 use super::super::grid::{CELLS, GRID, SECTORS};
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::Transform;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::LazyLock;
 
@@ -25,6 +29,11 @@ const BEFORE: usize = 7;
 /// chance gives less often than the first, if one of a surface is beside them. At least so many.
 const CHANCES: [f64; 2] = [0.05, 1e-3];
 const LEAST_BESIDE: u32 = 2;
+/// Scans whose returns are asked together, and the time that they take at most [ns].
+const WINDOW: usize = 5;
+const WINDOW_NS: i64 = 500_000_000;
+/// One near return in so many may be nearer than what the sensor sees.
+const BLIND_SHARE: usize = 100;
 /// Counts above which limits are those of the last one, in proportion.
 const TABLE: usize = 256;
 /// The air is full if this share of all returns are of droplets, in this share of the sectors that
@@ -56,6 +65,24 @@ enum Seems {
     Surface,
 }
 
+/// Cells and bins of the near returns of the last scans in air that was full of droplets.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(in super::super) struct RecentReturns {
+    scans: Vec<(i64, Vec<u32>)>,
+}
+
+impl RecentReturns {
+    /// Forget the places of returns.
+    pub(in super::super) fn clear(&mut self) {
+        self.scans.clear();
+    }
+
+    /// True if all of them have a place.
+    pub(in super::super) fn is_whole(&self) -> bool {
+        self.scans.iter().flat_map(|(_, places)| places).all(|&at| (at as usize) < CELLS * BINS)
+    }
+}
+
 /// Near returns of one scan.
 #[derive(Default)]
 pub(super) struct Haze {
@@ -63,28 +90,57 @@ pub(super) struct Haze {
     counts: Vec<u8>,
     /// Row and bin of every near return.
     near: Vec<(u32, u32)>,
+    /// The same counts of the last scans and this one; empty if no scan before tells.
+    window: Vec<u16>,
     /// Bins with returns of surfaces.
     is_solid: Vec<bool>,
     /// Whether each row is a droplet; empty in clear air.
     is_droplet: Vec<bool>,
     /// Droplets per sector.
     sectors: Vec<u32>,
+    /// Cells with returns at any range, and near returns by bin in all cells.
+    cells_seen: usize,
+    of_bins: Vec<usize>,
+    /// The first bin that the sensor returns anything from: it is blind in nearer ones.
+    first: usize,
+}
+
+/// A scan in which droplets are looked for.
+#[derive(Clone, Copy)]
+pub(super) struct Air<'a> {
+    pub(super) points: &'a [[f32; 3]],
+    pub(super) map_from_lidar: &'a Transform,
+    pub(super) stamp_ns: i64,
+    /// What is lower is no droplet, above the sensor [m].
+    pub(super) ground: f64,
+    /// The map before the scan.
+    pub(super) map: &'a VoxelMap,
+    pub(super) recent: &'a RecentReturns,
+    /// Returns of the scan, and sectors and cells with any.
+    pub(super) returns: usize,
+    pub(super) sectors_seen: usize,
+    pub(super) cells_seen: usize,
 }
 
 impl Haze {
     pub(super) fn clear(&mut self) {
         self.counts.clear();
         self.counts.resize(CELLS * BINS, 0);
+        self.window.clear();
         self.near.clear();
         self.is_droplet.clear();
+        self.of_bins.clear();
+        self.of_bins.resize(BINS, 0);
     }
 
     /// Note a return of a cell.
     #[inline]
     pub(super) fn add(&mut self, row: usize, cell: usize, range: f64) {
         if range < FARTHEST {
-            let at = cell * BINS + ((range / BIN) as usize).min(BINS - 1);
+            let bin = ((range / BIN) as usize).min(BINS - 1);
+            let at = cell * BINS + bin;
             self.counts[at] = self.counts[at].saturating_add(1);
+            self.of_bins[bin] += 1;
             self.near.push((row as u32, at as u32));
         }
     }
@@ -94,27 +150,18 @@ impl Haze {
         &self.is_droplet
     }
 
-    /// Find the droplets among `points`, of which `returns` are in `sectors_seen` sectors; true if the
-    /// air is full of them. What is lower than `ground` above the sensor is none [m]; `map` is
-    /// the map before the scan.
-    pub(super) fn find(
-        &mut self,
-        points: &[[f32; 3]],
-        map_from_lidar: &Transform,
-        ground: f64,
-        map: &VoxelMap,
-        returns: usize,
-        sectors_seen: usize,
-    ) -> bool {
+    /// Find the droplets of a scan; true if the air is full of them.
+    pub(super) fn find(&mut self, air: &Air<'_>) -> bool {
         let step = (self.near.len() / SAMPLES).max(1);
-        let mut cursor = Cursor::new(&map.blocks);
+        let mut cursor = Cursor::new(&air.map.blocks);
         let (mut droplets, mut judged, mut free) = (0usize, 0usize, 0usize);
+        self.cells_seen = air.cells_seen;
+        self.first = self.first_bin();
         self.sectors.clear();
         self.sectors.resize(SECTORS, 0);
         for &(row, at) in self.near.iter().step_by(step) {
-            let place = map_from_lidar.apply(wide(points[row as usize]));
-            let is_low = place[2] - map_from_lidar.translation[2] < ground;
-            if is_low || self.seems(at as usize) != Seems::Droplet {
+            let turned = air.map_from_lidar.rotate(wide(air.points[row as usize]));
+            if turned[2] < air.ground || self.seems(at as usize) != Seems::Droplet {
                 continue;
             }
             droplets += 1;
@@ -122,31 +169,62 @@ impl Haze {
             if (at as usize % BINS) as f64 * BIN < JUDGED_FROM {
                 continue;
             }
-            let Some(voxel) = floor(map.lattice().scaled(place)) else { continue };
+            let place = air.map_from_lidar.apply(wide(air.points[row as usize]));
+            let Some(voxel) = floor(air.map.lattice().scaled(place)) else { continue };
             judged += 1;
-            free += usize::from(map.known(cursor.stored(voxel)) < map.uncertain_from());
+            free += usize::from(air.map.known(cursor.stored(voxel)) < air.map.uncertain_from());
         }
         let filled = self.sectors.iter().filter(|&&count| count > 0).count();
         let is_full = droplets >= FEWEST
-            && (droplets * step) as f64 >= FULL_SHARE * returns as f64
-            && filled as f64 >= FULL_SECTORS * sectors_seen as f64
+            && (droplets * step) as f64 >= FULL_SHARE * air.returns as f64
+            && filled as f64 >= FULL_SECTORS * air.sectors_seen as f64
             && judged > 0
             && free as f64 >= LEAST_FREE * judged as f64;
         if is_full {
-            self.mark(points, map_from_lidar, ground);
+            self.look_back(air);
+            self.mark(air);
         }
         is_full
     }
 
+    /// Keep the near returns for the scans to come, if the air is full of droplets.
+    pub(super) fn leave(&self, recent: &mut RecentReturns, stamp_ns: i64) {
+        if self.is_droplet.is_empty() {
+            recent.clear();
+            return;
+        }
+        let places = self.near.iter().map(|&(_, at)| at).collect();
+        recent.scans.push((stamp_ns, places));
+        if recent.scans.len() >= WINDOW {
+            recent.scans.remove(0);
+        }
+    }
+
+    /// Count the returns of the last scans and of this one.
+    fn look_back(&mut self, air: &Air<'_>) {
+        let is_recent = |stamp: i64| air.stamp_ns.saturating_sub(stamp) <= WINDOW_NS;
+        let mut before = air.recent.scans.iter().filter(|(stamp, _)| is_recent(*stamp)).peekable();
+        if before.peek().is_none() {
+            return;
+        }
+        self.window.extend(self.counts.iter().map(|&count| u16::from(count)));
+        for &at in before.flat_map(|(_, places)| places) {
+            let count = &mut self.window[at as usize];
+            *count = count.saturating_add(1);
+        }
+    }
+
     /// Mark the rows of droplets.
-    fn mark(&mut self, points: &[[f32; 3]], map_from_lidar: &Transform, ground: f64) {
+    fn mark(&mut self, air: &Air<'_>) {
         self.is_solid.clear();
         self.is_solid.resize(CELLS * BINS, false);
-        self.is_droplet.resize(points.len(), false);
+        self.is_droplet.resize(air.points.len(), false);
         for &(row, at) in &self.near {
-            let turned = map_from_lidar.rotate(wide(points[row as usize]));
-            let is_surface = turned[2] < ground || self.seems(at as usize) == Seems::Surface;
-            self.is_solid[at as usize] |= is_surface;
+            let turned = air.map_from_lidar.rotate(wide(air.points[row as usize]));
+            let at = at as usize;
+            let is_surface =
+                turned[2] < air.ground || self.seems(at) == Seems::Surface || self.stays(at);
+            self.is_solid[at] |= is_surface;
             self.is_droplet[row as usize] = !is_surface;
         }
         for &(row, at) in &self.near {
@@ -163,30 +241,70 @@ impl Haze {
             .any(|&other| self.is_solid[usize::from(other) * BINS..][beside(bin)].contains(&true))
     }
 
+    /// The bin up to which one near return in a hundred lies.
+    fn first_bin(&self) -> usize {
+        let mut sum = 0;
+        let is_reached = |count: &usize| {
+            sum += count;
+            BLIND_SHARE * sum >= self.near.len()
+        };
+        self.of_bins.iter().position(is_reached).unwrap_or(0)
+    }
+
     /// What a return in the bin `at` seems to be of.
     fn seems(&self, at: usize) -> Seems {
-        let (cell, bin) = (at / BINS, at % BINS);
-        let beside = beside(bin);
-        let before = beside.start.saturating_sub(BEFORE)..beside.start;
-        let (mut count, mut nearer) = (0, 0);
-        for &other in GRID.beside(cell) {
-            let of_cell = &self.counts[usize::from(other) * BINS..][..BINS];
-            let sum = |counts: &[u8]| counts.iter().map(|&count| u32::from(count)).sum::<u32>();
-            count += sum(&of_cell[beside.clone()]);
-            nearer += sum(&of_cell[before.clone()]);
-        }
-        if before.is_empty() {
-            return Seems::Droplet; // so near that nothing tells
-        }
-        let nearer = nearer as usize * BEFORE / before.len();
-        let beyond = (nearer as f64 / (TABLE - 1) as f64).max(1.0);
-        let limits = LIMITS[nearer.min(TABLE - 1)].map(|limit| f64::from(limit) * beyond);
-        match f64::from(count.saturating_sub(1)) {
-            others if others >= limits[1] => Seems::Surface,
-            others if others >= limits[0] => Seems::Either,
+        let (others, nearer) = around(&self.counts, at, self.first);
+        let nearer = nearer.unwrap_or_else(|| self.usual_before(at));
+        let [either, surface] = limits(nearer);
+        match f64::from(others) {
+            others if others >= surface => Seems::Surface,
+            others if others >= either => Seems::Either,
             _ => Seems::Droplet,
         }
     }
+
+    /// True if returns of the last scans show that a return in the bin `at` is of a surface. One more
+    /// return before it than there was: a count of none is no density of none.
+    fn stays(&self, at: usize) -> bool {
+        if self.window.is_empty() {
+            return false;
+        }
+        let (others, Some(nearer)) = around(&self.window, at, self.first) else { return false };
+        f64::from(others) >= limits(nearer + 1)[1]
+    }
+
+    /// Returns that would be before a bin that has none before it, if all directions were alike: they
+    /// are so near that only the robot itself can be there.
+    fn usual_before(&self, at: usize) -> usize {
+        let (cell, bin) = (at / BINS, at % BINS);
+        let beside = beside(bin);
+        let (depth, all) = (beside.len(), self.of_bins[beside].iter().sum::<usize>());
+        all * GRID.beside(cell).len() * BEFORE / (self.cells_seen.max(1) * depth)
+    }
+}
+
+/// Returns beside one in the bin `at`, and those before these from the bin `first` on, in proportion to
+/// the whole depth; none if it is too near for any.
+fn around<T: Copy + Into<u32>>(counts: &[T], at: usize, first: usize) -> (u32, Option<usize>) {
+    let (cell, bin) = (at / BINS, at % BINS);
+    let beside = beside(bin);
+    let before = beside.start.saturating_sub(BEFORE).max(first).min(beside.start)..beside.start;
+    let (mut count, mut nearer) = (0u32, 0u32);
+    for &other in GRID.beside(cell) {
+        let of_cell = &counts[usize::from(other) * BINS..][..BINS];
+        let sum = |counts: &[T]| counts.iter().map(|&count| count.into()).sum::<u32>();
+        count += sum(&of_cell[beside.clone()]);
+        nearer += sum(&of_cell[before.clone()]);
+    }
+    let depth = before.len();
+    (count.saturating_sub(1), (depth > 0).then(|| nearer as usize * BEFORE / depth))
+}
+
+/// Fewest returns beside one that make it one of a surface for both chances, by the number of those
+/// before it.
+fn limits(nearer: usize) -> [f64; 2] {
+    let beyond = (nearer as f64 / (TABLE - 1) as f64).max(1.0);
+    LIMITS[nearer.min(TABLE - 1)].map(|limit| f64::from(limit) * beyond)
 }
 
 /// Bins beside a bin, and that bin.
@@ -256,6 +374,20 @@ mod tests {
         Ok(map)
     }
 
+    fn air<'a>(points: &'a [[f32; 3]], map: &'a VoxelMap, recent: &'a RecentReturns) -> Air<'a> {
+        Air {
+            points,
+            map_from_lidar: &Transform::IDENTITY,
+            stamp_ns: 0,
+            ground: f64::NEG_INFINITY,
+            map,
+            recent,
+            returns: points.len(),
+            sectors_seen: SECTORS,
+            cells_seen: CELLS / 2,
+        }
+    }
+
     fn found(points: &[[f32; 3]], map: &VoxelMap) -> (Haze, bool) {
         let mut haze = Haze::default();
         haze.clear();
@@ -263,8 +395,7 @@ mod tests {
             let place = wide(point);
             haze.add(row, GRID.cell(place), crate::geometry::transform::norm(place));
         }
-        let (pose, ground) = (Transform::IDENTITY, f64::NEG_INFINITY);
-        let is_full = haze.find(points, &pose, ground, map, points.len(), SECTORS);
+        let is_full = haze.find(&air(points, map, &RecentReturns::default()));
         (haze, is_full)
     }
 

@@ -12,7 +12,8 @@ use super::{NEVER, Sky};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, dot, norm};
-use haze::Haze;
+pub(super) use haze::RecentReturns;
+use haze::{Air, Haze};
 
 /// What was cast longer ago counts less: time constant [s].
 const EVIDENCE_TIME: f64 = 1.0;
@@ -140,7 +141,7 @@ impl SkyObservation {
     /// Evaluate a scan: directions, reach and share of the sky.
     pub(crate) fn fill(&mut self, sky: &Sky, scan: &ScanToObserve<'_>) {
         let ground = sky.last_ns.map_or(f64::NEG_INFINITY, |_| sky.lowest + ON_GROUND);
-        self.count(scan, ground);
+        self.count(scan, ground, &sky.recent);
         self.stamp_ns = scan.stamp_ns;
         self.has_returns = !self.samples.is_empty();
         (self.place, self.share, self.rays) = (scan.map_from_lidar.translation, 0.0, 0.0);
@@ -202,6 +203,14 @@ impl SkyObservation {
         f64::from(self.expected[cell]) / GRID.solid_angles[cell]
     }
 
+    /// Rays per steradian that a scan casts in its field of view, on average; 0 while it is not known.
+    pub(crate) fn mean_density(&self) -> f64 {
+        let cast = self.expected.iter().zip(&GRID.solid_angles).filter(|(rays, _)| **rays > 0.0);
+        let (rays, angle) = cast
+            .fold((0.0, 0.0), |(rays, angle), (ray, cell)| (rays + f64::from(*ray), angle + cell));
+        if angle > 0.0 { rays / angle } else { 0.0 }
+    }
+
     /// Whether the rays lie in rows, so that there are none in between.
     pub(crate) fn has_rows(&self) -> bool {
         self.has_rows
@@ -250,11 +259,12 @@ impl SkyObservation {
         if !sky.sees_the_same_from(self.place) {
             sky.place = self.place;
         }
+        self.haze.leave(&mut sky.recent, self.stamp_ns);
         (sky.lowest, sky.usual, sky.last_ns) = (self.lowest, self.usual, Some(self.stamp_ns));
         true
     }
 
-    fn count(&mut self, scan: &ScanToObserve<'_>, ground: f64) {
+    fn count(&mut self, scan: &ScanToObserve<'_>, ground: f64, recent: &RecentReturns) {
         for counts in [&mut self.of_sensor, &mut self.hits, &mut self.drops] {
             counts.clear();
             counts.resize(CELLS, 0);
@@ -270,9 +280,18 @@ impl SkyObservation {
             returns += 1;
             sectors[usize::from(GRID.bands[cell].1)] = true;
         }
-        let sectors = sectors.iter().filter(|&&is_seen| is_seen).count();
-        let place = scan.map_from_lidar;
-        if self.haze.find(scan.points, place, ground, scan.map, returns, sectors) {
+        let air = Air {
+            points: scan.points,
+            map_from_lidar: scan.map_from_lidar,
+            stamp_ns: scan.stamp_ns,
+            ground,
+            map: scan.map,
+            recent,
+            returns,
+            sectors_seen: sectors.iter().filter(|&&is_seen| is_seen).count(),
+            cells_seen: self.hits.iter().filter(|&&hits| hits > 0).count(),
+        };
+        if self.haze.find(&air) {
             self.hits.fill(0);
             self.nearest.fill(f32::INFINITY);
             for (row, range, cell) in returns_of(scan) {
