@@ -17,6 +17,7 @@ H = np.zeros((3, 5))
 H[0, 0] = H[1, 1] = H[2, 4] = 1.0
 LONGEST_STEP = 0.1
 # Rules of the map that are no parameters.
+SURE, NO_CHANCE = 5.99, 0.25  # squared velocity in its covariance: begins to move, stands again
 STANDS, MOVES = 0.8, 0.4  # probabilities
 BIRTH_DENSITY = 1e-4  # [1/m^3]
 MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
@@ -482,6 +483,7 @@ class IndependentMap:
         excess = max(known, (known * 4.0 + shown) / (4.0 + sum(more)))
         modes = len(self.weight)
         element = Element(self.next, [H.T @ z] * modes, [], self.weight, last=stamp, excess=excess)
+        element.stands = self.stops
         P = H.T @ element.noisy(R) @ H
         P[2, 2] = P[3, 3] = self.config.initial_speed**2
         still = P * np.outer([1, 1, 0, 0, 1], [1, 1, 0, 0, 1])
@@ -514,7 +516,13 @@ class IndependentMap:
             element.confirmed |= recent >= config.confirm_hits
             if self.stops:
                 stood, p = element.stands, element.mu[0]
-                element.stands = p > STANDS or (stood and p >= MOVES)
+                x, P = element.combined()
+                by_chance = x[2:4] @ np.linalg.solve(P[2:4, 2:4], x[2:4])
+                element.stands = (
+                    p > STANDS
+                    or (stood and p >= MOVES)
+                    or by_chance < (SURE if stood else NO_CHANCE)
+                )
             worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
             most = config.max_position_std
             if element.waits and self.stops:
