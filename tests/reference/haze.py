@@ -99,7 +99,7 @@ def droplets(points, cells, beside, sectors, ground, free_at, window=()):
     share = len(judged) * step / len(points)
     filled = len(np.unique(sectors[cells[judged]])) / len(np.unique(sectors[cells]))
     passes = len(far) > 0 and free_at(points[far]).sum() >= 0.5 * len(far)
-    is_full = len(judged) >= 20 and share >= 0.03 and filled >= 0.75 and passes
+    is_full = len(np.unique(cells[judged])) >= 20 and share >= 0.03 and filled >= 0.75 and passes
     level[stays] = 2
     solid = {(cells[row], int(length[row] / BIN)) for row in near if level[row] == 2}
     found = level == 0

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, replace
 from os import PathLike
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Self
 
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import as_mask, as_points, as_poses, as_real, as_rows, as_stamp
 from lidar_core.config import as_config
-from lidar_core.errors import InputError
+from lidar_core.errors import ConfigError, InputError
 from lidar_core.files import naming
 from lidar_core.flying.analysis import as_pose_covariance
 from lidar_core.flying.config import FlyingConfig
@@ -279,7 +280,20 @@ class FlyingObjectDetector(FullState):
         return self._detector.static_points()
 
     def save_static_map(self, path: str | PathLike[str]) -> None:
-        """Write the voxels of 0.1 m of all that stands to a file that `VoxelMap.load` reads."""
+        """Write the voxels of 0.1 m of all that stands to a file that `VoxelMap.load` reads.
+
+        It is empty without `make_static_map`.
+
+        Raises
+        ------
+        ConfigError
+            The name does not end in .lcvm.
+        """
+        if Path(path).suffix.lower() != ".lcvm":
+            raise ConfigError(
+                f"path: expected a file that ends in .lcvm, got {path}; write_cloud of"
+                " `lidar_core.io` writes static_points() as .pcd or .ply"
+            )
         with naming(path):
             self._detector.save_static_map(path)
 

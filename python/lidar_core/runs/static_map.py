@@ -6,8 +6,11 @@ from lidar_core.errors import ConfigError
 from lidar_core.extras import require
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.io import write_cloud
+from lidar_core.run_folder import RUN_FILE
 
 ENDINGS = (".lcvm", ".pcd", ".ply")
+OF_RUNS = ("map.lcvm",)
+"""Maps in the folder of a run."""
 
 
 def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
@@ -26,15 +29,26 @@ def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
             f"static_map: expected a file that ends in {', '.join(ENDINGS)}, got {path}"
         )
     if not path.parent.is_dir():
-        raise ConfigError(f"static_map: {path.parent} is no folder")
+        raise ConfigError(
+            f"static_map: {path.parent} is no folder; the folder of a run is made later: name a"
+            " place beside it"
+        )
+    if (path.parent / RUN_FILE).is_file() and path.name in OF_RUNS:
+        raise ConfigError(f"static_map: {path} is the map that a run writes; choose another name")
     if path.is_dir():
         raise ConfigError(f"static_map: {path} is a folder")
     if path.exists() and any(
-        one is not None and one.exists() and path.samefile(one) for one in reads
+        one is not None and one.exists() and (path.samefile(one) or _is_within(path, one))
+        for one in reads
     ):
         raise ConfigError(f"static_map: {path} is read by this run, and would be replaced")
     if suffix == ".pcd":
         require("pypcd4", extra="io", purpose="writing PCD")
+
+
+def _is_within(path: Path, folder: Path) -> bool:
+    """Whether a file lies in a folder, or deeper."""
+    return path.resolve().is_relative_to(folder.resolve())
 
 
 def write_static_map(detector: FlyingObjectDetector, path: Path) -> None:

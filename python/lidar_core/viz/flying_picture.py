@@ -23,12 +23,13 @@ from lidar_core.viz.figure import (
 from lidar_core.viz.views import FlyingView
 
 SIZE, DPI = (14.0, 8.2), 110
-FLYING, UNKNOWN, OWN = "#fb7185", "#f59e0b", "#a855f7"
+FLYING, UNKNOWN, OWN, MOVING = "#fb7185", "#f59e0b", "#a855f7", "#2563eb"
 VOXEL_COLOURS = ("#efeae0", "#d8cfbd", "#a89f8d")
 CLOUDS = (
     ("background, last scan", "#64748b", 0.6),
     ("unknown, last scan", UNKNOWN, 2.5),
     ("own body, last scan", OWN, 2.5),
+    ("moving on the ground, last scan", MOVING, 2.5),
     ("flying, all scans", FLYING, 1.0),
 )
 """Name, colour and size of the points of each class."""
@@ -119,8 +120,8 @@ def _map(
     window.apply(axes)
     _voxels(axes, view, plane, window, depth)
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
-        if colour == OWN and not len(cloud):
-            continue  # most robots hide nothing
+        if colour in (OWN, MOVING) and not len(cloud):
+            continue  # most robots hide nothing, and often nothing moves
         rows = _visible_rows(cloud, plane, window, depth)
         rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
         axes.scatter(
@@ -142,7 +143,12 @@ def _map(
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
     """Points in the order of `CLOUDS`."""
-    classes = ShownClass.BACKGROUND, ShownClass.UNKNOWN, ShownClass.OWN_BODY
+    classes = (
+        ShownClass.BACKGROUND,
+        ShownClass.UNKNOWN,
+        ShownClass.OWN_BODY,
+        ShownClass.MOVING,
+    )
     return [*(view.cloud[view.cloud_class == one] for one in classes), view.flying]
 
 

@@ -470,3 +470,22 @@ def test_a_static_map_does_not_replace_what_is_read(recording, tmp_path):
     assert isinstance(result.exception, ConfigError)
     assert "replaced" in str(result.exception)
     assert known.read_bytes() == before
+
+
+def test_a_static_map_replaces_neither_a_scan_nor_the_map_of_a_run(recording, tmp_path):
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    write_cloud(scans / "000001.ply", np.ones((30, 3)))
+    before = (scans / "000001.ply").read_bytes()
+    place = scans / "000001.ply"
+    result = run_command(
+        scans, "-o", tmp_path / "a", "--pose", "static", "--scan-rate", 10, "--static-map", place
+    )
+    assert isinstance(result.exception, ConfigError)
+    assert "replaced" in str(result.exception)
+    assert place.read_bytes() == before
+    run = tmp_path / "run"
+    result_of(recording, "-o", run, "--end", 0.2, "--no-mcap", "--no-picture")
+    result = run_command(recording, "-o", run, "--overwrite", "--static-map", run / "map.lcvm")
+    assert isinstance(result.exception, ConfigError)
+    assert "another name" in str(result.exception)

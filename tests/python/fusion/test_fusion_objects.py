@@ -103,3 +103,19 @@ def test_a_text_with_a_comma_stays_what_it_is(tmp_path):
     (tmp_path / "words.csv").write_text("t_ns;sensor;x;y\n0;L,1;1;2\n")
     with pytest.raises(FormatError, match=r"column sensor: expected one of .*got 'L,1'"):
         read_measurements(tmp_path / "words.csv")
+
+
+def test_a_list_without_rows_is_told(tmp_path):
+    with pytest.raises(FormatError, match=r"objects\.csv: no rows in this file"):
+        read_delphi(lists(tmp_path / "a", []))
+
+
+def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t_ns,sensor,x,y\n0,L,1.5,-2\n", encoding="utf-8-sig")
+    (row,) = read_measurements(path).measurements
+    np.testing.assert_array_equal(row.values, [1.5, -2])
+    objects = lists(tmp_path / "b", [(0, [(1, 0.1, 20.0, 1.0)])])
+    objects.write_text(objects.read_text(), encoding="utf-8-sig")
+    assert is_delphi(objects)
+    assert len(read_delphi(objects)) == 1

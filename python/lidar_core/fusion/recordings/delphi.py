@@ -1,5 +1,6 @@
 """Reader of the object lists of Delphi's ESR radar, as CSV."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,8 +34,8 @@ def is_delphi(path: str | Path) -> bool:
     if not files or not files[0].is_file():
         return False
     with files[0].open("rb") as file:
-        names = file.read(HEAD_BYTES).partition(b"\n")[0].decode("utf-8", "replace")
-    return VALUES[0] in [name.strip() for name in names.split(",")]
+        names = file.read(HEAD_BYTES).partition(b"\n")[0].decode("utf-8-sig", "replace")
+    return VALUES[0] in [name.strip(' \r"') for name in re.split("[,;\t]", names)]
 
 
 def read_delphi(path: str | Path) -> list[DetectionScan]:
@@ -93,14 +94,14 @@ def _rows(place: Path) -> NDArray[np.void]:
     if missing:
         raise FormatError(f"{place}: no column {missing[0]} among {', '.join(columns) or 'none'}")
     whole = columns[TIME]
+    if not len(whole):
+        raise FormatError(f"{place}: no rows in this file")
     if whole.dtype.kind != "i":
         # Float64 does not hold nanoseconds of today.
         bad = [row for row, text in enumerate(whole.tolist()) if not str(text).isdecimal()]
         row = bad[0] if bad else 0
         raise FormatError(
-            f"{place}, row {row}: {TIME}: expected whole nanoseconds, got {whole[row]!r}"
-            if len(whole)
-            else f"{place}: no rows in this file"
+            f"{place}, row {row}: {TIME}: expected whole nanoseconds, got {whole[row]}"
         )
     numbers = {name: numbers_in(place, columns, name) for name in (SLOT, *VALUES)}
     for name, column in numbers.items():

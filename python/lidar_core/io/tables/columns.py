@@ -94,7 +94,7 @@ def _check(place: Path, size: int) -> None:
 
 
 def _read_csv(path: Path) -> Columns:
-    with reading(str(path)), path.open(newline="", encoding="utf-8") as file:
+    with reading(str(path)), path.open(newline="", encoding="utf-8-sig") as file:
         separator = _separator(file.readline())
         file.seek(0)
         lines = csv.reader(file, delimiter=separator)

@@ -46,7 +46,7 @@ const JUDGED_FROM: f64 = 2.0;
 const LEAST_FREE: f64 = 0.5;
 /// Returns that are judged to see whether the air is full, at most.
 const SAMPLES: usize = 1024;
-/// Fewer droplets tell nothing.
+/// Droplets in fewer cells tell nothing: returns of one place alone show no air.
 const FEWEST: usize = 20;
 
 /// Fewest returns beside one that make it one of a surface, by the number of those before it.
@@ -98,6 +98,8 @@ pub(super) struct Haze {
     is_droplet: Vec<bool>,
     /// Droplets per sector.
     sectors: Vec<u32>,
+    /// Cells with droplets.
+    filled: Vec<u32>,
     /// Cells with returns at any range, and near returns by bin in all cells.
     cells_seen: usize,
     of_bins: Vec<usize>,
@@ -159,12 +161,14 @@ impl Haze {
         self.first = self.first_bin();
         self.sectors.clear();
         self.sectors.resize(SECTORS, 0);
+        self.filled.clear();
         for &(row, at) in self.near.iter().step_by(step) {
             let turned = air.map_from_lidar.rotate(wide(air.points[row as usize]));
             if turned[2] < air.ground || self.seems(at as usize) != Seems::Droplet {
                 continue;
             }
             droplets += 1;
+            self.filled.push(at / BINS as u32);
             self.sectors[usize::from(GRID.bands[at as usize / BINS].1)] += 1;
             if (at as usize % BINS) as f64 * BIN < JUDGED_FROM {
                 continue;
@@ -175,7 +179,9 @@ impl Haze {
             free += usize::from(air.map.known(cursor.stored(voxel)) < air.map.uncertain_from());
         }
         let filled = self.sectors.iter().filter(|&&count| count > 0).count();
-        let is_full = droplets >= FEWEST
+        self.filled.sort_unstable();
+        self.filled.dedup();
+        let is_full = self.filled.len() >= FEWEST
             && (droplets * step) as f64 >= FULL_SHARE * air.returns as f64
             && filled as f64 >= FULL_SECTORS * air.sectors_seen as f64
             && judged > 0
