@@ -22,6 +22,7 @@ from lidar_core.cli.shared.measurement_options import (
     topics_of,
 )
 from lidar_core.cli.shared.run_options import (
+    Checkpoint,
     ChosenMode,
     ConfigFile,
     End,
@@ -29,6 +30,7 @@ from lidar_core.cli.shared.run_options import (
     Output,
     Overwrite,
     Picture,
+    Resume,
     Start,
     Values,
 )
@@ -71,6 +73,8 @@ def command(
     mcap: Mcap = None,
     picture: Picture = True,
     overwrite: Overwrite = False,
+    checkpoint: Checkpoint = None,
+    resume: Resume = False,
     json: JsonFile = None,
 ) -> None:
     """Track the target of RECORDING, or many; write states, covariances, NIS and a picture.
@@ -101,6 +105,8 @@ def command(
         mcap=mcap,
         picture=picture,
         overwrite=overwrite,
+        checkpoint=checkpoint,
+        resume=resume,
     )
     report(result, _table(result.summary, recording.name), json)
 

@@ -23,7 +23,7 @@ from lidar_core.cli.shared.common import (
     result_table,
     write_json,
 )
-from lidar_core.cli.shared.run_options import PipelineOptions, with_options
+from lidar_core.cli.shared.run_options import Checkpoint, PipelineOptions, Resume, with_options
 from lidar_core.cli.shared.voice import tell as say
 from lidar_core.errors import ConfigError
 from lidar_core.util.rows import Row, number
@@ -132,6 +132,8 @@ class LiveOptions(PipelineOptions):
     record: Tape = None
     metrics: Metrics = None
     overwrite: OverwriteFile = False
+    checkpoint: Checkpoint = None
+    resume: Resume = False
     threads: Threads
 
     def read(self) -> "ReadOptions":
@@ -178,6 +180,8 @@ def command(options: LiveOptions) -> None:
         record=options.record,
         metrics=options.metrics,
         overwrite=options.overwrite,
+        checkpoint=options.checkpoint,
+        resume=options.resume,
         on_message=tell,
         on_report=lambda report: _tell(errors, report),
     )

@@ -69,6 +69,9 @@ class CirclesLive(LivePipeline[LaserScan]):
     ----------
     pipeline : CirclePipeline or None
         Gets every scan; None until all LiDARs are known.
+    config : CirclesConfig
+    allow_untrusted : bool
+        As given.
 
     Raises
     ------
@@ -83,8 +86,8 @@ class CirclesLive(LivePipeline[LaserScan]):
         self, config: CirclesConfig, *, n_scanners: int, allow_untrusted: bool = False
     ) -> None:
         check_no_rays(config)
-        self._allow_untrusted = allow_untrusted
-        self._config = config
+        self.allow_untrusted = allow_untrusted
+        self.config = config
         self._n_scanners = n_scanners
         self._found: dict[str, Scanner] = {}
         self.pipeline: CirclePipeline | None = None
@@ -100,12 +103,12 @@ class CirclesLive(LivePipeline[LaserScan]):
         if self.pipeline is None:
             name = scan.topic or scan.frame_id
             if name not in self._found:
-                self._found[name] = scanner_of(scan, self._config, name)
+                self._found[name] = scanner_of(scan, self.config, name)
             if len(self._found) >= self._n_scanners:
-                scanners = {**self._found, **self._config.scanners}
-                values = self._config.model_dump() | {"scanners": scanners}
+                scanners = {**self._found, **self.config.scanners}
+                values = self.config.model_dump() | {"scanners": scanners}
                 self.pipeline = CirclePipeline(
-                    type(self._config).load(values), allow_untrusted=self._allow_untrusted
+                    type(self.config).load(values), allow_untrusted=self.allow_untrusted
                 )
         return self.pipeline is not None
 

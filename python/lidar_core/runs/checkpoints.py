@@ -28,8 +28,9 @@ MOST_BYTES = 2**34
 class Resumable(Protocol):
     """A run whose state can be kept."""
 
-    KINDS: tuple[type, ...]
-    """Classes of the objects in `kept` and `rows`."""
+    @property
+    def KINDS(self) -> tuple[type, ...]:  # noqa: N802
+        """Classes of the objects in `kept` and `rows`."""
 
     def kept(self) -> dict[str, Any]:
         """All state but the rows, of limited size; whole states of the core as arrays of bytes."""

@@ -1,15 +1,18 @@
 """Targets from the LiDAR and radar of a recording: one target, or many."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion import (
     BagOptions,
+    DetectionScan,
     FusionConfig,
     MeasurementLog,
     Measurements,
@@ -29,7 +32,8 @@ from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import TABLES
 from lidar_core.io import Span
 from lidar_core.io.options import NS
-from lidar_core.run_folder import fingerprint
+from lidar_core.run_folder import fingerprint, remove_checkpoint
+from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.recording import folder_to_write
 from lidar_core.runs.result import RunResult, draw
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
@@ -63,6 +67,8 @@ def fuse(
     mcap: bool | None = None,
     picture: bool = True,
     overwrite: bool = False,
+    checkpoint: Annotated[float, Field(gt=0)] | None = None,
+    resume: bool = False,
 ) -> RunResult:
     """Track the target of a recording, or many, as `lidar-core fuse` does.
 
@@ -99,6 +105,8 @@ def fuse(
         Go on with measurements of one target whose NIS is beyond reason.
     mcap, picture, overwrite
         As in `detect`.
+    checkpoint, resume
+        As in `detect`. The run of one target is short: it starts again, with the same results.
 
     Returns
     -------
@@ -114,7 +122,25 @@ def fuse(
         As in `detect`.
     """
     source = Path(recording)
-    folder, writes_mcap = folder_to_write(output, mcap=mcap, overwrite=overwrite, reads=source)
+    folder, writes_mcap = folder_to_write(
+        output,
+        mcap=mcap,
+        overwrite=overwrite,
+        reads=source,
+        checkpoint=checkpoint,
+        resume=resume,
+    )
+
+    keeps = checkpoint is not None or resume
+
+    def checkpoints(decides: Mapping[str, Any]) -> Checkpoints:
+        """What keeps a run on many targets, and finds it."""
+        inputs = {"command": "fuse", **decides}
+        if keeps:
+            read = fingerprint(source)
+            inputs |= {name: value for name, value in read.items() if name != "path"}
+        return Checkpoints(folder.path, checkpoint, inputs)
+
     ways = {"model": model, "method": method, "association": association}
     job = _FuseJob(
         source,
@@ -133,8 +159,9 @@ def fuse(
         force,
         fit_noise,
     )
-    run = job.run()
-    folder.begin()
+    run = job.run(checkpoints, folder.begin if keeps else lambda: None)
+    if not (keeps and isinstance(run, ManyRun)):
+        folder.begin()
     files = run.write(folder)
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
     folder.write_summary(summary)
@@ -147,6 +174,7 @@ def fuse(
         files += drawn
         notes += missing
     files = sorted([*files, "run.toml", "summary.json"])
+    remove_checkpoint(folder.path)
     return RunResult(folder.path, summary, tuple(files), tuple(notes))
 
 
@@ -230,12 +258,27 @@ class _FuseJob:
     force: bool = False
     fit_noise: bool = False
 
-    def run(self) -> TargetRun | ManyRun:
-        """Read the recording, and filter or track."""
+    def run(
+        self, checkpoints: Callable[[Mapping[str, Any]], Checkpoints], begin: Callable[[], None]
+    ) -> TargetRun | ManyRun:
+        """Read the recording, and filter or track; of many, call `begin` before a checkpoint is
+        written.
+        """
         found, reading = self._found()
         if isinstance(found, MeasurementLog):
             return self._one(found, reading)
-        return self._many(found, reading)
+        kept, chosen = self._many(found)
+        reading = {**reading, "span": self.span}
+        models = {"fusion_many": chosen, **reading}
+        decides = {name: one.model_dump(mode="json") for name, one in models.items()}
+        return ManyRun.of(
+            kept,
+            chosen,
+            reading,
+            source=found.source,
+            checkpoints=checkpoints(decides),
+            begin=begin,
+        )
 
     def log(self) -> MeasurementLog:
         """The measurements of one target, within the span.
@@ -303,7 +346,8 @@ class _FuseJob:
             raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
-    def _many(self, found: TargetScans, reading: Mapping[str, Config]) -> ManyRun:
+    def _many(self, found: TargetScans) -> tuple[list[DetectionScan], MultiTargetConfig]:
+        """Scans within the span, and the configuration."""
         choice = self.config
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
         of_one = self.lag is not None or self.fit_noise
@@ -322,7 +366,7 @@ class _FuseJob:
         }
         chosen = config_of_run(_with(choice, ways), MultiTargetConfig, "fusion_many", base=base)
         kept = [found.scans[row] for row in self._kept([one.stamp_ns for one in found.scans])]
-        return ManyRun.of(kept, chosen, {**reading, "span": self.span}, source=found.source)
+        return kept, chosen
 
     def _within(self, log: MeasurementLog) -> MeasurementLog:
         return log.rows(self._kept([m.stamp_ns for m in log.measurements]))

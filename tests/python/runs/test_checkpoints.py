@@ -58,6 +58,19 @@ def flight(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def radar_table(tmp_path_factory):
+    """Detections of two targets by two sensors, in a table."""
+    path, noise = tmp_path_factory.mktemp("table") / "seen.csv", np.random.default_rng(1)
+    rows = ["t_ns,sensor,x,y"]
+    for step in range(600):
+        for side in (-1.0, 1.0):
+            x, y = np.array([0.02 * step, 6.0 * side]) + 0.05 * noise.standard_normal(2)
+            rows.append(f"{step * 50_000_000},lidar,{x},{y}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
 def results(folder):
     """Contents of all files but those with times, and the summary without them."""
     files = {
@@ -66,7 +79,8 @@ def results(folder):
         if path.is_file() and path.name not in TIMES
     }
     summary = json.loads((folder / "summary.json").read_text())
-    del summary["ms_per_scan"]
+    summary.pop("ms_per_scan", None)
+    summary.pop("us_per_scan", None)
     return files, summary
 
 
@@ -77,7 +91,11 @@ def whole(command, recording, folder):
 
 
 def poses(command):
-    return ("--pose", "static") if command == "circles" else ("--threads", 1)
+    return {
+        "circles": ("--pose", "static"),
+        "detect": ("--threads", 1),
+        "fuse": ("--association", "integrated"),
+    }[command]
 
 
 def killed(command, recording, folder, delay, *options):
@@ -93,9 +111,11 @@ def killed(command, recording, folder, delay, *options):
     return process.returncode != 0
 
 
-@pytest.mark.parametrize("command", ["detect", "circles"])
-def test_a_run_that_was_killed_goes_on_to_the_same_results(command, flight, sweeps, tmp_path):
-    recording = flight if command == "detect" else sweeps
+@pytest.mark.parametrize("command", ["detect", "circles", "fuse"])
+def test_a_run_that_was_killed_goes_on_to_the_same_results(
+    command, flight, sweeps, radar_table, tmp_path
+):
+    recording = {"detect": flight, "circles": sweeps, "fuse": radar_table}[command]
     expected = whole(command, recording, tmp_path / "whole")
     folder, chance, n_killed = tmp_path / "run", random.Random(0), 0
     for attempt in range(3):

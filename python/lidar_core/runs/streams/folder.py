@@ -11,7 +11,8 @@ from lidar_core.flying import FlyingObjectDetector
 from lidar_core.live import Output, Update
 from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
-from lidar_core.run_folder import RunFolder, fingerprint
+from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
+from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.circle_map import CirclesRun
 from lidar_core.runs.flying import FlyingRun
 from lidar_core.runs.result import MCAP, draw, wants_mcap
@@ -26,6 +27,12 @@ class LiveFolder(Output):
         Begun with the first scan.
     pipeline : callable
         Makes the pipeline for scans of a sort, as `LiveLoop` has it.
+    checkpoint : float, optional
+        Time between two checkpoints [s].
+    resume : bool
+        Go on from the last checkpoint in the folder.
+    threads : int
+        Of a detector that goes on.
 
     Attributes
     ----------
@@ -34,28 +41,70 @@ class LiveFolder(Output):
     """
 
     def __init__(
-        self, folder: RunFolder, pipeline: Callable[[type], LivePipeline[Any] | None]
+        self,
+        folder: RunFolder,
+        pipeline: Callable[[type], LivePipeline[Any] | None],
+        *,
+        checkpoint: float | None = None,
+        resume: bool = False,
+        threads: int = 1,
     ) -> None:
         super().__init__(str(folder.path))
+        self._threads = threads
+        self._every, self._resumes, self._n_published = checkpoint, resume, 0
+        self._checkpoints: Checkpoints | None = None
         self._folder, self._make = folder, pipeline
         self._pipeline: LivePipeline[Any] | None = None
         self._run: FlyingRun | CirclesRun | None = None
+        self._is_begun = False
         self._stack = ExitStack()
         self.failed: OSError | None = None
 
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
-        """The pipeline for scans of a sort, which is remembered."""
-        self._pipeline = self._make(sort)
-        return self._pipeline
+        """The pipeline for scans of a sort, which is remembered.
+
+        Raises
+        ------
+        InputError, FormatError
+            The checkpoint in the folder is of another configuration or build, or damaged.
+        """
+        self._pipeline = made = self._make(sort)
+        if self._every is None and not self._resumes:
+            return made
+        if isinstance(made, FlyingLive):
+            config: Config = made.detector.config
+        elif isinstance(made, CirclesLive):
+            config = made.config
+        else:
+            return made
+        decides = {"command": "live", made.capability: config.model_dump(mode="json")}
+        self._checkpoints = Checkpoints(self._folder.path, self._every, decides)
+        if not self._resumes:
+            return made
+        if isinstance(made, FlyingLive):
+            flying = FlyingRun(made.detector, threads=self._threads)
+            self._n_published = self._checkpoints.resume(flying)
+            made.detector, self._run = flying.detector, flying
+        else:
+            circles = CirclesRun(CirclePipeline(made.config, allow_untrusted=made.allow_untrusted))
+            self._n_published = self._checkpoints.resume(circles)
+            if self._n_published:
+                made.pipeline, self._run = circles.pipeline, circles
+        return made
 
     def publish(self, update: Update) -> None:
         """Keep what a scan gave."""
-        run = self._run or self._begun(update.frame_id)
+        if self._run is None or not self._is_begun:
+            self._begin(update.frame_id)
+        run = self._run
         if isinstance(update, FlyingUpdate):
             if isinstance(run, FlyingRun):
                 run.keep(update.item, update.frame, _computed_ms(update))
         elif isinstance(update, CirclesUpdate) and isinstance(run, CirclesRun):
             run.keep(update.item, update.frame, _computed_ms(update))
+        self._n_published += 1
+        if self._checkpoints is not None and run is not None:
+            self._checkpoints.take(run, self._n_published)
 
     def close(self) -> None:
         """Complete run.mcap."""
@@ -83,7 +132,7 @@ class LiveFolder(Output):
         """
         self.close()
         run, folder = self._run, self._folder
-        if run is None:
+        if run is None or not self._is_begun:
             return summary, [], []
         drawn, notes = draw(run.pictures(folder, summary["source"]))
         files = [*run.write(folder), *drawn]
@@ -92,18 +141,20 @@ class LiveFolder(Output):
         folder.write_summary(told)
         made_of = {name: fingerprint(path) for name, path in inputs.items() if path is not None}
         folder.write_note({"stream": summary["source"], **made_of}, {**self._config(), **config})
+        remove_checkpoint(folder.path)
         return told, sorted([*files, "run.toml", "summary.json"]), notes
 
-    def _begun(self, frame_id: str) -> FlyingRun | CirclesRun:
-        """The run of the pipeline, at its first scan."""
-        used = self._used()
-        run = FlyingRun(used) if isinstance(used, FlyingObjectDetector) else CirclesRun(used)
+    def _begin(self, frame_id: str) -> None:
+        """Begin the folder and the run of the pipeline, at its first scan."""
+        used, run = self._used(), self._run
+        if run is None:
+            run = FlyingRun(used) if isinstance(used, FlyingObjectDetector) else CirclesRun(used)
         run.frame_id = frame_id
         self._folder.begin()
-        if wants_mcap(None):
+        # Nobody can go on with a run.mcap that was cut.
+        if self._checkpoints is None and wants_mcap(None):
             self._stack.enter_context(run.open_mcap(self._folder))
-        self._run = run
-        return run
+        self._run, self._is_begun = run, True
 
     def _used(self) -> FlyingObjectDetector | CirclePipeline:
         """What took the scans."""

@@ -11,13 +11,14 @@ from pydantic import Field
 
 from lidar_core.circles import CirclesConfig
 from lidar_core.config import checked
+from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.live import LiveConfig, LiveLoop
 from lidar_core.live.poses import LivePoses
 from lidar_core.live.stats import Report
 from lidar_core.live.tape import Tape
-from lidar_core.run_folder import RunFolder
+from lidar_core.runs.recording import folder_to_write
 from lidar_core.runs.result import RunResult
 from lidar_core.runs.settings import ConfigChoice
 from lidar_core.runs.streams.choice import (
@@ -67,6 +68,8 @@ def live(
     record: str | PathLike[str] | None = None,
     metrics: str | None = None,
     overwrite: bool = False,
+    checkpoint: Annotated[float, Field(gt=0)] | None = None,
+    resume: bool = False,
     on_message: Callable[[str], None] = lambda text: None,
     on_report: Callable[[Report], None] = lambda report: None,
 ) -> LiveResult:
@@ -96,6 +99,11 @@ def live(
         Topics of the LiDARs, 3D or 2D; empty for the first that brings a scan.
     pose, read, known_map, threads, allow_untrusted, overwrite
         As in `detect` and `circles`.
+    checkpoint : float, optional
+        Time between two checkpoints of `output` [s]; without run.mcap.
+    resume : bool
+        Go on with the state and the tables of a run that was cut off. Scans that arrived in between
+        are lost, and older ones are rejected.
     stream : LiveConfig, optional
         How long to wait for poses, names of topics.
     seconds : float, optional
@@ -140,7 +148,19 @@ def live(
     check_files(outputs, place, path, taped, overwrite=overwrite)
     folder = None
     if path is not None:
-        folder = LiveFolder(RunFolder(path, overwrite=overwrite, reads=place), chosen.pipeline)
+        begun, _ = folder_to_write(
+            path,
+            mcap=None,
+            overwrite=overwrite,
+            reads=place,
+            checkpoint=checkpoint,
+            resume=resume,
+        )
+        folder = LiveFolder(
+            begun, chosen.pipeline, checkpoint=checkpoint, resume=resume, threads=threads
+        )
+    elif checkpoint is not None or resume:
+        raise ConfigError("checkpoint, resume: expected an output folder, got none")
     ended_by: KeyboardInterrupt | OSError | None = None
     files, notes = list[str](), list[str]()
     with ExitStack() as stack:

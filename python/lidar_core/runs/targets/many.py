@@ -1,11 +1,11 @@
 """A run on many targets: tracker, summary, tables, picture."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from math import isnan
 from time import perf_counter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from lidar_core.fusion.states import state_names
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.result import Picture
 from lidar_core.runs.targets.one import (
     TARGET_SENSORS,
@@ -61,15 +62,20 @@ class ManyRun:
         What became of the measurements of each scan.
     seconds : list of float
         Time that each scan took [s].
+    tracker : list of MultiTargetTracker
+        The one that is used; a run that goes on puts another in its place.
     """
 
     scans: list[DetectionScan]
     config: MultiTargetConfig
     reading: Mapping[str, Config]
     format: str
+    KINDS: ClassVar[tuple[type, ...]] = (TargetTracks, ScanResult)
+    """Classes of what a checkpoint keeps of a scan."""
     tracks: list[TargetTracks] = field(default_factory=list)
     results: list[ScanResult] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    tracker: list[MultiTargetTracker] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -79,17 +85,43 @@ class ManyRun:
         reading: Mapping[str, Config],
         *,
         source: str,
+        checkpoints: Checkpoints,
+        begin: Callable[[], None],
     ) -> "ManyRun":
-        """Track what scans see; `source` says what kind of recording they are of."""
-        made = cls(scans, config, reading, source)
-        tracker = MultiTargetTracker(config)
-        for scan in made.scans:
+        """Track what scans see; `source` says what kind of recording they are of.
+
+        Calls `begin` before the first checkpoint is written.
+        """
+        made = cls(scans, config, reading, source, tracker=[MultiTargetTracker(config)])
+        done = checkpoints.resume(made)
+        begin()
+        for number, scan in enumerate(made.scans[done:], done + 1):
+            (tracker,) = made.tracker
             start = perf_counter()
             result = tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
             made.seconds.append(perf_counter() - start)
             made.results.append(result)
             made.tracks.append(tracker.tracks_at(scan.stamp_ns))
+            checkpoints.take(made, number)
         return made
+
+    def kept(self) -> dict[str, Any]:
+        """All state but the rows, for a checkpoint."""
+        (tracker,) = self.tracker
+        return {"tracker": tracker.to_bytes()}
+
+    def rows(self, since: int) -> list[Any]:
+        """What the scans left that were kept since then."""
+        kept = (self.tracks, self.results, self.seconds)
+        return [list(row) for row in zip(*(one[since:] for one in kept), strict=True)]
+
+    def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
+        """Take over the state of a run that was killed."""
+        self.tracker[:] = [MultiTargetTracker.from_bytes(kept["tracker"])]
+        for tracks, result, seconds in rows:
+            self.tracks.append(tracks)
+            self.results.append(result)
+            self.seconds.append(seconds)
 
     @property
     def doubt(self) -> str | None:
