@@ -30,6 +30,31 @@ pub fn vec_with_capacity<T>(
     Ok(values)
 }
 
+/// Memory that a call may take beside that of its rows [bytes]. More than the largest block that
+/// allocators keep for themselves, so that what is asked for here goes back to the system.
+const ROOM: usize = 48 << 20;
+/// Memory that a call may take for one row of its input, all stages together [bytes].
+const ROOM_OF_ROW: usize = 640;
+
+/// Ask for the memory that a call with so many rows may take, and give it back.
+///
+/// Most allocations are small and cannot fail by themselves: without memory they end the process.
+/// A call that may need many asks here before it changes anything.
+///
+/// # Errors
+/// [`Error::Limit`] if the memory cannot be had.
+pub(crate) fn check_memory(what: &'static str, rows: usize) -> Result<(), Error> {
+    let bytes = rows.saturating_mul(ROOM_OF_ROW).saturating_add(ROOM);
+    let mut room = Vec::<u8>::new();
+    let is_there = room.try_reserve_exact(bytes).is_ok();
+    std::hint::black_box(&room); // else the compiler may leave the allocation out
+    if is_there {
+        return Ok(());
+    }
+    let what = format!("{what} of {rows} rows, which may take {bytes} bytes of memory,");
+    Err(Error::Limit { what, limit: 0, key: "free memory" })
+}
+
 /// Check the number of points in a scan.
 ///
 /// # Errors

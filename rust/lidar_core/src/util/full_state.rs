@@ -8,6 +8,7 @@ use crate::Error;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Debug;
+use std::io::Write;
 
 const MAGIC: &[u8; 4] = b"LCFS";
 const VERSION: u32 = 1;
@@ -27,14 +28,31 @@ pub(crate) fn sealed(
     bytes.push(kind.len() as u8);
     bytes.extend(kind.as_bytes());
     bytes.extend(fingerprint(parameters).to_le_bytes());
-    let bytes = postcard::to_extend(content, bytes);
-    let mut bytes = bytes.map_err(|error| Error::Limit {
+    let written = postcard::to_io(content, Growing(bytes)).and_then(|mut growing| {
+        let sum = crc32(&growing.0);
+        let ended = growing.write_all(&sum.to_le_bytes());
+        ended.map(|()| growing.0).map_err(|_| postcard::Error::SerializeBufferFull)
+    });
+    written.map_err(|error| Error::Limit {
         what: format!("the state of a {kind}: {error}"),
         limit: u64::MAX,
         key: "free memory",
-    })?;
-    bytes.extend(crc32(&bytes).to_le_bytes());
-    Ok(bytes)
+    })
+}
+
+/// Bytes that grow while there is memory; then writing fails.
+pub(crate) struct Growing(pub(crate) Vec<u8>);
+
+impl Write for Growing {
+    fn write(&mut self, part: &[u8]) -> std::io::Result<usize> {
+        self.0.try_reserve(part.len())?;
+        self.0.extend_from_slice(part);
+        Ok(part.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// The content of bytes that [`sealed`] made for the same `kind` and `parameters`.
@@ -93,10 +111,15 @@ fn fingerprint(parameters: &impl Debug) -> u32 {
 
 /// CRC-32 (IEEE 802.3).
 pub(crate) fn crc32(bytes: &[u8]) -> u32 {
+    crc32_of_next(0, bytes)
+}
+
+/// CRC-32 of bytes whose first part has `crc`, and `bytes` is the next part.
+pub(crate) fn crc32_of_next(crc: u32, bytes: &[u8]) -> u32 {
     const TABLE: [u32; 256] = table();
     !bytes
         .iter()
-        .fold(u32::MAX, |crc, &byte| crc >> 8 ^ TABLE[((crc ^ u32::from(byte)) & 0xFF) as usize])
+        .fold(!crc, |crc, &byte| crc >> 8 ^ TABLE[((crc ^ u32::from(byte)) & 0xFF) as usize])
 }
 
 const fn table() -> [u32; 256] {
@@ -175,5 +198,6 @@ mod tests {
     #[test]
     fn the_checksum_is_the_usual_one() {
         assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+        assert_eq!(crc32_of_next(crc32(b"1234"), b"56789"), 0xCBF4_3926);
     }
 }

