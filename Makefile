@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz memory nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -76,6 +76,17 @@ corrupt: ## Cut and damage a file of every format at every offset: STEP=n, EVIDE
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.exhaustive --step $(STEP) \
 	    $(if $(EVIDENCE),--evidence)
 	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+
+# Rust targets under libFuzzer with ten planted bugs, which count as found when they are met; readers
+# in Python; calls of the compiled module. What is found is kept in target/fuzz. C++ is needed.
+MINUTES ?= 10
+fuzz: ## Fuzz every target in turn, guided by coverage: MINUTES=n, EVIDENCE=1.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m fuzz_house --minutes $(MINUTES) \
+	    --folder $(CARGO_TARGET_DIR)/fuzz $(if $(EVIDENCE),--evidence)
+	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+
+memory: ## Work under limits of memory that are too small for it.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory
 
 # The tests run on an installed wheel, never on the working tree. ouster-sdk, with which the own
 # reader is compared, pins versions that the extras cannot live with: it has an environment alone.

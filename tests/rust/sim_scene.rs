@@ -2,6 +2,7 @@
 
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, minus, norm, rotation_from_quaternion};
+use lidar_sim::mesh::Mesh;
 use lidar_sim::scene::{CastRay, Scene, SceneObject};
 use lidar_sim::shape::Shape;
 use proptest::prelude::*;
@@ -56,6 +57,26 @@ fn numbered(mut bodies: Vec<SceneObject>) -> Vec<SceneObject> {
         body.label = label as i32;
     }
     bodies
+}
+
+/// Found by `make fuzz`: the tree squares extents in f32, and panicked beyond its range.
+#[test]
+fn bodies_beyond_the_range_of_the_tree_are_refused() -> Result<(), Error> {
+    let at = |x: f64, shape: Shape| SceneObject {
+        shape,
+        world_from_shape: Transform { translation: [x, 0.0, 0.0], ..Transform::IDENTITY },
+        sway: None,
+        surface: None,
+        label: 0,
+    };
+    let spheres = |x| [-1.0, 0.5, 1.0, x].map(|x| at(x, Shape::Sphere { radius: 1.0 })).to_vec();
+    assert!(matches!(Scene::new(spheres(1e300), vec![]), Err(Error::Value { .. })));
+    let far = Scene::new(spheres(1e14), vec![])?;
+    let ray = CastRay { origin: [1e14, 0.0, 5.0], direction: [0.0, 0.0, -1.0] };
+    assert!(far.meet(&ray, RANGE_MAX, 0.0).is_some());
+    let vertices = vec![[1e300, 0.0, 0.0], [0.0; 3], [0.0, 1.0, 0.0]];
+    assert!(matches!(Mesh::new(vertices, vec![[0, 1, 2]; 4]), Err(Error::Value { .. })));
+    Ok(())
 }
 
 proptest! {

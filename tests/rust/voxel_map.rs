@@ -85,6 +85,18 @@ fn level() -> impl Strategy<Value = f32> {
     prop::sample::select(vec![0.0, 0.0, 0.0, -100.0, -100.0, -1000.0])
 }
 
+/// Found by `make fuzz`: it had no accumulator, and panicked.
+#[test]
+fn the_default_integrator_integrates() -> Result<(), Error> {
+    let entry = ([2.0, 0.1, 0.1], Background, [0.1; 3], [1.0, 0.0, 0.0], false);
+    let (mut one, mut other) = (VoxelMap::new(parameters())?, VoxelMap::new(parameters())?);
+    integrate(&mut one, &mut Integrator::default(), &[entry])?;
+    integrate(&mut other, &mut Integrator::new(1)?, &[entry])?;
+    assert!(one.observed_voxels() > 1);
+    assert_eq!(one.to_bytes(), other.to_bytes());
+    Ok(())
+}
+
 proptest! {
     #![proptest_config(seeded())]
 

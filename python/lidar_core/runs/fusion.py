@@ -261,9 +261,7 @@ class _FuseJob:
     def run(
         self, checkpoints: Callable[[Mapping[str, Any]], Checkpoints], begin: Callable[[], None]
     ) -> TargetRun | ManyRun:
-        """Read the recording, and filter or track; of many, call `begin` before a checkpoint is
-        written.
-        """
+        """Read the recording, and filter or track; with many, `begin` comes before checkpoints."""
         found, reading = self._found()
         if isinstance(found, MeasurementLog):
             return self._one(found, reading)

@@ -123,7 +123,8 @@ pub fn lattice(
 ///
 /// # Errors
 /// [`Error::Parameter`] if the beams cover no angle, [`Error::Value`] for a given circle that the
-/// scanner cannot see, [`Error::Limit`] if no drawn circle is seen.
+/// scanner cannot see, [`Error::Limit`] if no drawn circle is seen, and for more than
+/// [`MOST_CIRCLES`] samples.
 pub fn make(
     pool: &ThreadPool,
     beams: &Beams,
@@ -133,13 +134,18 @@ pub fn make(
     numbers: Range<u64>,
 ) -> Result<Samples, Error> {
     beams.check()?;
+    let count = numbers.end.saturating_sub(numbers.start);
+    if count > MOST_CIRCLES {
+        let what = format!("{count} samples");
+        return Err(Error::Limit { what, limit: MOST_CIRCLES, key: "ask for them in parts" });
+    }
     let generator = SampleGenerator { beams, source, disturbance, seed };
     let starts: Vec<u64> = numbers.clone().step_by(SAMPLES_PER_CHUNK as usize).collect();
     let watch = cancel::watch();
     let parts: Vec<Result<Samples, Error>> = pool.install(|| {
         let part = |&start: &u64| {
             watch.check()?;
-            generator.samples(start..(start + SAMPLES_PER_CHUNK).min(numbers.end))
+            generator.samples(start..start.saturating_add(SAMPLES_PER_CHUNK).min(numbers.end))
         };
         starts.par_iter().map(part).collect()
     });

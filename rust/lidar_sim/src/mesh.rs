@@ -1,6 +1,6 @@
 //! Triangle meshes and height fields.
 
-use crate::parry::{BoundingBox, CastRay, Tree};
+use crate::parry::{BoundingBox, CastRay, FARTHEST, Tree};
 use crate::shape::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
@@ -22,12 +22,14 @@ pub struct Mesh {
 
 impl Mesh {
     /// # Errors
-    /// [`Error::Value`] if a vertex is not finite, there is no face, or a face names no vertex;
+    /// [`Error::Value`] if a vertex is not finite or beyond 1e15 m, there is no face, or a face names no vertex;
     /// [`Error::Limit`] above [`MAX_FACES`].
     pub fn new(vertices: Vec<[f64; 3]>, faces: Vec<[u32; 3]>) -> Result<Self, Error> {
         let bad = |name, expected, index, got| Error::Value { name, expected, index, got };
-        if let Some(index) = vertices.iter().position(|v| v.iter().any(|c| !c.is_finite())) {
-            return Err(bad("vertices", "finite", index, format!("{:?}", vertices[index])));
+        let is_near = |v: &[f64; 3]| v.iter().all(|c| c.abs() <= FARTHEST); // false for NaN
+        if let Some(index) = vertices.iter().position(|v| !is_near(v)) {
+            let got = format!("{:?}", vertices[index]);
+            return Err(bad("vertices", "finite, within 1e15 m of the origin", index, got));
         }
         if faces.is_empty() {
             return Err(bad("faces", "at least one face", 0, "none".into()));

@@ -29,6 +29,11 @@ pub struct BoundingBox {
 }
 
 impl BoundingBox {
+    /// Whether the tree's arithmetic, squares in f32, can hold it.
+    pub(crate) fn is_near(&self) -> bool {
+        self.min.iter().chain(&self.max).all(|value| value.abs() <= FARTHEST)
+    }
+
     /// The smallest box around `points`; inverted (min > max) around none.
     #[must_use]
     pub fn around(points: impl IntoIterator<Item = [f64; 3]>) -> Self {
@@ -52,6 +57,9 @@ pub(crate) struct Tree {
     /// Of the sphere around everything [m].
     radius: f64,
 }
+
+/// Largest coordinate of a body [m].
+pub(crate) const FARTHEST: f64 = 1e15;
 
 /// Growth of the boxes, as a share of the tree's radius: about 30 roundings of a coordinate.
 const MARGIN: f64 = 4e-6;

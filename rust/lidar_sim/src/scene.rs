@@ -118,7 +118,7 @@ impl SceneObject {
 
 impl Scene {
     /// # Errors
-    /// [`Error::Value`] if a pose or a sway is not finite.
+    /// [`Error::Value`] if a pose or a sway is not finite, or a body reaches beyond 1e15 m.
     pub fn new(bodies: Vec<SceneObject>, movers: Vec<Mover>) -> Result<Self, Error> {
         let (mut wide, mut bounded, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
         for (index, body) in bodies.iter().enumerate() {
@@ -128,6 +128,10 @@ impl Scene {
             }
             body.surface.as_ref().map_or(Ok(()), Surface::check)?;
             match body.bounds() {
+                Some(bounds) if !bounds.is_near() => {
+                    let (expected, got) = ("within 1e15 m of the origin", format!("{bounds:?}"));
+                    return Err(Error::Value { name: "bodies", expected, index, got });
+                }
                 Some(bounds) => {
                     bounded.push(index as u32);
                     boxes.push(bounds);

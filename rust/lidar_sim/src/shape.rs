@@ -307,6 +307,10 @@ fn meet_cylinder(ray: &CastRay, radius: f64, half_height: f64) -> Option<f64> {
         let half = (left / across).sqrt();
         [middle - half, middle + half]
     } else if x * x + y * y <= radius * radius {
+        #[cfg(canary_9)]
+        if z > half_height && dz > 0.0 {
+            std::panic::resume_unwind(Box::new("canary 9"));
+        }
         [f64::NEG_INFINITY, f64::INFINITY]
     } else {
         NOWHERE

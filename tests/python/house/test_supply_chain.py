@@ -14,13 +14,15 @@ MOST_CRATES = 150
 ACTION = re.compile(r"uses: *([^\s@]+)@(\S+)")
 DENY = tomllib.loads((ROOT / "deny.toml").read_text())
 LOCK = tomllib.loads((ROOT / "Cargo.lock").read_text())
+FUZZ_LOCK = tomllib.loads((ROOT / "fuzz" / "Cargo.lock").read_text())
 WORKSPACE = tomllib.loads((ROOT / "Cargo.toml").read_text())["workspace"]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 
 
-def test_every_crate_is_of_the_registry_and_has_a_checksum():
-    own = {"lidar_core", "lidar_sim", "lidar_core_py", "lidar_core_benches"}
-    others = [crate for crate in LOCK["package"] if crate["name"] not in own]
+@pytest.mark.parametrize("lock", [LOCK, FUZZ_LOCK], ids=["package", "fuzz"])
+def test_every_crate_is_of_the_registry_and_has_a_checksum(lock):
+    own = {"lidar_core", "lidar_sim", "lidar_core_py", "lidar_core_benches", "lidar_core_fuzz"}
+    others = [crate for crate in lock["package"] if crate["name"] not in own]
     allowed = {f"registry+{place}" for place in DENY["sources"]["allow-registry"]}
     assert len(others) <= MOST_CRATES
     assert {crate["source"] for crate in others} == allowed

@@ -104,6 +104,10 @@ impl CirclePipeline {
     pub fn process(&mut self, raw: &RawSweep<'_>) -> Result<CircleFrame, Error> {
         self.unless_refused(raw.scanner, |pipeline, number| {
             let prepared = pipeline.prepare_in(raw, number, &pipeline.scanners[number].1)?;
+            #[cfg(canary_6)]
+            if number == 1 && prepared.segments.len() == 3 {
+                crate::util::planted("canary 6");
+            }
             pipeline.fit(prepared)
         })
     }

@@ -48,6 +48,10 @@ pub fn assign(
             column_of[row] = Some(column);
         }
     }
+    #[cfg(canary_5)]
+    if columns == 4 && column_of == [Some(3), Some(2), Some(1), Some(0)] {
+        crate::util::planted("canary 5");
+    }
     Ok(column_of)
 }
 

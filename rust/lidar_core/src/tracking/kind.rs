@@ -52,7 +52,10 @@ impl KindBelief {
     /// Of a new track. `shares` say how often each kind is met; only their ratios count.
     #[must_use]
     pub fn prior(shares: [f64; KINDS]) -> Self {
-        Self { log: [0.0; KINDS] }.weighed(shares)
+        let even = [0.0; KINDS];
+        let prior = Self { log: even }.weighed(shares);
+        // Shares that say nothing: all kinds are alike.
+        if prior.log == even { Self::normalised(even) } else { prior }
     }
 
     /// The same after something was seen that each kind makes with its `likelihood` >= 0.
@@ -122,6 +125,15 @@ mod tests {
             assert!((belief.probability(kind) - share / sum).abs() < 1e-12);
         }
         assert_eq!(belief.probabilities()[1], belief.probability(TrackKind::Flying));
+    }
+
+    /// Found by `make fuzz`: their sum was 5.
+    #[test]
+    fn shares_that_say_nothing_make_all_kinds_alike() {
+        for shares in [[0.0; KINDS], [f64::NAN; KINDS], [-1.0, 1.0, 1.0, 1.0, 1.0]] {
+            let even = KindBelief::prior(shares).probabilities();
+            assert!(even.iter().all(|share| (share - 0.2).abs() < 1e-12), "{even:?}");
+        }
     }
 
     #[test]

@@ -8,3 +8,10 @@ pub(crate) mod object_pool;
 pub(crate) mod stopwatch;
 pub mod threads;
 pub mod vector_unit;
+
+/// A planted bug, which only builds of `make fuzz` have: they must find it. Says nothing on the
+/// console.
+#[cfg(canary_1)]
+pub(crate) fn planted(name: &'static str) -> ! {
+    std::panic::resume_unwind(Box::new(name))
+}

@@ -22,6 +22,7 @@ use crate::flying::map::parameters::{Rays, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::Voxel;
+use crate::util::budget::check_memory;
 use crate::util::cancel;
 use crate::util::threads::Workers;
 
@@ -30,7 +31,6 @@ use crate::util::threads::Workers;
 const LEAST_SCRATCH: usize = 1 << 17;
 
 /// Stage that updates a voxel map with scans; its memory is used again by the next scan.
-#[derive(Default)]
 pub struct Integrator {
     workers: Workers,
     plan: Plan,
@@ -43,6 +43,13 @@ pub struct Integrator {
     is_open: bool,
     /// Space is passed also where the search for it may take longer than the visits.
     passes_always: bool,
+}
+
+/// On the calling thread.
+impl Default for Integrator {
+    fn default() -> Self {
+        Self::on(Workers::default())
+    }
 }
 
 impl Integrator {
@@ -58,7 +65,16 @@ impl Integrator {
     #[must_use]
     pub fn on(workers: Workers) -> Self {
         let accumulators = (0..workers.count()).map(|_| Accumulator::default()).collect();
-        Self { workers, accumulators, ..Self::default() }
+        Self {
+            workers,
+            plan: Plan::default(),
+            cells: LiveCells::default(),
+            live: CubeMap::default(),
+            accumulators,
+            blocks: Vec::new(),
+            is_open: false,
+            passes_always: false,
+        }
     }
 
     /// An integrator that passes space also in scans that are too small to gain by it.
@@ -81,6 +97,7 @@ impl Integrator {
         map: &mut VoxelMap,
         scan: &ClassifiedScan<'_>,
     ) -> Result<IntegrateStats, Error> {
+        check_memory("a scan", scan.points.len())?;
         self.cast(map, scan)?;
         self.apply(map, scan.class, scan.pose_error)
     }

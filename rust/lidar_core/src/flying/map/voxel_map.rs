@@ -239,6 +239,10 @@ impl VoxelMap {
             let middle = lattice.center(place.voxel(VOLUME / 2));
             (0..3).all(|axis| (middle[axis] - center[axis]).abs() <= reach)
         });
+        #[cfg(canary_3)]
+        if before >= 3 && self.blocks.len() == 1 {
+            crate::util::planted("canary 3");
+        }
         // Marks are kept by slot, and dropped blocks have moved the slots.
         if self.blocks.len() != before {
             self.changes.restart();

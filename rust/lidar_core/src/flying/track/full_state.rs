@@ -55,7 +55,11 @@ impl PointCloudTracker {
         threads: usize,
         bytes: &[u8],
     ) -> Result<Self, Error> {
-        let saved = opened(KIND, &parameters, bytes)?;
+        let saved: SavedTracker = opened(KIND, &parameters, bytes)?;
+        #[cfg(canary_2)]
+        if saved.clouds.len() == 1 && saved.next_id == 4660 {
+            crate::util::planted("canary 2");
+        }
         let mut tracker = Self::new(parameters, threads)?;
         tracker.restore(saved)?;
         Ok(tracker)

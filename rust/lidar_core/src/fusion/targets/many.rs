@@ -119,6 +119,10 @@ impl ManyTargets {
         let newer = |past: &&Past| past.scan.stamp_ns >= stamp_ns;
         let same = self.history.iter().rev().take_while(newer).find(|past| past.scan == scan);
         if let Some(past) = same {
+            #[cfg(canary_8)]
+            if source == 2 && measurements.len() == 2 {
+                crate::util::planted("canary 8");
+            }
             return Ok(past.assigned.clone());
         }
         self.insert(scan)

@@ -268,6 +268,10 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
             return (Outcome::Duplicate, None);
         }
         if m.stamp_ns() < self.now.stamp_ns {
+            #[cfg(canary_7)]
+            if m.sensor() == crate::fusion::Sensor::Gyro && self.history.len() >= 4 {
+                crate::util::planted("canary 7");
+            }
             return self.take_late(m);
         }
         let taken = self.advance(m);

@@ -64,7 +64,12 @@ impl Labeller {
         let distance = clustering.max_distance;
         let group_of = self.linker.linked(points, distance, &Fixed::new(distance))?;
         cancel::check()?;
-        Ok(self.labels.number(group_of, clustering))
+        let labels = self.labels.number(group_of, clustering);
+        #[cfg(canary_4)]
+        if clustering.max_points == Some(17) && labels.contains(&2) {
+            crate::util::planted("canary 4");
+        }
+        Ok(labels)
     }
 
     /// Labels of the last cloud.

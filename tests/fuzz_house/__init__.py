@@ -1,0 +1,1 @@
+"""Fuzzing guided by coverage: Rust targets, Python readers, every callable of `_core`."""
