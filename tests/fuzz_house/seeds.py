@@ -1,5 +1,7 @@
 """First inputs of the Rust targets: contents of valid states and maps, and plain bytes."""
 
+import struct
+
 import numpy as np
 
 from fuzz_house.rust import CORPUS, targets
@@ -46,7 +48,15 @@ def states() -> dict[str, list[bytes]]:
     # The first byte says that the content follows; two bytes before choose the filter.
     inner = {name: [b"\0" + one for one in some] for name, some in inner.items()}
     inner["state_filter"] = [b"\0\0" + one for one in inner["state_filter"]]
-    return inner | {"lcvm": [b"\0" + world.to_bytes()[:-4]]}
+    return inner | {"lcvm": [b"\0" + one for one in _maps(world.to_bytes()[:-4])]}
+
+
+def _maps(plain: bytes) -> list[bytes]:
+    """A map without checksum, and the same with bounds and a further threshold."""
+    at = 4 + 4 + 7 * 8 + 7 * 4 + 1 + 8  # of the byte that says whether there are bounds
+    assert plain[at : at + 2] == b"\0\0"
+    bounds = struct.pack("<B6dBf", 1, *3 * [-9.0], *3 * [9.0], 1, -500.0)
+    return [plain, plain[:at] + bounds + plain[at + 2 :]]
 
 
 def _content(state: bytes) -> bytes:
