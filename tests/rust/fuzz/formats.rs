@@ -35,7 +35,8 @@ fn with_checksum(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// A map file; the first byte decides whether its checksum is mended.
+/// A map file; the first byte decides whether its checksum is mended, and now and then that the map
+/// is used, which takes a hundred times as long as reading it.
 pub fn lcvm(bytes: &[u8]) {
     let [mended, bytes @ ..] = bytes else { return };
     let bytes = if mended % 4 == 3 { bytes.to_vec() } else { with_checksum(bytes.to_vec()) };
@@ -44,7 +45,9 @@ pub fn lcvm(bytes: &[u8]) {
         VoxelMap::from_bytes(&map.to_bytes()).map(|again| again.to_bytes()).ok(),
         Some(map.to_bytes())
     );
-    let _ = used_map(map);
+    if mended / 4 % 16 == 0 {
+        let _ = used_map(map);
+    }
 }
 
 fn used_map(mut map: VoxelMap) -> Result<(), Error> {
