@@ -58,13 +58,13 @@ def integrated(folder: Path, size: float) -> Prepared:
 
 
 def processed(folder: Path, size: float) -> Prepared:
-    """A scan through the detector."""
+    """A scan through the detector; `health` counts a refused one, the core does not."""
     from lidar_core.flying import FlyingObjectDetector
 
     detector = FlyingObjectDetector()
     detector.process(_cloud(2000, 5.0), np.eye(4), 0)
     points = _cloud(int(300_000 * size))
-    return lambda: detector.process(points, np.eye(4), 10**8), detector.to_bytes
+    return lambda: detector.process(points, np.eye(4), 10**8), detector._detector.to_state
 
 
 def tracked(folder: Path, size: float) -> Prepared:
@@ -94,7 +94,7 @@ def saved(folder: Path, size: float) -> Prepared:
         detector.load_map(folder / "map.lcvm")
         detector.save_static_map(folder / "static.lcvm")
 
-    return work, detector.to_bytes
+    return work, detector._detector.to_state
 
 
 def inferred(folder: Path, size: float) -> Prepared:

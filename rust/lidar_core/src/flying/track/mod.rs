@@ -37,7 +37,7 @@ use crate::Error;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
-use crate::util::budget::{check_memory, check_points};
+use crate::util::budget::check_points;
 use belief::existence::{FalseBirths, Sight};
 use belief::standing::{self, UnmovedTarget};
 use buffer::Buffer;
@@ -189,7 +189,6 @@ impl PointCloudTracker {
         stamp_ns: i64,
     ) -> Result<Stats, Error> {
         check_points(points.len())?;
-        check_memory("a cloud", points.len())?;
         let mut stats = Stats { late: self.buffer.is_late(stamp_ns)?, ..Stats::default() };
         let cloud = self.buffer.copy(points, delays, stamp_ns, self.keeps_points)?;
         if !stats.late {
@@ -222,7 +221,6 @@ impl PointCloudTracker {
         detections: &Detections<'_>,
         occupied: &dyn Occupancy,
     ) -> Result<Stats, Error> {
-        check_memory("a set of detections", detections.positions.len())?;
         let fresh = detections.hypotheses(self.parameters())?;
         let stamp_ns = detections.stamp_ns;
         let hypotheses = self.updater.replay(fresh, stamp_ns, &self.buffer, occupied)?;
