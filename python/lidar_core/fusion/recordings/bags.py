@@ -12,6 +12,7 @@ from lidar_core.config import Config, as_config
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.fusion.measurement import Measurement, SensorName
 from lidar_core.fusion.recordings.autoferry import DetectionScan
+from lidar_core.fusion.recordings.radar_tracks import definite, radar_of_track
 from lidar_core.io.files.guard import reading
 from lidar_core.io.messages.ros import (
     IMU_TYPE,
@@ -146,38 +147,22 @@ def _read(
 
 
 def _tracks(stamp: int, message: Any) -> Found:
-    found = []
-    for track in message.tracks:
-        p = np.array([track.position.x, track.position.y], np.float64)
-        v = np.array([track.velocity.x, track.velocity.y], np.float64)
-        far = float(np.hypot(*p))
-        if not far > 0:
-            continue
-        rate = float(p @ v) / far
-        by_place = np.stack(
-            [p / far, np.array([-p[1], p[0]]) / far**2, v / far - rate * p / far**2]
+    found = [
+        radar_of_track(
+            stamp,
+            np.array([track.position.x, track.position.y], np.float64),
+            np.array([track.velocity.x, track.velocity.y], np.float64),
+            _planar(track.position_covariance),
+            _planar(track.velocity_covariance),
         )
-        by_speed = np.stack([np.zeros(2), np.zeros(2), p / far])
-        spread = by_place @ _planar(track.position_covariance) @ by_place.T
-        spread += by_speed @ _planar(track.velocity_covariance) @ by_speed.T
-        values = [far, float(np.arctan2(p[1], p[0])), rate]
-        found.append(Measurement(stamp, "radar", values, _definite(spread)))
-    return found
+        for track in message.tracks
+    ]
+    return [one for one in found if one is not None]
 
 
 def _planar(upper: Any) -> NDArray[np.float64]:
     """X and y of a covariance of three axes, of which a message has the upper triangle."""
     return np.array([[upper[0], upper[1]], [upper[1], upper[3]]], np.float64)
-
-
-def _definite(covariance: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """A covariance that can be used; None for zeros, which say that nobody knows, and others."""
-    covariance = (covariance + covariance.T) / 2
-    scale = np.sqrt(np.abs(np.diag(covariance)))
-    if not (np.isfinite(covariance).all() and (scale > 0).all()):
-        return None
-    least = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
-    return covariance if least > 1e-9 else None
 
 
 def _returns(stamp: int, message: Any, doppler: str) -> Found:
@@ -194,7 +179,7 @@ def _positions(stamp: int, message: Any, place: str) -> Found:
     if hasattr(message, "point"):
         return [Measurement(stamp, "lidar", [message.point.x, message.point.y])]
     matrix, covariance = matrix_of(message, place)
-    known = None if covariance is None else _definite(covariance[:2, :2])
+    known = None if covariance is None else definite(covariance[:2, :2])
     return [Measurement(stamp, "lidar", matrix[:2, 3], known)]
 
 
@@ -224,5 +209,5 @@ def _pose(stamp: int, message: Any, place: str) -> Found:
             values += [*(matrix[:2, :3] @ twist[:3]).tolist(), float(twist[3])]
     known = None
     if covariance is not None:
-        known = _definite(covariance[np.ix_([0, 1, 5], [0, 1, 5])])
+        known = definite(covariance[np.ix_([0, 1, 5], [0, 1, 5])])
     return [Measurement(stamp, "pose", values, known)]
