@@ -175,10 +175,11 @@ class FusionConfig(Config):
         " or of x, y, z [m], roll, pitch and yaw [rad]:"
         " what they make of a place enters the noise of LiDAR and radar; zeros: exact.",
     )
-    gyro: Literal["input", "measurement", "none"] = Field(
+    gyro: Literal["input", "exact", "measurement", "none"] = Field(
         "input",
-        description="Use of the gyro by model ctrv-drone (no unit): its rate as it is; or as a"
-        " measurement of a sixth state w_d; or not at all, w_d being estimated.",
+        description="Use of the gyro by model ctrv-drone (no unit): its rate, of which the bias"
+        " and the delay are estimated as states gyro_bias [rad/s] and gyro_delay [s]; or its rate"
+        " as it is; or as a measurement of a sixth state w_d; or not at all, w_d being estimated.",
     )
     lever_arm: Pair | Triple = Field(
         (0.0, 0.0),
