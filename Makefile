@@ -43,10 +43,9 @@ fmt: ## Format Rust and Python.
 
 lint: lint-rust lint-python ## Check format, lints, types and the stub.
 
-lint-rust: ## Only rustfmt and clippy.
+lint-rust: ## Only rustfmt and clippy, which checks the benches, too.
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
-	cargo check --locked --benches
 
 lint-python: ## Only ruff, mypy and stubtest.
 	$(BIN)/ruff check .
