@@ -139,9 +139,9 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         pose_yaw of the platform, or these with pose_z, pose_roll, pose_pitch; their standard
         deviations pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y,
         true_vx, true_vy, and true_id of the target in tables of several. lat, lon and alt stand
-        for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84 become
-        metres to the east, north and up of the first one. Without a column `sensor`, a row gives a
-        measurement of every sensor whose values are there.
+        for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84
+        become metres to the east, north and up of the first one. Without a column `sensor`, a row
+        gives a measurement of every sensor whose values are there.
     options : TableOptions, optional
 
     Raises

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.fusion import FusionConfig, Measurements
-from lidar_core.reproduce.fusion.drone_yaw import GYRO_STD, SWING, Ride, turned_back
+from lidar_core.reproduce.fusion.drone_yaw import GYRO_STD, Ride, turned_back
 from lidar_core.reproduce.fusion.laser_radar import in_turn
 
 Array = NDArray[np.float64]
@@ -15,8 +15,6 @@ Array = NDArray[np.float64]
 STEPS, STEP_NS, SECONDS = 300, 50_000_000, 0.05
 GREATEST_RATE = 1.0
 """Of a sensor that turns to and fro [rad/s]."""
-GYRO_FAULTS = np.array([0.05, 0.05])
-"""Standard deviations of a gyro's bias [rad/s] and delay [s], as a filter expects them."""
 SUBSTEPS = 5
 """Of a step, in whose middles noise enters."""
 FIRST = (20.0, 0.5, 10.0)
@@ -78,14 +76,12 @@ def drawn(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
         return Ensemble(states, targets, slice(None))
     seconds = np.arange(STEPS).astype(np.float64) * SECONDS
     ride = Ride.of(seconds, GREATEST_RATE, 0.0)
-    bias, delay = GYRO_FAULTS[:, None, None] * rng.normal(size=(2, runs, 1))
     states[..., :2] = turned_back(
         states[..., :2], np.stack([np.cos(ride.yaw), np.sin(ride.yaw)], axis=1)
     )
     states[..., 3] -= ride.yaw
     values = np.zeros((runs, 2 * STEPS, 3))
-    exact = GREATEST_RATE * np.cos(np.pi / SWING * (seconds - delay)) + bias
-    values[:, ::2, 0] = exact + GYRO_STD * rng.normal(size=(runs, STEPS))
+    values[:, ::2, 0] = ride.gyro(seconds) + GYRO_STD * rng.normal(size=(runs, STEPS))
     values[:, 1::2] = _seen(model, states, rng)
     both = np.stack([np.full(STEPS, "gyro"), names], axis=1).reshape(-1)
     targets = [Measurements.from_arrays(stamps.repeat(2), both, one) for one in values]
