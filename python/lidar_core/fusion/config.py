@@ -92,12 +92,13 @@ class FusionConfig(Config):
         " multiple models, whose state is that of ca or ca-3d (no unit).",
     )
     sigma_spread: float | None = Field(
-        None,
+        3.0,
         gt=0,
         le=1e3,
         description="Square of the distance of sigma points of ukf, in standard deviations (no"
         " unit); none: the number of states plus 2. Below the number of states a weight is"
-        " negative; courses have 3.",
+        " negative: what it takes off a covariance is left out where nothing would be left. Points"
+        " far away spoil models with a heading, which means nothing while a target stands.",
     )
     sigma_points: Literal["redrawn", "carried"] = Field(
         "redrawn",
