@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
-from lidar_core.fusion.recordings.table import numbers_in
+from lidar_core.fusion.recordings.cells import numbers_in
 from lidar_core.io.files.guard import check_size
 from lidar_core.io.tables.columns import at_row, read_columns
 

@@ -12,11 +12,11 @@ from pydantic import Field
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
+from lidar_core.fusion.recordings.cells import numbers_in, stamps_in
 from lidar_core.fusion.recordings.conventions import (
     Azimuth,
     Turned,
     local_places,
-    stamps_of_texts,
     turned,
 )
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
@@ -62,7 +62,6 @@ WORDS: dict[str, SensorName] = {
 UNITS_NS = {"ns": 1, "us": 1000, "ms": 1_000_000, "s": 1_000_000_000}
 TABLES = (".csv", ".npz", ".parquet", ".tsv")
 """Endings of tables, in lower case."""
-MAX_SECONDS = 9e9
 
 
 class TableOptions(Config):
@@ -162,7 +161,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     if not any(len(column) for column in columns.values()):
         raise FormatError(f"{place}: no rows below the names of columns")
     columns, origin = _in_metres(place, columns)
-    stamps = _stamps(place, columns, UNITS_NS[options.time_unit])
+    stamps = stamps_in(place, columns, UNITS_NS[options.time_unit])
     angle = np.pi / 180 if options.angle_unit == "deg" else 1.0
     values = _values(place, columns, angle, options.azimuth)
     rows = _rows_of_sensors(place, columns, values, len(stamps))
@@ -263,46 +262,6 @@ def _renamed(place: Path, columns: Columns, names: Mapping[str, str]) -> Columns
     if missing:
         raise FormatError(f"{place}: no column {missing[0]!r} among {', '.join(columns)}")
     return columns | {ours: columns[theirs] for ours, theirs in names.items()}
-
-
-def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
-    """A column as numbers; empty cells are NaN."""
-    column = columns[name]
-    if column.dtype.kind in "fiub":
-        return column.astype(np.float64)
-    numbers = np.empty(len(column))
-    for row, text in enumerate(column.tolist()):
-        try:
-            numbers[row] = float(text) if text not in ("", None) else np.nan
-        except (TypeError, ValueError) as error:
-            raise FormatError(
-                f"{at_row(place, row)}: column {name}: expected a number, got {text!r}"
-            ) from error
-    return numbers
-
-
-def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
-    if "t_ns" not in columns:
-        raise FormatError(
-            f"{place}: no column t_ns among {', '.join(columns) or 'none'}; name the column of"
-            ' times with columns={"t_ns": "NAME"}'
-        )
-    column, limit = columns["t_ns"], MAX_SECONDS * 1e9 / unit_ns
-    if column.dtype.kind == "U":
-        texts = stamps_of_texts(column, str(place))
-        if texts is not None:
-            return texts
-    numbers = numbers_in(place, columns, "t_ns")
-    bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise FormatError(
-            f"{at_row(place, row)}: column t_ns: expected a time, got {column[row]!r}"
-        )
-    if column.dtype.kind in "iu":
-        return column.astype(np.int64) * unit_ns
-    stamps: NDArray[np.int64] = np.round(numbers * unit_ns).astype(np.int64)
-    return stamps
 
 
 def _values(
