@@ -322,7 +322,7 @@ mod tests {
         let exact = CtrvDrone.moved(&s, 0.5, &platform);
         let same = CtrvDroneGyro.moved(&s.push(0.0).push(0.0), 0.5, &platform);
         assert_eq!(same.fixed_rows::<5>(0), exact);
-        let biased = Platform { rate: 1.0 + 0.1 - 0.4 * 0.05, ..platform };
+        let biased = Platform { rate: 1.0 + 0.1 - 0.4 * 0.05, ..platform.clone() };
         let corrected = CtrvDroneGyro.moved(&s.push(0.1).push(0.05), 0.5, &biased);
         assert!((corrected.fixed_rows::<5>(0) - exact).abs().max() < 1e-12);
         let far = CtrvDroneGyro.moved(&s.push(9.0).push(9.0), 0.5, &platform);
