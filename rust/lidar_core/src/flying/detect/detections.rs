@@ -3,6 +3,7 @@
 use super::center::Center;
 use super::detection::{Detection, Teammate};
 use super::hole::is_joined;
+use super::surroundings::is_among_surfaces;
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -64,6 +65,8 @@ pub(crate) fn detect<'c>(
         detection.is_joined = !is_flying.is_empty()
             && !classification.is_expected
             && is_joined(scan, &cluster, &is_flying);
+        detection.is_among_surfaces =
+            !is_flying.is_empty() && is_among_surfaces(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
             // How many rays go into a sky that is known by its density is a guess.
