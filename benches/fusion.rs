@@ -3,7 +3,7 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
 use lidar_core::fusion::models::motion::NoiseForm;
-use lidar_core::fusion::targets::lifecycle::GyroUse;
+use lidar_core::fusion::models::platform::GyroUse;
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Method, Model, Sensor, Strengths, run, run_batch,
 };
