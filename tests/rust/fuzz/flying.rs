@@ -348,6 +348,7 @@ fn track(
             let delay = input.maybe(|input| input.beside(count, Input::share));
             let confidence = input.maybe(|input| input.beside(count, Input::share));
             let joined = input.maybe(|input| input.beside(count, Input::rarely));
+            let among = input.maybe(|input| input.beside(count, Input::rarely));
             let detections = Detections {
                 stamp_ns: late_ns,
                 positions: &positions,
@@ -356,6 +357,7 @@ fn track(
                 delay: delay.as_deref(),
                 confidence: confidence.as_deref(),
                 is_joined: joined.as_deref(),
+                is_among_surfaces: among.as_deref(),
                 shape: None,
             };
             tracker.new_detections(&detections, &occupied)?;
