@@ -536,7 +536,8 @@ class IndependentMap:
                     or P[4, 4] > MOST_RADIUS_STD**2
                 )
             most = np.inf if config.max_coast is None else config.max_coast
-            is_long = element.hidden > (most if element.confirmed else min(most, MOMENT))
+            most = most if element.confirmed else min(most, MOMENT)
+            is_long = not element.visible() and element.hidden > most
             is_over = element.existence() < OVER or is_long or vague
             element.existence.settle(is_over, self.arrivals)
             if not is_over:

@@ -236,7 +236,7 @@ impl<S: State> Element<S> {
         let coast =
             if self.confirmed { coast } else { Some(coast.map_or(MOMENT, |c| c.min(MOMENT))) };
         let is_over = self.belief.existence() < OVER
-            || coast.is_some_and(|most| self.hidden > most)
+            || !self.is_visible() && coast.is_some_and(|most| self.hidden > most)
             // The covariance grows while an element is hidden, and comes back into view as it is;
             // the measured part alone is tested by it.
             || self.seen == ScanEvidence::Measured && self.state.is_vague(rules);
