@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// What earlier scans met where something new is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Place {
+pub(super) enum BirthPlace {
     /// They did not see the place.
     Revealed,
     /// Free space: something came, or is a part of something that did.
@@ -20,7 +20,7 @@ pub(super) enum Place {
 
 /// Number of sorts of places.
 const SORTS: usize = 4;
-/// Shares of objects before anything was learnt, in the order of [`Place`], and their weight
+/// Shares of objects before anything was learnt, in the order of [`BirthPlace`], and their weight
 /// [elements].
 const PRIOR: [f64; SORTS] = [0.85, 0.7, 0.6, 0.5];
 const WEIGHT: f64 = 5.0;
@@ -33,7 +33,7 @@ const THERE: f64 = 0.5;
 /// Standard deviation of a radius above which it is not known [m].
 const VAGUE: f64 = 0.1;
 
-impl Place {
+impl BirthPlace {
     /// Sort of a place from what earlier scans met there, and the variance of the radius of what is
     /// there now [m^2].
     pub(super) fn of(trace: Option<Trace>, variance: f64) -> Self {
@@ -55,14 +55,14 @@ pub(super) struct Arrivals {
 
 impl Arrivals {
     /// Probability that there is an object where something is measured that no element explains.
-    pub(super) fn share(&self, place: Place) -> f64 {
+    pub(super) fn share(&self, place: BirthPlace) -> f64 {
         let sort = place as usize;
         let share = (PRIOR[sort] * WEIGHT + self.objects[sort]) / (WEIGHT + self.all[sort]);
         share.min(MOST)
     }
 
     /// Take in what became of an element: the probability that there was an object.
-    pub(super) fn learn(&mut self, place: Place, existence: f64) {
+    pub(super) fn learn(&mut self, place: BirthPlace, existence: f64) {
         let sort = place as usize;
         let kept = 1.0 - 1.0 / MEMORY;
         self.objects[sort] = kept * self.objects[sort] + existence;
@@ -77,19 +77,20 @@ mod tests {
     #[test]
     fn shares_are_learnt_for_each_sort_of_place() {
         let mut arrivals = Arrivals::default();
-        let [revealed, free] = [Place::Revealed, Place::Free].map(|place| arrivals.share(place));
+        let [revealed, free] =
+            [BirthPlace::Revealed, BirthPlace::Free].map(|place| arrivals.share(place));
         for number in 0..300 {
-            arrivals.learn(Place::Free, if number % 4 == 0 { 1.0 } else { 0.02 });
+            arrivals.learn(BirthPlace::Free, if number % 4 == 0 { 1.0 } else { 0.02 });
         }
-        assert_eq!(arrivals.share(Place::Revealed), revealed);
-        let learnt = arrivals.share(Place::Free);
+        assert_eq!(arrivals.share(BirthPlace::Revealed), revealed);
+        let learnt = arrivals.share(BirthPlace::Free);
         assert!(learnt < free && (0.2..0.33).contains(&learnt), "{learnt}");
     }
 
     #[test]
     fn places_follow_from_what_was_met_there() {
-        let places = [None, Some(0.1), Some(0.9)].map(|trace| Place::of(trace, 1e-4));
-        assert_eq!(places, [Place::Revealed, Place::Free, Place::Surface]);
-        assert_eq!(Place::of(None, 0.04), Place::Piece);
+        let places = [None, Some(0.1), Some(0.9)].map(|trace| BirthPlace::of(trace, 1e-4));
+        assert_eq!(places, [BirthPlace::Revealed, BirthPlace::Free, BirthPlace::Surface]);
+        assert_eq!(BirthPlace::of(None, 0.04), BirthPlace::Piece);
     }
 }

@@ -5,7 +5,7 @@
 //! object, which scans that measure it tell, and is it still there, which those tell that do not. One
 //! that measures it again takes back what misses said: chance does not come back.
 
-use super::arrivals::{Arrivals, Place};
+use super::arrivals::{Arrivals, BirthPlace};
 use super::view::visibility::CircleVisibility;
 use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
@@ -53,7 +53,7 @@ pub(super) struct ElementBelief {
     is_there: f64,
     kinds: KindBelief,
     /// Where it began; None once it is known if an object did.
-    began: Option<Place>,
+    began: Option<BirthPlace>,
     /// Time since the last scan that said something [s].
     since: f64,
     is_measured_once: bool,
@@ -63,7 +63,7 @@ pub(super) struct ElementBelief {
 
 impl ElementBelief {
     /// Of an element that one scan measured at such a place.
-    pub(super) fn new(place: Place, arrivals: &Arrivals) -> Self {
+    pub(super) fn new(place: BirthPlace, arrivals: &Arrivals) -> Self {
         Self {
             was: arrivals.share(place),
             is_there: 1.0,
@@ -159,7 +159,7 @@ mod tests {
     use crate::tracking::kind::TrackKind;
 
     fn new() -> ElementBelief {
-        ElementBelief::new(Place::Revealed, &Arrivals::default())
+        ElementBelief::new(BirthPlace::Revealed, &Arrivals::default())
     }
 
     /// After so many scans that measured it, at this rate [Hz].
@@ -233,15 +233,15 @@ mod tests {
     #[test]
     fn it_is_told_once_if_there_was_an_object() {
         let mut arrivals = Arrivals::default();
-        let before = arrivals.share(Place::Revealed);
+        let before = arrivals.share(BirthPlace::Revealed);
         let mut belief = known(60, 20.0);
         belief.settle(false, &mut arrivals);
-        let after = arrivals.share(Place::Revealed);
+        let after = arrivals.share(BirthPlace::Revealed);
         assert!(after > before);
         belief.settle(true, &mut arrivals);
-        assert_eq!(arrivals.share(Place::Revealed), after);
+        assert_eq!(arrivals.share(BirthPlace::Revealed), after);
         new().settle(false, &mut arrivals);
-        assert_eq!(arrivals.share(Place::Revealed), after);
+        assert_eq!(arrivals.share(BirthPlace::Revealed), after);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::arrivals::{Arrivals, Place};
+use super::arrivals::{Arrivals, BirthPlace};
 use super::belief::{ElementBelief, OVER};
 use super::element_motion::ElementStep;
 use super::rules::Rules;
@@ -89,8 +89,8 @@ pub(super) trait State: Clone {
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
     /// What earlier scans met where a measurement is.
-    fn place(_: &Self::Measurement) -> Place {
-        Place::Revealed
+    fn place(_: &Self::Measurement) -> BirthPlace {
+        BirthPlace::Revealed
     }
 
     /// True if rays that end at its place show that the object is there.

@@ -16,7 +16,7 @@ use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
 use self::person::{Gait, Person};
 use self::places::{are_alike, axes, is_one, moves_by};
-use super::arrivals::Place;
+use super::arrivals::BirthPlace;
 use super::circle_measurement::new_state;
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
@@ -405,8 +405,8 @@ impl State for RoundBody {
         }
     }
 
-    fn place(seen: &BodyMeasurement) -> Place {
-        Place::of(seen.trace, seen.circle.R[(2, 2)])
+    fn place(seen: &BodyMeasurement) -> BirthPlace {
+        BirthPlace::of(seen.trace, seen.circle.R[(2, 2)])
     }
 
     fn coast(rules: &Rules) -> Option<f64> {
