@@ -13,6 +13,8 @@ from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2, multivariate_normal
 
+from reference.circle_existence import OVER, Arrivals, Existence
+
 H = np.zeros((3, 5))
 H[0, 0] = H[1, 1] = H[2, 4] = 1.0
 LONGEST_STEP = 0.1
@@ -21,8 +23,8 @@ SURE, NO_CHANCE = 5.99, 0.25  # squared velocity in its covariance: begins to mo
 STANDS, MOVES = 0.8, 0.4  # probabilities
 BIRTH_DENSITY = 1e-4  # [1/m^3]
 MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
-LEAST_MISSES, LEAST_RAYS = 3, 4
-ABSENT_TIME, UNMATCHED_TIME = 0.25, 0.5  # [s]
+LEAST_RAYS = 4
+MOMENT = 0.5  # [s]
 SEE_MARGIN = 0.15  # [m]
 OTHER, OTHER_OF_ROUND = 0.05, 0.001  # probabilities
 PART, PART_SHARE = 0.03, 0.5  # [m], of the radius
@@ -183,13 +185,10 @@ class Element:
     x: list
     P: list
     mu: np.ndarray
-    history: list = field(default_factory=lambda: [True])
+    existence: Existence
     confirmed: bool = False
     seen: str = "measured"
-    absent: float = 0.0
-    unmatched: float = 0.0
     hidden: float = 0.0
-    misses: dict = field(default_factory=dict)
     last: int = 0
     count: int = 1
     lost: bool = False
@@ -278,10 +277,6 @@ class Element:
         )
         return x, P
 
-    def is_long(self, name, most):
-        enough = self.misses.get(name, 0) >= LEAST_MISSES
-        return most is not None and enough and getattr(self, name) > most
-
     def visible(self):
         return self.seen not in ("occluded", "out of view")
 
@@ -289,6 +284,7 @@ class Element:
 class IndependentMap:
     def __init__(self, config):
         self.config = config
+        self.arrivals = Arrivals()
         self.gate = chi2.ppf(config.gate_probability, 3)
         self.densities, weights, times = np.array(config.modes).T
         moving = weights / weights.sum()
@@ -367,6 +363,7 @@ class IndependentMap:
             if dt:
                 element.x, element.P, element.mu = self.predicted(element, dt)
                 element.waits, element.waiting = element.waits + 1, element.waiting + dt
+                element.existence.predict(dt)
         wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
         whole = sum(one == row for row, one in enumerate(wholes))
         density = max(BIRTH_DENSITY, max(whole, 1) / ((area + 1) * 0.5))
@@ -377,17 +374,13 @@ class IndependentMap:
                 numbers[row_of[k]] = element.id
                 z, R = measurements[row_of[k]]
                 self.correct(element, z, R, stamp, (pose, spacing))
-                element.history.append(True)
                 element.seen, element.last, element.count = "measured", stamp, element.count + 1
-                element.absent = element.unmatched = element.hidden = 0.0
-                element.misses = {}
+                element.hidden = 0.0
             else:
-                element.history.append(False)
                 element.seen = look(*element.combined())
-                where = {"seen through": "absent", "returns": "unmatched"}
-                name = where.get(element.seen, "hidden")
-                setattr(element, name, getattr(element, name) + dt)
-                element.misses[name] = element.misses.get(name, 0) + 1
+                if not element.visible():
+                    element.hidden += dt
+            element.existence.see(element.seen)
         for row, number in enumerate(numbers):
             if number is None and wholes[row] == row:
                 numbers[row] = self.create(*measurements[row], stamp)
@@ -401,7 +394,7 @@ class IndependentMap:
         if self.stops:
             x, P = element.combined()
             S, y = H @ P @ H.T + element.of_part(z, R), z - H @ x
-            is_known = np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
+            is_known = element.stands or np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
             time = element.waiting / max(element.waits, 1) if is_known else element.waiting
             if np.hypot(*y[:2]) > max(FARTHEST, FASTEST * time):
                 return 0.0
@@ -426,7 +419,8 @@ class IndependentMap:
         for k, element in enumerate(self.elements):
             for row, (z, R) in enumerate(measurements):
                 p = self.likelihood(element, z, R)
-                if p > 0 and wholes[row] == row:
+                alike = are_alike(element.combined()[0][4], z[2])
+                if p > 0 and alike and wholes[row] == row:
                     cost[k, row] = -2 * np.log(p)
             cost[k, m + k] = -2 * np.log(density or BIRTH_DENSITY)
         chosen = zip(*linear_sum_assignment(cost), strict=True)
@@ -438,8 +432,10 @@ class IndependentMap:
             for k, element in enumerate(self.elements):
                 x, P = element.combined()
                 known = np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
-                if k not in row_of and known and is_one(x[[0, 1, 4]], z, self.config.merge_gap):
-                    near.append((np.hypot(*(x[:2] - z[:2])), k))
+                one = is_one(x[[0, 1, 4]], z, self.config.merge_gap) and are_alike(x[4], z[2])
+                apart = np.hypot(*(x[:2] - z[:2]))
+                if k not in row_of and known and one and apart <= FARTHEST:
+                    near.append((apart, k))
             if near:
                 row_of[min(near)[1]] = row
         return row_of
@@ -482,7 +478,10 @@ class IndependentMap:
         shown = sum(e.excess * w for e, w in zip(self.elements, more, strict=True))
         excess = max(known, (known * 4.0 + shown) / (4.0 + sum(more)))
         modes = len(self.weight)
-        element = Element(self.next, [H.T @ z] * modes, [], self.weight, last=stamp, excess=excess)
+        existence = Existence(self.arrivals, R[2, 2])
+        element = Element(
+            self.next, [H.T @ z] * modes, [], self.weight, existence, last=stamp, excess=excess
+        )
         element.stands = self.stops
         P = H.T @ element.noisy(R) @ H
         P[2, 2] = P[3, 3] = self.config.initial_speed**2
@@ -499,8 +498,7 @@ class IndependentMap:
         while k < len(self.elements):
             one = self.elements[k]
             others, gap = self.elements[k + 1 :], config.merge_gap
-            moment = UNMATCHED_TIME
-            twins = [other for other in others if is_twin(one, other, gap, moment)]
+            twins = [other for other in others if is_twin(one, other, gap, MOMENT)]
             if not twins:
                 k += 1
                 continue
@@ -510,10 +508,10 @@ class IndependentMap:
                 pair.reverse()
             self.elements[k] = united(*pair)
         self.elements.sort(key=lambda element: element.id)
-        window, kept = config.confirm_window, []
+        kept = []
         for element in self.elements:
-            recent = sum(element.history[-window:])
-            element.confirmed |= recent >= config.confirm_hits
+            least = config.report_existence * (0.5 if element.confirmed else 1.0)
+            element.confirmed = element.existence() >= least
             if self.stops:
                 stood, p = element.stands, element.mu[0]
                 x, P = element.combined()
@@ -537,13 +535,12 @@ class IndependentMap:
                     or np.linalg.eigvalsh(P[2:4, 2:4]).max() >= MOST_VELOCITY_STD**2
                     or P[4, 4] > MOST_RADIUS_STD**2
                 )
-            if not (
-                (not element.confirmed and not recent)
-                or element.is_long("absent", ABSENT_TIME)
-                or element.is_long("unmatched", UNMATCHED_TIME)
-                or element.is_long("hidden", config.max_coast)
-                or vague
-            ):
+            most = np.inf if config.max_coast is None else config.max_coast
+            most = most if element.confirmed else min(most, MOMENT)
+            is_long = not element.visible() and element.hidden > most
+            is_over = element.existence() < OVER or is_long or vague
+            element.existence.settle(is_over, self.arrivals)
+            if not is_over:
                 kept.append(element)
         self.elements = kept
 
@@ -565,7 +562,13 @@ def is_twin(one, other, gap, moment):
     a, b = (element.combined()[0][[0, 1, 4]] for element in (one, other))
     newest = max(one.last, other.last)
     known = [e.visible() or (newest - e.last) * 1e-9 <= moment for e in (one, other)]
-    return all(known) and is_one(a, b, gap)
+    near = np.hypot(*(a - b)[:2]) <= FARTHEST
+    return all(known) and near and are_alike(a[2], b[2]) and is_one(a, b, gap)
+
+
+def are_alike(a, b):
+    """Whether the radii may be of one object: what is inside a large one is another."""
+    return max(a, b) < 0.5 or min(a, b) >= 0.5 * max(a, b)
 
 
 def is_one(a, b, gap):
@@ -591,14 +594,13 @@ def whole_of(circles, gap):
 def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
-        names = "x P mu seen last absent unmatched hidden misses stands places excess weight"
+        names = "x P mu seen last hidden stands places excess weight"
         names += " sides same lasting share rough waits waiting"
         for name in names.split():
             setattr(kept, name, getattr(dropped, name))
     kept.count = max(kept.count, dropped.count)
-    longest = max(len(kept.history), len(dropped.history))
-    pad = [[False] * (longest - len(e.history)) + e.history for e in (kept, dropped)]
-    kept.history = [a or b for a, b in zip(*pad, strict=True)]
+    if dropped.existence() > kept.existence():
+        kept.existence = dropped.existence
     return kept
 
 

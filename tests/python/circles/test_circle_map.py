@@ -240,7 +240,7 @@ def test_refused_calls_change_nothing(config, change, text):
 @pytest.mark.parametrize(
     "values",
     [
-        {"confirm_hits": 6},
+        {"report_existence": 1.0},
         {"modes": ()},
         {"modes": ((0.1, 1.0, 0.0),)},
         {"modes": ((0.1, 1.0, 1e-300),)},

@@ -152,7 +152,7 @@ def normalised_errors(config, runs, steps, seed):
                 for row, of in enumerate(([0, 1, 4], [2, 3])):
                     P = now.covariance[0][np.ix_(of, of)]
                     nees[row, run, step] = error[of] @ np.linalg.solve(P, error[of])
-    return nees[:, :, config.confirm_hits :]
+    return nees[:, :, 3:]
 
 
 def test_covariances_are_honest():

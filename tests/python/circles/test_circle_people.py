@@ -81,6 +81,35 @@ def test_people_who_pass_each_other_closely_stay_two():
     assert {int(number) for rows in own for number in found.id[rows]} <= known
 
 
+@pytest.mark.parametrize("height", ["legs", "trunk"])
+def test_who_passes_a_post_leaves_it_its_number(height):
+    """Less than the gap of one object is between both at 3 s."""
+    start, way = np.array([2.5, -3.0]), np.array([0.0, 1.0])
+    post = (2.85, 0.0, 0.06)
+
+    def things(time):
+        now = start + way * time
+        body = legs(time, start=start, velocity=way) if height == "legs" else [(*now, 0.18)]
+        return [post, *body]
+
+    maps = run(things, seconds=5.0)
+    at = [
+        near(maps[k], place, 0.3) for k in (20, 48) for place in (post[:2], start + way * k / RATE)
+    ]
+    assert [len(rows) for rows in at] == [1, 1, 1, 1]
+    before, after = (
+        [int(maps[k].id[rows[0]]) for rows in two] for k, two in ((20, at[:2]), (48, at[2:]))
+    )
+    assert before == after
+    assert (
+        max(
+            np.linalg.norm(found.velocity[near(found, post[:2], 0.15)], axis=1).max(initial=0.0)
+            for found in maps[20:]
+        )
+        < 0.3
+    )
+
+
 @pytest.mark.parametrize("heading", [0.0, 1.6, 3.14])
 def test_who_starts_to_walk_is_noticed_within_half_a_second(heading):
     """Away from the scanner, across, and towards it."""

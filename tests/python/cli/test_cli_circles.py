@@ -138,7 +138,7 @@ def test_limits_and_values_come_from_the_configuration(recording, tmp_path):
         "--mode",
         "paper",
         "--set",
-        "map.confirm_hits=2",
+        "map.report_existence=0.8",
         "--no-picture",
         "--no-mcap",
     )
@@ -146,7 +146,7 @@ def test_limits_and_values_come_from_the_configuration(recording, tmp_path):
     (scanner,) = config["scanners"].values()
     assert scanner["range_max"] == 2
     assert config["map"]["filter"] == "paper"
-    assert config["map"]["confirm_hits"] == 2
+    assert config["map"]["report_existence"] == 0.8
     assert config["on_bad_scan"] == "count"
 
 

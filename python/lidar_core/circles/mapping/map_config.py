@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_core.config import Config
 
@@ -28,7 +28,9 @@ class CircleMapConfig(Config):
         "birth_density": "circles of no element have a density of 1e-4 per m^3",
         "max_velocity_std": "the velocity may be uncertain by 3 m/s",
         "max_radius_std": "the radius may be uncertain by 0.3 m",
-        "min_misses": "three scans in a row have to miss an element",
+        "confirm_hits": "elements are reported from `report_existence` on",
+        "confirm_window": "elements are reported from `report_existence` on",
+        "min_misses": "an element goes when its existence is below 0.05",
         "absent_time": "what rays pass goes after 0.25 s",
         "unmatched_time": "what is no circle any more goes after 0.5 s",
         "see_margin": "rays that end within 0.15 m belong to an element",
@@ -118,15 +120,12 @@ class CircleMapConfig(Config):
         description="Elements with a smaller gap between their surfaces are one object, as arms"
         " and trunk of a person are [m]; 0: only those whose centre lies inside another.",
     )
-    confirm_hits: int = Field(
-        3,
-        ge=1,
-        le=64,
-        description="Scans of the last `confirm_window` that must have measured an element before"
-        " it is reported (count, no unit).",
-    )
-    confirm_window: int = Field(
-        5, ge=1, le=64, description="Scans looked back on for that (count, no unit)."
+    report_existence: float = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="An element is reported from this probability of existence on, until it falls"
+        " below half of it (no unit).",
     )
     max_position_std: float = Field(
         1.0,
@@ -191,9 +190,3 @@ class CircleMapConfig(Config):
     def paper(cls, **changes: Any) -> Self:
         """Return the filter as published, with given changes."""
         return cls(**{"filter": "paper", **changes})
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.confirm_hits > self.confirm_window:
-            raise ValueError("expected confirm_hits <= confirm_window")
-        return self

@@ -160,6 +160,10 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
         # are moved on by the map, which is in the world then.
         wrong = np.eye(4) if poses_of is late else poses[0] @ np.linalg.inv(made.poses[0])
         truth = made.truth
+        # Where two people pass, each has elements of its own.
+        middles = truth.center @ wrong[:2, :2].T + wrong[:2, 3]
+        apart = np.linalg.norm(found.center[:, None] - middles, axis=2)
+        nearest = apart.argmin(axis=1) if len(middles) else np.zeros(len(found), np.int64)
         for row in range(len(truth.hits)):
             if truth.hits[row] < 5:
                 continue
@@ -182,7 +186,8 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
                     float(found.person_probability[best]),
                 ]
             person = float(truth.kind[row] == "person")
-            rows.append((number, row, person, float(len(near)), *values))
+            own = float(np.count_nonzero(nearest[near] == row))
+            rows.append((number, row, person, own, *values))
     columns = np.array(rows, np.float64).reshape(-1, 9).T
     names = ("scan", "object", "person", "near", "id", "square", "nees", "slip", "likely")
     offset = pipeline.health().pose_offset_s

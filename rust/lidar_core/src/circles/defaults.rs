@@ -5,8 +5,8 @@
 
 use super::fit::{FitMethod, FitParameters};
 use super::map::{
-    CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
-    MissLimits, MotionMode, Standing, VisibilityTest,
+    CircleMapParameters, ElementFilter, Independent, Joint, Limits, LineRules, MotionMode,
+    Standing, VisibilityTest,
 };
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::preprocess::projection::Projection;
@@ -114,9 +114,9 @@ impl Default for Independent {
             turn_density: 0.01,
             birth_density: 1e-4,
             merge_gap: 0.15,
-            confirmation: ElementConfirmation { hits: 3, window: 5 },
+            report_existence: 0.9,
             limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
-            miss_limits: MissLimits { scans: 3, absent: 0.25, unmatched: 0.5, hidden: Some(5.0) },
+            coast: Some(5.0),
             visibility_test: VisibilityTest { margin: 0.15, min_rays: 4 },
             buffer_time: 0.25,
             lines: LineRules::default(),

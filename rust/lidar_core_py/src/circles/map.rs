@@ -7,9 +7,9 @@ use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::circles::fit::circle::{Circle, CircleEstimate};
 use lidar_core::circles::map::{
-    CircleMap, CircleMapParameters, CircleScan, ElementConfirmation, ElementFilter, Independent,
-    Joint, Limits, LineRules, MapElement, MapShape, MapStats, MissLimits, MotionMode,
-    PoseCovariance, ScanWithLimits, Standing,
+    CircleMap, CircleMapParameters, CircleScan, ElementFilter, Independent, Joint, Limits,
+    LineRules, MapElement, MapShape, MapStats, MotionMode, PoseCovariance, ScanWithLimits,
+    Standing,
 };
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::geometry::transform::Transform;
@@ -34,8 +34,7 @@ pub(crate) struct CircleMapConfig {
     radius_noise: f64,
     turn_noise: f64,
     merge_gap: f64,
-    confirm_hits: u32,
-    confirm_window: u32,
+    report_existence: f64,
     max_position_std: f64,
     max_coast: Option<f64>,
     buffer_time: f64,
@@ -73,12 +72,9 @@ impl CircleMapConfig {
             radius_density: self.radius_noise,
             turn_density: self.turn_noise,
             merge_gap: self.merge_gap,
-            confirmation: ElementConfirmation {
-                hits: self.confirm_hits,
-                window: self.confirm_window,
-            },
+            report_existence: self.report_existence,
             limits: Limits { position: self.max_position_std, ..own.limits },
-            miss_limits: MissLimits { hidden: self.max_coast, ..own.miss_limits },
+            coast: self.max_coast,
             buffer_time: self.buffer_time,
             lines: LineRules { density: self.line_noise, std: self.line_std, ..own.lines },
             ..own

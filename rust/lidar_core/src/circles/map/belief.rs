@@ -1,27 +1,39 @@
 //! How probable it is that there is an object where an element is, and of which kind it is.
 //!
 //! Besides an object, a chance group of rays makes an element: a piece of a surface that shows for a
-//! moment between two others, or the rim of something. Every scan says how well each of both explains
-//! what it showed of the element.
+//! moment between two others, or the rim of something. Two questions are answered apart: was it an
+//! object, which scans that measure it tell, and is it still there, which those tell that do not. One
+//! that measures it again takes back what misses said: chance does not come back.
 
+use super::arrivals::{Arrivals, BirthPlace};
 use super::view::visibility::CircleVisibility;
-use crate::tracking::existence::{Presence, Sojourn};
 use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
 
-/// Mean times for which an object stays, is measured, and is not although it is in view [s].
-const MEAN: Sojourn = Sojourn { lifetime: 60.0, visible: 10.0, hidden: 0.5 };
-/// Probability that there is an object where one scan met something.
-const NEW: f64 = 0.7;
+/// Mean time for which an object stays [s].
+const LIFETIME: f64 = 60.0;
+/// Mean time for which a chance group shows [s], and the probability that it shows twice at all.
+const CHANCE: f64 = 0.2;
+const TWICE: f64 = 0.4;
+/// Rates at which the logarithm of the odds that an object is still there falls while rays pass its
+/// place, and while they end there but show no object [1/s].
+const SEEN_THROUGH: f64 = 40.0;
+const UNMATCHED: f64 = 12.0;
+/// Longest time that one scan speaks for [s]: successive scans show nearly the same, so that time
+/// counts and not their number.
+const SPEAKS: f64 = 0.1;
+/// Odds of an object that shows once and is then covered by another, over those of a chance group:
+/// such a group shows for a moment in a gap.
+const COVERED: f64 = 0.15;
+/// The same if it is gone: of what was measured once, and of what was measured more often.
+const GONE: [f64; 2] = [0.02, 0.3];
 
-/// How likely each cause makes what a scan shows: an object, one that is in view but not measured for
-/// a while, and none.
-type Causes = [f64; 3];
-
-/// Shares of scans, of simulated rooms and posts.
-const MEASURED: Causes = [0.95, 0.05, 0.6];
-const SEEN_THROUGH: Causes = [0.002, 0.05, 0.2];
-const UNMATCHED: Causes = [0.03, 0.9, 0.3];
+/// Probability below which there is no object.
+pub(super) const OVER: f64 = 0.05;
+/// Probability from which on there surely was one.
+const SURE: f64 = 0.99;
+/// Largest probability, so that other evidence can always lower it.
+const MOST: f64 = 1.0 - 1e-6;
 
 /// Shares of kinds among new elements, in the order of `TrackKind::ALL`: most stand.
 const SHARES: [f64; KINDS] = [0.05, 1e-3, 0.3, 0.6, 0.05];
@@ -29,25 +41,43 @@ const SHARES: [f64; KINDS] = [0.05, 1e-3, 0.3, 0.6, 0.05];
 /// something that stands; of what stands, that it is something that moves at times.
 const MOVING: f64 = -6.0;
 const RESTING: f64 = -0.1;
-/// Longest time that one scan speaks for [s].
+/// Longest time that one scan speaks for about the kind [s].
 const LONGEST: f64 = 0.5;
 
 /// What is known of the cause of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ElementBelief {
-    presence: Presence,
+    /// Probability that it was an object when it was measured last.
+    was: f64,
+    /// Probability that this is still there.
+    is_there: f64,
     kinds: KindBelief,
+    /// Where it began; None once it is known if an object did.
+    began: Option<BirthPlace>,
+    /// Time since the last scan that said something [s].
+    since: f64,
+    is_measured_once: bool,
+    /// The last scan of which something is known measured it.
+    is_in_sight: bool,
 }
 
 impl ElementBelief {
-    /// Of an element that one scan measured.
-    pub(super) fn new() -> Self {
-        Self { presence: Presence::measured(NEW), kinds: KindBelief::prior(SHARES) }
+    /// Of an element that one scan measured at such a place.
+    pub(super) fn new(place: BirthPlace, arrivals: &Arrivals) -> Self {
+        Self {
+            was: arrivals.share(place),
+            is_there: 1.0,
+            kinds: KindBelief::prior(SHARES),
+            began: Some(place),
+            since: 0.0,
+            is_measured_once: true,
+            is_in_sight: true,
+        }
     }
 
     /// Probability that there is an object.
     pub(super) fn existence(&self) -> f64 {
-        self.presence.existence
+        self.was * self.is_there
     }
 
     /// Probabilities of its kinds.
@@ -57,20 +87,44 @@ impl ElementBelief {
 
     /// The same after `dt` [s] without a scan.
     pub(super) fn predict(&mut self, dt: f64) {
-        self.presence = self.presence.predicted(dt, &MEAN);
+        self.is_there *= libm::exp(-dt.max(0.0) / LIFETIME);
+        self.since += dt.max(0.0);
     }
 
     /// Take in a scan that measured the element.
     pub(super) fn measured(&mut self) {
-        self.take(MEASURED);
+        let once = if std::mem::take(&mut self.is_measured_once) { TWICE } else { 1.0 };
+        let chance = once * libm::exp(-self.spoken() / CHANCE);
+        self.was = weighed(self.was, 1.0 / chance);
+        (self.is_there, self.is_in_sight) = (1.0, true);
     }
 
     /// Take in a scan that did not.
     pub(super) fn unmeasured(&mut self, visibility: CircleVisibility) {
-        match visibility {
-            CircleVisibility::SeenThrough => self.take(SEEN_THROUGH),
-            CircleVisibility::Returns => self.take(UNMATCHED),
-            CircleVisibility::Occluded | CircleVisibility::OutOfView => {}
+        let was_in_sight = std::mem::take(&mut self.is_in_sight);
+        let rate = match visibility {
+            CircleVisibility::SeenThrough => SEEN_THROUGH,
+            CircleVisibility::Returns => UNMATCHED,
+            CircleVisibility::Occluded if was_in_sight && self.is_measured_once => {
+                self.was = weighed(self.was, COVERED);
+                return;
+            }
+            CircleVisibility::Occluded | CircleVisibility::OutOfView => return,
+        };
+        self.is_there = weighed(self.is_there, libm::exp(-rate * self.spoken()));
+    }
+
+    /// Tell once if there was an object, when it is as good as known; `is_over` if the element goes.
+    pub(super) fn settle(&mut self, is_over: bool, arrivals: &mut Arrivals) {
+        if (is_over || self.was > SURE)
+            && let Some(place) = self.began.take()
+        {
+            let ratio = match (self.is_there < 0.5, self.is_measured_once) {
+                (false, _) => 1.0,
+                (true, true) => GONE[0],
+                (true, false) => GONE[1],
+            };
+            arrivals.learn(place, weighed(self.was, ratio));
         }
     }
 
@@ -87,9 +141,16 @@ impl ElementBelief {
         if other.existence() > self.existence() { other } else { self }
     }
 
-    fn take(&mut self, [object, hidden, none]: Causes) {
-        self.presence = self.presence.weighed(object / none, hidden / none);
+    /// Time that a scan speaks for [s].
+    fn spoken(&mut self) -> f64 {
+        std::mem::take(&mut self.since).min(SPEAKS)
     }
+}
+
+/// A probability after something was seen that has this ratio of likelihoods.
+fn weighed(probability: f64, ratio: f64) -> f64 {
+    let odds = ratio * probability;
+    (odds / (odds + 1.0 - probability)).min(MOST)
 }
 
 #[cfg(test)]
@@ -97,27 +158,95 @@ mod tests {
     use super::*;
     use crate::tracking::kind::TrackKind;
 
-    #[test]
-    fn what_is_measured_exists_and_what_rays_pass_does_not() {
-        let mut belief = ElementBelief::new();
-        (0..4).for_each(|_| {
-            belief.predict(0.05);
+    fn new() -> ElementBelief {
+        ElementBelief::new(BirthPlace::Revealed, &Arrivals::default())
+    }
+
+    /// After so many scans that measured it, at this rate [Hz].
+    fn known(scans: usize, rate: f64) -> ElementBelief {
+        let mut belief = new();
+        (0..scans).for_each(|_| {
+            belief.predict(1.0 / rate);
             belief.measured();
         });
-        assert!(belief.existence() > 0.9);
-        let known = belief;
+        belief
+    }
+
+    /// Time until an object is thought to be gone [s].
+    fn gone(rate: f64, visibility: CircleVisibility) -> f64 {
+        let mut belief = known((3.0 * rate) as usize, rate);
+        let mut scans = 0;
+        while belief.existence() > OVER {
+            belief.predict(1.0 / rate);
+            belief.unmeasured(visibility);
+            scans += 1;
+        }
+        f64::from(scans) / rate
+    }
+
+    #[test]
+    fn what_is_measured_exists_and_what_is_hidden_stays_as_probable() {
+        assert!(known(2, 20.0).existence() > 0.9);
+        let mut belief = known(60, 20.0);
+        let sure = belief.existence();
+        assert!(sure > SURE);
+        belief.unmeasured(CircleVisibility::OutOfView);
         belief.unmeasured(CircleVisibility::Occluded);
-        assert_eq!(belief, known);
-        (0..5).for_each(|_| {
+        assert_eq!(belief.existence(), sure);
+    }
+
+    #[test]
+    fn what_flickers_is_an_object_all_the_same() {
+        let mut belief = new();
+        for scan in 0..40 {
             belief.predict(0.05);
-            belief.unmeasured(CircleVisibility::SeenThrough);
-        });
-        assert!(belief.existence() < 0.05, "{}", belief.existence());
+            if scan % 4 == 3 {
+                belief.measured();
+            } else {
+                belief.unmeasured(CircleVisibility::Returns);
+            }
+        }
+        assert!(belief.existence() > 0.9);
+    }
+
+    /// One glimpse between two things says little; a second one says more.
+    #[test]
+    fn what_showed_once_and_is_covered_is_doubtful() {
+        let (mut once, mut twice) = (new(), known(1, 20.0));
+        once.unmeasured(CircleVisibility::Occluded);
+        twice.unmeasured(CircleVisibility::Occluded);
+        assert!(once.existence() < 0.8 && twice.existence() > once.existence() + 0.05);
+    }
+
+    #[test]
+    fn what_rays_pass_goes_in_a_moment_at_any_rate() {
+        for rate in [10.0, 20.0, 40.0] {
+            let passed = gone(rate, CircleVisibility::SeenThrough);
+            assert!((0.15..0.5).contains(&passed), "{rate} Hz: {passed}");
+            let ended = gone(rate, CircleVisibility::Returns);
+            assert!((0.3..1.1).contains(&ended), "{rate} Hz: {ended}");
+        }
+        // A slow scanner may miss an object once.
+        assert!(gone(2.0, CircleVisibility::SeenThrough) > 0.5);
+    }
+
+    #[test]
+    fn it_is_told_once_if_there_was_an_object() {
+        let mut arrivals = Arrivals::default();
+        let before = arrivals.share(BirthPlace::Revealed);
+        let mut belief = known(60, 20.0);
+        belief.settle(false, &mut arrivals);
+        let after = arrivals.share(BirthPlace::Revealed);
+        assert!(after > before);
+        belief.settle(true, &mut arrivals);
+        assert_eq!(arrivals.share(BirthPlace::Revealed), after);
+        new().settle(false, &mut arrivals);
+        assert_eq!(arrivals.share(BirthPlace::Revealed), after);
     }
 
     #[test]
     fn who_stops_still_moves_at_times_and_what_never_moved_stands() {
-        let mut belief = ElementBelief::new();
+        let mut belief = new();
         (0..100).for_each(|_| belief.moves(true, 0.1));
         assert_eq!(belief.kinds().kind(), TrackKind::Static);
         (0..20).for_each(|_| belief.moves(false, 0.1));

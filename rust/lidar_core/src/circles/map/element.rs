@@ -2,9 +2,9 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::belief::ElementBelief;
+use super::arrivals::{Arrivals, BirthPlace};
+use super::belief::{ElementBelief, OVER};
 use super::element_motion::ElementStep;
-use super::parameters::{Independent, MissLimits};
 use super::rules::Rules;
 use super::seconds;
 use super::view::viewpoint::Viewpoint;
@@ -88,8 +88,18 @@ pub(super) trait State: Clone {
     /// Merge with the state of the same object.
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
-    /// Times for which an element stays without a measurement.
-    fn miss_limits(rules: &Rules) -> MissLimits;
+    /// What earlier scans met where a measurement is.
+    fn place(_: &Self::Measurement) -> BirthPlace {
+        BirthPlace::Revealed
+    }
+
+    /// True if rays that end at its place show that the object is there.
+    fn is_shown_by_returns() -> bool {
+        false
+    }
+
+    /// Time for which an element stays while hidden or out of view [s]; None: for ever.
+    fn coast(rules: &Rules) -> Option<f64>;
 }
 
 /// Observation of an element by the last scan.
@@ -106,20 +116,8 @@ impl ScanEvidence {
     }
 }
 
-/// Consecutive scans with the same reason to remove an element.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Misses {
-    scans: u32,
-    /// Time that the scans cover [s].
-    time: f64,
-}
-
-impl Misses {
-    fn add(&mut self, dt: f64) {
-        self.scans = self.scans.saturating_add(1);
-        self.time += dt;
-    }
-}
+/// Time for which what was measured is still known to be where it was [s].
+const MOMENT: f64 = 0.5;
 
 /// One object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -130,8 +128,7 @@ pub(super) struct Element<S> {
     /// Time of the last measurement.
     pub(super) seen_ns: i64,
     pub(super) n_measurements: u32,
-    /// Bits of the last scans, the newest lowest: 1 if the scan measured the element.
-    history: u64,
+    /// It is, or was, probable enough to be reported.
     pub(super) confirmed: bool,
     pub(super) belief: ElementBelief,
     /// Time since the belief last heard whether it stands [s].
@@ -142,30 +139,30 @@ pub(super) struct Element<S> {
     seen: ScanEvidence,
     /// Sensor that last measured the element or should have.
     watcher: u32,
-    /// Scans without a measurement: seen through, with returns, hidden.
-    absent: Misses,
-    unmatched: Misses,
-    hidden: Misses,
+    /// Time for which it has been hidden or out of view [s].
+    hidden: f64,
 }
 
 impl<S: State> Element<S> {
-    pub(super) fn new(id: i64, state: S, (stamp_ns, sensor): (i64, u32)) -> Self {
+    pub(super) fn new(
+        id: i64,
+        state: S,
+        belief: ElementBelief,
+        (stamp_ns, sensor): (i64, u32),
+    ) -> Self {
         Self {
             id,
             state,
             born_ns: stamp_ns,
             seen_ns: stamp_ns,
             n_measurements: 1,
-            history: 1,
             confirmed: false,
-            belief: ElementBelief::new(),
+            belief,
             unheard: 0.0,
             lost: false,
             seen: ScanEvidence::Measured,
             watcher: sensor,
-            absent: Misses::default(),
-            unmatched: Misses::default(),
-            hidden: Misses::default(),
+            hidden: 0.0,
         }
     }
 
@@ -180,25 +177,24 @@ impl<S: State> Element<S> {
     pub(super) fn measured(&mut self, (stamp_ns, sensor): (i64, u32)) {
         self.seen_ns = stamp_ns;
         self.n_measurements = self.n_measurements.saturating_add(1);
-        self.history = self.history << 1 | 1;
         self.belief.measured();
         (self.seen, self.watcher) = (ScanEvidence::Measured, sensor);
-        // Only an unbroken series of misses removes an element.
-        (self.absent, self.unmatched, self.hidden) = Default::default();
+        self.hidden = 0.0;
     }
 
     /// Count a scan, `dt` seconds after the one before, that did not measure the element. A sensor
     /// from which the element is hidden does not override one that sees it.
     pub(super) fn unmeasured(&mut self, visibility: CircleVisibility, sensor: u32, dt: f64) {
-        match visibility {
-            CircleVisibility::SeenThrough => self.absent.add(dt),
-            CircleVisibility::Returns => self.unmatched.add(dt),
-            CircleVisibility::Occluded | CircleVisibility::OutOfView => self.hidden.add(dt),
-        }
         let seen = ScanEvidence::Unmeasured(visibility);
+        if !seen.is_visible() {
+            self.hidden += dt;
+        }
         if seen.is_visible() || sensor == self.watcher {
-            self.history <<= 1;
-            self.belief.unmeasured(visibility);
+            if S::is_shown_by_returns() && visibility == CircleVisibility::Returns {
+                self.belief.measured();
+            } else {
+                self.belief.unmeasured(visibility);
+            }
             (self.seen, self.watcher) = (seen, sensor);
         }
     }
@@ -208,16 +204,16 @@ impl<S: State> Element<S> {
         self.seen.is_visible()
     }
 
-    /// Confirm the element if enough recent scans measured it.
-    pub(super) fn confirm(&mut self, parameters: &Independent) {
-        let hits = self.recent(parameters.confirmation.window).count_ones();
-        // Once confirmed an element stays so: being hidden for a while does not take its number
-        // away.
-        self.confirmed |= hits >= parameters.confirmation.hits;
+    /// Note if the element is probable enough to be reported.
+    fn confirm(&mut self, rules: &Rules) {
+        let (existence, report) = (self.belief.existence(), rules.parameters().report_existence);
+        let least = if self.confirmed { 0.5 * report } else { report };
+        self.confirmed = existence >= least;
     }
 
     /// Decide what is reported of the element after a scan.
     pub(super) fn settle(&mut self, rules: &Rules) {
+        self.confirm(rules);
         let stands = self.state.settle(rules);
         if self.seen == ScanEvidence::Measured {
             self.belief.moves(stands, self.unheard);
@@ -231,27 +227,28 @@ impl<S: State> Element<S> {
         self.confirmed && !self.lost
     }
 
-    /// True if the element is to be removed: not confirmed in time, absent, or too uncertain (eq.
-    /// 33 with a limit per block).
-    pub(super) fn is_over(&self, rules: &Rules) -> bool {
-        if !self.confirmed && self.recent(rules.parameters().confirmation.window) == 0 {
-            return true;
-        }
-        let limits = S::miss_limits(rules);
-        let is_long = |misses: Misses, most| misses.scans >= limits.scans && misses.time > most;
-        is_long(self.absent, limits.absent)
-            || is_long(self.unmatched, limits.unmatched)
-            || limits.hidden.is_some_and(|most| is_long(self.hidden, most))
+    /// True if the element is to be removed: most probably there is no object, it was hidden for too
+    /// long, or it is too uncertain (eq. 33 with a limit per block). Tells `arrivals` what became of
+    /// it.
+    pub(super) fn is_over(&mut self, rules: &Rules, arrivals: &mut Arrivals) -> bool {
+        let coast = S::coast(rules);
+        // What was never sure is not remembered.
+        let coast =
+            if self.confirmed { coast } else { Some(coast.map_or(MOMENT, |c| c.min(MOMENT))) };
+        let is_over = self.belief.existence() < OVER
+            || !self.is_visible() && coast.is_some_and(|most| self.hidden > most)
             // The covariance grows while an element is hidden, and comes back into view as it is;
             // the measured part alone is tested by it.
-            || self.seen == ScanEvidence::Measured && self.state.is_vague(rules)
+            || self.seen == ScanEvidence::Measured && self.state.is_vague(rules);
+        self.belief.settle(is_over, arrivals);
+        is_over
     }
 
     /// True if two elements are one object. Both must be visible, or must have been so a moment
     /// ago: an object inside another one is hidden by it.
     pub(super) fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
-        let (newest, moment) = (self.seen_ns.max(other.seen_ns), S::miss_limits(rules).unmatched);
-        let is_known = |one: &Self| one.is_visible() || seconds(one.seen_ns, newest) <= moment;
+        let newest = self.seen_ns.max(other.seen_ns);
+        let is_known = |one: &Self| one.is_visible() || seconds(one.seen_ns, newest) <= MOMENT;
         is_known(self) && is_known(other) && self.state.is_twin(&other.state, rules)
     }
 
@@ -262,19 +259,11 @@ impl<S: State> Element<S> {
         if is_newer {
             (self.seen, self.watcher) = (twin.seen, twin.watcher);
             self.seen_ns = twin.seen_ns;
-            (self.absent, self.unmatched) = (twin.absent, twin.unmatched);
             self.hidden = twin.hidden;
         }
         self.state.absorb(twin.state, is_newer);
         self.belief = self.belief.united(twin.belief);
         self.n_measurements = self.n_measurements.max(twin.n_measurements);
-        self.history |= twin.history;
-    }
-
-    /// Bits of the last `window` scans that measured the element.
-    fn recent(&self, window: u32) -> u64 {
-        // The window is 1 to 64, so the shift stays below the width of the bits.
-        self.history & (u64::MAX >> (u64::BITS - window))
     }
 }
 

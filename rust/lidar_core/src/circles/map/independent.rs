@@ -1,5 +1,7 @@
 //! The map with a filter per element: one scan after the other.
 
+use super::arrivals::Arrivals;
+use super::belief::ElementBelief;
 use super::body::RoundBody;
 use super::element::{Element, State};
 use super::element_motion::ElementMotion;
@@ -21,6 +23,8 @@ pub(super) struct Elements {
     stamp_ns: Option<i64>,
     bodies: Vec<Element<RoundBody>>,
     lines: Vec<Element<Line>>,
+    /// What new bodies and lines turned out to be.
+    arrivals: [Arrivals; 2],
 }
 
 impl Elements {
@@ -72,13 +76,15 @@ impl Elements {
             taken.push(id);
             id
         };
-        take_in(rules, &mut self.bodies, bodies, (from, dt), &mut fresh)?;
-        take_in(rules, &mut self.lines, lines, (from, dt), &mut fresh)?;
-        if self.len() > MAX_ELEMENTS {
-            return Err(too_many(self.len()));
+        let [new_bodies, new_lines] = &mut self.arrivals;
+        take_in(rules, (&mut self.bodies, &*new_bodies), bodies, (from, dt), &mut fresh)?;
+        take_in(rules, (&mut self.lines, &*new_lines), lines, (from, dt), &mut fresh)?;
+        let count = self.bodies.len() + self.lines.len();
+        if count > MAX_ELEMENTS {
+            return Err(too_many(count));
         }
-        let mut merged = tidy(rules, &mut self.bodies);
-        merged.append(&mut tidy(rules, &mut self.lines));
+        let mut merged = tidy(rules, &mut self.bodies, new_bodies);
+        merged.append(&mut tidy(rules, &mut self.lines, new_lines));
         Ok(merged)
     }
 
@@ -156,7 +162,7 @@ fn rename<S>(all: &mut [Element<S>], numbers: &[(i64, i64)]) {
 /// Predict, associate, correct and create the elements of one kind.
 fn take_in<S: State>(
     rules: &Rules,
-    all: &mut Vec<Element<S>>,
+    (all, arrivals): (&mut Vec<Element<S>>, &Arrivals),
     seen: &mut MeasuredObjects<S::Measurement>,
     (from, dt): (&Viewpoint, f64),
     fresh: &mut impl FnMut(Option<i64>) -> i64,
@@ -191,7 +197,8 @@ fn take_in<S: State>(
         if is_new && S::is_born(measurement, rules) {
             let id = fresh(known[index]);
             let state = S::new(measurement, all.iter().map(|one| &one.state), rules);
-            all.push(Element::new(id, state, from.key()));
+            let belief = ElementBelief::new(S::place(measurement), arrivals);
+            all.push(Element::new(id, state, belief, from.key()));
             seen.elements[index] = Some(id);
         }
     }
@@ -203,14 +210,17 @@ fn take_in<S: State>(
     Ok(())
 }
 
-/// Confirm, merge and remove.
-fn tidy<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
+/// Merge, decide what is reported, and remove.
+fn tidy<S: State>(
+    rules: &Rules,
+    all: &mut Vec<Element<S>>,
+    arrivals: &mut Arrivals,
+) -> Vec<[i64; 2]> {
     let merged = merge(rules, all);
     for element in all.iter_mut() {
-        element.confirm(rules.parameters());
         element.settle(rules);
     }
-    all.retain(|element| !element.is_over(rules));
+    all.retain_mut(|element| !element.is_over(rules, arrivals));
     merged
 }
 

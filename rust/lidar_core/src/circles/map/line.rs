@@ -4,7 +4,7 @@
 
 use super::element::State;
 use super::element_motion::ElementStep;
-use super::parameters::{LineRules, MissLimits};
+use super::parameters::LineRules;
 use super::rules::Rules;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::CircleVisibility;
@@ -276,9 +276,12 @@ impl State for Line {
         self.extend(twin.middle(), 0.5 * twin.length());
     }
 
-    /// Rays that end on a line show that it is there, so they never remove it.
-    fn miss_limits(rules: &Rules) -> MissLimits {
-        let limits = rules.parameters().miss_limits;
-        MissLimits { unmatched: f64::INFINITY, hidden: rules.lines().coast, ..limits }
+    /// Rays that end on a line show that it is there.
+    fn is_shown_by_returns() -> bool {
+        true
+    }
+
+    fn coast(rules: &Rules) -> Option<f64> {
+        rules.lines().coast
     }
 }

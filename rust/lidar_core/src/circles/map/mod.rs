@@ -4,6 +4,7 @@
 //! per element. It uses the covariance of every circle, the view of the scan, and several modes of
 //! motion: see [`Independent`].
 
+mod arrivals;
 mod belief;
 mod body;
 mod circle_measurement;
@@ -25,8 +26,8 @@ mod tests;
 
 pub use body::outline::OutlineEstimate;
 pub use parameters::{
-    CircleMapParameters, ElementConfirmation, ElementFilter, Independent, Joint, Limits, LineRules,
-    MAX_ELEMENTS, MAX_MODES, MAX_WINDOW, MissLimits, MotionMode, Standing, VisibilityTest,
+    CircleMapParameters, ElementFilter, Independent, Joint, Limits, LineRules, MAX_ELEMENTS,
+    MAX_MODES, MotionMode, Standing, VisibilityTest,
 };
 pub use scan::{CircleScan, PoseCovariance};
 pub use view::visibility::{CircleVisibility, ScanWithLimits, SortedView};
@@ -59,7 +60,7 @@ pub struct MapElement {
     pub n_measurements: u32,
     /// The newest scan of a sensor measured the element, or should have.
     pub visible: bool,
-    /// Enough scans measured the element.
+    /// The element is probable enough to be reported, and its place is known.
     pub confirmed: bool,
     /// Probability that it is a person; 0 with the filter of the paper.
     pub person: f64,
@@ -91,7 +92,7 @@ pub struct MapShape {
     pub seen_ns: i64,
     /// The newest scan of a sensor measured the element, or should have.
     pub visible: bool,
-    /// Enough scans measured the element.
+    /// The element is probable enough to be reported, and its place is known.
     pub confirmed: bool,
 }
 

@@ -9,8 +9,6 @@ use std::ops::RangeInclusive;
 pub const MAX_MODES: usize = 4;
 /// Largest number of elements, and of circles in one scan.
 pub const MAX_ELEMENTS: usize = 2_000;
-/// Largest number of scans for confirmation: one bit each.
-pub const MAX_WINDOW: u32 = 64;
 
 /// Mode of motion: nearly constant velocity, driven by white acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,19 +50,6 @@ pub struct Limits {
     pub radius: f64,
 }
 
-/// Limits on misses: an element ends after longer times without a measurement.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MissLimits {
-    /// Least number of consecutive scans without it, whatever the time between them.
-    pub scans: u32,
-    /// Time while rays pass through its place [s].
-    pub absent: f64,
-    /// Time while rays end at its place, but no circle is found there [s].
-    pub unmatched: f64,
-    /// Time while it is hidden or out of view [s]; None: for ever.
-    pub hidden: Option<f64>,
-}
-
 /// Test of the visibility of an element by the rays around its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisibilityTest {
@@ -72,15 +57,6 @@ pub struct VisibilityTest {
     pub margin: f64,
     /// Least number of rays for a decision.
     pub min_rays: usize,
-}
-
-/// An element is reported once `hits` of the last `window` scans measured it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ElementConfirmation {
-    /// Number of scans that measured it, >= 1.
-    pub hits: u32,
-    /// Number of scans that count, `hits` to [`MAX_WINDOW`].
-    pub window: u32,
 }
 
 /// Properties of lines.
@@ -118,12 +94,13 @@ pub struct Independent {
     pub birth_density: f64,
     /// Gap between two surfaces below which they are one element [m].
     pub merge_gap: f64,
-    /// Rule after which elements are reported.
-    pub confirmation: ElementConfirmation,
+    /// Probability of existence from which on an element is reported, until it falls below half of
+    /// it.
+    pub report_existence: f64,
     /// Limits above which elements are too uncertain.
     pub limits: Limits,
-    /// Times after which elements without measurement are removed.
-    pub miss_limits: MissLimits,
+    /// Time for which an element stays while hidden or out of view [s]; None: for ever.
+    pub coast: Option<f64>,
     /// Rule for elements that should have been measured.
     pub visibility_test: VisibilityTest,
     /// Largest delay of a scan [s].
@@ -197,19 +174,12 @@ impl Independent {
         within("turn_noise", self.turn_density, 0.0..=1e3, "0 to 1000")?;
         require_positive("birth_density", self.birth_density)?;
         not_negative("merge_gap", self.merge_gap)?;
-        let ElementConfirmation { hits, window } = self.confirmation;
-        require(
-            (1..=MAX_WINDOW).contains(&window) && (1..=window).contains(&hits),
-            "confirm_hits",
-            "1 <= confirm_hits <= confirm_window <= 64",
-            format_args!("{hits} of {window}"),
-        )?;
+        let report = self.report_existence;
+        require(report > 0.0 && report < 1.0, "report_existence", "above 0 and below 1", report)?;
         require_positive("max_position_std", self.limits.position)?;
         require_positive("max_velocity_std", self.limits.velocity)?;
         require_positive("max_radius_std", self.limits.radius)?;
-        not_negative("absent_time", self.miss_limits.absent)?;
-        not_negative("unmatched_time", self.miss_limits.unmatched)?;
-        not_negative("max_coast", self.miss_limits.hidden.unwrap_or(0.0))?;
+        not_negative("max_coast", self.coast.unwrap_or(0.0))?;
         not_negative("see_margin", self.visibility_test.margin)?;
         not_negative("buffer_time", self.buffer_time)?;
         self.lines.check()

@@ -173,6 +173,19 @@ fn what_comes_to_touch_another_becomes_one_with_it() -> Result<(), Error> {
 }
 
 #[test]
+fn what_stands_inside_a_large_circle_is_another() -> Result<(), Error> {
+    for (radius, inside, number) in [(0.9, 0.2, 1), (0.9, 0.6, 0), (0.3, 0.1, 0)] {
+        let mut map = map_of(ElementFilter::Independent(best()))?;
+        for step in 0..10 {
+            map.update(&scan(step, &[circle(3.0, 0.0, radius)]))?;
+        }
+        let stats = map.update(&scan(10, &[circle(3.1, 0.1, inside)]))?;
+        assert_eq!(stats.elements, [number], "{inside} in {radius}");
+    }
+    Ok(())
+}
+
+#[test]
 fn bad_scans_change_nothing() -> Result<(), Error> {
     for filter in [paper(), ElementFilter::Independent(best())] {
         let mut map = map_of(filter)?;
@@ -230,7 +243,7 @@ fn parameters_outside_their_range_are_refused() {
         |p| p.modes[0].duration = 0.0,
         |p| p.birth_density = f64::NAN,
         |p| p.merge_gap = -0.1,
-        |p| p.confirmation.hits = 6,
+        |p| p.report_existence = 1.0,
         |p| p.limits.radius = -1.0,
     ];
     for change in changes {
@@ -277,7 +290,7 @@ fn one_of_three_sensors_is_enough() -> Result<(), Error> {
         map.update(&CircleScan { view, sensor, ..scan(step, circles) })?;
         let now = map.map_at(step * STEP_NS);
         assert_eq!((now.len(), now[0].id, now[0].visible), (1, 0, true), "{step}");
-        assert_eq!(now[0].confirmed, step >= 6, "{step}");
+        assert_eq!(now[0].confirmed, step >= 3, "{step}");
     }
     for step in 60..75 {
         map.update(&CircleScan { view, sensor: (step % 3) as u32, ..scan(step, &[]) })?;
@@ -308,7 +321,7 @@ fn a_slow_scanner_may_miss_a_scan() -> Result<(), Error> {
         assert_eq!(map.map_at(10 * step * STEP_NS)[0].id, 0);
     }
     let removed = (59..62).map(|step| map.update(&scan(10 * step, &[])).map(|stats| stats.removed));
-    assert_eq!(removed.collect::<Result<Vec<_>, _>>()?, [vec![], vec![], vec![0]]);
+    assert_eq!(removed.collect::<Result<Vec<_>, _>>()?, [vec![], vec![0], vec![]]);
     Ok(())
 }
 

@@ -102,10 +102,12 @@ fn shared_out(
 }
 
 impl RoundBody {
-    /// True if a measurement is of this body, which is no person on two legs.
+    /// True if a measurement is of this body, which is no person on two legs. What was free space
+    /// is nothing of what has stood here.
     fn holds(&self, seen: &BodyMeasurement) -> bool {
         self.known >= KNOWN
             && !self.person.has_legs()
+            && !(self.stands && seen.trace.is_some_and(|trace| trace < BOTH))
             && apart(&place(&self.circle().mean), &seen.circle.z) < OWN
     }
 }

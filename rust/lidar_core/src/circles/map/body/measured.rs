@@ -15,6 +15,10 @@ use nalgebra::{Matrix3, Vector2};
 
 /// Probability of standing above which a body is where it was, whatever its fit says.
 const LIKELY: f64 = 0.2;
+/// Probability of standing above which a body has stood, and share of the points of a measurement on
+/// earlier surfaces below which it is where space was free.
+const STOOD: f64 = 0.8;
+const FREE: f64 = 0.5;
 /// Squared distance that is left of a larger one then: the centre tells less than the trace.
 const STAYING: f64 = 1.0;
 /// Largest squared distance of the centre of what is not surely round, or has stayed.
@@ -28,7 +32,7 @@ const PART_SHARE: f64 = 0.5;
 const OTHER_OF_ROUND: f64 = 0.001;
 /// Distance from its predicted place, and speed since the last scan, above which a measurement is
 /// of another body [m], [m/s]; since its last measurement, where its place is not known.
-const FARTHEST: f64 = 0.8;
+pub(super) const FARTHEST: f64 = 0.8;
 const FASTEST: f64 = 3.0;
 /// Squared distance up to which something is a body that comes back into sight: 99.7 % of where it
 /// may be, chi-square of 2 degrees of freedom.
@@ -98,6 +102,7 @@ impl RoundBody {
     pub(super) fn cost(
         &self,
         seen: &CircleMeasurement,
+        trace: Option<Trace>,
         rules: &Rules,
     ) -> Result<Option<f64>, Error> {
         let noisy = self.noisy(seen);
@@ -107,7 +112,7 @@ impl RoundBody {
         let state = self.circle();
         let apart = libm::hypot(seen.z[0] - state.mean[0], seen.z[1] - state.mean[1]);
         let place = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let time = if exceeds(&place, KNOWN * KNOWN) {
+        let time = if exceeds(&place, KNOWN * KNOWN) && !self.stands {
             self.waiting
         } else {
             self.waiting / f64::from(self.waits.max(1))
@@ -126,7 +131,10 @@ impl RoundBody {
             return Ok(None);
         }
         let part = mahalanobis(&y, &S)?;
-        let part = (part.squared <= rules.gate())
+        // Another part of what stands is where a surface was, not where space was free.
+        let is_other =
+            trace.is_some_and(|trace| trace < FREE) && self.circle.standing(rules.motion()) > STOOD;
+        let part = (part.squared <= rules.gate() && !is_other)
             .then(|| part.squared + part.log_determinant + 3.0 * LN_2_PI - 2.0 * libm::log(OTHER));
         let whole = self.circle.cost(&noisy, rules.gate())?;
         let gone = if is_back { 2.0 * self.waiting / HIDDEN } else { 0.0 };

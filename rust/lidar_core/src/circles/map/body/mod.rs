@@ -11,15 +11,16 @@ mod person;
 mod places;
 
 use self::look::Looks;
+use self::measured::FARTHEST;
 use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
 use self::person::{Gait, Person};
-use self::places::{axes, is_one, moves_by};
+use self::places::{are_alike, axes, is_one, moves_by};
+use super::arrivals::BirthPlace;
 use super::circle_measurement::new_state;
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
 use super::modes::{ElementModes, halted};
-use super::parameters::MissLimits;
 use super::rules::Rules;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::CircleVisibility;
@@ -43,13 +44,12 @@ const TRUST: f64 = 4.0;
 const MOVES: f64 = 5.99;
 const RESTS: f64 = 0.25;
 
+/// Probability above which a body is a person.
+const PERSON: f64 = 0.5;
 /// Time for which both of two people were measured before they met [s].
 const MET: f64 = 1.0;
 /// Distance from a person within which something new may be a part of it [m].
 const BESIDE: f64 = 1.0;
-
-/// Least ratio of the radii of two measurements of one object, if one of them is large.
-const LEAST_RATIO: f64 = 0.5;
 
 /// A body: its circle, or the circle that represents it, and its outline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -153,22 +153,36 @@ impl RoundBody {
                     let mean = &state.mean;
                     let circle = Vector3::new(mean[0], mean[1], mean[4]);
                     let P = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-                    is_one(&circle, z, rules) && !exceeds(&P, KNOWN * KNOWN)
+                    is_one(&circle, z, rules)
+                        && are_alike(circle[2], z[2])
+                        && !exceeds(&P, KNOWN * KNOWN)
                 })
                 .map(|(row, state)| (*row, libm::hypot(state.mean[0] - z[0], state.mean[1] - z[1])))
+                .filter(|&(_, apart)| apart <= FARTHEST)
                 .min_by(|one, other| one.1.total_cmp(&other.1));
             owners[column] = nearest.map(|(row, _)| row);
         }
     }
 
-    /// True if both are people, who may pass each other closely: neither is a part of the other.
+    /// True if one is a person who may pass the other closely: neither is a part of the other.
     fn passes(&self, other: &Self) -> bool {
-        self.is_somebody() && other.is_somebody()
+        self.is_somebody() && (other.is_somebody() || other.is_fixture())
+            || self.is_fixture() && other.is_somebody()
     }
 
     /// True if it is a person, and surely no part of another one.
     fn is_somebody(&self) -> bool {
-        self.person.has_legs() && self.known >= MET && !self.is_beside
+        self.is_like_a_person() && self.known >= MET && !self.is_beside
+    }
+
+    /// True if it is something that stands, and surely no part of a person.
+    fn is_fixture(&self) -> bool {
+        self.stands && !self.is_like_a_person() && self.known >= MET && !self.is_beside
+    }
+
+    /// True if it was seen on two legs, or is most probably a person.
+    fn is_like_a_person(&self) -> bool {
+        self.person.has_legs() || self.person() > PERSON
     }
 
     /// Distance of a circle from the body [m].
@@ -180,11 +194,7 @@ impl RoundBody {
     /// True if a measurement may be of this body by its size. A large body and what stands inside
     /// its circle are two objects.
     fn is_alike(&self, seen: &BodyMeasurement) -> bool {
-        if !self.outline.is_large() && !seen.outline.is_some_and(|outline| outline.is_large) {
-            return true;
-        }
-        let (one, other) = (self.circle().mean[4], seen.circle.z[2]);
-        one.min(other) >= LEAST_RATIO * one.max(other)
+        are_alike(self.circle().mean[4], seen.circle.z[2])
     }
 }
 
@@ -201,7 +211,7 @@ impl State for RoundBody {
         let known = rules.parameters().center_noise * rules.parameters().center_noise;
         let mut is_beside = false;
         let (sum, weight) = others.fold((known * TRUST, TRUST), |(sum, weight), other| {
-            is_beside |= other.person.has_legs() && other.apart(&seen.circle.z) < BESIDE;
+            is_beside |= other.is_like_a_person() && other.apart(&seen.circle.z) < BESIDE;
             let (mean, more) = other.jitter.mean();
             (sum + mean * (more - TRUST).max(0.0), weight + (more - TRUST).max(0.0))
         });
@@ -297,7 +307,7 @@ impl State for RoundBody {
             for (column, measurement) in seen.iter().enumerate() {
                 if wholes[column] == column
                     && body.is_alike(measurement)
-                    && let Some(cost) = body.cost(&measurement.circle, rules)?
+                    && let Some(cost) = body.cost(&measurement.circle, measurement.trace, rules)?
                 {
                     pairs.push(Pair { row, column, cost });
                 }
@@ -384,7 +394,9 @@ impl State for RoundBody {
             let mean = body.circle().mean;
             Vector3::new(mean[0], mean[1], mean[4])
         });
-        is_one(&one, &two, rules)
+        are_alike(one[2], two[2])
+            && libm::hypot(one[0] - two[0], one[1] - two[1]) <= FARTHEST
+            && is_one(&one, &two, rules)
     }
 
     fn absorb(&mut self, twin: Self, is_newer: bool) {
@@ -393,7 +405,11 @@ impl State for RoundBody {
         }
     }
 
-    fn miss_limits(rules: &Rules) -> MissLimits {
-        rules.parameters().miss_limits
+    fn place(seen: &BodyMeasurement) -> BirthPlace {
+        BirthPlace::of(seen.trace, seen.circle.R[(2, 2)])
+    }
+
+    fn coast(rules: &Rules) -> Option<f64> {
+        rules.parameters().coast
     }
 }

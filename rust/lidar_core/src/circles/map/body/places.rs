@@ -7,6 +7,17 @@ use crate::circles::map::rules::Rules;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
+/// Radius from which a body is large [m], and the least ratio of the radii of two circles of a large
+/// object: what stands inside its circle is another one.
+const LARGE: f64 = 0.5;
+const LEAST_RATIO: f64 = 0.5;
+
+/// True if two circles may be of one object by their radii.
+pub(super) fn are_alike(one: f64, two: f64) -> bool {
+    let (least, most) = (one.min(two), one.max(two));
+    most < LARGE || least >= LEAST_RATIO * most
+}
+
 /// True if two circles (x, y, r) are one object.
 pub(super) fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
     let gap = rules.parameters().merge_gap;

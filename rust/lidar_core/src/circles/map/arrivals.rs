@@ -1,0 +1,96 @@
+//! How often what no element explains is an object, and not a chance group of rays: learnt from what
+//! became of earlier ones, for each sort of place.
+
+use super::view::earlier::Trace;
+use serde::{Deserialize, Serialize};
+
+/// What earlier scans met where something new is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum BirthPlace {
+    /// They did not see the place.
+    Revealed,
+    /// Free space: something came, or is a part of something that did.
+    Free,
+    /// A surface, of which no element was made.
+    Surface,
+    /// Whatever it was: too few rays meet the new thing to tell how large it is. Often it is a piece
+    /// of a wall that shows between two others.
+    Piece,
+}
+
+/// Number of sorts of places.
+const SORTS: usize = 4;
+/// Shares of objects before anything was learnt, in the order of [`BirthPlace`], and their weight
+/// [elements].
+const PRIOR: [f64; SORTS] = [0.85, 0.7, 0.6, 0.5];
+const WEIGHT: f64 = 5.0;
+/// Number of elements after which one counts 1/e.
+const MEMORY: f64 = 100.0;
+/// Largest share: one look is no proof.
+const MOST: f64 = 0.94;
+/// Share of its points on earlier surfaces above which something is where a surface was.
+const THERE: f64 = 0.5;
+/// Standard deviation of a radius above which it is not known [m].
+const VAGUE: f64 = 0.1;
+
+impl BirthPlace {
+    /// Sort of a place from what earlier scans met there, and the variance of the radius of what is
+    /// there now [m^2].
+    pub(super) fn of(trace: Option<Trace>, variance: f64) -> Self {
+        match trace {
+            _ if variance > VAGUE * VAGUE => Self::Piece,
+            None => Self::Revealed,
+            Some(there) if there < THERE => Self::Free,
+            Some(_) => Self::Surface,
+        }
+    }
+}
+
+/// Objects among the elements that began at each sort of place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Arrivals {
+    objects: [f64; SORTS],
+    all: [f64; SORTS],
+}
+
+impl Arrivals {
+    /// Probability that there is an object where something is measured that no element explains.
+    pub(super) fn share(&self, place: BirthPlace) -> f64 {
+        let sort = place as usize;
+        let share = (PRIOR[sort] * WEIGHT + self.objects[sort]) / (WEIGHT + self.all[sort]);
+        share.min(MOST)
+    }
+
+    /// Take in what became of an element: the probability that there was an object.
+    pub(super) fn learn(&mut self, place: BirthPlace, existence: f64) {
+        let sort = place as usize;
+        let kept = 1.0 - 1.0 / MEMORY;
+        self.objects[sort] = kept * self.objects[sort] + existence;
+        self.all[sort] = kept * self.all[sort] + 1.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_learnt_for_each_sort_of_place() {
+        let mut arrivals = Arrivals::default();
+        let [revealed, free] =
+            [BirthPlace::Revealed, BirthPlace::Free].map(|place| arrivals.share(place));
+        for number in 0..300 {
+            arrivals.learn(BirthPlace::Free, if number % 4 == 0 { 1.0 } else { 0.02 });
+        }
+        assert_eq!(arrivals.share(BirthPlace::Revealed), revealed);
+        let learnt = arrivals.share(BirthPlace::Free);
+        assert!(learnt < free && (0.2..0.33).contains(&learnt), "{learnt}");
+    }
+
+    #[test]
+    fn places_follow_from_what_was_met_there() {
+        let places = [None, Some(0.1), Some(0.9)].map(|trace| BirthPlace::of(trace, 1e-4));
+        assert_eq!(places, [BirthPlace::Revealed, BirthPlace::Free, BirthPlace::Surface]);
+        assert_eq!(BirthPlace::of(None, 0.04), BirthPlace::Piece);
+    }
+}

@@ -1,0 +1,63 @@
+"""Existence of elements of the circle map in plain Python: odds, and what is learnt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+LIFETIME, CHANCE, SPEAKS = 60.0, 0.2, 0.1  # [s]
+TWICE, COVERED, GONE = 0.4, 0.15, (0.02, 0.3)
+RATES = {"seen through": 40.0, "returns": 12.0}  # [1/s]
+OVER, SURE, MOST = 0.05, 0.99, 1 - 1e-6
+PRIOR, WEIGHT, MEMORY = {"revealed": 0.85, "piece": 0.5}, 5.0, 100.0
+
+
+def bayes(p, ratio):
+    return min(ratio * p / (ratio * p + 1 - p), MOST)
+
+
+class Arrivals:
+    """Share of objects among what began, by sort."""
+
+    def __init__(self):
+        self.ends = {sort: [] for sort in PRIOR}
+
+    def share(self, sort):
+        ends = self.ends[sort]
+        weight = (1 - 1 / MEMORY) ** np.arange(len(ends))[::-1]
+        share = (PRIOR[sort] * WEIGHT + weight @ np.array(ends)) / (WEIGHT + weight.sum())
+        return min(share, 0.94)
+
+
+class Existence:
+    """Probability that one element was an object, and is still there."""
+
+    def __init__(self, arrivals, variance):
+        self.sort = "piece" if variance > 0.1**2 else "revealed"
+        self.was, self.there = arrivals.share(self.sort), 1.0
+        self.since, self.once, self.in_sight, self.told = 0.0, True, True, False
+
+    def __call__(self):
+        return self.was * self.there
+
+    def predict(self, dt):
+        self.there *= np.exp(-dt / LIFETIME)
+        self.since += dt
+
+    def see(self, what):
+        spoken = min(self.since, SPEAKS)
+        if what == "measured":
+            self.was = bayes(self.was, np.exp(spoken / CHANCE) / (TWICE if self.once else 1.0))
+            self.there, self.once = 1.0, False
+        elif what in RATES:
+            self.there = bayes(self.there, np.exp(-RATES[what] * spoken))
+        elif what == "occluded" and self.in_sight and self.once:
+            self.was = bayes(self.was, COVERED)
+        if what == "measured" or what in RATES:
+            self.since = 0.0
+        self.in_sight = what == "measured"
+
+    def settle(self, over, arrivals):
+        if not self.told and (over or self.was > SURE):
+            ratio = GONE[0 if self.once else 1] if self.there < 0.5 else 1.0
+            arrivals.ends[self.sort].append(bayes(self.was, ratio))
+            self.told = True
