@@ -43,10 +43,9 @@ fmt: ## Format Rust and Python.
 
 lint: lint-rust lint-python ## Check format, lints, types and the stub.
 
-lint-rust: ## Only rustfmt and clippy.
+lint-rust: ## Only rustfmt and clippy, which checks the benches, too.
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
-	cargo check --locked --benches
 
 lint-python: ## Only ruff, mypy and stubtest.
 	$(BIN)/ruff check .
@@ -56,7 +55,7 @@ lint-python: ## Only ruff, mypy and stubtest.
 
 test: test-env ## Install what the tests need and run them all, on a wheel.
 	cargo test --locked
-	$(TEST_VENV)/bin/pytest -n 2 --dist loadgroup
+	$(TEST_VENV)/bin/pytest -n 3 --dist loadgroup
 	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
 
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
