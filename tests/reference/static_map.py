@@ -61,7 +61,9 @@ class View:
         around = [(down, aside) for down in (-1, 0, 1) for aside in (-1, 0, 1)]
 
         def block(of):
-            shifted = [np.roll(np.roll(of, -down, axis=0), -aside, axis=1) for down, aside in around]
+            shifted = [
+                np.roll(np.roll(of, -down, axis=0), -aside, axis=1) for down, aside in around
+            ]
             return np.reshape(shifted, (3, 3, *shape))
 
         rays = block(np.where(returns < NONE, returns, empty))

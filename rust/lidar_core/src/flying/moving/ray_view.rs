@@ -111,6 +111,9 @@ impl RayView {
     /// True if rays on all sides of a place, in the frame of the map [m], end clearly behind it.
     pub(super) fn sees_through(&self, place: [f64; 3]) -> bool {
         let about = minus(place, self.middle);
+        if about.iter().any(|offset| offset.abs() > 2.0 * FARTHEST) {
+            return false;
+        }
         let way = minus(place, self.starts[sector(about)]);
         let length = norm(way);
         if length > FARTHEST {

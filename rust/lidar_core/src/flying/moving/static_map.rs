@@ -24,7 +24,7 @@ const VOXEL: f64 = 0.1;
 const MAX_RANGE: f64 = 20.0;
 /// Something moved if more than one scan sees through it per so many scans that have points there: thin
 /// things that stand, such as wires, are hit again and again, and seen through now and then.
-const HITS_PER_VIEW: u64 = 20;
+const HITS_PER_VIEW: u32 = 20;
 /// Updates after which a voxel is occupied for sure.
 const SURE_UPDATES: f64 = 30.0;
 /// Memory for views [bytes]; above it every second one goes.
@@ -120,8 +120,7 @@ impl StaticMapper {
         let cells = sorted(&self.points);
         let watch = cancel::watch();
         let standing = |cells: &[(Place, [f32; 3])]| -> Vec<[f32; 3]> {
-            let points = cells.iter().map(|(_, point)| *point);
-            if watch.is_asked() { Vec::new() } else { points.filter(|&p| !self.moved(p)).collect() }
+            if watch.is_asked() { Vec::new() } else { self.standing(cells) }
         };
         let parts: Vec<Vec<[f32; 3]>> = match pool {
             Some(pool) => pool.install(|| cells.par_chunks(CELLS_PER_TASK).map(standing).collect()),
@@ -131,12 +130,20 @@ impl StaticMapper {
         Ok(parts.concat())
     }
 
-    /// True if what made a point moved.
-    fn moved(&self, point: [f32; 3]) -> bool {
-        let hits = place(point, VOXEL).and_then(|voxel| self.hits.get(&voxel));
-        let enough = 1 + hits.map_or(0, |hits| u64::from(hits.count)) / HITS_PER_VIEW;
-        let through = self.views.iter().filter(|view| view.sees_through(wide(point)));
-        through.take(enough as usize).count() as u64 == enough
+    /// Points of what stands among those of some cells.
+    fn standing(&self, cells: &[(Place, [f32; 3])]) -> Vec<[f32; 3]> {
+        let hits = |point| place(point, VOXEL).and_then(|voxel| self.hits.get(&voxel));
+        let most = |point| hits(point).map_or(0, |hits| hits.count) / HITS_PER_VIEW;
+        // View by view, so that one is in the cache for many points.
+        let mut open: Vec<(usize, u32)> =
+            cells.iter().enumerate().map(|(at, &(_, point))| (at, 1 + most(point))).collect();
+        for view in &self.views {
+            for (at, left) in &mut open {
+                *left -= u32::from(view.sees_through(wide(cells[*at].1)));
+            }
+            open.retain(|(_, left)| *left > 0);
+        }
+        open.into_iter().map(|(at, _)| cells[at].1).collect()
     }
 
     /// A map in the frame of `of` in which the voxels are occupied that hold points of what stands.
