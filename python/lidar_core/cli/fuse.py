@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 RECORDING = (
-    "L/R text, a table (CSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
-    " detections of Autoferry (.json)."
+    "L/R text, a table (CSV, TSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
+    " detections of many targets (Autoferry, nuScenes, Delphi, Continental)."
 )
 ASSOCIATION = "For many targets: integrated (JIPDA), nearest, or joint (JPDA)."
 LAG = "Smooth: use measurements up to this much later for every state \\[s]."

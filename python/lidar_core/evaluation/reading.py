@@ -16,7 +16,7 @@ from lidar_core.evaluation.matching.pairing import checked_estimates, checked_tr
 from lidar_core.evaluation.metrics.latency import Latency
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.files import read_whole
-from lidar_core.io.tables.columns import Columns, read_columns
+from lidar_core.io.tables.columns import Columns, at_row, read_columns
 from lidar_core.io.tables.covariance import covariance_titles, symmetric
 from lidar_core.run_folder import RUN_FILE, table_in
 
@@ -210,7 +210,7 @@ def _covariance(
     if (smallest <= 0).any():
         row = int(np.argmax(smallest <= 0))
         raise FormatError(
-            f"{place}: row {row}: its covariance is not positive definite; without the columns"
+            f"{at_row(place, row)}: its covariance is not positive definite; without the columns"
             " cov_* the table is scored without NEES"
         )
     return matrices

@@ -8,7 +8,9 @@ from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
 from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
 from lidar_core.fusion.recordings.bags import BagOptions, read_bag
+from lidar_core.fusion.recordings.continental import read_continental
 from lidar_core.fusion.recordings.delphi import read_delphi
+from lidar_core.fusion.recordings.nuscenes import read_nuscenes_boxes, read_nuscenes_radar
 from lidar_core.fusion.recordings.overflight import level_overflight, write_overflight
 from lidar_core.fusion.recordings.reading import TargetRecording, TargetTruth, read_laser_radar
 from lidar_core.fusion.recordings.table import MeasurementLog, TableOptions, read_measurements
@@ -47,9 +49,12 @@ __all__ = [
     "mean_gospa",
     "read_autoferry",
     "read_bag",
+    "read_continental",
     "read_delphi",
     "read_laser_radar",
     "read_measurements",
+    "read_nuscenes_boxes",
+    "read_nuscenes_radar",
     "run",
     "run_batch",
     "smooth",

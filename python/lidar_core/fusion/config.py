@@ -92,12 +92,13 @@ class FusionConfig(Config):
         " multiple models, whose state is that of ca or ca-3d (no unit).",
     )
     sigma_spread: float | None = Field(
-        None,
+        3.0,
         gt=0,
         le=1e3,
         description="Square of the distance of sigma points of ukf, in standard deviations (no"
         " unit); none: the number of states plus 2. Below the number of states a weight is"
-        " negative; courses have 3.",
+        " negative: what it takes off a covariance is left out where nothing would be left. Points"
+        " far away spoil models with a heading, which means nothing while a target stands.",
     )
     sigma_points: Literal["redrawn", "carried"] = Field(
         "redrawn",
@@ -175,10 +176,11 @@ class FusionConfig(Config):
         " or of x, y, z [m], roll, pitch and yaw [rad]:"
         " what they make of a place enters the noise of LiDAR and radar; zeros: exact.",
     )
-    gyro: Literal["input", "measurement", "none"] = Field(
+    gyro: Literal["input", "exact", "measurement", "none"] = Field(
         "input",
-        description="Use of the gyro by model ctrv-drone (no unit): its rate as it is; or as a"
-        " measurement of a sixth state w_d; or not at all, w_d being estimated.",
+        description="Use of the gyro by model ctrv-drone (no unit): its rate, of which the bias"
+        " and the delay are estimated as states gyro_bias [rad/s] and gyro_delay [s]; or its rate"
+        " as it is; or as a measurement of a sixth state w_d; or not at all, w_d being estimated.",
     )
     lever_arm: Pair | Triple = Field(
         (0.0, 0.0),

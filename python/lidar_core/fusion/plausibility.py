@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, SensorName
-from lidar_core.fusion.repairs import LATE, LENGTHS, REPAIRS, Change, later
+from lidar_core.fusion.repairs import LATE, LENGTH_TEXTS, LENGTHS, REPAIRS, Change, later
 from lidar_core.fusion.run import Run, run
 
 LEAST = 20
@@ -230,6 +230,11 @@ def _repairs(
     # Those about as good as the best one cannot be told apart from it.
     least = min(found, default=(0.0, ""))[0]
     shown = [text for value, text in sorted(found) if value <= 2 * least]
+    if any(text in LENGTH_TEXTS for text in shown):
+        # A smaller unit makes errors smaller, too: that a fit is better than expected says nothing,
+        # and one sensor in kilometres looks like the other in millimetres. The likeliest is first.
+        units = [one for one in found if one[1] in LENGTH_TEXTS and one[0] <= max(2 * least, 2.0)]
+        shown = [text for _, text in sorted(units, key=lambda one: abs(np.log(one[0])))]
     bearings = [
         abs(float(m.values[m.measures.index("bearing")]))
         for m in measurements

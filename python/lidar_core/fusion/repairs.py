@@ -120,3 +120,4 @@ REPAIRS: tuple[tuple[str, str, Change], ...] = (
 """Mistakes, by the sensor that makes them, and what undoes them."""
 LENGTHS = 2 * len(_LENGTHS)
 """Number of those about units of lengths, the last ones."""
+LENGTH_TEXTS = frozenset(text for _, text, _ in REPAIRS[-LENGTHS:])

@@ -7,7 +7,9 @@ from lidar_core._core import fusion_models
 from lidar_core.fusion.config import IN_SPACE, FusionConfig
 
 STATES: dict[str, tuple[str, ...]] = {name: tuple(states) for name, states, *_ in fusion_models()}
-"""Names of states by model; w_d of ctrv-drone is there unless a gyro is an input."""
+"""Names of states by model; of ctrv-drone without a gyro as an input."""
+_GYRO = {"input": ("gyro_bias", "gyro_delay"), "exact": ()}
+"""What follows the states of ctrv when the turn rate of the sensor comes from a gyro."""
 
 
 def state_names(config: FusionConfig) -> tuple[str, ...]:
@@ -17,11 +19,13 @@ def state_names(config: FusionConfig) -> tuple[str, ...]:
     --------
     >>> state_names(FusionConfig(model="ctrv"))
     ('x', 'y', 'v', 'theta', 'w')
+    >>> state_names(FusionConfig.turning_sensor())[5:]
+    ('gyro_bias', 'gyro_delay')
     """
     if config.method == "imm":
         return STATES["ca-3d" if is_in_space(config) else "ca"]
-    if config.model == "ctrv-drone" and config.gyro == "input":
-        return STATES["ctrv"]
+    if config.model == "ctrv-drone" and config.gyro in _GYRO:
+        return STATES["ctrv"] + _GYRO[config.gyro]
     return STATES[config.model]
 
 

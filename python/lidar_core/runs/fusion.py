@@ -15,18 +15,16 @@ from lidar_core.fusion import (
     Measurements,
     MultiTargetConfig,
     TableOptions,
-    read_autoferry,
     read_bag,
-    read_delphi,
     read_measurements,
 )
 from lidar_core.fusion import (
     fit_noise as fit_noise_of,
 )
 from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
-from lidar_core.fusion.recordings.delphi import is_delphi
+from lidar_core.fusion.recordings.lists import list_reader
 from lidar_core.fusion.recordings.scans import TargetScans, scans_of
-from lidar_core.fusion.recordings.table import TABLES
+from lidar_core.fusion.recordings.table import is_table
 from lidar_core.io import Span
 from lidar_core.io.options import NS
 from lidar_core.run_folder import fingerprint
@@ -69,8 +67,9 @@ def fuse(
     Parameters
     ----------
     recording : str or Path
-        L/R text, a table (CSV, Parquet, .npz), a ROS recording, detections of Autoferry, or
-        object lists of Delphi radars (CSV, or a folder of them).
+        L/R text, a table (CSV, TSV, Parquet, .npz), a ROS recording, detections of Autoferry,
+        object lists of Delphi (CSV) or Continental radars (YAML), radar sweeps (PCD) or detections
+        (JSON) of nuScenes; a folder of CSV, YAML or PCD files is one recording.
     config : FusionConfig, MultiTargetConfig, ConfigChoice or None
         Configuration of the filter of one target, or of the tracker of many; None is best mode.
     output : str or Path
@@ -253,21 +252,19 @@ class _FuseJob:
     def _found(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
         """What the recording holds, and how it was read."""
         recording = self.recording
-        if recording.suffix == ".json":
-            self._check_read("detections of Autoferry", ())
-            return TargetScans(read_autoferry(recording), "Autoferry"), {}
-        if is_delphi(recording):
-            self._check_read("object lists of Delphi", ())
-            return TargetScans(read_delphi(recording), "Delphi ESR"), {}
+        reader = list_reader(recording)
+        if reader is not None:
+            self._check_read(f"{reader[0]} recordings", ())
+            return TargetScans(reader[1](recording), reader[0]), {}
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
-        is_table = recording.suffix in TABLES
         of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
-        self._check_read(*(("a table", of_tables) if is_table else ("L/R text", ())))
+        tabular = is_table(recording)
+        self._check_read(*(("a table", of_tables) if tabular else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
         log, reading = read_measurements(recording, options), {"fusion_table": options}
-        if is_table and self._of_many:
+        if tabular and self._of_many:
             return TargetScans(scans_of(log), log.format), reading
         return log, reading
 

@@ -196,7 +196,7 @@ def test_a_covariance_that_is_none_is_named(place, tracks, tmp_path):
         | {"cov_x_x": -tracks["cov_x_x"]},
     )
     text = str(refusal_of(path, place / "yard.npz"))
-    assert "tracks.npz: row 0: its covariance is not positive definite" in text
+    assert "tracks.npz, row 1: its covariance is not positive definite" in text
 
 
 def test_of_a_track_written_twice_the_last_row_counts(tmp_path):

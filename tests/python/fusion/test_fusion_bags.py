@@ -248,3 +248,47 @@ def test_info_shows_what_can_be_fused(tmp_path):
     topics = {topic["name"]: topic["kind"] for topic in json.loads(out.stdout)["topics"]}
     assert topics == {"/lidar": "measurement", "/odom": "pose", "/radar": "measurement"}
     assert json.loads(out.stdout)["defects"] == ["no scans; measurements are for `lidar-core fuse`"]
+
+
+def mounted(ros, child, angles, parent="base"):
+    """A static transform that turns a sensor on the platform."""
+    values = [0.5, 0.1, 0.0, *quaternion_from_angles(*angles)]
+    return ros.transforms([(0, parent, child, values)])
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_sensors_see_in_the_axes_of_the_platform(storage, tmp_path):
+    ros = Radar(2)
+    left, over = (0.0, 0.0, np.pi / 2), (np.pi, 0.0, 0.0)  # roll, pitch, yaw
+    path = stored(
+        tmp_path,
+        2,
+        storage,
+        [
+            ("/tf_static", 0, mounted(ros, "radar", left)),
+            ("/tf_static", 0, mounted(ros, "lidar", over)),
+            ("/tf_static", 0, mounted(ros, "imu", over)),
+            ("/odom", 1, ros.moving(1, (1, 2), 0.0, (3, 0), 0.25)),
+            ("/tracks", 2, ros.tracks(2, [(3, 4, 1, 2)], (0.04, 0.09))),
+            ("/scan", 3, ros.scan(3, [(10, 0.5, 0.3, -2)])),
+            ("/lidar", 4, ros.point(4, (1.5, -2.5))),
+            ("/imu", 5, ros.imu(5, (0.1, 0.2, 0.3))),
+        ],
+    )
+    _, track, echo, point, turning = [scan.measurements[0] for scan in read_bag(path)]
+    np.testing.assert_allclose(track.values, [5, np.arctan2(4, 3) + np.pi / 2, 2.2], rtol=1e-9)
+    expected = [10 * np.cos(0.3), 0.5 + np.pi / 2, -2 / np.cos(0.3)]
+    np.testing.assert_allclose(echo.values, expected, rtol=FLOAT32)
+    np.testing.assert_allclose(point.values, [1.5, 2.5], rtol=1e-9)
+    assert turning.values[0] == pytest.approx(-0.3, rel=1e-9)
+
+
+def test_transforms_of_other_frames_turn_nothing(tmp_path):
+    ros = Radar(2)
+    messages = [
+        ("/tf_static", 0, mounted(ros, "radar", (0.0, 0.0, 1.0), parent="trailer")),
+        ("/odom", 1, ros.moving(1, (1, 2), 0.0, (3, 0), 0.25)),
+        ("/tracks", 2, ros.tracks(2, [(3, 4, 1, 2)])),
+    ]
+    scans = read_bag(stored(tmp_path, 2, "mcap", messages))
+    assert scans[1].measurements[0].values[1] == pytest.approx(np.arctan2(4, 3))

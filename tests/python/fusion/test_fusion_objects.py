@@ -61,9 +61,9 @@ def test_a_folder_of_object_lists_is_fused_as_many_targets(tmp_path):
     ("names", "row", "text"),
     [
         (NAMES.replace("track_angle_rad", "angle"), "1,1,0,0,5,1", "no column track_angle_rad"),
-        (NAMES, "1,1,0,left,5,1", "row 0: column track_angle_rad: expected a number, got 'left'"),
-        (NAMES, "1,1,0,nan,5,1", "row 0: track_angle_rad: expected a number, got nan"),
-        (NAMES, "1e9,1,0,0,5,1", "row 0: time_ns: expected whole nanoseconds, got"),
+        (NAMES, "1,1,0,left,5,1", "row 1: column track_angle_rad: expected a number, got 'left'"),
+        (NAMES, "1,1,0,nan,5,1", "row 1: column track_angle_rad: expected a number, got nan"),
+        (NAMES, "1e9,1,0,0,5,1", "row 1: column time_ns: expected whole nanoseconds, got"),
     ],
 )
 def test_what_is_no_object_list_is_named(tmp_path, names, row, text):
@@ -95,7 +95,9 @@ def test_a_table_may_have_semicolons_or_tabs_and_decimal_commas(tmp_path, separa
         log = read_measurements(tmp_path / name)
         assert [m.values.tolist() for m in log.measurements] == [[1.5, -20.0], [0.25, 3.0]]
     (tmp_path / "short.csv").write_text(f"{text}7{separator}L\n")
-    with pytest.raises(FormatError, match="line 4: expected 4 values, got 2"):
+    with pytest.raises(
+        FormatError, match=r"row 3: expected 4 values with .* between them, .* got 2"
+    ):
         read_measurements(tmp_path / "short.csv")
 
 

@@ -101,6 +101,10 @@ WRONG = {
         lambda seen: changed(seen, "lidar", lambda v: 1000 * v),
         "places of the LiDAR are millimetres",
     ),
+    "kilometres": (
+        lambda seen: changed(seen, "lidar", lambda v: v / 1000),
+        "places of the LiDAR are kilometres: they fit times 1000",
+    ),
     "late radar": (
         lambda seen: late(seen, "radar", 1.0),
         r'the radar is 1 s ahead of the others (clock={"radar": 1})',

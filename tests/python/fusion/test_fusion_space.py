@@ -58,7 +58,7 @@ def expected(model, method, states, covariances, told):
     spread = np.diag(np.square(OPEN["pose_std"]))
     for s, P, (pose, chosen, z, R) in zip(states, covariances, told[1:], strict=False):
         given = (model, s, P, STEP, z, R, STRENGTHS, pose, np.array(LEVER), chosen, spread)
-        reach = SIZES[model] + (2 if method == "ukf" else 0)
+        reach = 3.0 if method == "ukf" else SIZES[model]
         yield oracle.ekf_step(*given) if method == "ekf" else oracle.ukf_step(*given, reach)
 
 

@@ -1,6 +1,6 @@
 """Measurements from ROS recordings: radar tracks and scans, positions, poses, turn rates."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -12,6 +12,8 @@ from lidar_core.config import Config, as_config
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.fusion.measurement import Measurement, SensorName
 from lidar_core.fusion.recordings.autoferry import DetectionScan
+from lidar_core.fusion.recordings.mountings import Mountings
+from lidar_core.fusion.recordings.radar_tracks import definite, radar_of_track
 from lidar_core.io.files.guard import reading
 from lidar_core.io.messages.ros import (
     IMU_TYPE,
@@ -37,6 +39,8 @@ BY_ITSELF: dict[SensorName, tuple[str, ...]] = {**TYPES, "lidar": (POINT_TYPE,)}
 STEEPEST = 1e-3  # least cosine of the elevation of a radar's return
 
 Found: TypeAlias = list[Measurement]
+Turn: TypeAlias = NDArray[np.float64] | None
+"""Rotation (3, 3) from the axes of a sensor to those of the platform."""
 
 
 class BagOptions(Config):
@@ -68,7 +72,8 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
     -------
     scans : list of DetectionScan
         One per message, by the stamps in their headers; `source` is the topic. Places are in the
-        frames of the sensors, which are taken to look along the platform's axes.
+        axes of the platform, from the sensor: static transforms (/tf_static) turn what sensors
+        see. Where they do not place a sensor, it is taken to look along the platform's axes.
 
     Raises
     ------
@@ -87,6 +92,7 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
     chosen, place = as_config(options, BagOptions), Path(path)
     with open_recording(place) as recording:
         sensors = _sensors(place, recording.topics(), chosen)
+        mountings = Mountings.of(recording)
         scans = [
             DetectionScan(stamp, record.topic.name, found, np.zeros(2), {})
             for number, record in enumerate(recording.records(KINDS))
@@ -97,6 +103,7 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
                 record.topic,
                 f"{place}, message {number}",
                 chosen,
+                mountings,
             )
         ]
         if not scans:
@@ -129,77 +136,85 @@ def _sensors(place: Path, topics: Sequence[Topic], options: BagOptions) -> dict[
 
 
 def _read(
-    message: Any, sensor: SensorName, topic: Topic, place: str, options: BagOptions
+    message: Any,
+    sensor: SensorName,
+    topic: Topic,
+    place: str,
+    options: BagOptions,
+    mountings: Mountings,
 ) -> Iterator[tuple[int, Found]]:
     """Stamp and measurements of a message."""
-    readers: dict[SensorName, Callable[[int, Any, str], Found]] = {
-        "lidar": _positions,
-        "gyro": _turn_rate,
-        "pose": _pose,
-        "radar": lambda stamp, m, _: (
-            _tracks(stamp, m) if hasattr(m, "tracks") else _returns(stamp, m, options.doppler)
-        ),
-    }
     with reading(f"{place} on {topic.name}"):
         stamp = stamp_of(message.header.stamp)
-        yield stamp, readers[sensor](stamp, message, place)
+        turn = mountings.rotation(message.header.frame_id)
+        if sensor == "pose":
+            found = _pose(stamp, message, place)
+        elif sensor == "gyro":
+            found = _turn_rate(stamp, message, turn)
+        elif sensor == "lidar":
+            found = _positions(stamp, message, place, turn)
+        elif hasattr(message, "tracks"):
+            found = _tracks(stamp, message, turn)
+        else:
+            found = _returns(stamp, message, options.doppler, turn)
+        yield stamp, found
 
 
-def _tracks(stamp: int, message: Any) -> Found:
+def _tracks(stamp: int, message: Any, turn: Turn) -> Found:
     found = []
     for track in message.tracks:
-        p = np.array([track.position.x, track.position.y], np.float64)
-        v = np.array([track.velocity.x, track.velocity.y], np.float64)
-        far = float(np.hypot(*p))
-        if not far > 0:
-            continue
-        rate = float(p @ v) / far
-        by_place = np.stack(
-            [p / far, np.array([-p[1], p[0]]) / far**2, v / far - rate * p / far**2]
-        )
-        by_speed = np.stack([np.zeros(2), np.zeros(2), p / far])
-        spread = by_place @ _planar(track.position_covariance) @ by_place.T
-        spread += by_speed @ _planar(track.velocity_covariance) @ by_speed.T
-        values = [far, float(np.arctan2(p[1], p[0])), rate]
-        found.append(Measurement(stamp, "radar", values, _definite(spread)))
-    return found
+        p, v = _axes(track.position, turn), _axes(track.velocity, turn)
+        spreads = [
+            _planar(upper, turn) for upper in (track.position_covariance, track.velocity_covariance)
+        ]
+        found.append(radar_of_track(stamp, p[:2], v[:2], *spreads))
+    return [one for one in found if one is not None]
 
 
-def _planar(upper: Any) -> NDArray[np.float64]:
+def _axes(vector: Any, turn: Turn) -> NDArray[np.float64]:
+    """A vector (3,) of a message, in the axes of the platform."""
+    own = np.array([vector.x, vector.y, vector.z], np.float64)
+    return own if turn is None else turn @ own
+
+
+def _planar(upper: Any, turn: Turn) -> NDArray[np.float64]:
     """X and y of a covariance of three axes, of which a message has the upper triangle."""
-    return np.array([[upper[0], upper[1]], [upper[1], upper[3]]], np.float64)
+    whole = np.array([upper[k] for k in (0, 1, 2, 1, 3, 4, 2, 4, 5)], np.float64).reshape(3, 3)
+    if turn is not None:
+        whole = turn @ whole @ turn.T
+    planar: NDArray[np.float64] = whole[:2, :2]
+    return planar
 
 
-def _definite(covariance: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """A covariance that can be used; None for zeros, which say that nobody knows, and others."""
-    covariance = (covariance + covariance.T) / 2
-    scale = np.sqrt(np.abs(np.diag(covariance)))
-    if not (np.isfinite(covariance).all() and (scale > 0).all()):
-        return None
-    least = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
-    return covariance if least > 1e-9 else None
-
-
-def _returns(stamp: int, message: Any, doppler: str) -> Found:
+def _returns(stamp: int, message: Any, doppler: str, turn: Turn) -> Found:
     sign = 1.0 if doppler == "receding" else -1.0
     found = []
     for item in message.returns:
-        level = max(float(np.cos(item.elevation)), STEEPEST)
-        values = [item.range * level, float(item.azimuth), sign * item.doppler_velocity / level]
+        azimuth, elevation = float(item.azimuth), float(item.elevation)
+        if turn is not None:
+            flat = np.cos(elevation)
+            seen = [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
+            x, y, z = turn @ np.array(seen)
+            azimuth, elevation = float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
+        level = max(float(np.cos(elevation)), STEEPEST)
+        values = [item.range * level, azimuth, sign * item.doppler_velocity / level]
         found.append(Measurement(stamp, "radar", values))
     return found
 
 
-def _positions(stamp: int, message: Any, place: str) -> Found:
+def _positions(stamp: int, message: Any, place: str, turn: Turn) -> Found:
     if hasattr(message, "point"):
-        return [Measurement(stamp, "lidar", [message.point.x, message.point.y])]
+        return [Measurement(stamp, "lidar", _axes(message.point, turn)[:2])]
     matrix, covariance = matrix_of(message, place)
-    known = None if covariance is None else _definite(covariance[:2, :2])
-    return [Measurement(stamp, "lidar", matrix[:2, 3], known)]
+    at, spread = matrix[:3, 3], None if covariance is None else covariance[:3, :3]
+    if turn is not None:
+        at, spread = turn @ at, None if spread is None else turn @ spread @ turn.T
+    known = None if spread is None else definite(spread[:2, :2])
+    return [Measurement(stamp, "lidar", at[:2], known)]
 
 
-def _turn_rate(stamp: int, message: Any, place: str) -> Found:
-    """About the vertical: from the rates of the body, where the orientation is known."""
+def _turn_rate(stamp: int, message: Any, turn: Turn) -> Found:
+    """About the vertical: from the rates of the sensor, where its orientation is known."""
     rates, q = message.angular_velocity, message.orientation
     rate, variance = float(rates.z), float(message.angular_velocity_covariance[8])
     norm = float(np.linalg.norm([q.x, q.y, q.z, q.w]))
@@ -208,6 +223,8 @@ def _turn_rate(stamp: int, message: Any, place: str) -> Found:
         pitch = np.arcsin(np.clip(2 * (q.w * q.y - q.z * q.x), -1, 1))
         level = max(float(np.cos(pitch)), STEEPEST)
         rate = float(rates.y * np.sin(roll) + rates.z * np.cos(roll)) / level
+    elif turn is not None:
+        rate = float(_axes(rates, turn)[2])
     known = [[variance]] if np.isfinite(variance) and variance > 0 else None
     return [Measurement(stamp, "gyro", [rate], known)]
 
@@ -224,5 +241,5 @@ def _pose(stamp: int, message: Any, place: str) -> Found:
             values += [*(matrix[:2, :3] @ twist[:3]).tolist(), float(twist[3])]
     known = None
     if covariance is not None:
-        known = _definite(covariance[np.ix_([0, 1, 5], [0, 1, 5])])
+        known = definite(covariance[np.ix_([0, 1, 5], [0, 1, 5])])
     return [Measurement(stamp, "pose", values, known)]

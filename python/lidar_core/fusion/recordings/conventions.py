@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
+from lidar_core.io.tables.columns import at_row
 
 Azimuth: TypeAlias = Literal["clockwise", "compass"]
 """How angles count that are not counter-clockwise from x: clockwise from x, or from north (y)."""
@@ -84,7 +85,9 @@ def stamps_of_texts(texts: NDArray[np.str_], where: str) -> NDArray[np.int64] | 
         except ValueError as error:
             if not found:
                 return None
-            raise FormatError(f"{where}, row {row}: expected a time, got {text!r}") from error
+            raise FormatError(
+                f"{at_row(where, row)}: column t_ns: expected a time, got {text!r}"
+            ) from error
         aware = time if time.tzinfo else time.replace(tzinfo=UTC)
         since = aware - datetime(1970, 1, 1, tzinfo=UTC)
         found.append((since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
-from lidar_core.fusion.recordings.table import numbers_in
+from lidar_core.fusion.recordings.cells import numbers_in
 from lidar_core.io.files.guard import check_size
-from lidar_core.io.tables.columns import read_columns
+from lidar_core.io.tables.columns import at_row, read_columns
 
 TIME, SLOT = "time_ns", "trackID"
 VALUES = ("track_range_m", "track_angle_rad", "track_range_rate_m_per_s")
@@ -101,7 +101,7 @@ def _rows(place: Path) -> NDArray[np.void]:
         bad = [row for row, text in enumerate(whole.tolist()) if not str(text).isdecimal()]
         row = bad[0] if bad else 0
         raise FormatError(
-            f"{place}, row {row}: {TIME}: expected whole nanoseconds, got {whole[row]}"
+            f"{at_row(place, row)}: column {TIME}: expected whole nanoseconds, got {whole[row]}"
         )
     numbers = {name: numbers_in(place, columns, name) for name in (SLOT, *VALUES)}
     for name, column in numbers.items():
@@ -109,7 +109,7 @@ def _rows(place: Path) -> NDArray[np.void]:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise FormatError(
-                f"{place}, row {row}: {name}: expected a number, got {columns[name][row]}"
+                f"{at_row(place, row)}: column {name}: expected a number, got {columns[name][row]}"
             )
     made = np.zeros(len(whole), [("stamp", "i8"), ("slot", "f8"), ("values", "f8", 3)])
     made["stamp"], made["slot"] = whole, numbers[SLOT]

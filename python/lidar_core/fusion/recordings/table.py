@@ -12,15 +12,15 @@ from pydantic import Field
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
+from lidar_core.fusion.recordings.cells import numbers_in, stamps_in
 from lidar_core.fusion.recordings.conventions import (
     Azimuth,
     Turned,
     local_places,
-    stamps_of_texts,
     turned,
 )
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
-from lidar_core.io.tables.columns import Columns, read_columns
+from lidar_core.io.tables.columns import Columns, at_row, read_columns
 
 VALUES: dict[SensorName, tuple[str, ...]] = {
     "lidar": ("x", "y"),
@@ -60,8 +60,8 @@ WORDS: dict[str, SensorName] = {
 }
 """What a column of sensors may say, in any case."""
 UNITS_NS = {"ns": 1, "us": 1000, "ms": 1_000_000, "s": 1_000_000_000}
-TABLES = (".csv", ".npz", ".parquet")
-MAX_SECONDS = 9e9
+TABLES = (".csv", ".npz", ".parquet", ".tsv")
+"""Endings of tables, in lower case."""
 
 
 class TableOptions(Config):
@@ -132,33 +132,36 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     Parameters
     ----------
     path : str or Path
-        An L/R text file (.txt), or a table .csv, .parquet or .npz with a row per time. Columns
-        are t_ns (numbers, or ISO 8601); x, y, and z if there is one, of a LiDAR; any of range,
-        bearing, elevation, range_rate of a radar; turn_rate of a gyro; pose_x, pose_y, pose_yaw of
-        the platform, or these with pose_z, pose_roll, pose_pitch; their standard deviations
-        pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y, true_vx,
-        true_vy, and true_id of the target in tables of several. lat, lon and alt stand for x, y,
-        z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84 become
-        metres to the east, north and up of the first one. Without a column `sensor`, a row gives a
-        measurement of every sensor whose values are there.
+        An L/R text file (.txt), or a table .csv, .tsv, .parquet or .npz with a row per time.
+        Columns are t_ns (numbers, or ISO 8601); x, y, and z if there is one, of a LiDAR; any of
+        range, bearing, elevation, range_rate of a radar; turn_rate of a gyro; pose_x, pose_y,
+        pose_yaw of the platform, or these with pose_z, pose_roll, pose_pitch; their standard
+        deviations pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y,
+        true_vx, true_vy, and true_id of the target in tables of several. lat, lon and alt stand
+        for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84
+        become metres to the east, north and up of the first one. Without a column `sensor`, a row
+        gives a measurement of every sensor whose values are there.
     options : TableOptions, optional
 
     Raises
     ------
     FormatError
-        A column is missing or holds something else; the text names file, column and row.
+        A column is missing or holds something else; the text names file, column and row, which
+        count from 1 below the names of columns.
     InputError
         `columns` names something that is not read.
     LimitError
         More than 256 MiB.
     """
     place, options = Path(path), as_config(options, TableOptions)
-    if place.suffix not in TABLES:
+    if not is_table(place):
         recording = read_laser_radar(place)
         return MeasurementLog(recording.measurements, recording.truth, "L/R text")
     columns = _renamed(place, read_columns(place), options.columns)
+    if not any(len(column) for column in columns.values()):
+        raise FormatError(f"{place}: no rows below the names of columns")
     columns, origin = _in_metres(place, columns)
-    stamps = _stamps(place, columns, UNITS_NS[options.time_unit])
+    stamps = stamps_in(place, columns, UNITS_NS[options.time_unit])
     angle = np.pi / 180 if options.angle_unit == "deg" else 1.0
     values = _values(place, columns, angle, options.azimuth)
     rows = _rows_of_sensors(place, columns, values, len(stamps))
@@ -172,12 +175,23 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         raise FormatError(f"{place}: no row holds all values of a sensor")
     kept = np.array([row for row, _ in made])
     truth = _truth(place, columns, stamps, kept)
-    kind = f"table ({place.suffix[1:]})"
+    kind = f"table ({place.suffix[1:].lower()})"
     targets = None
     if TRUE_ID in columns:
         numbers = numbers_in(place, columns, TRUE_ID)[kept]
         targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
     return MeasurementLog([m for _, m in made], truth, kind, origin, targets)
+
+
+def is_table(place: Path) -> bool:
+    """Whether a file is read as a table; other ones are L/R text.
+
+    Examples
+    --------
+    >>> is_table(Path("RADAR.CSV")), is_table(Path("sample.txt"))
+    (True, False)
+    """
+    return place.suffix.lower() in TABLES
 
 
 def _measurement(
@@ -227,7 +241,11 @@ def _in_metres(place: Path, columns: Columns) -> tuple[Columns, tuple[float, flo
     whole = np.isfinite(parts[0]) & np.isfinite(parts[1])
     bad = whole & ~((np.abs(parts[0]) <= 90) & (np.abs(parts[1]) <= 360))
     if bad.any() or not whole.any():
-        raise FormatError(f"{place}, row {int(np.argmax(bad))}: expected latitude and longitude")
+        row = int(np.argmax(bad))
+        raise FormatError(
+            f"{at_row(place, row)}: expected a latitude within 90 and a longitude within 360"
+            f" degrees, got {parts[0][row]}, {parts[1][row]}"
+        )
     first = int(np.argmax(whole))
     high = altitude[first] if np.isfinite(altitude[first]) else 0.0
     origin = (float(parts[0][first]), float(parts[1][first]), float(high))
@@ -244,44 +262,6 @@ def _renamed(place: Path, columns: Columns, names: Mapping[str, str]) -> Columns
     if missing:
         raise FormatError(f"{place}: no column {missing[0]!r} among {', '.join(columns)}")
     return columns | {ours: columns[theirs] for ours, theirs in names.items()}
-
-
-def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
-    """A column as numbers; empty cells are NaN."""
-    column = columns[name]
-    if column.dtype.kind in "fiub":
-        return column.astype(np.float64)
-    numbers = np.empty(len(column))
-    for row, text in enumerate(column.tolist()):
-        try:
-            numbers[row] = float(text) if text not in ("", None) else np.nan
-        except (TypeError, ValueError) as error:
-            raise FormatError(
-                f"{place}, row {row}: column {name}: expected a number, got {text!r}"
-            ) from error
-    return numbers
-
-
-def _stamps(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
-    if "t_ns" not in columns:
-        raise FormatError(
-            f"{place}: no column t_ns among {', '.join(columns) or 'none'}; name the column of"
-            ' times with columns={"t_ns": "NAME"}'
-        )
-    column, limit = columns["t_ns"], MAX_SECONDS * 1e9 / unit_ns
-    if column.dtype.kind == "U":
-        texts = stamps_of_texts(column, str(place))
-        if texts is not None:
-            return texts
-    numbers = numbers_in(place, columns, "t_ns")
-    bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise FormatError(f"{place}, row {row}: expected a time, got {column[row]!r}")
-    if column.dtype.kind in "iu":
-        return column.astype(np.int64) * unit_ns
-    stamps: NDArray[np.int64] = np.round(numbers * unit_ns).astype(np.int64)
-    return stamps
 
 
 def _values(
@@ -376,7 +356,7 @@ def _sensor(
     sensor = WORDS.get(str(word).strip().lower())
     if sensor is None or sensor not in values:
         raise FormatError(
-            f"{place}, row {row}: column sensor: expected one of"
+            f"{at_row(place, row)}: column sensor: expected one of"
             f" {', '.join(known for known, name in WORDS.items() if name in values)}, got {word!r}"
         )
     return sensor

@@ -24,6 +24,10 @@ class PcdRecording(SequenceRecording):
 
     format = "PCD"
 
+    def rows(self, file: Path) -> NDArray[Any]:
+        """Structured rows of one file, with all its fields."""
+        return self._rows(file)
+
     def _rows(self, file: Path) -> NDArray[Any]:
         library = require("pypcd4", extra="io", purpose="reading PCD")
         with reading(str(file)), file.open("rb") as stream:

@@ -25,6 +25,10 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 """Columns of equal length by name; those of `write_tracks_table`, as far as they are known."""
 
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+"""What may stand between values; the first of them that the names have does."""
+SEPARATOR_LINE = re.compile(r"sep=([,;\t])\s*", re.IGNORECASE)
+"""First line by which spreadsheets tell the separator."""
 TRACK_FILE = re.compile(r"track_(\d+)\.txt")
 FOREIGN = (".parquet", ".mcap")
 """Endings of tables that libraries parse."""
@@ -37,9 +41,9 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     Parameters
     ----------
     path : str or Path
-        A table with a row per object and time, .csv (commas, semicolons or tabs between values;
-        with the latter two numbers may have decimal commas), .parquet or .npz (one array per
-        column); a
+        A table with a row per object and time, .csv or .tsv (commas, semicolons or tabs between
+        values, also as a first line `sep=;` says; with the latter two numbers may have decimal
+        commas), .parquet or .npz (one array per column); a
         TUM trajectory .txt or .tum, or a folder of track_ID.txt as `write_tum` writes; an MCAP
         file with tracks as `write_mcap` writes.
     trusted : bool, optional
@@ -54,7 +58,7 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     Raises
     ------
     FormatError
-        Not such a file.
+        Not such a file; rows of tables count from 1, below the names of columns.
     LimitError
         More than 256 MiB.
     MissingExtraError
@@ -63,17 +67,19 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     place = Path(path)
     if check_regular_or_folder(place).is_dir():
         return _read_trajectories(place)
-    if place.suffix in FOREIGN and not is_trusted(trusted):
+    suffix = place.suffix.lower()
+    if suffix in FOREIGN and not is_trusted(trusted):
         return dict(call("tables.columns:read_in_child", place))
     readers = {
         ".csv": _read_csv,
+        ".tsv": _read_csv,
         ".npz": _read_npz,
         ".parquet": _read_parquet,
         ".mcap": _read_mcap,
         ".txt": _read_trajectory,
         ".tum": _read_trajectory,
     }
-    reader = readers.get(place.suffix)
+    reader = readers.get(suffix)
     if reader is None:
         raise FormatError(f"{place}: expected a table: {', '.join(sorted(readers))}, or a folder")
     _check(place, place.stat().st_size)
@@ -93,26 +99,65 @@ def _check(place: Path, size: int) -> None:
     check_size(str(place), size, limit=MAX_FILE_BYTES, key="nothing", what="a table of bytes")
 
 
+def at_row(place: object, row: int) -> str:
+    """Name a row of a table in errors: they count from 1, below the names of columns.
+
+    Examples
+    --------
+    >>> at_row("radar.csv", 0)
+    'radar.csv, row 1'
+    """
+    return f"{place}, row {row + 1}"
+
+
 def _read_csv(path: Path) -> Columns:
     with reading(str(path)), path.open(newline="", encoding="utf-8-sig") as file:
-        separator = _separator(file.readline())
-        file.seek(0)
+        first = file.readline()
+        told = SEPARATOR_LINE.fullmatch(first)
+        if told is None:
+            file.seek(0)
+        separator = told[1] if told else _separator(first)
         lines = csv.reader(file, delimiter=separator)
         names = next(lines, [])
-        rows = []
+        _check_names(path, names)
+        rows: list[list[str]] = []
         for row in lines:
             if len(row) != len(names):
-                raise FormatError(
-                    f"{path}, line {lines.line_num}: expected {len(names)} values, got {len(row)}"
-                )
+                raise FormatError(_uneven(path, names, row, separator, len(rows)))
             rows.append(row if separator == "," else [_point(text) for text in row])
     values: Iterable[Sequence[str]] = zip(*rows, strict=True) if rows else [()] * len(names)
     return {name: _parse(column) for name, column in zip(names, values, strict=True)}
 
 
+def _check_names(path: Path, names: Sequence[str]) -> None:
+    """Refuse a first line that cannot be the names of columns."""
+    if not any(name.strip() for name in names):
+        raise FormatError(f"{path}: expected a first line with the names of columns, got none")
+    if len(names) == 1 and len(names[0].split()) > 2:
+        raise FormatError(
+            f"{path}: expected commas, semicolons or tabs between the names of columns,"
+            f" got {names[0]!r}"
+        )
+    twice = [name for place, name in enumerate(names) if name in names[:place]]
+    if twice:
+        raise FormatError(f"{path}: column {twice[0]!r} is there twice; leave one of them out")
+
+
+def _uneven(path: Path, names: Sequence[str], row: Sequence[str], used: str, number: int) -> str:
+    """What is wrong with a row of another length than the names."""
+    text = used.join(row)
+    others = [other for other in SEPARATORS if other != used and other in text]
+    is_mixed = len(row) == 1 and bool(others)
+    hint = f" with {SEPARATORS[others[0]]}: use one of both in all lines" if is_mixed else ""
+    return (
+        f"{at_row(path, number)}: expected {len(names)} values with {SEPARATORS[used]} between"
+        f" them, as the names of columns have, got {len(row)}{hint}"
+    )
+
+
 def _separator(names: str) -> str:
     """What stands between the names of columns: a comma, else a semicolon, else a tab."""
-    return next((one for one in ",;\t" if one in names), ",")
+    return next((one for one in SEPARATORS if one in names), ",")
 
 
 def _point(text: str) -> str:

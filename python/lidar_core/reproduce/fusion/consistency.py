@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 def config(model: str, method: str, factors: Mapping[str, float] | None = None) -> FusionConfig:
     """Return a filter that knows how targets move and sensors measure, but for `factors`."""
-    told: dict[str, Any] = TRUE | {"model": model, "method": method}
+    told: dict[str, Any] = TRUE | {"model": model, "method": method, "gyro": "exact"}
     factors = factors or {}
     told |= {name: factors.get("process", 1.0) * told[name] for name in PROCESS}
     told |= {name: tuple(factors.get("sensors", 1.0) * np.array(told[name])) for name in SENSORS}

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.evaluation import nees
 from lidar_core.fusion import FusionConfig, Measurement, fit_noise, run_batch
 from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.reproduce.common import BLUE, GREY, RED
@@ -27,12 +28,18 @@ SWING = 4.0
 """Time until it turns the other way [s]."""
 GYRO_STD = 0.01
 """Of the turn rate that the gyro says [rad/s]."""
+FAULTS = (0.1, 0.05)
+"""Bias [rad/s] of a gyro that nobody has calibrated, and time by which its stamps are late [s]."""
+STARTED = 10.0
+"""Time from which errors with such a gyro count [s]."""
 PRINTED, IGNORED, BEST = "equations as printed", "motion ignored", "gyro told"
+ESTIMATED = "bias and delay of the gyro estimated"
 STYLES = {
     PRINTED: (RED, ":"),
     IGNORED: (RED, "-"),
     "gyro measured": (GREY, "-"),
     "no gyro": (GREY, "--"),
+    ESTIMATED: (BLUE, ":"),
     BEST: (BLUE, "-"),
 }
 
@@ -43,15 +50,17 @@ class Ride:
 
     Attributes
     ----------
-    rate, speed : ndarray, shape (K,)
-        Turn rate [rad/s] and speed ahead [m/s] from each row to the next.
+    greatest : float
+        Greatest turn rate [rad/s].
+    speed : ndarray, shape (K,)
+        Speed ahead from each row to the next [m/s].
     yaw : ndarray, shape (K,)
         Heading at each row [rad].
     position : ndarray, shape (K, 2)
         Place at each row [m].
     """
 
-    rate: NDArray[np.float64]
+    greatest: float
     speed: NDArray[np.float64]
     yaw: NDArray[np.float64]
     position: NDArray[np.float64]
@@ -63,11 +72,16 @@ class Ride:
         yaw = rate / swings * np.sin(swings * seconds)
         steps = np.diff(seconds, append=2 * seconds[-1] - seconds[-2])
         turns = np.diff(yaw, append=rate / swings * np.sin(swings * (seconds[-1] + steps[-1])))
-        rates = turns / steps
         # the chord of an arc: sin(u)/u of its length, ahead at its middle
         chord = speed * steps * np.sinc(turns / 2 / np.pi)
         legs = chord[:, None] * np.stack([np.cos(yaw + turns / 2), np.sin(yaw + turns / 2)], axis=1)
-        return cls(rates, np.full(len(yaw), speed), yaw, np.cumsum(legs, axis=0) - legs)
+        return cls(rate, np.full(len(yaw), speed), yaw, np.cumsum(legs, axis=0) - legs)
+
+    def gyro(
+        self, seconds: NDArray[np.float64], bias: float = 0.0, delay: float = 0.0
+    ) -> NDArray[np.float64]:
+        """What a gyro reads at these times [s]: the turn rate then, or a while before [rad/s]."""
+        return self.greatest * np.cos(np.pi / SWING * (seconds - delay)) + bias
 
     def seen(self, truth: TargetTruth) -> TargetTruth:
         """Position in the sensor's frame, and velocity relative to it in the same axes."""
@@ -113,20 +127,26 @@ def configs() -> dict[str, FusionConfig]:
         IGNORED: FusionConfig.load(fitted.model_dump() | open_gates),
         "no gyro": drone("none"),
         "gyro measured": drone("measurement"),
-        BEST: drone("input"),
+        ESTIMATED: drone("input"),
+        BEST: drone("exact"),
     }
 
 
 def _measure(request: Request) -> Measured:
     filters = configs()
     found = {motion: _errors(motion, filters, request) for motion in MOTIONS}
+    told = {name: filters[name] for name in (ESTIMATED, BEST)}
+    late = {motion: _late(motion, told, request) for motion in MOTIONS}
     request.advance(request.scans)
     return Measured(
-        (found,),
+        (found, late),
         scans=request.scans,
         note=f"Measurements drawn anew along the true way of obj_pose, seen by a sensor that turns"
         f" to and fro every {SWING:g} s; errors in its own frame, without the first {SETTLED}"
-        f" rows. The gyro's error is {GYRO_STD:g} rad/s. The paper has no number for this.",
+        f" rows. The gyro reads the turn rate at the time of every row; its error is {GYRO_STD:g}"
+        f" rad/s, which is told. As delivered it is also {FAULTS[0]:g} rad/s wrong and"
+        f" {FAULTS[1]:g} s late, of which nothing is told, and errors count after {STARTED:g} s."
+        " The paper has no number for this.",
         config=filters,
     )
 
@@ -135,13 +155,7 @@ def _errors(
     motion: tuple[float, float], filters: Mapping[str, FusionConfig], request: Request
 ) -> dict[str, NDArray[np.float64]]:
     """Root mean square errors of x and y over all draws, by filter."""
-    truth = course(OBJ_POSE).truth
-    ride = Ride.of((truth.stamps_ns - truth.stamps_ns[0]) * 1e-9, *motion)
-    seen = ride.seen(truth)
-    targets = []
-    for number in range(request.scans):
-        rng = np.random.default_rng([20230702, request.seed, number, round(10 * sum(motion))])
-        targets.append(_told(measured(seen, FIXED, rng), seen, ride, rng))
+    seen, targets = _targets(motion, request, (0.0, 0.0))
     found = {}
     for name, config in filters.items():
         skip = 2 if name in (PRINTED, IGNORED) else 1
@@ -153,15 +167,50 @@ def _errors(
     return found
 
 
+def _late(
+    motion: tuple[float, float], filters: Mapping[str, FusionConfig], request: Request
+) -> dict[str, tuple[float, float]]:
+    """2-D error [m] and NEES/2 of the position with a gyro as it is delivered, by filter."""
+    seen, targets = _targets(motion, request, FAULTS)
+    kept = seen.stamps_ns > seen.stamps_ns[0] + STARTED * 1e9
+    found = {}
+    for name, config in filters.items():
+        runs = run_batch(targets, config, threads=request.threads)
+        wrong = (np.array([one.states[1::2, :2] for one in runs]) - seen.position)[:, kept]
+        spread = np.array([one.covariances[1::2, :2, :2] for one in runs])[:, kept]
+        error = float(np.sqrt(np.square(wrong).sum(axis=2).mean()))
+        found[name] = (error, float(nees(wrong, spread).mean()) / 2)
+    return found
+
+
+def _targets(
+    motion: tuple[float, float], request: Request, faults: tuple[float, float]
+) -> tuple[TargetTruth, list[list[Measurement]]]:
+    """The truth in the frame of the sensor, and draws of the measurements."""
+    truth = course(OBJ_POSE).truth
+    seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
+    ride = Ride.of(seconds, *motion)
+    seen = ride.seen(truth)
+    targets = []
+    for number in range(request.scans):
+        rng = np.random.default_rng([20230702, request.seed, number, round(10 * sum(motion))])
+        values = measured(seen, FIXED, rng)
+        rates = ride.gyro(seconds, *faults) + GYRO_STD * rng.normal(size=len(seconds))
+        targets.append(_told(values, seen, ride.speed, rates))
+    return seen, targets
+
+
 def _told(
-    values: NDArray[np.float64], seen: TargetTruth, ride: Ride, rng: np.random.Generator
+    values: NDArray[np.float64],
+    seen: TargetTruth,
+    speed: NDArray[np.float64],
+    rates: NDArray[np.float64],
 ) -> list[Measurement]:
-    """Every measurement, and before it what the gyro says of the step that follows."""
+    """Every measurement, and before it what the gyro reads at its time."""
     told: list[Measurement] = []
     stamps, is_lidar = seen.stamps_ns.tolist(), in_turn(len(values))
     for row, stamp_ns in enumerate(stamps):
-        rate = ride.rate[row] + GYRO_STD * rng.normal()
-        told.append(Measurement(stamp_ns, "gyro", [rate, ride.speed[row], 0.0]))
+        told.append(Measurement(stamp_ns, "gyro", [rates[row], speed[row], 0.0]))
         if is_lidar[row]:
             told.append(Measurement(stamp_ns, "lidar", values[row, :2]))
         else:
@@ -170,6 +219,7 @@ def _told(
 
 
 Found = Mapping[tuple[float, float], Mapping[str, NDArray[np.float64]]]
+Late = Mapping[tuple[float, float], Mapping[str, tuple[float, float]]]
 
 
 def _name(motion: Sequence[float]) -> str:
@@ -177,8 +227,8 @@ def _name(motion: Sequence[float]) -> str:
     return f"{rate:g}rad/s" + (f", {speed:g} m/s ahead" if speed else "")
 
 
-def _rows(found: Found) -> list[Row]:
-    """Errors per axis, then the ratio to a sensor at rest."""
+def _rows(found: Found, late: Late) -> list[Row]:
+    """Errors per axis, then the ratio to a sensor at rest, then those of a gyro as delivered."""
     rows = []
     for motion, errors in found.items():
         for axis, name in enumerate("xy"):
@@ -188,7 +238,7 @@ def _rows(found: Found) -> list[Row]:
             rows.append(Row(f"{at}, {IGNORED}", "m", equations_corrected=values[IGNORED]))
             rows += [
                 Row(f"{at}, {who}", "m", None, None, values[who])
-                for who in ("gyro measured", "no gyro")
+                for who in ("gyro measured", "no gyro", ESTIMATED)
             ]
     rest = {who: np.hypot(*error) for who, error in found[MOTIONS[0]].items()}
     for motion in MOTIONS[1:]:
@@ -202,10 +252,20 @@ def _rows(found: Found) -> list[Row]:
                 ratio[BEST],
             )
         )
+    still = late[MOTIONS[0]][ESTIMATED][0]
+    for motion, told in late.items():
+        at = f"@{_name(motion)}, gyro as delivered"
+        error, spread = told[ESTIMATED]
+        rows += [
+            Row(f"2-D RMSE{at}", "m", None, None, error),
+            Row(f"2-D RMSE{at}, believed", "m", None, None, told[BEST][0]),
+            Row(f"2-D RMSE over that at rest{at}", "1", None, None, error / still),
+            Row(f"NEES / 2{at}", "1", None, None, spread),
+        ]
     return rows
 
 
-def _draw(figure: Any, found: Found) -> None:
+def _draw(figure: Any, found: Found, late: Late) -> None:
     """Errors in the plane over the motion of the sensor."""
     panel = figure.subplots()
     spots = list(range(len(found)))

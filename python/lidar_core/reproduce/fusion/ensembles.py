@@ -74,13 +74,14 @@ def drawn(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
             Measurements.from_arrays(stamps, names, one) for one in _seen(model, states, rng)
         ]
         return Ensemble(states, targets, slice(None))
-    ride = Ride.of(np.arange(STEPS).astype(np.float64) * SECONDS, GREATEST_RATE, 0.0)
+    seconds = np.arange(STEPS).astype(np.float64) * SECONDS
+    ride = Ride.of(seconds, GREATEST_RATE, 0.0)
     states[..., :2] = turned_back(
         states[..., :2], np.stack([np.cos(ride.yaw), np.sin(ride.yaw)], axis=1)
     )
     states[..., 3] -= ride.yaw
     values = np.zeros((runs, 2 * STEPS, 3))
-    values[:, ::2, 0] = ride.rate + GYRO_STD * rng.normal(size=(runs, STEPS))
+    values[:, ::2, 0] = ride.gyro(seconds) + GYRO_STD * rng.normal(size=(runs, STEPS))
     values[:, 1::2] = _seen(model, states, rng)
     both = np.stack([np.full(STEPS, "gyro"), names], axis=1).reshape(-1)
     targets = [Measurements.from_arrays(stamps.repeat(2), both, one) for one in values]

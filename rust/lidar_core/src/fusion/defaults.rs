@@ -6,9 +6,10 @@
 use super::filter::paper::{Paper, Reading};
 use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
+use super::models::platform::GyroUse;
 use super::sensors::sensing::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Strengths};
-use super::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
+use super::targets::lifecycle::{LifecycleRules, Loss};
 use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.

@@ -4,9 +4,10 @@
 
 use super::filter::paper::Paper;
 use super::models::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};
-use super::models::drone::{CtrvDrone, CtrvDroneRate};
+use super::models::drone::{CtrvDrone, CtrvDroneGyro, CtrvDroneRate};
 use super::models::heading::{Ctra, Ctrv};
 use super::models::motion::Noise;
+use super::models::platform::GyroUse;
 use super::models::space::{ClimbingCtrv, SpaceAcceleration, SpaceVelocity};
 use super::models::standing::StandingTarget;
 use super::models::state_conversion::StateConversion;
@@ -34,7 +35,8 @@ pub enum Model {
     SpaceAcceleration,
     /// [x, y, z, v, theta, w, vz].
     ClimbingCtrv,
-    /// [x, y, v, theta, w] in the frame of a sensor that moves; with w_d unless a gyro is an input.
+    /// [x, y, v, theta, w] in the frame of a sensor that moves; with the bias and delay of a gyro
+    /// that is an input, with nothing more if it has none, with w_d without such a gyro.
     CtrvDrone,
     /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
     Paper(Paper),
@@ -47,7 +49,7 @@ pub struct ModelEntry {
     pub name: &'static str,
     /// The model; of the published one, as printed.
     pub model: Model,
-    /// Names of the states; that of the platform's rate is left out if a gyro is an input.
+    /// Names of the states; those of the platform differ if a gyro is an input.
     pub states: &'static [&'static str],
     /// Meaning, for help texts.
     pub title: &'static str,
@@ -184,7 +186,7 @@ impl ForMotion for NoisesOf {
 
 impl Model {
     /// `task` with the motion of this model.
-    pub(crate) fn with_motion<T: ForMotion>(self, has_gyro: bool, task: T) -> T::Output {
+    pub(crate) fn with_motion<T: ForMotion>(self, gyro: GyroUse, task: T) -> T::Output {
         match self {
             Self::ConstantVelocity => task.run(ConstantVelocity),
             Self::ConstantAcceleration => task.run(ConstantAcceleration),
@@ -195,8 +197,11 @@ impl Model {
             Self::SpaceVelocity => task.run_in_space(SpaceVelocity),
             Self::SpaceAcceleration => task.run_in_space(SpaceAcceleration),
             Self::ClimbingCtrv => task.run_in_space(ClimbingCtrv),
-            Self::CtrvDrone if has_gyro => task.run(CtrvDrone),
-            Self::CtrvDrone => task.run(CtrvDroneRate),
+            Self::CtrvDrone => match gyro {
+                GyroUse::Input => task.run(CtrvDroneGyro),
+                GyroUse::Exact => task.run(CtrvDrone),
+                GyroUse::Measurement | GyroUse::Ignored => task.run(CtrvDroneRate),
+            },
             Self::Paper(paper) => task.published(paper),
         }
     }
@@ -204,7 +209,7 @@ impl Model {
     /// Noises that drive this model.
     #[must_use]
     pub fn noises(self) -> Vec<Noise> {
-        self.with_motion(false, NoisesOf)
+        self.with_motion(GyroUse::Ignored, NoisesOf)
     }
 
     /// True for a model in space, false for one in the plane.

@@ -215,6 +215,7 @@ impl PyPointCloudTracker {
             delay: arrays::maybe_flat("delay", &delay)?,
             confidence: None,
             is_joined: None,
+            is_among_surfaces: None,
             shape: None,
         };
         let occupied = arrays::rows3("occupied", &occupied)?;

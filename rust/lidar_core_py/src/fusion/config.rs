@@ -5,8 +5,9 @@ use lidar_core::Error;
 use lidar_core::fusion::filter::paper::{Paper, Reading};
 use lidar_core::fusion::model::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
+use lidar_core::fusion::models::platform::GyroUse;
 use lidar_core::fusion::sensors::sensing::Sensing;
-use lidar_core::fusion::targets::lifecycle::{GyroUse, LifecycleRules, Loss};
+use lidar_core::fusion::targets::lifecycle::{LifecycleRules, Loss};
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;
 
@@ -67,8 +68,12 @@ const COLUMNS: [(&str, bool); 2] = [("literal", false), ("zero", true)];
 const PREDICTIONS: [(&str, bool); 2] = [("motion", false), ("matrix", true)];
 const FORMS: [(&str, NoiseForm); 2] =
     [("continuous", NoiseForm::Continuous), ("discrete", NoiseForm::Discrete)];
-const GYROS: [(&str, GyroUse); 3] =
-    [("input", GyroUse::Input), ("measurement", GyroUse::Measurement), ("none", GyroUse::Ignored)];
+const GYROS: [(&str, GyroUse); 4] = [
+    ("input", GyroUse::Input),
+    ("exact", GyroUse::Exact),
+    ("measurement", GyroUse::Measurement),
+    ("none", GyroUse::Ignored),
+];
 const NOISES: [(&str, bool); 2] = [("estimated", true), ("configured", false)];
 const STARTS: [(&str, bool); 2] = [("range-rate", true), ("zero", false)];
 

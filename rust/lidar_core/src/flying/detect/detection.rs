@@ -30,6 +30,8 @@ pub struct Detection {
     pub confidence: f64,
     /// True if a hole in the scan joins it to a surface: it may be a part of that.
     pub is_joined: bool,
+    /// True if more returns of surfaces lie around it than it has itself, where the sky had to be found.
+    pub is_among_surfaces: bool,
     /// Share of the rays inside the ellipse of its points that hit; not a number where the rays that
     /// passed are not known.
     pub filled_share: f64,
@@ -79,6 +81,7 @@ impl Detection {
             n_points: cluster.members.len(),
             confidence,
             is_joined: false,
+            is_among_surfaces: false,
             filled_share: f64::NAN,
             is_free_below: None,
         }

@@ -3,6 +3,7 @@
 use super::center::Center;
 use super::detection::{Detection, Teammate};
 use super::hole::is_joined;
+use super::surroundings::{are_rays_lost_below, is_among_surfaces};
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -64,8 +65,13 @@ pub(crate) fn detect<'c>(
         detection.is_joined = !is_flying.is_empty()
             && !classification.is_expected
             && is_joined(scan, &cluster, &is_flying);
+        detection.is_among_surfaces =
+            !is_flying.is_empty() && is_among_surfaces(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
             detection = detection.at(&center);
+            if detection.is_free_below == Some(false) && are_rays_lost_below(scan, &cluster) {
+                detection.is_free_below = None;
+            }
             // How many rays go into a sky that is known by its density is a guess.
             if scan.sky == SkySource::Density {
                 detection.filled_share = f64::NAN;

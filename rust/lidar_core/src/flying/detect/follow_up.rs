@@ -87,10 +87,13 @@ pub(crate) fn update_tracks(
     let delay: Vec<_> = found.detections.iter().map(|found| found.delay).collect();
     let confidence: Vec<_> = found.detections.iter().map(|found| found.confidence).collect();
     let is_joined: Vec<_> = found.detections.iter().map(|found| found.is_joined).collect();
+    let is_among_surfaces: Vec<_> =
+        found.detections.iter().map(|found| found.is_among_surfaces).collect();
     let shape: Vec<_> = found.detections.iter().map(Detection::shape).collect();
     let detections = Detections {
         stamp_ns,
         is_joined: Some(&is_joined),
+        is_among_surfaces: Some(&is_among_surfaces),
         shape: Some(&shape),
         delay: Some(&delay),
         confidence: Some(&confidence),
@@ -135,6 +138,7 @@ pub(crate) fn watch(
         delay: None,
         confidence: None,
         is_joined: None,
+        is_among_surfaces: None,
         shape: None,
     });
 }

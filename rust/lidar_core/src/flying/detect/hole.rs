@@ -190,16 +190,16 @@ struct Seen {
 }
 
 /// The view from the sensor to a cluster.
-struct View {
+pub(super) struct View {
     origin: [f64; 3],
-    range: f64,
+    pub(super) range: f64,
     ahead: [f64; 3],
     right: [f64; 3],
     up: [f64; 3],
 }
 
 impl View {
-    fn of(scan: &Prepared, cluster: &Cluster<'_>) -> Option<Self> {
+    pub(super) fn of(scan: &Prepared, cluster: &Cluster<'_>) -> Option<Self> {
         let origin = scan.pose.translation;
         let to = minus(cluster.centroid, origin);
         let range = norm(to);
@@ -216,7 +216,7 @@ impl View {
     }
 
     /// Direction of a place in the plane through the cluster.
-    fn direction(&self, [right, up]: [f64; 2]) -> [f64; 3] {
+    pub(super) fn direction(&self, [right, up]: [f64; 2]) -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             self.range * self.ahead[axis] + right * self.right[axis] + up * self.up[axis]
         })
@@ -224,7 +224,7 @@ impl View {
 
     /// Where a point is seen in the plane through the cluster across the line of sight [m], and how
     /// much further away than the cluster it is [m].
-    fn seen(&self, point: [f64; 3]) -> Option<([f64; 2], f64)> {
+    pub(super) fn seen(&self, point: [f64; 3]) -> Option<([f64; 2], f64)> {
         let offset = minus(point, self.origin);
         let (ahead, squared) = (dot(offset, self.ahead), dot(offset, offset));
         let is_ahead = ahead > 0.0 && ahead * ahead > AHEAD_SQUARED * squared;

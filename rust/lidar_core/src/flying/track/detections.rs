@@ -36,6 +36,8 @@ pub struct Detections<'a> {
     pub confidence: Option<&'a [f64]>,
     /// Whether each may be a part of a surface beside it; without it none is.
     pub is_joined: Option<&'a [bool]>,
+    /// Whether more returns of surfaces lie around each than it has itself; without it around none.
+    pub is_among_surfaces: Option<&'a [bool]>,
     /// Size and filling of each; without it nothing is known of them.
     pub shape: Option<&'a [TargetShape]>,
 }
@@ -59,6 +61,7 @@ impl Detections<'_> {
             ("delay", self.delay.map(<[_]>::len)),
             ("confidence", self.confidence.map(<[_]>::len)),
             ("is_joined", self.is_joined.map(<[_]>::len)),
+            ("is_among_surfaces", self.is_among_surfaces.map(<[_]>::len)),
             ("shape", self.shape.map(<[_]>::len)),
         ];
         for (name, length) in lengths {
@@ -72,6 +75,8 @@ impl Detections<'_> {
                 let mut fresh = PointTrack::new(&detection, self.stamp_ns, parameters);
                 fresh.first = Evidence {
                     is_sure: self.confidence.is_some_and(|confidence| confidence[index] >= SURE),
+                    is_led: self.confidence.is_some_and(|confidence| confidence[index] <= 0.0),
+                    is_among_surfaces: self.is_among_surfaces.is_some_and(|among| among[index]),
                     is_joined: self.is_joined.is_some_and(|joined| joined[index]),
                     shape: self.shape.map(|shape| shape[index]),
                 };

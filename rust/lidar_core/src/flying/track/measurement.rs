@@ -49,6 +49,10 @@ pub(super) struct Measurement {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Evidence {
     pub(super) is_sure: bool,
+    /// Only its track tells that it flies.
+    pub(super) is_led: bool,
+    /// Surfaces around it give more returns than it does.
+    pub(super) is_among_surfaces: bool,
     /// It may be a part of the surface beside it.
     pub(super) is_joined: bool,
     pub(super) shape: Option<TargetShape>,

@@ -34,6 +34,7 @@ fn detect(
         delay: None,
         confidence: None,
         is_joined: None,
+        is_among_surfaces: None,
         shape: None,
     };
     tracker.new_detections(&detections, &free())
@@ -114,6 +115,7 @@ fn existence_of(confidence: f64, speed: f64, left: &[f32], seen: &str) -> Result
             delay: None,
             confidence: Some(&[confidence][..positions.len()]),
             is_joined: None,
+            is_among_surfaces: None,
             shape: None,
         };
         tracker.new_detections(&found, &free())?;
@@ -331,6 +333,7 @@ fn tracks_of_two(apart: f64, sides: [f64; 3]) -> Result<Vec<i64>, Error> {
             delay: None,
             confidence: None,
             is_joined: None,
+            is_among_surfaces: None,
             shape: None,
         };
         tracker.new_detections(&found, &free())?;
@@ -359,6 +362,7 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
         delay: None,
         confidence: None,
         is_joined: None,
+        is_among_surfaces: None,
         shape: None,
     };
     tracker.watch(&found);

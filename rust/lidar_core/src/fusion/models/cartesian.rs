@@ -2,11 +2,11 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior};
 use super::platform::Platform;
 use super::state_conversion::{ANY_RATE, StateConversion, capped, through, turn_rate};
 use super::turn::{Turn, direction, rotated};
-use super::world::Plane;
+use super::world::{Plane, extended};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 

@@ -3,17 +3,29 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::heading::{ArcLength, polar_first, velocity_of};
-use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior};
 use super::platform::Platform;
 use super::turn::{Turn, direction, rotated};
-use super::world::Plane;
+use super::world::{Plane, extended};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{SMatrix, SVector, Vector2, Vector5, Vector6};
 
-/// CTRV relative to the moving sensor; a gyro gives the turn rate of the platform: [x, y, v, theta,
-/// w], with v and w over ground.
+/// Largest error of a gyro that is believed [rad/s], and largest time by which it is late [s].
+const GYRO_LIMITS: [f64; 2] = [0.5, 0.2];
+/// Variances of both before a target has been seen: gyros that nobody has calibrated are wrong by
+/// some degrees per second, and drivers stamp by the arrival of a packet. A wider prior of the bias
+/// lets a target that turns pass for one: the filter then ends beside the truth and is sure of it.
+const GYRO_PRIOR: [f64; 2] = [0.05 * 0.05, 0.05 * 0.05];
+
+/// CTRV relative to the moving sensor; a gyro without bias and delay gives the turn rate of the
+/// platform: [x, y, v, theta, w], with v and w over ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CtrvDrone;
+
+/// Like [`CtrvDrone`], with the bias of the gyro and the time by which it is late: [x, y, v, theta,
+/// w, bias, delay]. A reading of time t is the rate at t - delay, plus the bias.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CtrvDroneGyro;
 
 /// Like [`CtrvDrone`], with the turn rate of the platform as a sixth state, which a gyro may
 /// measure: [x, y, v, theta, w, w_d].
@@ -146,6 +158,87 @@ impl PlaneMotion<5> for CtrvDrone {
     }
 }
 
+impl CtrvDroneGyro {
+    /// Turn rate of the platform, and its derivatives by bias and delay.
+    fn rate(s: &SVector<f64, 7>, platform: &Platform) -> (f64, [f64; 2]) {
+        let [bias, delay] = GYRO_LIMITS;
+        let (bias, delay) = (s[5].clamp(-bias, bias), s[6].clamp(-delay, delay));
+        (platform.rate + platform.slope * delay - bias, [-1.0, platform.slope])
+    }
+}
+
+impl Motion<7> for CtrvDroneGyro {
+    type World = Plane;
+    const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Gyro];
+    const HEADING: Option<usize> = Some(3);
+
+    fn moved(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> SVector<f64, 7> {
+        let rate = Self::rate(s, platform).0;
+        let after = step(&s.fixed_rows::<5>(0).into(), rate, dt, platform).0;
+        after.push(s[5]).push(s[6])
+    }
+
+    fn transition(
+        &self,
+        s: &SVector<f64, 7>,
+        dt: f64,
+        platform: &Platform,
+    ) -> (SVector<f64, 7>, SMatrix<f64, 7, 7>) {
+        let (rate, by_gyro) = Self::rate(s, platform);
+        let (after, columns) = step(&s.fixed_rows::<5>(0).into(), rate, dt, platform);
+        let mut F = columns.jacobian::<7>(dt);
+        for (column, by) in (5..).zip(by_gyro) {
+            (F[(0, column)], F[(1, column)]) =
+                (columns.by_platform[0] * by, columns.by_platform[1] * by);
+            F[(3, column)] = -dt * by;
+        }
+        (after.push(s[5]).push(s[6]), F)
+    }
+
+    fn impulses(
+        &self,
+        s: &SVector<f64, 7>,
+        dt: f64,
+        platform: &Platform,
+    ) -> SMatrix<f64, 7, INPUTS> {
+        let F = self.transition(s, dt, platform).1;
+        SMatrix::from_columns(&[F.column(2), F.column(4), F.column(5)])
+    }
+
+    fn holds(&self, s: &SVector<f64, 7>, dt: f64) -> SMatrix<f64, 7, INPUTS> {
+        let mut columns = holds(s, dt);
+        columns[(5, 2)] = dt;
+        columns
+    }
+
+    fn told(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> Option<SVector<f64, 7>> {
+        let rate = Self::rate(s, platform).0;
+        let [x, y] = step(&s.fixed_rows::<5>(0).into(), rate, dt, platform).1.by_platform;
+        let column = SVector::from([x, y, 0.0, -dt, 0.0, 0.0, 0.0]);
+        Some(column * libm::sqrt(platform.rate_variance))
+    }
+
+    fn first(&self, first: &First, prior: &Prior) -> Gaussian<7> {
+        let [bias, delay] = GYRO_PRIOR;
+        extended(&polar_first(first, prior), &[prior.turn_rate, bias, delay])
+    }
+}
+
+impl PlaneMotion<7> for CtrvDroneGyro {
+    fn velocity(
+        &self,
+        s: &SVector<f64, 7>,
+        platform: &Platform,
+    ) -> (Vector2<f64>, SMatrix<f64, 2, 7>) {
+        let (rate, by_gyro) = Self::rate(s, platform);
+        let (velocity, mut J) = relative(s, rate, platform);
+        for (column, by) in (5..).zip(by_gyro) {
+            (J[(0, column)], J[(1, column)]) = (platform.lever[1] * by, -platform.lever[0] * by);
+        }
+        (velocity, J)
+    }
+}
+
 impl Motion<6> for CtrvDroneRate {
     type World = Plane;
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Platform];
@@ -207,6 +300,7 @@ mod tests {
             let platform = Platform {
                 rate,
                 rate_variance: 0.01,
+                slope: 0.6,
                 velocity: [3.0, -0.5],
                 lever: [0.3, -0.2, 0.0],
                 ..Platform::still()
@@ -214,8 +308,26 @@ mod tests {
             for w in [0.0, 0.7] {
                 check(&CtrvDrone, &Vector5::new(4.0, -2.0, 2.0, 2.5, w), 0.1, &platform);
                 check(&CtrvDroneRate, &Vector6::new(4.0, -2.0, 2.0, 2.5, w, rate), 0.1, &platform);
+                let with_gyro = SVector::from([4.0, -2.0, 2.0, 2.5, w, 0.1, 0.05]);
+                check(&CtrvDroneGyro, &with_gyro, 0.1, &platform);
             }
         }
+    }
+
+    /// A gyro without error makes the two models the same; one that is wrong and late is corrected.
+    #[test]
+    fn bias_and_delay_correct_the_rate() {
+        let platform = Platform { rate: 1.0, slope: 0.4, ..Platform::still() };
+        let s = Vector5::new(2.0, 0.5, 1.0, 0.3, 0.2);
+        let exact = CtrvDrone.moved(&s, 0.5, &platform);
+        let same = CtrvDroneGyro.moved(&s.push(0.0).push(0.0), 0.5, &platform);
+        assert_eq!(same.fixed_rows::<5>(0), exact);
+        let biased = Platform { rate: 1.0 + 0.1 - 0.4 * 0.05, ..platform.clone() };
+        let corrected = CtrvDroneGyro.moved(&s.push(0.1).push(0.05), 0.5, &biased);
+        assert!((corrected.fixed_rows::<5>(0) - exact).abs().max() < 1e-12);
+        let far = CtrvDroneGyro.moved(&s.push(9.0).push(9.0), 0.5, &platform);
+        let limit = CtrvDroneGyro.moved(&s.push(0.5).push(0.2), 0.5, &platform);
+        assert_eq!(far.fixed_rows::<5>(0), limit.fixed_rows::<5>(0), "both are bounded");
     }
 
     /// A target at rest seems to circle a sensor that turns, at the opposite rate.

@@ -2,13 +2,13 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior, extended};
+use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior};
 use super::platform::Platform;
 use super::state_conversion::{
     ANY_HEADING, ANY_RATE, StateConversion, along, capped, spread, through,
 };
 use super::turn::{Turn, direction};
-use super::world::Plane;
+use super::world::{Plane, extended};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector4, Vector5, Vector6};
 

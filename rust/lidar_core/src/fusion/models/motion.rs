@@ -21,6 +21,8 @@ pub enum Noise {
     Turn,
     /// Angular acceleration of the platform.
     Platform,
+    /// Change of the bias of a gyro.
+    Gyro,
     /// No noise: the model has fewer than three.
     Absent,
 }
@@ -173,21 +175,6 @@ pub trait PlaneMotion<const N: usize>: Motion<N, World = Plane> {
 pub trait SpaceMotion<const N: usize>: Motion<N, World = Space> {
     /// Velocity in the frame of the state, and its Jacobian.
     fn velocity(&self, s: &SVector<f64, N>) -> (Vector3<f64>, SMatrix<f64, 3, N>);
-}
-
-/// `start` extended by states with mean zero and the given variances; zero for those that are not
-/// given.
-pub(crate) fn extended<const S: usize, const N: usize>(
-    start: &Gaussian<S>,
-    variances: &[f64],
-) -> Gaussian<N> {
-    let (mut mean, mut covariance) = (SVector::<f64, N>::zeros(), SMatrix::<f64, N, N>::zeros());
-    mean.fixed_rows_mut::<S>(0).copy_from(&start.mean);
-    covariance.fixed_view_mut::<S, S>(0, 0).copy_from(&start.covariance);
-    for (index, variance) in variances.iter().enumerate() {
-        covariance[(S + index, S + index)] = *variance;
-    }
-    Gaussian { mean, covariance }
 }
 
 /// Time behaviour of the process noise.

@@ -29,14 +29,54 @@ pub struct Platform {
     pub pose: Option<Pose>,
     /// The last pose in space, of which filters in the plane have none.
     pub in_space: Option<Box<SpacePose>>,
-    /// Turn rate measured by a gyro [rad/s].
+    /// Turn rate measured by a gyro [rad/s]: the mean over the step that is predicted.
     pub rate: f64,
+    /// How fast that rate changes [rad/s^2].
+    pub slope: f64,
+    /// The last reading of the gyro.
+    pub gyro: Option<GyroReading>,
     /// Variance of that rate [rad^2/s^2].
     pub rate_variance: f64,
     /// Velocity of the platform's origin, axes of the platform [m/s].
     pub velocity: [f64; 2],
     /// From the platform's origin to the sensor, axes of the platform [m].
     pub lever: [f64; 3],
+}
+
+/// Readings of a gyro further apart [s] tell nothing of the time between them.
+const GYRO_GAP: f64 = 0.5;
+/// Time [s] over which the change of the turn rate is smoothed: differences of readings are noisy.
+const SMOOTHED: f64 = 0.1;
+/// Longest time [s] for which a turn rate is carried on by its change.
+const CARRIED: f64 = 0.1;
+
+/// Use of the turn rate of a gyro.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GyroUse {
+    /// Input to the motion model, of which bias and delay are estimated.
+    Input,
+    /// Input to the motion model as it is.
+    Exact,
+    /// Measurement of a state.
+    Measurement,
+    /// Not used.
+    Ignored,
+}
+
+/// What a gyro said last.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GyroReading {
+    /// Time of the reading [ns].
+    pub stamp_ns: i64,
+    /// Turn rate [rad/s].
+    pub rate: f64,
+    /// Its change since the reading before [rad/s^2].
+    pub slope: f64,
+}
+
+/// Time from one stamp to another [s].
+fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
 }
 
 /// The sensor in the world.
@@ -64,10 +104,39 @@ impl Platform {
             pose: None,
             in_space: None,
             rate: 0.0,
+            slope: 0.0,
+            gyro: None,
             rate_variance: 0.0,
             velocity: [0.0; 2],
             lever: [0.0; 3],
         }
+    }
+
+    /// Take in what a gyro says at `stamp_ns`: a turn rate [rad/s] and its variance.
+    pub fn read_gyro(&mut self, stamp_ns: i64, rate: f64, variance: f64) {
+        let last = self.gyro;
+        let gap = last.map_or(0.0, |last| seconds(last.stamp_ns, stamp_ns));
+        let step = last.map_or(0.0, |last| rate - last.rate);
+        let is_in_turn = gap > 0.0 && gap <= GYRO_GAP;
+        let slope = if is_in_turn { step / gap } else { 0.0 };
+        let before = self.slope;
+        self.slope =
+            if is_in_turn { before + (slope - before) * gap / (gap + SMOOTHED) } else { 0.0 };
+        (self.rate, self.rate_variance) = (rate, variance);
+        self.gyro = Some(GyroReading { stamp_ns, rate, slope });
+    }
+
+    /// The platform on the way from `start_ns` to `end_ns`: `rate` is the mean of the turn rate.
+    /// Between the last two readings it is interpolated, after the last one carried on.
+    #[must_use]
+    pub fn between(&self, start_ns: i64, end_ns: i64) -> Option<Self> {
+        let gyro = self.gyro?;
+        let middle = seconds(gyro.stamp_ns, start_ns) + 0.5 * seconds(start_ns, end_ns);
+        // Readings may stop: a rate that changes is not carried on for long.
+        let slope = if middle < 0.0 { gyro.slope } else { self.slope };
+        let middle = middle.clamp(-GYRO_GAP, GYRO_GAP);
+        let ahead = if middle < 0.0 { middle } else { middle.min(CARRIED) };
+        Some(Self { rate: gyro.rate + slope * ahead, ..self.clone() })
     }
 
     /// Pose of the sensor at `stamp_ns`: the last pose, extrapolated at its velocity and with its
@@ -101,6 +170,27 @@ mod tests {
     use super::*;
 
     const NONE: &str = "a pose was told";
+
+    /// A rate that changes evenly is known between readings, and carried on after them for a while.
+    #[test]
+    fn readings_of_a_gyro_are_interpolated_and_carried_on() -> Result<(), &'static str> {
+        let mut platform = Platform::still();
+        assert_eq!(platform.between(0, 1), None);
+        for k in 0..40_i64 {
+            platform.read_gyro(50_000_000 * k, 0.1 + 0.02 * k as f64, 1e-4);
+        }
+        let last = 50_000_000 * 39;
+        let mean = |from: i64, to: i64| platform.between(last + from, last + to).ok_or(NONE);
+        let exact = |from: i64, to: i64| 0.1 + 0.02 * 39.0 + 0.4 * 0.5e-9 * (from + to) as f64;
+        for (from, to) in [(-50_000_000, 0), (-20_000_000, 0), (0, 50_000_000)] {
+            assert!((mean(from, to)?.rate - exact(from, to)).abs() < 1e-6, "{from} {to}");
+        }
+        let far = mean(10_000_000_000, 20_000_000_000)?;
+        assert!(far.rate < exact(0, 200_000_001), "{}", far.rate);
+        platform.read_gyro(last + 3_000_000_000, 5.0, 1e-4);
+        assert_eq!((platform.slope, platform.rate), (0.0, 5.0), "a gap tells no slope");
+        Ok(())
+    }
 
     #[test]
     fn the_sensor_is_carried_on_with_its_lever() -> Result<(), &'static str> {

@@ -3,13 +3,13 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::heading::{Ctrv, polar_first, polar_velocity};
-use super::motion::{First, INPUTS, Motion, Noise, Prior, SpaceMotion, extended};
+use super::motion::{First, INPUTS, Motion, Noise, Prior, SpaceMotion};
 use super::platform::Platform;
 use super::state_conversion::{
     ANY_HEADING, ANY_RATE, StateConversion, along, capped, spread_slopes, through,
 };
 use super::turn::direction;
-use super::world::Space;
+use super::world::{Space, extended};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector5, Vector6};
 

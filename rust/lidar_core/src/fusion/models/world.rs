@@ -1,7 +1,7 @@
 //! Plane and space: the forms of a state that all models of one of them share.
 
-use super::motion::extended;
 use crate::estimation::kalman::Gaussian;
+use nalgebra::{SMatrix, SVector};
 use std::fmt::Debug;
 
 /// Plane or space.
@@ -39,4 +39,19 @@ impl World for Space {
     fn widened(cv: &Gaussian<6>) -> Gaussian<9> {
         extended(cv, &[])
     }
+}
+
+/// `start` extended by states with mean zero and the given variances; zero for those that are not
+/// given.
+pub(crate) fn extended<const S: usize, const N: usize>(
+    start: &Gaussian<S>,
+    variances: &[f64],
+) -> Gaussian<N> {
+    let (mut mean, mut covariance) = (SVector::<f64, N>::zeros(), SMatrix::<f64, N, N>::zeros());
+    mean.fixed_rows_mut::<S>(0).copy_from(&start.mean);
+    covariance.fixed_view_mut::<S, S>(0, 0).copy_from(&start.covariance);
+    for (index, variance) in variances.iter().enumerate() {
+        covariance[(S + index, S + index)] = *variance;
+    }
+    Gaussian { mean, covariance }
 }

@@ -2,8 +2,9 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::line_of_sight::NEAREST;
 use super::measurement::{Measurement, PolarValues, Sensor};
-use super::observation::{NEAREST, all_values};
+use super::observation::all_values;
 use super::sensing::Sensing;
 use super::sight::{Observer, SeenIn, SeenValues, Sights, observe_part};
 use crate::fusion::models::motion::{First, SpaceMotion};

@@ -1,8 +1,9 @@
 //! One filter type for every model and method, and runs over whole recordings.
 
-use super::lifecycle::{GyroUse, LifecycleRules, Outcome};
+use super::lifecycle::{LifecycleRules, Outcome};
+use super::phase::CvOf;
 use super::sensor_errors::SensorErrors;
-use super::target::{CvOf, FilterStep, MeasurementResult, SavedTarget, Target};
+use super::target::{FilterStep, MeasurementResult, SavedTarget, Target};
 use crate::Error;
 use crate::error::require;
 use crate::estimation::chi2;
@@ -219,8 +220,7 @@ impl Filter {
                 p.tracked(Imm::<_, 6>::new(in_plane, sojourn), ConstantVelocity)
             }));
         }
-        let has_gyro = p.life.gyro == GyroUse::Input;
-        Ok(Self(p.model.with_motion(has_gyro, TargetOf(p))))
+        Ok(Self(p.model.with_motion(p.life.gyro, TargetOf(p))))
     }
 
     /// State that changes with measurements.
@@ -498,6 +498,10 @@ impl<W: World> ForMixable<W> for ModeOf<'_> {
     }
 }
 
+/// Change of the bias of a gyro, in continuous time [rad/s^1.5]. Real ones change less; the rest lets
+/// a filter leave a wrong bias that it took from the first turn of a target.
+const GYRO_WALK: f64 = 0.008;
+
 impl Strengths {
     fn of(&self, noise: Noise) -> f64 {
         match noise {
@@ -505,6 +509,7 @@ impl Strengths {
             Noise::Jerk => self.jerk,
             Noise::Turn => self.turn,
             Noise::Platform => self.platform,
+            Noise::Gyro => GYRO_WALK,
             Noise::Absent => 0.0,
         }
     }

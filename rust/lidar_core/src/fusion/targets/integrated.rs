@@ -1,10 +1,12 @@
 //! Tracks with probabilities of existence: their update by a scan, birth by one and by two
 //! measurements, report and end.
 
+use super::hypotheses::{OwnPair, spread};
 use super::lifecycle::Outcome;
-use super::many_parameters::{ExistenceParameters, MAX_TARGETS, ManyParameters};
-use super::tracks::{Assigned, Births, Candidates, Scan, TargetTrack, Tracks};
-use crate::fusion::filter::engine::{Innovation, Output};
+use super::many_parameters::{ExistenceParameters, MAX_TARGETS};
+use super::track::{Assigned, Belief, Births, Candidates, IntegratedScan, Sighting, TargetTrack};
+use super::tracks::Tracks;
+use crate::fusion::filter::engine::Output;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::existence::{
     GatedPair, JointEvidence, PredictedTrack, Presence, Sojourn, associate,
@@ -12,7 +14,6 @@ use crate::tracking::existence::{
 use crate::tracking::extent::AXES;
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
@@ -29,11 +30,6 @@ const VISIBLE: f64 = 100.0;
 const HIDDEN: f64 = 1.5;
 /// Volume of the unit ball of 1 to 4 dimensions.
 const BALLS: [f64; AXES] = [2.0, PI, 4.0 / 3.0 * PI, 0.5 * PI * PI];
-/// Most pairs of tracks and measurements of a scan that are weighed; beyond, each track keeps its
-/// likeliest ones ...
-const MOST_PAIRS: usize = 20_000;
-/// ... but this many.
-const LEAST_PAIRS: usize = 8;
 /// Probability of existence below which a track ends.
 const DELETED: f64 = 1e-3;
 /// Probability of existence from which on looks at a track tell about the scanner.
@@ -45,95 +41,6 @@ const DOUBTFUL: f64 = 0.5;
 const LOST: f64 = 2.0;
 /// Share of `report` below which a reported track is not reported any more.
 const KEPT: f64 = 0.5;
-
-/// A measurement of a scan: stamp [ns], scanner and index.
-pub type Sighting = (i64, u8, usize);
-
-/// Existence of the target of a track.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Belief {
-    /// Whether there is a target.
-    pub presence: Presence,
-    /// Time of these probabilities [ns].
-    pub stamp_ns: i64,
-    /// The last two measurements that were most likely of the track.
-    pub last: [Option<Sighting>; 2],
-    /// Position at the first measurement [m].
-    pub start: [f64; 2],
-    /// Scanner and sensor of that measurement.
-    pub origin: (u8, usize),
-    /// True once the track was certain.
-    pub was_certain: bool,
-    /// True while a track that was certain counts as ended.
-    pub is_doubtful: bool,
-    /// True while the track, once certain, will count as an arrival: not for targets that were
-    /// there before the first scans.
-    pub will_arrive: bool,
-}
-
-impl Default for Belief {
-    /// Nothing is known.
-    fn default() -> Self {
-        Self {
-            presence: Presence::measured(f64::NAN),
-            stamp_ns: 0,
-            last: [None; 2],
-            start: [f64::NAN; 2],
-            origin: (0, 0),
-            was_certain: false,
-            is_doubtful: false,
-            will_arrive: false,
-        }
-    }
-}
-
-/// A scan, and how it is processed.
-pub(super) struct IntegratedScan<'a> {
-    pub parameters: &'a ManyParameters,
-    pub existence: &'a ExistenceParameters,
-    pub scan: &'a Scan,
-}
-
-/// A pair of one track.
-#[derive(Clone, Copy)]
-struct OwnPair {
-    column: usize,
-    probability: f64,
-    innovation: Innovation,
-    /// True if it is likelier than a miss while no other pair is thought of.
-    is_likely: bool,
-}
-
-impl Candidates {
-    /// The likeliest pairs of each track if there are more than [`MOST_PAIRS`] of `tracks`, in the
-    /// same order; None if these are all.
-    fn limited(&self, tracks: usize) -> Option<Self> {
-        if self.pairs.len() <= MOST_PAIRS {
-            return None;
-        }
-        let mut of_track = vec![Vec::new(); tracks];
-        for (index, pair) in self.pairs.iter().enumerate() {
-            of_track[pair.row].push(index);
-        }
-        let spread = |index: usize| self.innovations[index].nis + spread(&self.innovations[index]);
-        let cost: Vec<f64> = (0..self.pairs.len()).map(spread).collect();
-        for own in &mut of_track {
-            own.sort_by(|a, b| cost[*a].total_cmp(&cost[*b]).then(a.cmp(b)));
-        }
-        // As many for each track as fit; tracks with few leave room for the others.
-        let kept = |most: usize| of_track.iter().map(|own| own.len().min(most)).sum::<usize>();
-        let most = (LEAST_PAIRS..).take_while(|most| kept(*most) <= MOST_PAIRS).last();
-        let most = most.unwrap_or(LEAST_PAIRS);
-        let mut left: Vec<usize> =
-            of_track.iter().flat_map(|own| own.iter().take(most)).copied().collect();
-        left.sort_unstable();
-        let pairs = left.iter().map(|index| self.pairs[*index]).collect();
-        Some(Self {
-            pairs,
-            innovations: left.iter().map(|index| self.innovations[*index]).collect(),
-        })
-    }
-}
 
 impl Tracks {
     /// Process the measurements of a scan whose near pairs are known.
@@ -498,93 +405,6 @@ fn largest_place(space: &IntegratedScan<'_>, lidar: &Surroundings) -> f64 {
 fn determinant(output: &Output) -> f64 {
     let [first, second, ..] = output.covariance;
     (first[0] * second[1] - first[1] * second[0]).max(0.0)
-}
-
-impl TargetTrack {
-    /// Probability that there is a target.
-    fn existence(&self) -> f64 {
-        self.belief.presence.existence
-    }
-
-    /// Velocity [vx, vy] from the first measurement to a time [m/s].
-    fn mean_velocity(&self, stamp_ns: i64) -> Option<[f64; 2]> {
-        let dt = stamp_ns.saturating_sub(self.born_ns) as f64 * 1e-9;
-        let now = self.filter.output_at(stamp_ns)?.mean;
-        let start = self.belief.start;
-        (dt > 0.0).then(|| [0, 1].map(|axis| (now[axis] - start[axis]) / dt))
-    }
-
-    /// Correct by measurements with their probabilities, given that the target exists.
-    fn corrected(&mut self, scan: &Scan, own: &[OwnPair], presence: Presence) {
-        let existence = presence.existence;
-        self.belief.presence = presence;
-        if own.is_empty() || existence <= 0.0 {
-            return;
-        }
-        let given = |pair: &OwnPair| (pair.probability / existence, scan.measurements[pair.column]);
-        let weighted: Vec<(f64, Measurement)> = own.iter().map(given).collect();
-        self.filter.absorb(scan.stamp_ns, &weighted);
-        if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
-            self.see(scan);
-        }
-        // The wide gate of a hidden target holds measurements of others: they are no evidence that
-        // both tracks are of one target.
-        if presence.hidden_share() < 0.5 {
-            self.remember(scan, own);
-        }
-    }
-
-    /// Note the measurement that is most likely of the track. What hardly is of it does not count:
-    /// the wide gate of a hidden track holds measurements of other targets.
-    fn remember(&mut self, scan: &Scan, own: &[OwnPair]) {
-        let likelier = |a: &&OwnPair, b: &&OwnPair| {
-            let cost = |pair: &OwnPair| pair.innovation.nis + pair.innovation.log_determinant;
-            cost(b).total_cmp(&cost(a)).then(b.column.cmp(&a.column))
-        };
-        if let Some(pair) = own.iter().filter(|pair| pair.is_likely).max_by(likelier) {
-            let [last, _] = self.belief.last;
-            self.belief.last = [Some((scan.stamp_ns, scan.source, pair.column)), last];
-        }
-    }
-
-    /// A track for each measurement, and self for the case that none is of it. The likeliest of
-    /// them keeps the number.
-    fn divided(
-        &mut self,
-        space: &IntegratedScan<'_>,
-        own: &[OwnPair],
-        presence: Presence,
-        births: &mut Births,
-    ) -> Vec<Self> {
-        let scan = space.scan;
-        let seen: f64 = own.iter().map(|pair| pair.probability).sum();
-        let part = |pair: &OwnPair| {
-            let mut part = self.clone();
-            part.filter.take(&scan.measurements[pair.column]);
-            part.id = births.of_pair(self.id, pair.column);
-            part.belief.presence = Presence::measured(pair.probability);
-            part.see(scan);
-            part.remember(scan, &[OwnPair { is_likely: true, ..*pair }]);
-            part
-        };
-        let mut parts: Vec<Self> = own.iter().map(part).collect();
-        let left = (presence.existence - seen).max(presence.hidden);
-        self.belief.presence = Presence { existence: left, ..presence };
-        let likelier = |a: &&mut Self, b: &&mut Self| {
-            a.existence().total_cmp(&b.existence()).then(b.id.cmp(&a.id))
-        };
-        if let Some(best) = parts.iter_mut().max_by(likelier)
-            && best.existence() > left
-        {
-            std::mem::swap(&mut best.id, &mut self.id);
-        }
-        parts
-    }
-}
-
-/// Twice the logarithm of the volume over which a predicted measurement spreads.
-fn spread(innovation: &Innovation) -> f64 {
-    innovation.log_determinant + innovation.count as f64 * libm::log(TAU)
 }
 
 /// What a scanner is thought to do before its scans show it.

@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::estimation::chi2;
 use crate::fusion::filter::engine::Innovation;
+use crate::fusion::models::platform::GyroUse;
 
 /// Rules for the life of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,17 +34,6 @@ pub struct Loss {
     pub window: f64,
     /// NIS per degree of freedom above which the filter is lost; 1 is expected.
     pub ratio: f64,
-}
-
-/// Use of the turn rate of a gyro.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GyroUse {
-    /// Input to the motion model until the next one.
-    Input,
-    /// Measurement of a state.
-    Measurement,
-    /// Not used.
-    Ignored,
 }
 
 impl LifecycleRules {

@@ -6,8 +6,9 @@ use super::lifecycle::LifecycleRules;
 pub use super::many_parameters::{
     ExistenceParameters, MAX_TARGETS, ManyParameters, TargetAssociation,
 };
-pub use super::tracks::{Assigned, Scan, TrackState, TrackingWork};
-use super::tracks::{Births, NewNumbers, SavedTracks, Tracks, within};
+pub use super::track::{Assigned, Scan, TrackState, TrackingWork};
+use super::track::{Births, NewNumbers};
+use super::tracks::{SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
 use crate::fusion::sensors::measurement::Measurement;

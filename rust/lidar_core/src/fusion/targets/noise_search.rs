@@ -203,7 +203,7 @@ impl Quantity {
             Self::Process(Noise::Jerk) => strengths.jerk *= factor,
             Self::Process(Noise::Turn) => strengths.turn *= factor,
             Self::Process(Noise::Platform) => strengths.platform *= factor,
-            Self::Process(Noise::Absent) => {}
+            Self::Process(Noise::Gyro | Noise::Absent) => {}
             Self::Lidar => sensing.lidar.iter_mut().for_each(|value| *value *= factor * factor),
             Self::Radar(index) => sensing.radar[index] *= factor * factor,
         }

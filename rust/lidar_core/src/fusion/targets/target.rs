@@ -1,11 +1,11 @@
 //! One target over time: start, prediction, gate, correction, loss.
 
-use super::lifecycle::{GyroUse, LifecycleRules, Outcome};
+use super::lifecycle::{LifecycleRules, Outcome};
+use super::phase::{CvOf, FilterRules, Now, Phase, PhaseOf, SavedNow, blended};
 use super::sensor_errors::{SensorErrors, as_outlier};
 use crate::Error;
-use crate::fusion::filter::engine::{AcceptInnovation, Engine, Innovation, Link, Output};
-use crate::fusion::models::platform::Platform;
-use crate::fusion::models::world::World;
+use crate::fusion::filter::engine::{Engine, Innovation, Link, Output};
+use crate::fusion::models::platform::{GyroUse, Platform};
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::fusion::sensors::sensing::Sensing;
 use crate::fusion::sensors::sight::Sights;
@@ -35,43 +35,6 @@ pub struct FilterStep {
 /// Outcome and innovation of a measurement.
 pub type MeasurementResult = (Outcome, Option<Innovation>);
 
-/// Position and velocity in the world of an engine.
-pub type CvOf<E> = <<E as Engine>::World as World>::Cv;
-
-/// Phase of the estimation: a state of the model, and one of position and velocity.
-#[derive(Clone)]
-enum Phase<T, C> {
-    Unseen,
-    /// Estimated by a constant-velocity filter, after this many measurements.
-    Starting(C, u32),
-    Running(T),
-}
-
-/// Phase of an engine.
-type PhaseOf<E> = Phase<<E as Engine>::State, CvOf<E>>;
-
-/// State that changes with measurements.
-#[derive(Clone)]
-struct Now<P> {
-    stamp_ns: i64,
-    phase: P,
-    platform: Platform,
-    /// NIS per degree of freedom, averaged over the window of a loss.
-    ratio: f64,
-    errors: SensorErrors,
-    /// Factor by which the last prediction made the state less certain than its model does.
-    looseness: f64,
-}
-
-/// Parts that measurements do not change.
-#[derive(Clone)]
-struct FilterRules<E, S> {
-    engine: E,
-    starter: S,
-    sensing: Sensing,
-    life: LifecycleRules,
-}
-
 /// The state predicted to a later time, kept until the state changes.
 #[derive(Clone)]
 struct Ahead<P> {
@@ -91,123 +54,11 @@ pub struct Target<E: Engine, S> {
     history: VecDeque<(Measurement, Now<PhaseOf<E>>)>,
 }
 
-/// [`Phase`] as plain numbers.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-enum SavedPhase {
-    Unseen,
-    Starting(Vec<f64>, u32),
-    Running(Vec<f64>),
-}
-
-/// [`Now`] as plain numbers.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct SavedNow {
-    stamp_ns: i64,
-    phase: SavedPhase,
-    platform: Platform,
-    ratio: f64,
-    errors: SensorErrors,
-}
-
 /// State of a [`Target`] that changes with measurements.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SavedTarget {
     now: SavedNow,
     history: Vec<(Measurement, SavedNow)>,
-}
-
-impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> FilterRules<E, S> {
-    fn saved(&self, now: &Now<PhaseOf<E>>) -> SavedNow {
-        let phase = match &now.phase {
-            Phase::Unseen => SavedPhase::Unseen,
-            Phase::Starting(cv, rows) => SavedPhase::Starting(self.starter.numbers(cv), *rows),
-            Phase::Running(state) => SavedPhase::Running(self.engine.numbers(state)),
-        };
-        let Now { stamp_ns, ratio, errors, .. } = *now;
-        SavedNow { stamp_ns, phase, platform: now.platform.clone(), ratio, errors }
-    }
-
-    fn restored(&self, saved: &SavedNow) -> Option<Now<PhaseOf<E>>> {
-        let phase = match &saved.phase {
-            SavedPhase::Unseen => Phase::Unseen,
-            SavedPhase::Starting(cv, rows) => {
-                Phase::Starting(self.starter.state_of_numbers(cv)?, *rows)
-            }
-            SavedPhase::Running(state) => Phase::Running(self.engine.state_of_numbers(state)?),
-        };
-        let SavedNow { stamp_ns, ratio, errors, .. } = *saved;
-        let platform = saved.platform.clone();
-        Some(Now { stamp_ns, phase, platform, ratio, errors, looseness: 1.0 })
-    }
-
-    fn predict(&self, phase: &mut PhaseOf<E>, dt: f64, platform: &Platform) {
-        match phase {
-            Phase::Unseen => {}
-            Phase::Starting(cv, _) => self.starter.predict(cv, dt, platform),
-            Phase::Running(state) => self.engine.predict(state, dt, platform),
-        }
-    }
-
-    fn loosen(&self, phase: &mut PhaseOf<E>, factor: f64) {
-        match phase {
-            Phase::Unseen => {}
-            Phase::Starting(cv, _) => self.starter.loosen(cv, factor),
-            Phase::Running(state) => self.engine.loosen(state, factor),
-        }
-    }
-
-    /// Correct a state if `believe` accepts the innovation; after enough measurements the model
-    /// takes over.
-    fn correct(
-        &self,
-        phase: &mut PhaseOf<E>,
-        m: &Measurement,
-        platform: &Platform,
-        believe: AcceptInnovation<'_>,
-    ) -> Result<Option<Innovation>, Error> {
-        match phase {
-            Phase::Unseen => Ok(None),
-            Phase::Running(state) => self.engine.update(state, m, platform, believe),
-            Phase::Starting(cv, rows) => {
-                let mut is_believed = false;
-                let update = self.starter.update(cv, m, platform, &mut |innovation| {
-                    is_believed = believe(innovation);
-                    is_believed
-                })?;
-                *rows += u32::from(is_believed);
-                if let Some(state) = self.after_start(cv, *rows) {
-                    *phase = Phase::Running(state);
-                }
-                Ok(update)
-            }
-        }
-    }
-
-    /// State of the model after enough measurements.
-    fn after_start(&self, cv: &CvOf<E>, rows: u32) -> Option<E::State> {
-        let is_enough = rows >= self.life.start_rows;
-        is_enough.then(|| self.engine.after_velocity(cv)).flatten()
-    }
-}
-
-/// Mixture of the prediction corrected by each measurement and by none, with their probabilities.
-fn blended<E: Engine>(
-    engine: &E,
-    predicted: &E::State,
-    weighted: &[(f64, Measurement)],
-    platform: &Platform,
-) -> E::State {
-    let (mut left, mut corrected) = (1.0, Vec::with_capacity(weighted.len()));
-    for (weight, m) in weighted {
-        let mut state = predicted.clone();
-        if let Ok(Some(_)) = engine.update(&mut state, m, platform, &mut |_| true) {
-            left -= weight;
-            corrected.push((*weight, state));
-        }
-    }
-    let parts = corrected.iter().map(|(weight, state)| (*weight, state));
-    let parts: Vec<_> = std::iter::once((left.max(0.0), predicted)).chain(parts).collect();
-    engine.blended(&parts)
 }
 
 impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
@@ -332,6 +183,13 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
 
     /// Process a usable measurement that is not older than the state.
     fn advance(&mut self, m: &Measurement) -> MeasurementResult {
+        let is_input = matches!(self.rules.life.gyro, GyroUse::Input | GyroUse::Exact);
+        if m.sensor() == Sensor::Gyro && is_input {
+            // What it reads now also tells how the platform turned since the last reading.
+            let (rate, variance) = (m.values()[0], self.rules.sensing.gyro_variance(m));
+            self.now.platform.read_gyro(m.stamp_ns(), rate, variance);
+            self.ahead = None;
+        }
         let before = self.predict_to(m.stamp_ns());
         self.now.looseness = 1.0;
         let taken =
@@ -348,8 +206,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
             return std::mem::replace(&mut self.now.phase, ahead.phase);
         }
         let before = self.now.phase.clone();
-        let dt = stamp_ns.saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
-        self.rules.predict(&mut self.now.phase, dt, &self.now.platform);
+        let Self { rules, now, .. } = self;
+        rules.predict(&mut now.phase, [now.stamp_ns, stamp_ns], &now.platform);
         before
     }
 
@@ -361,8 +219,7 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
             return false;
         }
         let mut phase = self.now.phase.clone();
-        let dt = stamp_ns.saturating_sub(self.now.stamp_ns) as f64 * 1e-9;
-        self.rules.predict(&mut phase, dt, &self.now.platform);
+        self.rules.predict(&mut phase, [self.now.stamp_ns, stamp_ns], &self.now.platform);
         self.ahead = Some(Ahead { stamp_ns, phase });
         true
     }
@@ -467,8 +324,10 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
     /// Linearised transition from the present state to `stamp_ns`; None while the target starts.
     pub fn link(&self, stamp_ns: i64) -> Option<Link> {
         let Phase::Running(state) = &self.now.phase else { return None };
-        let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
-        self.rules.engine.link(state, dt, &self.now.platform)
+        let (start_ns, platform) = (self.now.stamp_ns, &self.now.platform);
+        let dt = stamp_ns.saturating_sub(start_ns).max(0) as f64 * 1e-9;
+        let turning = platform.between(start_ns, stamp_ns.max(start_ns));
+        self.rules.engine.link(state, dt, turning.as_ref().unwrap_or(platform))
     }
 
     /// Factor by which the last step made the predicted covariance larger than its link says.
@@ -525,10 +384,6 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
             E::World::tell_pose(&mut platform, m, &sensing);
         }
         let mut innovation = None;
-        if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Input {
-            platform.rate = values[0];
-            platform.rate_variance = sensing.gyro_variance(m);
-        }
         if m.sensor() == Sensor::Gyro && self.rules.life.gyro == GyroUse::Measurement {
             let Self { rules, now, .. } = self;
             match rules.correct(&mut now.phase, m, &now.platform, &mut |_| true) {
@@ -556,9 +411,9 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         if let Some(ahead) = self.ahead.as_ref().filter(|ahead| ahead.stamp_ns == stamp_ns) {
             return self.output_of(&ahead.phase);
         }
-        let dt = stamp_ns.saturating_sub(self.now.stamp_ns).max(0) as f64 * 1e-9;
+        let end_ns = stamp_ns.max(self.now.stamp_ns);
         let mut phase = self.now.phase.clone();
-        self.rules.predict(&mut phase, dt, &self.now.platform);
+        self.rules.predict(&mut phase, [self.now.stamp_ns, end_ns], &self.now.platform);
         self.output_of(&phase)
     }
 

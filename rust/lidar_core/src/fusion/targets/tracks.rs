@@ -1,15 +1,17 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::{Filter, FusionParameters};
-use super::company::{Fellow, RecentPath, keep_company};
-use super::integrated::{Belief, IntegratedScan};
+use super::company::{Fellow, keep_company};
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
 use super::near_pairs::ScanIndex;
 use super::target::SavedTarget;
+use super::track::{
+    Assigned, Births, Candidates, IntegratedScan, Scan, TargetTrack, TrackState, TrackingWork,
+};
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
-use crate::fusion::filter::engine::{Innovation, Output};
+use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;
@@ -28,82 +30,6 @@ const FOREIGN: f64 = 0.02;
 /// The same, below which it is not looked at: of targets that hardly were hidden.
 const CERTAINLY_OWN: f64 = 1e-3;
 
-/// Measurements of one scanner at one time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Scan {
-    /// Time [ns].
-    pub stamp_ns: i64,
-    /// Number of the scanner, below 64.
-    pub source: u8,
-    /// Measurements of targets, one each, and of the platform's motion.
-    pub measurements: Vec<Measurement>,
-}
-
-/// Result of a measurement for a tracker.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Assigned {
-    /// Track of the measurement; None if it cannot be used, started none, or describes the
-    /// platform.
-    pub id: Option<i64>,
-    /// Innovation for that track; None if the measurement started it.
-    pub innovation: Option<Innovation>,
-}
-
-/// Numbers of the tracks that a scan starts; they are kept when the scan is processed again.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct NewNumbers {
-    /// Of tracks that a measurement starts alone, by measurement.
-    pub of_column: Vec<Option<i64>>,
-    /// Of tracks through an older one's place and a measurement, by number and measurement.
-    pub of_pair: BTreeMap<(i64, usize), i64>,
-}
-
-/// Next unused number, and those of the tracks that a scan starts.
-#[derive(Clone, Debug)]
-pub struct Births {
-    /// Next unused number.
-    pub next_id: i64,
-    /// Numbers that the scan has given.
-    pub ids: NewNumbers,
-}
-
-/// A track at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackState {
-    /// Number, never reused.
-    pub id: i64,
-    /// State, predicted to the requested time.
-    pub output: Output,
-    /// Time of the first measurement [ns].
-    pub born_ns: i64,
-    /// Time of the last measurement [ns].
-    pub seen_ns: i64,
-    /// Number of measurements.
-    pub hits: u32,
-    /// True if enough scans measured the track, or if its probability of existence says so.
-    pub confirmed: bool,
-    /// Probability that there is a target; None where the association does not estimate it.
-    pub existence: Option<f64>,
-}
-
-/// What scans have cost so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TrackingWork {
-    /// Scans processed; a late scan counts those after it again.
-    pub scans: u64,
-    /// Predictions of a track to the time of a scan.
-    pub predictions: u64,
-    /// Pairs of a track and a measurement that were compared.
-    pub pairs: u64,
-}
-
-/// Possible pairs of tracks and measurements, each with its innovation.
-#[derive(Default)]
-pub(super) struct Candidates {
-    pub(super) pairs: Vec<Pair>,
-    pub(super) innovations: Vec<Innovation>,
-}
-
 /// Saved form of all tracks.
 #[derive(Serialize, Deserialize)]
 pub struct SavedTracks {
@@ -111,24 +37,6 @@ pub struct SavedTracks {
     all: Vec<TargetTrack<SavedTarget>>,
     scanners: BTreeMap<u8, [Surroundings; 2]>,
     population: Population,
-}
-
-/// A track with its filter, or with the saved form of that.
-#[derive(Clone, Serialize, Deserialize)]
-pub(super) struct TargetTrack<F = Filter> {
-    pub(super) id: i64,
-    pub(super) filter: F,
-    /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
-    /// measured.
-    history: u64,
-    looks: u32,
-    pub(super) sources: u64,
-    pub(super) born_ns: i64,
-    seen_ns: i64,
-    pub(super) hits: u32,
-    pub(super) confirmed: bool,
-    pub(super) belief: Belief,
-    pub(super) way: RecentPath,
 }
 
 /// All tracks at one time.
@@ -155,32 +63,6 @@ impl TargetAssociation {
                 0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
             }
         }
-    }
-}
-
-impl Births {
-    /// Number of the track started by measurement `column`.
-    pub(super) fn of(&mut self, column: usize) -> i64 {
-        let id = self.ids.of_column[column].unwrap_or(self.next_id);
-        self.next_id = self.next_id.max(id + 1);
-        self.ids.of_column[column] = Some(id);
-        id
-    }
-
-    /// Number of the track through the place of track `id` and measurement `column`.
-    pub(super) fn of_pair(&mut self, id: i64, column: usize) -> i64 {
-        let next = self.next_id;
-        let new = *self.ids.of_pair.entry((id, column)).or_insert(next);
-        self.next_id = self.next_id.max(new + 1);
-        new
-    }
-}
-
-impl NewNumbers {
-    /// No number has been given yet, in a scan of `count` measurements.
-    #[must_use]
-    pub fn of_scan(count: usize) -> Self {
-        Self { of_column: vec![None; count], of_pair: BTreeMap::new() }
     }
 }
 
@@ -459,88 +341,6 @@ impl Tracks {
             assigned[column].id = Some(track.id);
             self.all.push(track);
         }
-    }
-}
-
-impl<F> TargetTrack<F> {
-    /// The same track with another form of its filter.
-    fn with_filter<G>(&self, filter: G) -> TargetTrack<G> {
-        TargetTrack {
-            id: self.id,
-            filter,
-            history: self.history,
-            looks: self.looks,
-            sources: self.sources,
-            born_ns: self.born_ns,
-            seen_ns: self.seen_ns,
-            hits: self.hits,
-            confirmed: self.confirmed,
-            belief: self.belief,
-            way: self.way.clone(),
-        }
-    }
-}
-
-impl TargetTrack {
-    pub(super) fn new(id: i64, filter: Filter, scan: &Scan) -> Self {
-        Self {
-            id,
-            filter,
-            history: 1,
-            looks: 1,
-            sources: 1 << scan.source,
-            born_ns: scan.stamp_ns,
-            seen_ns: scan.stamp_ns,
-            hits: 1,
-            confirmed: false,
-            belief: Belief::default(),
-            way: RecentPath::default(),
-        }
-    }
-
-    pub(super) fn see(&mut self, scan: &Scan) {
-        let seen = 1 << scan.source;
-        if self.sources & seen == 0 {
-            self.history <<= 1; // the first scan of this scanner that counts
-            self.looks += 1;
-        }
-        self.history |= 1;
-        self.sources |= seen;
-        self.seen_ns = scan.stamp_ns;
-        self.hits += 1;
-    }
-
-    /// Process measurements with their probabilities to come from this track.
-    fn absorb(&mut self, scan: &Scan, weighted: &[(f64, Measurement)]) {
-        if weighted.is_empty() {
-            return;
-        }
-        self.filter.absorb(scan.stamp_ns, weighted);
-        if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
-            self.see(scan);
-        }
-    }
-
-    /// Number of recent scans that measured the track, and number of recent scans that count.
-    fn recent(&self, window: u32) -> (u32, u32) {
-        let mask = u64::MAX >> (u64::BITS - window);
-        ((self.history & mask).count_ones(), self.looks.min(window))
-    }
-
-    fn judge(&mut self, parameters: &ManyParameters) {
-        let (hits, _) = self.recent(parameters.confirm_window);
-        self.confirmed |= hits >= parameters.confirm_hits;
-    }
-
-    fn stays(&self, stamp_ns: i64, parameters: &ManyParameters) -> bool {
-        let (hits, looks) = self.recent(parameters.confirm_window);
-        let misses = parameters.confirm_window - parameters.confirm_hits;
-        let unseen = stamp_ns.saturating_sub(self.seen_ns) as f64 * 1e-9;
-        let Some(output) = self.filter.output_at(stamp_ns) else { return false };
-        let variance = output.covariance[0][0].max(output.covariance[1][1]);
-        (self.confirmed || looks - hits <= misses)
-            && unseen <= parameters.max_coast
-            && variance <= parameters.max_position_std * parameters.max_position_std
     }
 }
 

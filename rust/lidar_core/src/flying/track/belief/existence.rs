@@ -81,7 +81,11 @@ impl Sight {
     }
 
     fn of_detection(evidence: Evidence) -> Self {
-        if evidence.is_sure { Self::Sure } else { Self::Weak }
+        match evidence {
+            Evidence { is_led: true, .. } => Self::Followed,
+            Evidence { is_sure: true, .. } => Self::Sure,
+            _ => Self::Weak,
+        }
     }
 
     /// Shares of what was seen of tracks, with and without targets, of simulated sensors as their
@@ -108,6 +112,9 @@ impl Sight {
 /// Of a detection that seems to be a part of a surface: one in thirty of those of targets, half of
 /// those of parts.
 const JOINED: CauseLikelihoods = [0.033, 0.033, 0.5, 0.033];
+/// Of a first detection around which surfaces give more returns than it does: the parts of a surface that
+/// come into view do so beside the rest of it, few targets do.
+const AMONG_SURFACES: CauseLikelihoods = [0.18, 0.18, 1.0, 0.6];
 /// Of having moved.
 const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
 /// What comes and goes does so anywhere in the gate of a track; what is there is found near its
@@ -157,6 +164,9 @@ impl TrackBelief {
         }
         if track.before.is_some() {
             belief.take(IS_FAST);
+        }
+        if track.first.is_among_surfaces {
+            belief.take(AMONG_SURFACES);
         }
         belief
     }

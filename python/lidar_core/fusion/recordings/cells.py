@@ -1,0 +1,60 @@
+"""Columns of tables as numbers and times."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.fusion.recordings.conventions import stamps_of_texts
+from lidar_core.io.tables.columns import Columns, at_row
+
+MAX_SECONDS = 9e9
+"""Largest time that int64 nanoseconds hold [s]."""
+
+
+def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
+    """A column as numbers; empty cells are NaN."""
+    column = columns[name]
+    if column.dtype.kind in "fiub":
+        return column.astype(np.float64)
+    numbers = np.empty(len(column))
+    for row, text in enumerate(column.tolist()):
+        try:
+            numbers[row] = float(text) if text not in ("", None) else np.nan
+        except (TypeError, ValueError) as error:
+            raise FormatError(
+                f"{at_row(place, row)}: column {name}: expected a number, got {text!r}"
+            ) from error
+    return numbers
+
+
+def stamps_in(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
+    """Times [ns] of the column t_ns, whose numbers count `unit_ns`, or which holds ISO 8601 texts.
+
+    Raises
+    ------
+    FormatError
+        There is no such column, or a cell holds no time.
+    """
+    if "t_ns" not in columns:
+        raise FormatError(
+            f"{place}: no column t_ns among {', '.join(columns) or 'none'}; name the column of"
+            ' times with columns={"t_ns": "NAME"}'
+        )
+    column, limit = columns["t_ns"], MAX_SECONDS * 1e9 / unit_ns
+    if column.dtype.kind == "U":
+        texts = stamps_of_texts(column, str(place))
+        if texts is not None:
+            return texts
+    numbers = numbers_in(place, columns, "t_ns")
+    bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise FormatError(
+            f"{at_row(place, row)}: column t_ns: expected a time, got {column[row]!r}"
+        )
+    if column.dtype.kind in "iu":
+        return column.astype(np.int64) * unit_ns
+    stamps: NDArray[np.int64] = np.round(numbers * unit_ns).astype(np.int64)
+    return stamps

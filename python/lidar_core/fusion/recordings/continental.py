@@ -1,0 +1,192 @@
+"""Reader of the object and detection lists of Continental radars, as YAML."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.errors import FormatError
+from lidar_core.extras import require
+from lidar_core.files import check_regular
+from lidar_core.fusion.measurement import MEASURES, Measurement
+from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
+from lidar_core.fusion.recordings.radar_tracks import radar_of_track
+from lidar_core.io.files.guard import check_size, reading
+
+ENDINGS = (".yaml", ".yml")
+LISTS = ("objects", "detections")
+METADATA = "metadata.yaml"
+"""What a ROS 2 folder holds beside its recording."""
+HEAD_BYTES = 4096
+
+
+def is_continental(path: str | Path) -> bool:
+    """Whether a YAML file, or the first one of a folder, holds a list of a radar."""
+    files = _files(Path(path))
+    if not files or not files[0].is_file():
+        return False
+    with files[0].open("rb") as file:
+        head = file.read(HEAD_BYTES).decode("utf-8", "replace")
+    return any(f"\n{name}:" in head for name in LISTS)
+
+
+def read_continental(path: str | Path) -> list[DetectionScan]:
+    """Read what ARS548 and SRR520 radars detected or tracked, scan by scan.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file of messages ContinentalArs548DetectionList, ContinentalArs548ObjectList,
+        ContinentalSrr520DetectionList or ContinentalSrr520ObjectList of continental_msgs, with
+        one message or several between lines `---`, as `ros2 topic echo` prints them; or a folder
+        of such files.
+
+    Returns
+    -------
+    scans : list of DetectionScan
+        By time, empty ones included; `source` is the frame of the radar and the kind of the list.
+        Detections give range, bearing, elevation and range rate with their deviations, as far as
+        they are valid; objects give range, bearing and range rate of position and velocity.
+
+    Raises
+    ------
+    FormatError
+        No such lists; the text names file, message, entry and key.
+    LimitError
+        More than 256 MiB.
+    MissingExtraError
+        The extra `io` is not installed.
+
+    Notes
+    -----
+    Angles count counter-clockwise from ahead. Velocities of objects are relative to the radar,
+    which an ARS548 says; those of an SRR520 are over ground, and its own speed is taken from them.
+    """
+    place = Path(path)
+    files = _files(place)
+    if not files:
+        raise FormatError(f"{place}: expected a YAML file of a radar's lists, or a folder of them")
+    for file in files:
+        check_regular(file)
+    check_size(
+        str(place),
+        sum(file.stat().st_size for file in files),
+        limit=MAX_FILE_BYTES,
+        key="nothing",
+        what="object lists of bytes",
+    )
+    scans = [scan for file in files for scan in _scans(file)]
+    return sorted(scans, key=lambda scan: (scan.stamp_ns, scan.source))
+
+
+def _files(place: Path) -> list[Path]:
+    if not place.is_dir():
+        return [place] if place.suffix.lower() in ENDINGS else []
+    found = [one for one in place.iterdir() if one.suffix.lower() in ENDINGS]
+    return sorted(one for one in found if one.name != METADATA)
+
+
+def _scans(file: Path) -> Iterator[DetectionScan]:
+    yaml = require("ruamel.yaml", extra="io", purpose="reading YAML")
+    with reading(str(file)):
+        messages = list(yaml.YAML(typ="safe").load_all(file.read_text("utf-8")))
+    for number, message in enumerate(message for message in messages if message is not None):
+        yield _scan(f"{file}, message {number + 1}", message)
+
+
+def _scan(place: str, message: Any) -> DetectionScan:
+    kind = next((k for k in LISTS if isinstance(message, Mapping) and k in message), None)
+    if kind is None:
+        got = ", ".join(map(str, message)) if isinstance(message, Mapping) else type(message)
+        raise FormatError(f"{place}: expected a list of {' or of '.join(LISTS)}, got {got}")
+    stamp = _numbers(message, "header.stamp.sec", "header.stamp.nanosec", place=place)
+    stamp_ns = int(stamp[0]) * 10**9 + int(stamp[1])
+    entries = message[kind] or []
+    if not isinstance(entries, list):
+        raise FormatError(f"{place}: {kind}: expected a list, got {type(entries).__name__}")
+    found = []
+    for number, entry in enumerate(entries):
+        where = f"{place}, {kind} {number + 1}"
+        one = _object(stamp_ns, message, entry, where) if kind == "objects" else None
+        one = _detection(stamp_ns, entry, where) if kind == "detections" else one
+        found += [] if one is None else [one]
+    frame = message["header"].get("frame_id", "radar")
+    return DetectionScan(stamp_ns, f"{frame} {kind}", found, np.zeros(2), {})
+
+
+def _numbers(entry: Any, *keys: str, place: str) -> NDArray[np.float64]:
+    """Finite numbers under keys, whose parts are divided by points.
+
+    Raises
+    ------
+    FormatError
+        A key is not there, or holds something else.
+    """
+    found = []
+    for key in keys:
+        value = entry
+        for part in key.split("."):
+            if not isinstance(value, Mapping) or part not in value:
+                raise FormatError(f"{place}: no key {key}")
+            value = value[part]
+        is_number = isinstance(value, int | float) and abs(value) < 1e18
+        if not is_number:
+            raise FormatError(f"{place}: {key}: expected a number, got {value!r}")
+        found.append(float(value))
+    return np.array(found)
+
+
+def _detection(stamp_ns: int, entry: Any, place: str) -> Measurement | None:
+    """None for one whose range or azimuth the radar calls invalid."""
+    names = {
+        "range": ("range", "distance"),
+        "bearing": ("azimuth_angle", "azimuth"),
+        "elevation": ("elevation_angle", "elevation"),
+        "range_rate": ("range_rate", "range_rate"),
+    }
+    _numbers(entry, "range", "azimuth_angle", place=place)
+    there = [
+        name
+        for name in MEASURES
+        if names[name][0] in entry and not entry.get(f"invalid_{names[name][1]}", False)
+    ]
+    if "range" not in there or "bearing" not in there:
+        return None
+    keys = [names[name][0] for name in there]
+    values = _numbers(entry, *keys, place=place)
+    if not values[0] > 0:
+        return None
+    spread = None
+    if all(f"{key}_std" in entry for key in keys):
+        stds = _numbers(entry, *(f"{key}_std" for key in keys), place=place)
+        spread = np.diag(stds**2) if (stds > 0).all() else None
+    return Measurement(stamp_ns, "radar", values, spread, measures=there)
+
+
+def _object(stamp_ns: int, message: Any, entry: Any, place: str) -> Measurement | None:
+    """None for an object at the radar itself."""
+    if "dist_x" in entry:
+        position = _numbers(entry, "dist_x", "dist_y", place=place)
+        own = _numbers(message, "ego_vx", place=place)
+        velocity = _numbers(entry, "v_abs_x", "v_abs_y", place=place) - [own[0], 0.0]
+        place_stds = _numbers(entry, "dist_x_std", "dist_y_std", place=place)
+        speed_stds = _numbers(entry, "v_abs_x_std", "v_abs_y_std", place=place)
+        across = np.zeros(2)
+    else:
+        position = _numbers(entry, "position.x", "position.y", place=place)
+        velocity = _numbers(entry, "relative_velocity.x", "relative_velocity.y", place=place)
+        place_stds = _numbers(entry, "position_std.x", "position_std.y", place=place)
+        speed_stds = _numbers(
+            entry, "relative_velocity_std.x", "relative_velocity_std.y", place=place
+        )
+        across = _numbers(
+            entry, "position_covariance_xy", "relative_velocity_covariance_xy", place=place
+        )
+    spreads = []
+    for stds, covariance in zip((place_stds, speed_stds), across, strict=True):
+        spread = np.diag(stds**2)
+        spread[0, 1] = spread[1, 0] = covariance
+        spreads.append(spread)
+    return radar_of_track(stamp_ns, position, velocity, spreads[0], spreads[1])

@@ -1,0 +1,37 @@
+"""Recordings of many targets, by what their files hold."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
+from lidar_core.fusion.recordings.continental import is_continental, read_continental
+from lidar_core.fusion.recordings.delphi import is_delphi, read_delphi
+from lidar_core.fusion.recordings.nuscenes import (
+    is_boxes,
+    is_radar_sweep,
+    read_nuscenes_boxes,
+    read_nuscenes_radar,
+)
+
+Reader = Callable[[Path], list[DetectionScan]]
+
+
+def list_reader(path: Path) -> tuple[str, Reader] | None:
+    """Format of a list of detections or objects and its reader; None for other recordings.
+
+    Examples
+    --------
+    >>> list_reader(Path("boats_detections.json"))[0]
+    'Autoferry'
+    """
+    if path.suffix.lower() == ".json":
+        if is_boxes(path):
+            return "nuScenes boxes", read_nuscenes_boxes
+        return "Autoferry", read_autoferry
+    if is_delphi(path):
+        return "Delphi ESR", read_delphi
+    if is_continental(path):
+        return "Continental", read_continental
+    if is_radar_sweep(path):
+        return "nuScenes radar", read_nuscenes_radar
+    return None

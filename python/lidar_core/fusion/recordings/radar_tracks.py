@@ -1,0 +1,63 @@
+"""What a radar measures of a thing whose position and velocity it tells."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.fusion.measurement import Measurement
+
+
+def radar_of_track(
+    stamp_ns: int,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    position_covariance: NDArray[np.float64],
+    velocity_covariance: NDArray[np.float64],
+) -> Measurement | None:
+    """Range, bearing and range rate of a position and a velocity relative to the radar.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        [ns].
+    position, velocity : ndarray, shape (2,)
+        In the frame of the radar [m], [m/s].
+    position_covariance, velocity_covariance : ndarray, shape (2, 2)
+        [m^2], [m^2/s^2]; unusable ones, such as zeros, leave the covariance of the measurement out.
+
+    Returns
+    -------
+    measurement : Measurement or None
+        None at the radar itself, where there is no bearing.
+
+    Examples
+    --------
+    >>> radar_of_track(0, np.array([3.0, 4.0]), np.array([1.0, 0.0]), np.eye(2), np.eye(2))
+    Measurement(0, 'radar', [5.0, 0.9272952180016122, 0.6])
+    """
+    p, v = position, velocity
+    far = float(np.hypot(*p))
+    if not far > 0:
+        return None
+    rate = float(p @ v) / far
+    by_place = np.stack([p / far, np.array([-p[1], p[0]]) / far**2, v / far - rate * p / far**2])
+    by_speed = np.stack([np.zeros(2), np.zeros(2), p / far])
+    spread = by_place @ position_covariance @ by_place.T
+    spread += by_speed @ velocity_covariance @ by_speed.T
+    values = [far, float(np.arctan2(p[1], p[0])), rate]
+    return Measurement(stamp_ns, "radar", values, definite(spread))
+
+
+def definite(covariance: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """A covariance that can be used; None for zeros, which say that nobody knows, and others.
+
+    Examples
+    --------
+    >>> definite(np.zeros((2, 2))) is None
+    True
+    """
+    covariance = (covariance + covariance.T) / 2
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    if not (np.isfinite(covariance).all() and (scale > 0).all()):
+        return None
+    least = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
+    return covariance if least > 1e-9 else None

@@ -1,0 +1,117 @@
+//! What is around a cluster that seems to fly: surfaces, of which it may be a part, or nothing; and
+//! whether what is below it was seen at all.
+
+use super::hole::View;
+use crate::flying::classify::clusters::Cluster;
+use crate::flying::scan::prepared::Prepared;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::minus;
+
+/// Parts of a surface of which most returns are lost lie this near to the rest of it [m].
+const NEAR: f64 = 1.5;
+/// Rays are expected this far below a cluster, and this far beside it [m].
+const BELOW: f64 = 0.4;
+const BESIDE: f64 = 0.1;
+/// So many rays are cast there at least, and this share of them returns at most, where they are lost.
+const FEWEST_CAST: f64 = 4.0;
+const LOST: f64 = 0.15;
+
+/// True if more returns of surfaces lie around a cluster than it has itself. `is_flying` tells of every
+/// row of the scan whether it is of something that seems to fly: that is no surface.
+pub(crate) fn is_among_surfaces(
+    scan: &Prepared,
+    cluster: &Cluster<'_>,
+    is_flying: &[bool],
+) -> bool {
+    let reach = NEAR + 0.5 * cluster.diagonal();
+    let is_near = |point: [f32; 3]| {
+        let offset = minus(wide(point), cluster.centroid);
+        offset.iter().map(|part| part * part).sum::<f64>() <= reach * reach
+    };
+    let around = (scan.points.iter().zip(is_flying))
+        .filter(|&(&point, &is_flying)| !is_flying && is_near(point));
+    around.take(cluster.members.len() + 1).count() > cluster.members.len()
+}
+
+/// True if rays are cast below a cluster and hardly any of them returns, nearer or further away: a wet or
+/// dark ground swallows them. Then nothing tells whether the cluster stands on something. False where
+/// the field of view ends below it, and where the sky needs not be found.
+pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+    let sky = scan.sky_observation.as_ref();
+    sky.is_some_and(|sky| are_lost_below(scan, cluster, |direction| sky.density_at(direction)))
+}
+
+/// The same, where `density` rays per steradian are cast in a direction.
+fn are_lost_below(
+    scan: &Prepared,
+    cluster: &Cluster<'_>,
+    density: impl Fn([f64; 3]) -> f64,
+) -> bool {
+    let Some(view) = View::of(scan, cluster) else { return false };
+    let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
+    let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
+    for ([aside, up], _) in own {
+        (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
+    }
+    let (left, right) = (left - BESIDE, right + BESIDE);
+    let below = view.direction([0.5 * (left + right), low - 0.5 * BELOW]);
+    let cast = density(below) * BELOW * (right - left) / (view.range * view.range);
+    if cast < FEWEST_CAST {
+        return false;
+    }
+    let is_below = |&point: &[f32; 3]| {
+        let seen = view.seen(wide(point));
+        seen.is_some_and(|([aside, up], _)| {
+            (left..right).contains(&aside) && (low - BELOW..low).contains(&up)
+        })
+    };
+    let returns = scan.points.iter().filter(|point| is_below(point)).count();
+    (returns as f64) < LOST * cast
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::classify::clusters::Clusters;
+
+    /// Three returns of a target at a distance from a wall of ten, all or none of which fly.
+    fn among(distance: f32, wall_flies: bool) -> bool {
+        let target = (0..3).map(|step| [10.0, 0.1 * step as f32, 2.0]);
+        let wall = (0..10).map(|step| [10.0 + distance, 0.1 * step as f32, 2.0]);
+        let mut scan = Prepared::default();
+        scan.points = target.chain(wall).collect();
+        let labels: Vec<i32> = (0..13).map(|row| if row < 3 { 0 } else { -1 }).collect();
+        let mut clusters = Clusters::default();
+        clusters.fill(&scan.points, &labels);
+        let is_flying: Vec<bool> = (0..13).map(|row| row < 3 || wall_flies).collect();
+        is_among_surfaces(&scan, &clusters.get(0), &is_flying)
+    }
+
+    #[test]
+    fn a_wall_beside_a_cluster_counts_and_one_far_away_does_not() {
+        assert!(among(1.2, false));
+        assert!(!among(2.0, false));
+        assert!(!among(1.2, true), "what flies is no surface");
+    }
+
+    /// A target of 5 x 5 returns, 10 m away, above rays that end on the ground in front of it or not.
+    fn lost_below(ground_returns: bool, cast: f64) -> bool {
+        let target =
+            (0..25).map(|row| [10.0, 0.1 * (row % 5) as f32, 1.0 + 0.1 * (row / 5) as f32]);
+        let ground =
+            (0..15).map(|row| [9.0, 0.09 * (row % 5) as f32, 0.6 + 0.09 * (row / 5) as f32]);
+        let mut scan = Prepared::default();
+        scan.points = target.chain(ground.filter(|_| ground_returns)).collect();
+        let labels: Vec<i32> = (0..40).map(|row| if row < 25 { 0 } else { -1 }).collect();
+        let mut clusters = Clusters::default();
+        clusters.fill(&scan.points, &labels[..scan.points.len()]);
+        are_lost_below(&scan, &clusters.get(0), |_| cast)
+    }
+
+    #[test]
+    fn rays_are_lost_below_where_they_are_cast_and_do_not_return() {
+        assert!(lost_below(false, 1e4));
+        assert!(!lost_below(true, 1e4), "the ground in front of it returns them");
+        assert!(!lost_below(false, 0.0), "the field of view ends");
+    }
+}
