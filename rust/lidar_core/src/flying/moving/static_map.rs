@@ -208,7 +208,7 @@ mod tests {
         assert!(standing > 300 && wall > 1000, "{standing} {wall}");
         let (before, after) = (kept(&[None, Some(5.0)])?, kept(&[Some(5.0), None])?);
         assert_eq!(before, after);
-        assert_eq!(before[0], 0);
+        assert!(20 * before[0] < standing, "{before:?} {standing}"); // at the border of the view
         assert!(before[1] > wall);
         // What is seen through in one of many scans, such as a fence, stands.
         let fence: Vec<Option<f32>> =
