@@ -10,6 +10,7 @@ MARGIN, NEAR = 0.4, 0.15
 RADIUS_MEAN, RADIUS_STD, PLACE_STD = 0.3, 0.25, 0.5
 PASSING_STD, LEAST_COSINE = 0.01, 0.3
 ROWS_APART = 0.1  # rays this far apart in height are of several rows [m]
+FEWEST_ABOVE, BELOW_GAPS = 4, 0.5  # rays above, to miss those below; those pass by a share of a gap
 
 
 class Rays:
@@ -71,10 +72,11 @@ def outline(points, origin, passing):
     filled = inside[0] / sum(inside) if sum(inside) else 1.0
     beside = (rays[:, 0] >= hits[:, 0].min() - gap) & (rays[:, 0] <= hits[:, 0].max() + gap)
     level = rays[beside, 1]
-    if (level < hits[:, 1].min()).any():
+    if (level < hits[:, 1].min() - BELOW_GAPS * gap).any():
         return filled, True
     above = level[level > hits[:, 1].max()]
-    return filled, False if len(above) and np.ptp(above) >= ROWS_APART else None
+    is_clear = len(above) >= FEWEST_ABOVE and np.ptp(above) >= ROWS_APART
+    return filled, False if is_clear else None
 
 
 def frame(points, origin, passing, std):

@@ -3,7 +3,7 @@
 Written from sec. III of Vrba et al., the text of `FlyingConfig` and the documentation of
 `FlyingObjectDetector`; made of the oracles of its parts. One LiDAR, one pose per scan or a stream
 of poses. Not here: what stands still during the burn-in, the check for jumps of the pose, masks,
-teammates, beam tables.
+teammates, beam tables, movers that no track follows.
 """
 
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from reference import center, separate
+from reference import center, expected, separate
 from reference.classify import classify, clearance, diagonal, flying_or_unknown
 from reference.cluster import cluster_points
 from reference.tracker import Tracker
@@ -20,6 +20,7 @@ from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
 RAYS_TO_CUT = 2  # so many that end in front of a target may hide a part of it
 RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
 POINTS_HALF_SURE = 3.0
+MOVING, GROUND_KIND = 4, 2
 OWN_RADIUS, ALONE_RADIUS = 0.75, 2.0  # what belongs to a few points, and what may not be there
 
 
@@ -108,17 +109,23 @@ class Detector:
         self.see(cloud, places, rays, no_return)
         labels = cluster_points(cloud, **self.c.cluster.model_dump(include=CLUSTERING))
         verdicts = self.verdicts(cloud, labels, origin)
+        self.expected = claimed = self.claim(cloud, labels, verdicts, origin, delays, stamp)
         point_class = np.array([verdicts[label] if label >= 0 else UNKNOWN for label in labels])
         point_class[~np.isfinite(cloud).all(axis=1)] = 0
-        found = self.detections(cloud, labels, verdicts, origin, delays)
+        found = self.detections(cloud, labels, verdicts, origin, delays, claimed)
+        boxes = expected.Boxes(cloud, labels, claimed)
+        beside = self.c.tracker.cluster_distance
+        followed = boxes.without_structure(cloud, point_class, beside) if claimed else cloud
 
         self.map.integrate(cloud, point_class, places, rays, no_return)
         self.remove_separate()
         self.scans += 1
-        self.track(cloud, labels, verdicts, places, origin, delays, found, stamp)
+        self.tracker.boxes = boxes
+        self.track(cloud, followed, labels, verdicts, places, origin, delays, found, stamp)
         more = self.followed(cloud, labels, verdicts, origin)
-        found += self.detections(cloud, labels, more, origin, delays, is_judged=False)
+        found += self.detections(cloud, labels, more, origin, delays, np.flatnonzero(more))
         point_class[np.isin(labels, np.flatnonzero(np.array(more) == FLYING))] = FLYING
+        point_class[np.isin(labels, self.on_ground(cloud, labels))] = MOVING
         return self.frame(point_class, found, stamp, gate)
 
     def motion(self, poses, pose_stamps, times, stamp, rows):
@@ -195,7 +202,20 @@ class Detector:
         self.outline = center.target_outline(own, origins, near.those(past))
         return *found, is_cut
 
-    def detections(self, cloud, labels, verdicts, origin, delays, is_judged=True):
+    def claim(self, cloud, labels, verdicts, origin, delays, stamp):
+        """Make flying what tracks predict near structure; the numbers of these clusters."""
+        rules = self.c.classify
+        if not rules.follow_tracks or rules.map_state == "after_update":
+            return []
+        near = [*expected.targets(self.tracker, self.map, rules.close_distance, stamp)]
+        delayed = delays.astype(float)
+        found = expected.claimed(near, self.map, cloud, labels, verdicts, origin, delayed, rules)
+        for label in found:
+            verdicts[label] = FLYING
+        return found
+
+    def detections(self, cloud, labels, verdicts, origin, delays, only_tracked=()):
+        """Those of the flying clusters; only a track tells of those `only_tracked`."""
         found = []
         for label in np.flatnonzero(np.array(verdicts) == FLYING):
             own = cloud[labels == label].astype(float)
@@ -217,7 +237,7 @@ class Detector:
                     "radius": radius,
                     "extent": np.ptp(own, axis=0),
                     "n_points": len(own),
-                    "confidence": clearance(self.map, own) * sure * is_judged,
+                    "confidence": clearance(self.map, own) * sure * (label not in only_tracked),
                     "delay": delays[labels == label].astype(float).mean(),
                     "shape": (radius, *self.outline),
                 }
@@ -238,7 +258,9 @@ class Detector:
                 self.map, max_gap=options.max_gap, min_confident=options.min_confident
             )
 
-    def track(self, cloud, labels, verdicts, places, origin, delays, found, stamp) -> None:
+    def track(
+        self, cloud, followed, labels, verdicts, places, origin, delays, found, stamp
+    ) -> None:
         occupied = (np.array(self.map.occupied()).reshape(-1, 3) + 0.5) * self.map.config.voxel_size
         lengths = self.lengths
         directions = self.spans / np.linalg.norm(self.spans, axis=1, keepdims=True)
@@ -258,10 +280,10 @@ class Detector:
             return place, spread, is_cut
 
         self.tracker.center = center_of
-        self.tracker.new_point_cloud(cloud, occupied, stamp, delays.astype(float))
-        self.tracker.view = self.tracker.center = None
+        self.tracker.new_point_cloud(followed, occupied, stamp, delays.astype(float))
+        self.tracker.view = self.tracker.center = self.tracker.boxes = None
         self.hint(cloud, labels, verdicts, origin)
-        names = ("position", "covariance", "delay", "confidence", "shape")
+        names = ("position", "covariance", "delay", "confidence", "shape", "extent")
         columns = ([one[name] for one in found] for name in names)
         position, *others = columns
         self.tracker.new_detections(position, occupied, stamp, *others)
@@ -305,6 +327,16 @@ class Detector:
             ):
                 more[label] = FLYING
         return more
+
+    def on_ground(self, cloud, labels):
+        """Numbers of the clusters that confirmed tracks of ground movers follow."""
+        newest, found = self.tracker.buffer[-1][0], []
+        for track in self.tracker.tracks:
+            is_followed = track.seen == newest and track.points is not None
+            if track.confirmed and is_followed and track.kind == GROUND_KIND:
+                rows = np.flatnonzero((cloud.astype(float) == track.points[0]).all(axis=1))
+                found.append(labels[rows[0]])
+        return [label for label in found if label >= 0]
 
     def frame(self, point_class, found, stamp, gate) -> Frame:
         tracks = []

@@ -57,6 +57,7 @@ MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
 # targets: their share, and mean and standard deviation of ln(radius) and ln(filled share).
 KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
 BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
+NOT_FREE_AT_FIRST = (0.7, 0.08, 1.5, 1.0, 0.08)
 MOST_SHAPES, SHAPE_NOISE = 20, 0.4
 SORTS = {
     "flying": [(0.5, (-1.6, 0.35), (-0.7, 0.5)), (0.5, (-0.7, 0.6), (-0.7, 0.5))],
@@ -155,6 +156,7 @@ class Track:
     stray: float = 0.0  # points around it that belong to no track
     points: np.ndarray = None  # of its last cluster
     seen_kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
+    known_below: bool = False
     radius: MeanLog = field(default_factory=MeanLog)
     filled: MeanLog = field(default_factory=MeanLog)
     shape: tuple = None  # radius, filled share, whether free below; of its first detection
@@ -185,7 +187,10 @@ class Track:
         self.radius.add(radius)
         self.filled.add(filled)
         if is_free_below is not None:
-            self.seen_kinds = weighed(self.seen_kinds, BELOW[is_free_below])
+            is_first = not (is_free_below or self.known_below)
+            shares = NOT_FREE_AT_FIRST if is_first else BELOW[is_free_below]
+            self.seen_kinds = weighed(self.seen_kinds, shares)
+            self.known_below = True
 
     @property
     def kind(self):
@@ -233,6 +238,7 @@ class Events:
 class Tracker:
     view = None  # whether a scan could see a place
     center = None  # centre of a target, its covariance, whether it is cut; from its points
+    boxes = None  # what tracks have claimed near structure
 
     def __init__(self, config):
         self.c = config
@@ -325,7 +331,8 @@ class Tracker:
             near = len(occupied) and np.linalg.norm(occupied - centroid, axis=1).min()
             if too_large:
                 continue
-            if len(occupied) and near <= self.c.occupied_distance:
+            is_claimed = self.boxes is not None and self.boxes.holds(centroid)
+            if len(occupied) and near <= self.c.occupied_distance and not is_claimed:
                 continue
             R = self.c.measurement_std**2 * EYE
             if self.c.measurement != "paper":
@@ -484,7 +491,15 @@ class Tracker:
         return removed
 
     def new_detections(
-        self, positions, occupied, stamp, covariance=None, delay=None, confidence=None, shape=None
+        self,
+        positions,
+        occupied,
+        stamp,
+        covariance=None,
+        delay=None,
+        confidence=None,
+        shape=None,
+        extent=None,
     ):
         fresh = []
         for index, z in enumerate(positions):
@@ -503,7 +518,7 @@ class Tracker:
             x = np.r_[z, np.zeros(6)]
             is_sure = confidence is not None and confidence[index] >= SURE
             shown = "sure" if is_sure else "weak"
-            size = np.zeros(3)
+            size = np.zeros(3) if extent is None else np.asarray(extent[index], float)
             new = Track(x, P, P, stamp, stamp, stamp, size, size, delay=late, shown=shown, place=z)
             new.seen_at, new.shape = z, None if shape is None else shape[index]
             fresh.append(new)
@@ -749,6 +764,7 @@ class Tracker:
                 believed=best.believed,
                 has_moved=best.has_moved,
                 seen_kinds=best.seen_kinds,
+                known_below=best.known_below,
                 radius=best.radius,
                 filled=best.filled,
             )

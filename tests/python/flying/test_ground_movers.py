@@ -8,10 +8,12 @@ import pytest
 from flying_scenes import YARD, drone, feed, lidar, scans_of, yard
 
 from lidar_core import PointClass, VoxelMap, sim
+from lidar_core.errors import ConfigError
 from lidar_core.evaluation import score_static_map
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.runs.flying import _placed
 from lidar_core.sim import Body, Cylinder, Target, Waypoints
+from reference import static_map as reference
 
 MOVING, BACKGROUND = PointClass.MOVING, PointClass.BACKGROUND
 BODIES = (*YARD, Body(shape=Cylinder(radius=0.15, height=3.0), position=(5.0, -4.0, 1.5)))
@@ -133,5 +135,66 @@ def test_the_static_map_holds_what_stands_and_nothing_else(tmp_path):
     assert on_way.dynamic_accuracy >= 85
 
 
-def test_without_being_asked_for_there_is_no_static_map():
-    assert len(FlyingObjectDetector().static_points()) == 0
+def test_without_being_asked_for_there_is_no_static_map(tmp_path):
+    detector = FlyingObjectDetector()
+    assert len(detector.static_points()) == 0
+    with pytest.raises(ConfigError, match="make_static_map before the first scan"):
+        detector.save_static_map(tmp_path / "static.lcvm")
+    assert not (tmp_path / "static.lcvm").exists()
+
+
+def passing_box(scans):
+    """A box that passes before a wall and a floor: points, rays without return, pose."""
+    azimuth, elevation = np.deg2rad(np.arange(-40, 40, 0.8)), np.deg2rad(np.arange(-25, 15, 0.7))
+    azimuth, elevation = (grid.ravel() for grid in np.meshgrid(azimuth, elevation))
+    ways = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    ).T
+    rng = np.random.default_rng(1000)
+    for k in range(scans):
+        place, y = np.array([0.1 * k, 0.0, 0.0]), -3.0 + k
+        with np.errstate(divide="ignore"):
+            length = np.where(ways[:, 2] < 0, -1.8 / ways[:, 2], np.inf)
+            length = np.minimum(length, (12.0 - place[0]) / ways[:, 0])
+            at_box = (7.0 - place[0]) / ways[:, 0]
+        y_box, z_box = at_box * ways[:, 1], at_box * ways[:, 2]
+        length[(np.abs(y_box - y) < 0.4) & (z_box < 0.3) & (at_box < length)] = np.nan
+        is_box = np.isnan(length)
+        length = np.where(is_box, at_box, length) + rng.normal(0, 0.01, len(ways))
+        misses = (ways[:, 2] > 0.2) & ~is_box
+        length[misses] = np.nan
+        pose = np.eye(4)
+        pose[:3, 3] = place
+        yield (
+            (ways * length[:, None]).astype(np.float32),
+            ways.astype(np.float32),
+            misses,
+            pose,
+            is_box,
+        )
+
+
+def test_static_points_are_those_of_the_specification():
+    own = {"learn_mask_scans": 0, "find_body": False}
+    best = FlyingConfig()
+    config = best.model_copy(update={"sensor": best.sensor.model_copy(update=own)})
+    detector, given, moved = FlyingObjectDetector(config), [], []
+    detector.make_static_map()
+    for k, (points, ways, misses, pose, is_box) in enumerate(passing_box(8)):
+        named = {"no_return": misses, "directions": ways}
+        detector.process(points, pose, 1_000 + k * 100_000_000, **named)
+        placed = (points[~misses].astype(float) + pose[:3, 3]).astype(np.float32).astype(float)
+        given.append(
+            (placed, np.broadcast_to(pose[:3, 3], placed.shape), ways[misses].astype(float))
+        )
+        moved.append(is_box[~misses])
+    found, wanted = detector.static_points(), reference.static_points(given)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+    scores = score_static_map(found, np.concatenate([g[0] for g in given]), np.concatenate(moved))
+    assert scores.static_accuracy >= 99
+    assert scores.dynamic_accuracy >= 90
+    assert scores.n_dynamic > 500

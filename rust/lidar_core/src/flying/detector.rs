@@ -134,7 +134,7 @@ impl FlyingObjectDetector {
 
         // The last stage that may refuse the scan.
         let stats = self.update_map(&noise, cast)?;
-        self.map_what_stands()?;
+        self.map_what_stands();
         let standing = self.accept(raw, burn_in, gate);
         timing.integrate = clock.lap();
         if self.parameters.removal_waits {
@@ -445,33 +445,32 @@ impl FlyingObjectDetector {
     /// # Errors
     /// [`Error::Interrupted`].
     pub fn static_points(&self) -> Result<Vec<[f64; 3]>, Error> {
-        let world_from_map = self.local.world_from_map();
-        let points = self.static_map.as_ref().map_or_else(|| Ok(Vec::new()), |map| map.points())?;
-        Ok(points.into_iter().map(|point| world_from_map.apply(wide(point))).collect())
+        let (world_from_map, pool) = (self.local.world_from_map(), self.workers.pool());
+        let Some(map) = &self.static_map else { return Ok(Vec::new()) };
+        Ok(map.points(pool)?.into_iter().map(|point| world_from_map.apply(wide(point))).collect())
     }
 
     /// Write the voxels of all that stands to a file that [`VoxelMap::load`] reads.
     ///
     /// # Errors
-    /// As [`VoxelMap::save`], and [`Error::Interrupted`].
+    /// [`Error::Parameter`] if no scan was processed since [`Self::make_static_map`]; as
+    /// [`VoxelMap::save`], and [`Error::Interrupted`].
     pub fn save_static_map(&self, path: &Path) -> Result<(), Error> {
-        let empty = || VoxelMap::new(self.local.map.parameters().clone());
-        self.static_map.as_ref().map_or_else(empty, StaticMapper::cleaned)?.save(path)
+        let Some(map) = &self.static_map else {
+            return Err(Error::Parameter {
+                name: "save_static_map",
+                expected: "a call of make_static_map before the first scan, and a scan after it",
+                got: "no scan of a static map".into(),
+            });
+        };
+        map.cleaned(self.local.map.parameters(), self.workers.pool())?.save(path)
     }
 
-    /// The last stage that may refuse the scan: into the map of all that stands, if that is asked for.
-    fn map_what_stands(&mut self) -> Result<(), Error> {
-        let Self { static_map, local, workers, scan, makes_static_map, .. } = self;
-        if !*makes_static_map {
-            return Ok(());
+    /// Into the map of all that stands, if that is asked for.
+    fn map_what_stands(&mut self) {
+        if self.makes_static_map {
+            self.static_map.get_or_insert_default().take(&self.scan);
         }
-        if let Some(known) = static_map {
-            return known.take(scan);
-        }
-        let mut first = StaticMapper::beside(local.map.parameters(), workers.clone())?;
-        first.take(scan)?; // a refused scan leaves nothing
-        *static_map = Some(first);
-        Ok(())
     }
 
     /// Points [m, world] in the frame of the map.
@@ -493,8 +492,7 @@ impl FlyingObjectDetector {
     pub fn to_state(&self) -> Result<Vec<u8>, Error> {
         // One that was asked for begins with the next scan, also of the object that is restored.
         let asked = self.makes_static_map && self.static_map.is_none();
-        let begin = || StaticMapper::beside(self.local.map.parameters(), self.workers.clone());
-        let begun = asked.then(begin).transpose()?;
+        let begun = asked.then(StaticMapper::default);
         let state = DetectorState {
             local: self.local.state(),
             sensors: self.sensors.saved(),
@@ -532,9 +530,7 @@ impl FlyingObjectDetector {
         detector.static_points = StaticPoints::restored(saved.static_points);
         detector.tracker.restore(saved.tracker)?;
         detector.movers = GroundMovers::restored(saved.movers);
-        let workers = detector.workers.clone();
-        let restored = |saved| StaticMapper::restored(saved, workers);
-        detector.static_map = saved.static_map.map(restored).transpose()?;
+        detector.static_map = saved.static_map.map(StaticMapper::restored);
         detector.makes_static_map = detector.static_map.is_some();
         Ok(detector)
     }

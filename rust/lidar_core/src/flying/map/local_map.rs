@@ -63,7 +63,8 @@ impl LocalMap {
     ) -> Result<(), Error> {
         let voxel_size = map.parameters().voxel_size;
         let fits = voxel_size == parameters.voxel_size;
-        require(fits, "voxel_size", "a map with the configured size", voxel_size)?;
+        let expected = "a map with the configured size; a static map is no map to go on from: take the map of a run";
+        require(fits, "voxel_size", expected, voxel_size)?;
         map.set_skip(parameters.skip); // no file holds it
         self.place(map);
         Ok(())

@@ -2,4 +2,5 @@
 
 pub(crate) mod free_space;
 pub(crate) mod ground_movers;
-pub mod static_map;
+mod ray_view;
+pub(crate) mod static_map;

@@ -1,265 +1,234 @@
-//! A map of all that stands: points of all scans, without those that are where space was free before
-//! or is free after them.
-//!
-//! Fine voxels tell near the sensor, since feet stand beside the ground. Further away rays do not meet
-//! every one of these, and coarse ones tell.
+//! A map of all that stands: points of all scans, without those at places through which rays have passed
+//! before or after.
 
-use super::free_space::{FreeSpace, around, with_beside};
+use super::ray_view::RayView;
 use crate::Error;
-use crate::flying::integrate::classified_scan::{ClassifiedScan, Origins};
-use crate::flying::integrate::integrator::Integrator;
 use crate::flying::map::blocks::Place;
-use crate::flying::map::full_state::{MapState, SavedMap};
 use crate::flying::map::parameters::{MapParameters, Rays};
 use crate::flying::map::voxel_map::VoxelMap;
-use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
-use crate::geometry::lattice::{Voxel, floor, wide};
+use crate::geometry::lattice::{floor, wide};
 use crate::util::cancel;
 use crate::util::key_hasher::KeyHasher;
-use crate::util::threads::Workers;
+use rayon::ThreadPool;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Edge of the voxels [m], and length that rays clear in them [m].
-const FINE: [f64; 2] = [0.1, 20.0];
-const COARSE: [f64; 2] = [0.25, 40.0];
 /// One point is kept in each cell of this edge [m]: no point is further than 5 cm from one that is kept.
 const CELL: f64 = 0.028;
+/// Points within voxels of this edge tell together how often something was there [m]. Maps have such voxels.
+const VOXEL: f64 = 0.1;
+/// Rays of a map that is read as a map of the detector are this long [m].
+const MAX_RANGE: f64 = 20.0;
+/// Something moved if more than one scan sees through it per so many scans that have points there: thin
+/// things that stand, such as wires, are hit again and again, and seen through now and then.
+const HITS_PER_VIEW: u32 = 20;
 /// Updates after which a voxel is occupied for sure.
 const SURE_UPDATES: f64 = 30.0;
-/// Fewer voxels that hang together are not taken out: noise beside a surface.
-const FEWEST: usize = 4;
+/// Memory for views [bytes]; above it every second one goes.
+const MOST_BYTES: usize = 256 << 20;
+const CELLS_PER_TASK: usize = 4096;
 
 type Keys = BuildHasherDefault<KeyHasher>;
 
-/// Voxels of one size.
-struct VoxelLayer {
-    map: VoxelMap,
-    /// Voxels in which points were while they were free, and those of them that were beside nothing.
-    met_free: HashSet<Place, Keys>,
-    met_open: HashSet<Place, Keys>,
+/// Scans that had points in a voxel.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct VoxelHits {
+    count: u32,
+    /// Number of the last of them, from 1 on.
+    last: u64,
 }
 
 /// Stage that takes scans and tells what stands.
+#[derive(Default)]
 pub(crate) struct StaticMapper {
-    /// Fine, then coarse.
-    layers: [VoxelLayer; 2],
-    integrator: Integrator,
+    views: Vec<RayView>,
+    n_scans: u64,
+    /// Of every so many scans, as a power of two, the view is kept, and voxels count.
+    spacing_log2: u32,
     /// The first point in every cell, frame of the map [m].
     points: HashMap<Place, [f32; 3], Keys>,
-}
-
-/// State of a [`VoxelLayer`] as bytes are written from it, in ascending order.
-#[derive(Serialize)]
-struct LayerState<'a> {
-    map: MapState<'a>,
-    met_free: Vec<Place>,
-    met_open: Vec<Place>,
-}
-
-/// [`LayerState`] as it is read back.
-#[derive(Deserialize)]
-struct SavedLayer {
-    map: SavedMap,
-    met_free: Vec<Place>,
-    met_open: Vec<Place>,
+    hits: HashMap<Place, VoxelHits, Keys>,
 }
 
 /// State of a [`StaticMapper`] as bytes are written from it, in ascending order.
 #[derive(Serialize)]
 pub(crate) struct StaticMapperState<'a> {
-    layers: [LayerState<'a>; 2],
+    views: &'a [RayView],
+    n_scans: u64,
+    spacing_log2: u32,
     points: Vec<(Place, [f32; 3])>,
+    hits: Vec<(Place, VoxelHits)>,
 }
 
 /// [`StaticMapperState`] as it is read back.
 #[derive(Deserialize)]
 pub(crate) struct SavedStaticMapper {
-    layers: [SavedLayer; 2],
+    views: Vec<RayView>,
+    n_scans: u64,
+    spacing_log2: u32,
     points: Vec<(Place, [f32; 3])>,
+    hits: Vec<(Place, VoxelHits)>,
 }
 
-impl VoxelLayer {
-    fn beside(of: &MapParameters, [voxel_size, max_range]: [f64; 2]) -> Result<Self, Error> {
-        let rays = Rays::OnePerEnd;
-        let parameters = MapParameters { voxel_size, max_range, rays, ..of.clone() };
-        let (met_free, met_open) = Default::default();
-        Ok(Self { map: VoxelMap::new(parameters)?, met_free, met_open })
-    }
+fn place(point: [f32; 3], edge: f64) -> Option<Place> {
+    floor(wide(point).map(|value| value / edge)).map(Place)
+}
 
-    fn voxel(&self, point: [f32; 3]) -> Option<Voxel> {
-        floor(self.map.lattice().scaled(wide(point)))
-    }
-
-    fn take(
-        &mut self,
-        integrator: &mut Integrator,
-        scan: &ClassifiedScan<'_>,
-    ) -> Result<(), Error> {
-        let (free, open) = self.met(scan.points);
-        integrator.integrate(&mut self.map, scan)?;
-        self.met_free.extend(free);
-        self.met_open.extend(open);
-        Ok(())
-    }
-
-    /// Free voxels that hold points, and those of them that are beside nothing else.
-    fn met(&self, points: &[[f32; 3]]) -> (Vec<Place>, Vec<Place>) {
-        let mut space = FreeSpace::of(&self.map);
-        let mut voxels: Vec<Voxel> = Vec::new();
-        for &point in points {
-            let Some(voxel) = self.voxel(point) else { continue };
-            if voxels.last() != Some(&voxel) && space.is_free(voxel) {
-                voxels.push(voxel);
-            }
-        }
-        voxels.sort_unstable();
-        voxels.dedup();
-        let is_entered = |voxel: Voxel| self.met_open.contains(&Place(voxel));
-        let open = voxels.iter().filter(|&&voxel| space.is_open(voxel, is_entered));
-        let open = open.map(|&voxel| Place(voxel)).collect();
-        (voxels.into_iter().map(Place).collect(), open)
-    }
-
-    /// Voxels with `points` of what moved, in ascending order. `grows`: those beside them, too, where
-    /// rays have passed.
-    fn moved<'a>(
-        &self,
-        points: impl Iterator<Item = &'a [f32; 3]>,
-        grows: bool,
-    ) -> Result<Vec<Voxel>, Error> {
-        let mut voxels: Vec<Voxel> = points.filter_map(|&point| self.voxel(point)).collect();
-        voxels.sort_unstable();
-        voxels.dedup();
-        cancel::check()?;
-        let mut space = FreeSpace::of(&self.map);
-        voxels.retain(|&voxel| space.is_free(voxel) || self.met_free.contains(&Place(voxel)));
-        cancel::check()?;
-        let mut is_open = |&voxel: &Voxel| {
-            self.met_open.contains(&Place(voxel))
-                || around(voxel).chain([voxel]).all(|one| space.is_free(one))
-        };
-        let open: Vec<bool> = voxels.iter().map(&mut is_open).collect();
-        let moved = with_beside(&voxels, &open, if grows { FEWEST } else { 1 });
-        let mut kept = moved.iter().zip(&open).map(|(&moved, &open)| moved && (grows || open));
-        voxels.retain(|_| kept.next().unwrap_or(false));
-        Ok(voxels)
-    }
-
-    fn state(&self) -> LayerState<'_> {
-        let sorted = |places: &HashSet<Place, Keys>| {
-            let mut sorted: Vec<Place> = places.iter().copied().collect();
-            sorted.sort_unstable();
-            sorted
-        };
-        let (met_free, met_open) = (sorted(&self.met_free), sorted(&self.met_open));
-        LayerState { map: self.map.whole_state(), met_free, met_open }
-    }
-
-    fn restored(saved: SavedLayer) -> Result<Self, Error> {
-        let met_free = saved.met_free.into_iter().collect();
-        let met_open = saved.met_open.into_iter().collect();
-        Ok(Self { map: VoxelMap::restored(saved.map)?, met_free, met_open })
-    }
+/// Entries in ascending order.
+fn sorted<T: Copy>(of: &HashMap<Place, T, Keys>) -> Vec<(Place, T)> {
+    let mut sorted: Vec<_> = of.iter().map(|(&place, &value)| (place, value)).collect();
+    sorted.sort_unstable_by_key(|(place, _)| *place);
+    sorted
 }
 
 impl StaticMapper {
-    /// An empty map in the frame of `of`.
-    ///
-    /// # Errors
-    /// As [`VoxelMap::new`].
-    pub(crate) fn beside(of: &MapParameters, workers: Workers) -> Result<Self, Error> {
-        Ok(Self {
-            layers: [VoxelLayer::beside(of, FINE)?, VoxelLayer::beside(of, COARSE)?],
-            integrator: Integrator::on(workers),
-            points: HashMap::default(),
-        })
-    }
-
-    /// Take a scan.
-    ///
-    /// # Errors
-    /// As [`Integrator::integrate`]; the map is unchanged then.
-    pub(crate) fn take(&mut self, scan: &Prepared) -> Result<(), Error> {
-        let is_finite = |point: &[f32; 3]| point.iter().all(|value| value.is_finite());
-        let of_point = |point: &[f32; 3]| match is_finite(point) {
-            true => PointClass::Background,
-            false => PointClass::Invalid,
-        };
-        let class: Vec<PointClass> = scan.points.iter().map(of_point).collect();
-        let one = Origins::One(scan.pose.translation);
-        let rays = ClassifiedScan {
-            points: &scan.points,
-            class: &class,
-            origins: scan.origins.as_deref().map_or(one, Origins::Each),
-            directions: scan.directions.as_deref(),
-            no_return: scan.directions.is_some().then_some(&scan.no_return),
-            no_ray: scan.no_ray.as_deref(),
-            reach: scan.reach.as_deref(),
-            pose_error: None,
-        };
-        for layer in &mut self.layers {
-            layer.take(&mut self.integrator, &rays)?;
-        }
-        for &point in scan.points.iter().filter(|point| is_finite(point)) {
-            if let Some(cell) = floor(wide(point).map(|value| value / CELL)) {
-                self.points.entry(Place(cell)).or_insert(point);
+    /// Take a scan. Nothing refuses it.
+    pub(crate) fn take(&mut self, scan: &Prepared) {
+        let is_viewed = self.n_scans.trailing_zeros() >= self.spacing_log2;
+        self.n_scans += 1;
+        for &point in &scan.points {
+            let Some(cell) = place(point, CELL) else { continue }; // not finite
+            self.points.entry(cell).or_insert(point);
+            if let Some(voxel) = place(point, VOXEL).filter(|_| is_viewed) {
+                let hits = self.hits.entry(voxel).or_default();
+                hits.count += u32::from(hits.last != self.n_scans);
+                hits.last = self.n_scans;
             }
         }
-        Ok(())
+        self.views.extend(is_viewed.then(|| RayView::of(scan)).flatten());
+        if self.views.iter().map(RayView::size).sum::<usize>() > MOST_BYTES {
+            self.thin_out();
+        }
+    }
+
+    /// Forget every second view.
+    fn thin_out(&mut self) {
+        let mut is_kept = [true, false].into_iter().cycle();
+        self.views.retain(|_| is_kept.next().unwrap_or(true));
+        self.hits.values_mut().for_each(|hits| hits.count = hits.count.div_ceil(2));
+        self.spacing_log2 += 1;
     }
 
     /// Points of what stands, frame of the map [m], in ascending order of their cells.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
-    pub(crate) fn points(&self) -> Result<Vec<[f32; 3]>, Error> {
-        let moved = self.moved()?;
-        let mut points: Vec<_> =
-            self.points.iter().filter(|(_, point)| !self.is_of(&moved, **point)).collect();
-        points.sort_unstable_by_key(|(cell, _)| **cell);
-        Ok(points.into_iter().map(|(_, &point)| point).collect())
+    pub(crate) fn points(&self, pool: Option<&ThreadPool>) -> Result<Vec<[f32; 3]>, Error> {
+        let cells = sorted(&self.points);
+        let watch = cancel::watch();
+        let standing = |cells: &[(Place, [f32; 3])]| -> Vec<[f32; 3]> {
+            if watch.is_asked() { Vec::new() } else { self.standing(cells) }
+        };
+        let parts: Vec<Vec<[f32; 3]>> = match pool {
+            Some(pool) => pool.install(|| cells.par_chunks(CELLS_PER_TASK).map(standing).collect()),
+            None => cells.chunks(CELLS_PER_TASK).map(standing).collect(),
+        };
+        watch.check()?;
+        Ok(parts.concat())
     }
 
-    /// A map in which the fine voxels are occupied that hold points of what stands.
+    /// Points of what stands among those of some cells.
+    fn standing(&self, cells: &[(Place, [f32; 3])]) -> Vec<[f32; 3]> {
+        let hits = |point| place(point, VOXEL).and_then(|voxel| self.hits.get(&voxel));
+        let most = |point| hits(point).map_or(0, |hits| hits.count) / HITS_PER_VIEW;
+        // View by view, so that one is in the cache for many points.
+        let mut open: Vec<(usize, u32)> =
+            cells.iter().enumerate().map(|(at, &(_, point))| (at, 1 + most(point))).collect();
+        for view in &self.views {
+            for (at, left) in &mut open {
+                *left -= u32::from(view.sees_through(wide(cells[*at].1)));
+            }
+            open.retain(|(_, left)| *left > 0);
+        }
+        open.into_iter().map(|(at, _)| cells[at].1).collect()
+    }
+
+    /// A map in the frame of `of` in which the voxels are occupied that hold points of what stands.
     ///
     /// # Errors
     /// [`Error::Interrupted`]; [`Error::Limit`] above the budget of the map.
-    pub(crate) fn cleaned(&self) -> Result<VoxelMap, Error> {
-        let mut map = VoxelMap::new(self.layers[0].map.parameters().clone())?;
+    pub(crate) fn cleaned(
+        &self,
+        of: &MapParameters,
+        pool: Option<&ThreadPool>,
+    ) -> Result<VoxelMap, Error> {
+        let (voxel_size, max_range, rays) = (VOXEL, MAX_RANGE, Rays::OnePerEnd);
+        let mut map = VoxelMap::new(MapParameters { voxel_size, max_range, rays, ..of.clone() })?;
         let occupied = map.parameters().g_occ;
-        map.pull(&self.points()?, occupied, SURE_UPDATES)?;
+        map.pull(&self.points(pool)?, occupied, SURE_UPDATES)?;
         Ok(map)
     }
 
-    /// Voxels of every layer that held points of what moved, in ascending order.
-    fn moved(&self) -> Result<[Vec<Voxel>; 2], Error> {
-        let [fine, coarse] = &self.layers;
-        Ok([fine.moved(self.points.values(), true)?, coarse.moved(self.points.values(), false)?])
-    }
-
-    fn is_of(&self, moved: &[Vec<Voxel>; 2], point: [f32; 3]) -> bool {
-        self.layers.iter().zip(moved).any(|(layer, moved)| {
-            layer.voxel(point).is_some_and(|voxel| moved.binary_search(&voxel).is_ok())
-        })
-    }
-
     pub(crate) fn state(&self) -> StaticMapperState<'_> {
-        let mut points: Vec<_> = self.points.iter().map(|(&cell, &point)| (cell, point)).collect();
-        points.sort_unstable_by_key(|(cell, _)| *cell);
-        StaticMapperState { layers: [self.layers[0].state(), self.layers[1].state()], points }
+        let Self { views, n_scans, spacing_log2, points, hits } = self;
+        let (points, hits) = (sorted(points), sorted(hits));
+        StaticMapperState { views, n_scans: *n_scans, spacing_log2: *spacing_log2, points, hits }
     }
 
-    /// # Errors
-    /// As [`VoxelMap::from_state`].
-    pub(crate) fn restored(saved: SavedStaticMapper, workers: Workers) -> Result<Self, Error> {
-        let [fine, coarse] = saved.layers;
-        Ok(Self {
-            layers: [VoxelLayer::restored(fine)?, VoxelLayer::restored(coarse)?],
-            integrator: Integrator::on(workers),
-            points: saved.points.into_iter().collect(),
-        })
+    pub(crate) fn restored(saved: SavedStaticMapper) -> Self {
+        let SavedStaticMapper { views, n_scans, spacing_log2, points, hits } = saved;
+        let (points, hits) = (points.into_iter().collect(), hits.into_iter().collect());
+        Self { views, n_scans, spacing_log2, points, hits }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::transform::Transform;
+
+    /// A wall 10 m ahead, or at `nearest` where |y| < 0.5 m, by rays 0.3 deg apart.
+    fn scan(nearest: Option<f32>) -> Prepared {
+        let mut scan = Prepared::default();
+        for (y, z) in (-40..=40).flat_map(|y| (-40..=40).map(move |z| (y, z))) {
+            let [y, z] = [y, z].map(|index: i16| 0.05 * f32::from(index));
+            let ahead = [10.0, y, z];
+            let share = nearest.filter(|_| y.abs() < 0.5).map_or(1.0, |nearest| nearest / 10.0);
+            scan.points.push(ahead.map(|value| share * value));
+        }
+        scan.no_return = vec![false; scan.points.len()];
+        scan.pose = Transform::IDENTITY;
+        scan
+    }
+
+    fn kept(scans: &[Option<f32>]) -> Result<[usize; 2], Error> {
+        let mut mapper = StaticMapper::default();
+        scans.iter().for_each(|&nearest| mapper.take(&scan(nearest)));
+        let points = mapper.points(None)?;
+        let far = points.iter().filter(|point| point[0] > 9.0).count();
+        Ok([points.len() - far, far])
+    }
+
+    #[test]
+    fn what_is_gone_later_or_was_not_there_before_moved() -> Result<(), Error> {
+        let [standing, wall] = kept(&[Some(5.0); 3])?;
+        assert!(standing > 300 && wall > 1000, "{standing} {wall}");
+        let (before, after) = (kept(&[None, Some(5.0)])?, kept(&[Some(5.0), None])?);
+        assert_eq!(before, after);
+        assert!(20 * before[0] < standing, "{before:?} {standing}"); // at the border of the view
+        assert!(before[1] > wall);
+        // What is seen through in one of many scans, such as a fence, stands.
+        let fence: Vec<Option<f32>> =
+            (0..45).map(|at| Some(5.0).filter(|_| at % 23 != 9)).collect();
+        assert!(kept(&fence)?[0] >= standing / 2);
+        Ok(())
+    }
+
+    #[test]
+    fn every_second_view_goes_where_there_are_too_many() -> Result<(), Error> {
+        let mut mapper = StaticMapper::default();
+        (0..6).for_each(|_| mapper.take(&scan(None)));
+        mapper.thin_out();
+        assert_eq!((mapper.views.len(), mapper.spacing_log2), (3, 1));
+        (0..3).for_each(|_| mapper.take(&scan(Some(5.0)))); // the numbers 6, 7, and 8 of them
+        assert_eq!(mapper.views.len(), 5);
+        assert!(mapper.hits.values().all(|hits| hits.count <= 5));
+        let bytes = crate::util::full_state::sealed("map", &(), &mapper.state())?;
+        let saved: SavedStaticMapper = crate::util::full_state::opened("map", &(), &bytes)?;
+        assert_eq!(StaticMapper::restored(saved).points(None)?, mapper.points(None)?);
+        Ok(())
     }
 }

@@ -31,6 +31,11 @@ const ASIDE_STD: f64 = 0.02;
 const BALL_SHIFT: f64 = 0.66;
 /// Rays above a target that lie this far apart in height are of several rows [m].
 const ROWS_APART: f64 = 0.1;
+/// So many rays above it, and none below: rarely by chance.
+const FEWEST_ABOVE: usize = 4;
+/// Rays below a target pass it by this share of the gap between rays. Those of its own lowest row do not:
+/// a row is a cone, and so a curve in the plane of the target.
+const BELOW_GAPS: f64 = 0.5;
 /// Smallest radius to start with [m].
 const LEAST_RADIUS: f64 = 0.05;
 
@@ -165,7 +170,7 @@ impl SeenExtent {
 
 /// Whether rays pass below the hits, both in a plane across the line of sight [m], the second axis
 /// upwards. Of what stands on the ground, and of what the lower edge of the field of view cuts off,
-/// none do. None if the rows of the scanner are too far apart to tell: few pass above, too.
+/// none do. None if the rays are too far apart to tell: few pass above, too.
 fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
     let bounds = |axis: usize| {
         let values = hits.iter().map(|hit| hit[axis]);
@@ -174,12 +179,12 @@ fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Optio
     let ([left, right], [low, high]) = (bounds(0), bounds(1));
     let beside = |ray: &&[f64; 2]| ray[0] >= left - ray_gap && ray[0] <= right + ray_gap;
     let level = passing.iter().filter(beside).map(|ray| ray[1]);
-    if level.clone().any(|up| up < low) {
+    if level.clone().any(|up| up < low - BELOW_GAPS * ray_gap) {
         return Some(true);
     }
     let above = level.filter(|&up| up > high);
-    let rows = above.clone().fold(f64::MIN, f64::max) - above.fold(f64::MAX, f64::min);
-    (rows >= ROWS_APART).then_some(false)
+    let rows = above.clone().fold(f64::MIN, f64::max) - above.clone().fold(f64::MAX, f64::min);
+    (rows >= ROWS_APART && above.count() >= FEWEST_ABOVE).then_some(false)
 }
 
 /// Share of the rays inside the ellipse of two standard deviations of the hits that are hits, both in
@@ -201,4 +206,33 @@ fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> f64 {
     };
     let [hit, missed] = [hits, passing].map(|rays| rays.iter().filter(is_inside).count() as f64);
     if hit + missed > 0.0 { hit / (hit + missed) } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_free_below;
+
+    /// Rows of rays 0.02 m apart, from `low` on, each lower at its ends as a cone in a plane is.
+    fn rows(low: f64) -> Vec<[f64; 2]> {
+        let place = |at: i32| f64::from(at) * 0.02;
+        let row = |up: i32| {
+            (-10..=10).map(move |x| [place(x), low + place(up) - 0.05 * place(x).powi(2)])
+        };
+        (0..12).flat_map(row).collect()
+    }
+
+    #[test]
+    fn a_row_that_bends_is_not_below() {
+        let hits: Vec<[f64; 2]> =
+            rows(0.0).into_iter().take(21).filter(|hit| hit[0].abs() < 0.09).collect();
+        let beside = |ray: &[f64; 2]| !hits.contains(ray);
+        let passing: Vec<[f64; 2]> = rows(0.0).into_iter().filter(beside).collect();
+        assert!(passing.iter().any(|ray| ray[0].abs() < 0.11 && ray[1] < -0.0004));
+        assert_eq!(is_free_below(&hits, &passing, 0.02), Some(false));
+        // A row below it is.
+        let passing: Vec<[f64; 2]> = rows(-0.02).into_iter().filter(beside).collect();
+        assert_eq!(is_free_below(&hits, &passing, 0.02), Some(true));
+        // Three rays above tell nothing.
+        assert_eq!(is_free_below(&hits, &[[0.0, 0.1], [0.0, 0.2], [0.0, 0.3]], 0.02), None);
+    }
 }

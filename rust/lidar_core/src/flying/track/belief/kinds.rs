@@ -21,6 +21,9 @@ const NOISE: f64 = 0.4;
 /// of the field of view, as people near a scanner are.
 const FREE_BELOW: [f64; KINDS] = [0.8, 1.0, 0.15, 0.4, 1.0];
 const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
+/// The same of the first look at it: what comes into view like this nearly always walks or drives in over
+/// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
+const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.7, 0.08, 1.5, 1.0, 0.08];
 
 /// What a detection shows of a target itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,13 +94,15 @@ pub(in crate::flying::track) struct Kinds {
     seen: KindBelief,
     radius: MeanLog,
     filled: MeanLog,
+    /// Whether a look has told if rays pass below it.
+    is_known_below: bool,
 }
 
 impl Kinds {
     /// Of a new track.
     pub(in crate::flying::track) fn new() -> Self {
         let (radius, filled) = (MeanLog::default(), MeanLog::default());
-        Self { seen: KindBelief::prior(SHARES), radius, filled }
+        Self { seen: KindBelief::prior(SHARES), radius, filled, is_known_below: false }
     }
 
     /// Enter how likely something that moves, and something that stands, makes what was seen.
@@ -115,7 +120,12 @@ impl Kinds {
         self.radius.add(shape.radius);
         self.filled.add(shape.filled_share);
         if let Some(is_free) = shape.is_free_below {
-            self.seen = self.seen.weighed(if is_free { FREE_BELOW } else { NOT_FREE_BELOW });
+            self.seen = self.seen.weighed(match (is_free, self.is_known_below) {
+                (true, _) => FREE_BELOW,
+                (false, true) => NOT_FREE_BELOW,
+                (false, false) => NOT_FREE_AT_FIRST,
+            });
+            self.is_known_below = true;
         }
     }
 
@@ -170,8 +180,14 @@ mod tests {
         let person = TargetShape { radius: 0.4, filled_share: 0.7, is_free_below: Some(false) };
         let drone = TargetShape { is_free_below: Some(true), ..person };
         let mut kinds = Kinds::new();
-        (0..2).for_each(|_| kinds.measure(person));
-        assert_ne!(kinds.belief().kind(), TrackKind::Flying);
+        for _ in 0..2 {
+            kinds.measure(person);
+            assert_ne!(kinds.belief().kind(), TrackKind::Flying); // from the first look on
+        }
+        // What has come in over the lower edge of the view flies once all of it is seen.
+        let mut kinds_of_drone = kinds;
+        (0..4).for_each(|_| kinds_of_drone.measure(drone));
+        assert_eq!(kinds_of_drone.belief().kind(), TrackKind::Flying);
         (0..4).for_each(|_| kinds.measure(person));
         assert_eq!(kinds.belief().kind(), TrackKind::Ground);
         // What was seen in the air for long flies on where the view ends below it.
