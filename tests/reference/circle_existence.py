@@ -6,7 +6,7 @@ import numpy as np
 
 LIFETIME, CHANCE, SPEAKS = 60.0, 0.2, 0.1  # [s]
 TWICE, COVERED, GONE = 0.4, 0.15, (0.02, 0.3)
-RATES = {"seen through": 40.0, "returns": 12.0}  # [1/s]
+RATES = {"seen through": 40.0, "returns": 18.0}  # [1/s]
 OVER, SURE, MOST = 0.05, 0.99, 1 - 1e-6
 PRIOR, WEIGHT, MEMORY = {"revealed": 0.85, "piece": 0.5}, 5.0, 100.0
 
@@ -35,21 +35,26 @@ class Existence:
         self.sort = "piece" if variance > 0.1**2 else "revealed"
         self.was, self.there = arrivals.share(self.sort), 1.0
         self.since, self.once, self.in_sight, self.told = 0.0, True, True, False
+        self.anywhere, self.missed = 1.0, 1.0
 
     def __call__(self):
         return self.was * self.there
 
     def predict(self, dt):
         self.there *= np.exp(-dt / LIFETIME)
+        self.anywhere *= np.exp(-dt / LIFETIME)
         self.since += dt
 
-    def see(self, what):
+    def see(self, what, doubt=0.0):
         spoken = min(self.since, SPEAKS)
         if what == "measured":
             self.was = bayes(self.was, np.exp(spoken / CHANCE) / (TWICE if self.once else 1.0))
-            self.there, self.once = 1.0, False
+            self.there, self.once, self.anywhere, self.missed = 1.0, False, 1.0, 1.0
         elif what in RATES:
-            self.there = bayes(self.there, np.exp(-RATES[what] * spoken))
+            miss = np.exp(-RATES[what] * spoken)
+            self.there = bayes(self.there, miss)
+            missed = min(max(self.missed * miss, doubt), self.missed)
+            self.anywhere, self.missed = bayes(self.anywhere, missed / self.missed), missed
         elif what == "occluded" and self.in_sight and self.once:
             self.was = bayes(self.was, COVERED)
         if what == "measured" or what in RATES:

@@ -204,6 +204,12 @@ class Element:
     waits: int = 0
     waiting: float = 0.0
 
+    def doubt(self):
+        """Probability that it is farther away than the places at which it was looked for."""
+        state, P = self.combined()
+        asked = 2.0 if self.seen == "seen through" else 0.0
+        return np.exp(-0.5 * (asked + state[4] / np.sqrt(np.trace(P[:2, :2]) / 2)) ** 2)
+
     def look(self, R, pose, spacing):
         """Errors of the sides between rays: evenly spread, the same while the rays are the same."""
         t, yaw = level_pose(pose)
@@ -380,7 +386,7 @@ class IndependentMap:
                 element.seen = look(*element.combined())
                 if not element.visible():
                     element.hidden += dt
-            element.existence.see(element.seen)
+            element.existence.see(element.seen, element.doubt())
         for row, number in enumerate(numbers):
             if number is None and wholes[row] == row:
                 numbers[row] = self.create(*measurements[row], stamp)
@@ -394,7 +400,7 @@ class IndependentMap:
         if self.stops:
             x, P = element.combined()
             S, y = H @ P @ H.T + element.of_part(z, R), z - H @ x
-            is_known = element.stands or np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
+            is_known = element.mu[0] > STANDS or np.linalg.eigvalsh(P[:2, :2]).max() < 0.5**2
             time = element.waiting / max(element.waits, 1) if is_known else element.waiting
             if np.hypot(*y[:2]) > max(FARTHEST, FASTEST * time):
                 return 0.0
@@ -536,9 +542,10 @@ class IndependentMap:
                     or P[4, 4] > MOST_RADIUS_STD**2
                 )
             most = np.inf if config.max_coast is None else config.max_coast
-            most = most if element.confirmed else min(most, MOMENT)
+            was_sure = element.confirmed or element.existence.was >= config.report_existence
+            most = most if was_sure else min(most, MOMENT)
             is_long = not element.visible() and element.hidden > most
-            is_over = element.existence() < OVER or is_long or vague
+            is_over = element.existence.was * element.existence.anywhere < OVER or is_long or vague
             element.existence.settle(is_over, self.arrivals)
             if not is_over:
                 kept.append(element)

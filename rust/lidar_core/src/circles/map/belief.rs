@@ -18,7 +18,7 @@ const TWICE: f64 = 0.4;
 /// Rates at which the logarithm of the odds that an object is still there falls while rays pass its
 /// place, and while they end there but show no object [1/s].
 const SEEN_THROUGH: f64 = 40.0;
-const UNMATCHED: f64 = 12.0;
+const UNMATCHED: f64 = 18.0;
 /// Longest time that one scan speaks for [s]: successive scans show nearly the same, so that time
 /// counts and not their number.
 const SPEAKS: f64 = 0.1;
@@ -49,14 +49,19 @@ const LONGEST: f64 = 0.5;
 pub(super) struct ElementBelief {
     /// Probability that it was an object when it was measured last.
     was: f64,
-    /// Probability that this is still there.
+    /// Probability that this is still there, at the place where it is expected.
     is_there: f64,
+    /// Probability that it is there or, if its place is not known well, elsewhere.
+    is_anywhere: f64,
     kinds: KindBelief,
     /// Where it began; None once it is known if an object did.
     began: Option<BirthPlace>,
     /// Time since the last scan that said something [s].
     since: f64,
     is_measured_once: bool,
+    /// How likely an object that is still there makes what was seen since it was measured last, over
+    /// none.
+    missed: f64,
     /// The last scan of which something is known measured it.
     is_in_sight: bool,
 }
@@ -67,17 +72,29 @@ impl ElementBelief {
         Self {
             was: arrivals.share(place),
             is_there: 1.0,
+            is_anywhere: 1.0,
             kinds: KindBelief::prior(SHARES),
             began: Some(place),
             since: 0.0,
             is_measured_once: true,
+            missed: 1.0,
             is_in_sight: true,
         }
     }
 
-    /// Probability that there is an object.
+    /// Probability that there is an object where it is expected.
     pub(super) fn existence(&self) -> f64 {
         self.was * self.is_there
+    }
+
+    /// Probability that there is an object, which may be elsewhere: its number is kept so long.
+    pub(super) fn existence_anywhere(&self) -> f64 {
+        self.was * self.is_anywhere
+    }
+
+    /// Probability that there was an object when it was measured last.
+    pub(super) fn was(&self) -> f64 {
+        self.was
     }
 
     /// Probabilities of its kinds.
@@ -87,7 +104,8 @@ impl ElementBelief {
 
     /// The same after `dt` [s] without a scan.
     pub(super) fn predict(&mut self, dt: f64) {
-        self.is_there *= libm::exp(-dt.max(0.0) / LIFETIME);
+        let stays = libm::exp(-dt.max(0.0) / LIFETIME);
+        (self.is_there, self.is_anywhere) = (stays * self.is_there, stays * self.is_anywhere);
         self.since += dt.max(0.0);
     }
 
@@ -96,11 +114,13 @@ impl ElementBelief {
         let once = if std::mem::take(&mut self.is_measured_once) { TWICE } else { 1.0 };
         let chance = once * libm::exp(-self.spoken() / CHANCE);
         self.was = weighed(self.was, 1.0 / chance);
-        (self.is_there, self.is_in_sight) = (1.0, true);
+        (self.is_there, self.is_anywhere, self.missed) = (1.0, 1.0, 1.0);
+        self.is_in_sight = true;
     }
 
-    /// Take in a scan that did not.
-    pub(super) fn unmeasured(&mut self, visibility: CircleVisibility) {
+    /// Take in a scan that did not. With probability `doubt` an object that is still there is elsewhere
+    /// than the scan was asked for: no number of scans makes it less likely than that.
+    pub(super) fn unmeasured(&mut self, visibility: CircleVisibility, doubt: f64) {
         let was_in_sight = std::mem::take(&mut self.is_in_sight);
         let rate = match visibility {
             CircleVisibility::SeenThrough => SEEN_THROUGH,
@@ -111,7 +131,11 @@ impl ElementBelief {
             }
             CircleVisibility::Occluded | CircleVisibility::OutOfView => return,
         };
-        self.is_there = weighed(self.is_there, libm::exp(-rate * self.spoken()));
+        let miss = libm::exp(-rate * self.spoken());
+        self.is_there = weighed(self.is_there, miss);
+        let missed = (self.missed * miss).max(doubt).min(self.missed);
+        self.is_anywhere = weighed(self.is_anywhere, missed / self.missed);
+        self.missed = missed;
     }
 
     /// Tell once if there was an object, when it is as good as known; `is_over` if the element goes.
@@ -178,7 +202,7 @@ mod tests {
         let mut scans = 0;
         while belief.existence() > OVER {
             belief.predict(1.0 / rate);
-            belief.unmeasured(visibility);
+            belief.unmeasured(visibility, 0.0);
             scans += 1;
         }
         f64::from(scans) / rate
@@ -190,8 +214,8 @@ mod tests {
         let mut belief = known(60, 20.0);
         let sure = belief.existence();
         assert!(sure > SURE);
-        belief.unmeasured(CircleVisibility::OutOfView);
-        belief.unmeasured(CircleVisibility::Occluded);
+        belief.unmeasured(CircleVisibility::OutOfView, 0.0);
+        belief.unmeasured(CircleVisibility::Occluded, 0.0);
         assert_eq!(belief.existence(), sure);
     }
 
@@ -203,18 +227,33 @@ mod tests {
             if scan % 4 == 3 {
                 belief.measured();
             } else {
-                belief.unmeasured(CircleVisibility::Returns);
+                belief.unmeasured(CircleVisibility::Returns, 0.0);
             }
         }
         assert!(belief.existence() > 0.9);
+    }
+
+    #[test]
+    fn what_may_be_elsewhere_is_not_gone() {
+        let mut belief = known(60, 20.0);
+        for _ in 0..40 {
+            belief.predict(0.05);
+            belief.unmeasured(CircleVisibility::SeenThrough, 0.1);
+        }
+        assert!(belief.existence() < OVER && belief.existence_anywhere() > 0.7);
+        (0..20).for_each(|_| {
+            belief.predict(0.05);
+            belief.unmeasured(CircleVisibility::SeenThrough, 0.0); // its place has become known
+        });
+        assert!(belief.existence_anywhere() < OVER);
     }
 
     /// One glimpse between two things says little; a second one says more.
     #[test]
     fn what_showed_once_and_is_covered_is_doubtful() {
         let (mut once, mut twice) = (new(), known(1, 20.0));
-        once.unmeasured(CircleVisibility::Occluded);
-        twice.unmeasured(CircleVisibility::Occluded);
+        once.unmeasured(CircleVisibility::Occluded, 0.0);
+        twice.unmeasured(CircleVisibility::Occluded, 0.0);
         assert!(once.existence() < 0.8 && twice.existence() > once.existence() + 0.05);
     }
 

@@ -98,6 +98,11 @@ pub(super) trait State: Clone {
         false
     }
 
+    /// Probability that the object is elsewhere than [`Self::look`] asks for.
+    fn doubt(&self, _: CircleVisibility) -> f64 {
+        0.0
+    }
+
     /// Time for which an element stays while hidden or out of view [s]; None: for ever.
     fn coast(rules: &Rules) -> Option<f64>;
 }
@@ -193,7 +198,7 @@ impl<S: State> Element<S> {
             if S::is_shown_by_returns() && visibility == CircleVisibility::Returns {
                 self.belief.measured();
             } else {
-                self.belief.unmeasured(visibility);
+                self.belief.unmeasured(visibility, self.state.doubt(visibility));
             }
             (self.seen, self.watcher) = (seen, sensor);
         }
@@ -233,9 +238,9 @@ impl<S: State> Element<S> {
     pub(super) fn is_over(&mut self, rules: &Rules, arrivals: &mut Arrivals) -> bool {
         let coast = S::coast(rules);
         // What was never sure is not remembered.
-        let coast =
-            if self.confirmed { coast } else { Some(coast.map_or(MOMENT, |c| c.min(MOMENT))) };
-        let is_over = self.belief.existence() < OVER
+        let was_sure = self.confirmed || self.belief.was() >= rules.parameters().report_existence;
+        let coast = if was_sure { coast } else { Some(coast.map_or(MOMENT, |c| c.min(MOMENT))) };
+        let is_over = self.belief.existence_anywhere() < OVER
             || !self.is_visible() && coast.is_some_and(|most| self.hidden > most)
             // The covariance grows while an element is hidden, and comes back into view as it is;
             // the measured part alone is tested by it.

@@ -112,7 +112,8 @@ impl RoundBody {
         let state = self.circle();
         let apart = libm::hypot(seen.z[0] - state.mean[0], seen.z[1] - state.mean[1]);
         let place = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let time = if exceeds(&place, KNOWN * KNOWN) && !self.stands {
+        let has_stood = self.circle.standing(rules.motion()) > STOOD;
+        let time = if exceeds(&place, KNOWN * KNOWN) && !has_stood {
             self.waiting
         } else {
             self.waiting / f64::from(self.waits.max(1))

@@ -349,6 +349,19 @@ impl State for RoundBody {
         around.map(ask).fold(here, CircleVisibility::max)
     }
 
+    /// Of a normal distribution of the place, what lies beyond the places asked for and the radius
+    /// around them.
+    fn doubt(&self, visibility: CircleVisibility) -> f64 {
+        let state = self.circle();
+        let std = (0.5 * (state.covariance[(0, 0)] + state.covariance[(1, 1)])).sqrt();
+        let asked = match visibility {
+            CircleVisibility::SeenThrough => LOOK[3],
+            _ => 0.0,
+        };
+        let reach = asked + state.mean[4] / std;
+        libm::exp(-0.5 * reach * reach)
+    }
+
     /// True if an eigenvalue of a block of the covariance exceeds its limit, or no radius is left.
     fn is_vague(&self, rules: &Rules) -> bool {
         let (state, limits) = (self.circle(), &rules.parameters().limits);
