@@ -76,7 +76,8 @@ fn sector(way: [f64; 3]) -> usize {
 impl RayView {
     /// Of a scan; None without rays.
     pub(super) fn of(scan: &Prepared) -> Option<Self> {
-        let rays: Vec<Ray> = (0..scan.points.len()).filter_map(|row| Ray::of(scan, row)).collect();
+        let rays: Vec<ViewedRay> =
+            (0..scan.points.len()).filter_map(|row| ViewedRay::of(scan, row)).collect();
         let count = rays.len() as f64;
         if rays.is_empty() {
             return None;
@@ -86,7 +87,7 @@ impl RayView {
         let mut sums = vec![[0.0; 4]; SECTORS];
         let [finest, ..] = PER_UNIT;
         let mut bins = vec![BinRays::default(); 8 * finest * finest];
-        for Ray { start, way, length, is_return } in &rays {
+        for ViewedRay { start, way, length, is_return } in &rays {
             let sum = &mut sums[sector(*way)];
             (0..3).for_each(|axis| sum[axis] += start[axis]);
             sum[3] += 1.0;
@@ -130,7 +131,7 @@ impl RayView {
 }
 
 /// A ray of a scan.
-struct Ray {
+struct ViewedRay {
     start: [f64; 3],
     way: [f64; 3],
     /// Over which it is known to meet nothing [m].
@@ -138,7 +139,7 @@ struct Ray {
     is_return: bool,
 }
 
-impl Ray {
+impl ViewedRay {
     /// Of a row; None if that tells nothing.
     fn of(scan: &Prepared, row: usize) -> Option<Self> {
         let (start, is_return) = (scan.origin(row), !scan.no_return[row]);
