@@ -1,5 +1,5 @@
 #![no_main]
-//! Coverage-guided runs of one target, which `LIDAR_CORE_TARGET` names. `fuzz/run.py` calls it.
+//! Coverage-guided runs of one target, which `LIDAR_CORE_TARGET` names. `tests/fuzz_house/rust.py` calls it.
 
 #[path = "../tests/rust/fuzz/mod.rs"]
 mod fuzz;

@@ -137,7 +137,10 @@ def main() -> int:
         print(finding)
     if chosen.evidence:
         evidence.add("fuzz house", counts)
-    return 1 if findings else 0
+    idle = [name for name, told in counts.items() if not sum(told.values())]
+    if idle:
+        print(f"never ran: {', '.join(idle)}")
+    return 1 if findings or idle else 0
 
 
 if __name__ == "__main__":

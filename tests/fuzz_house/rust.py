@@ -99,8 +99,11 @@ def run(driver: Path, target: str, seconds: float, folder: Path, seed: int) -> T
         for path in new:
             path.with_suffix(".txt").write_text(said[-20_000:])
             known.add(path.with_suffix(".txt"))
-        if done.returncode and not new:
-            break  # the same finding again
+        if done.returncode and not new:  # what an earlier run found, or the driver itself broke
+            again = found / "again.txt"
+            again.write_text(said[-20_000:])
+            told.findings.append(again)
+            break
     return told
 
 

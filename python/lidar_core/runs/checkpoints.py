@@ -20,7 +20,8 @@ from lidar_core.io.files.atomic import written_whole
 from lidar_core.run_folder import CHECKPOINT, build_digest, remove_checkpoint
 from lidar_core.util.packed import packed, unpacked
 
-_CHECKSUM = struct.Struct("<I")
+_CHECKSUM, _LENGTH = struct.Struct("<I"), struct.Struct("<Q")
+AGAIN = "run without resume, with overwrite=True, starts again"
 MOST_BYTES = 2**34
 """Largest file that is read [bytes]. Source: limits table of SECURITY.md."""
 
@@ -73,17 +74,12 @@ class Checkpoints:
         FormatError
             It is damaged.
         """
-        place = self.folder / CHECKPOINT
-        if not place.exists():
+        place, content = self.folder / CHECKPOINT, self._checked()
+        if content is None:
             return 0
-        kept = unpacked(_content(place), run.KINDS)
-        if not isinstance(kept, dict) or not {"inputs", "done", "parts", "run"} <= kept.keys():
+        kept = unpacked(content, run.KINDS)
+        if not isinstance(kept, dict) or not {"done", "parts", "run"} <= kept.keys():
             raise FormatError(f"{place}: no checkpoint of a run")
-        for name, (was, now) in _changes(kept["inputs"], self._named()).items():
-            raise InputError(
-                f"{place}: of a run with another {name}: {was}, now {now};"
-                " run without resume, with overwrite=True, starts again"
-            )
         rows: list[Any] = []
         for number, checksum in enumerate(kept["parts"]):
             part = _content(self._part(number))
@@ -93,6 +89,29 @@ class Checkpoints:
         run.restore(kept["run"], rows)
         self._parts, self._n_rows = list(kept["parts"]), len(rows)
         return int(kept["done"])
+
+    def refuse(self, reason: str) -> None:
+        """Raise `InputError` for a checkpoint in the folder, which this run would destroy."""
+        self._checked()
+        place = self.folder / CHECKPOINT
+        if place.exists():
+            raise InputError(f"{place}: {reason}; {AGAIN}")
+
+    def _checked(self) -> bytes | None:
+        """What the last checkpoint holds, once its inputs are found to be those of this run."""
+        place = self.folder / CHECKPOINT
+        if not place.exists():
+            return None
+        content = _content(place)
+        try:
+            (length,) = _LENGTH.unpack_from(content)
+            was = json.loads(content[_LENGTH.size : _LENGTH.size + length])
+        except (struct.error, ValueError):
+            raise FormatError(f"{place}: no checkpoint of a run") from None
+        # Before anything else is read: runs of other commands keep objects of other classes.
+        for name, (before, now) in _changes(was, self._named()).items():
+            raise InputError(f"{place}: of a run with another {name}: {before}, now {now}; {AGAIN}")
+        return content[_LENGTH.size + length :]
 
     def take(self, run: Resumable, done: int) -> None:
         """Write a checkpoint if it is time for one; `done` items have been used."""
@@ -106,8 +125,9 @@ class Checkpoints:
             _write(self._part(len(self._parts)), part)
             self._parts.append(zlib.crc32(part))
             self._n_rows += len(rows)
-        kept = {"inputs": self._named(), "done": done, "parts": self._parts, "run": run.kept()}
-        _write(self.folder / CHECKPOINT, packed(kept, run.KINDS))
+        inputs = json.dumps(self._named()).encode()
+        kept = packed({"done": done, "parts": self._parts, "run": run.kept()}, run.KINDS)
+        _write(self.folder / CHECKPOINT, _LENGTH.pack(len(inputs)) + inputs + kept)
         self._last = monotonic()
 
     def end(self) -> None:

@@ -159,7 +159,10 @@ def fuse(
         fit_noise,
     )
     run = job.run(checkpoints, folder.begin if keeps else lambda: None)
-    if not (keeps and isinstance(run, ManyRun)):
+    is_kept = keeps and isinstance(run, ManyRun)
+    if not is_kept:
+        if resume:
+            checkpoints({}).refuse("of another run: that of one target writes none")
         folder.begin()
     files = run.write(folder)
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
@@ -168,6 +171,8 @@ def fuse(
     if writes_mcap and (mcap or not (run.stamps < 0).any()):
         files.append(run.write_mcap(folder))
     notes = [f"note: {run.doubt}"] if run.doubt else []
+    if keeps and not is_kept:
+        notes.append("note: one target: no checkpoint is written; a killed run starts again")
     if picture:
         drawn, missing = draw(run.pictures(folder, source.name))
         files += drawn

@@ -49,6 +49,11 @@ pub enum Error {
         /// The configuration key that raises it, or another cure.
         key: &'static str,
     },
+    /// Memory that cannot be had.
+    Memory {
+        /// What needs it, and how much.
+        what: String,
+    },
     /// A covariance lost symmetry or positive definiteness.
     NotPositiveDefinite {
         /// Textbook letter of the matrix.
@@ -114,6 +119,9 @@ impl fmt::Display for Error {
                     return write!(f, "{what}: the limit is {limit}; {key}"); // a cure, no key
                 }
                 write!(f, "{what}: the limit is {limit}; raise `{key}` if this is intended")
+            }
+            Self::Memory { what } => {
+                write!(f, "{what}, which cannot be had; free memory, or pass less at once")
             }
             Self::NotPositiveDefinite { matrix } => {
                 write!(f, "matrix {matrix}: expected symmetric positive definite")

@@ -64,7 +64,7 @@ fn py_error(error: Error) -> PyErr {
         | Error::Value { .. }
         | Error::PointOutOfRange { .. }
         | Error::Time { .. } => classes::InputError::new_err(text),
-        Error::Limit { .. } => classes::LimitError::new_err(text),
+        Error::Limit { .. } | Error::Memory { .. } => classes::LimitError::new_err(text),
         Error::NotPositiveDefinite { .. } => classes::NumericalError::new_err(text),
         Error::Format { .. } => classes::FormatError::new_err(text),
         Error::Interrupted => PyKeyboardInterrupt::new_err(()),

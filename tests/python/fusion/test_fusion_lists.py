@@ -102,6 +102,9 @@ def test_invalid_detections_and_values_are_left_out(tmp_path):
         (objects(0, 5.0, name="obstacles"), "expected a list of objects or of detections"),
         ("objects: [", "cannot be read"),
         ("just text\n", "message 1: expected a list"),
+        ("", "no list of a radar in it"),
+        (objects(10**12, 5.0), "header.stamp: expected whole seconds and nanoseconds within 64"),
+        (objects(0, 5.0).replace("sec: 0", "sec: 1.5", 1), "header.stamp: expected whole seconds"),
     ],
 )
 def test_what_is_no_list_of_a_radar_is_named(tmp_path, text, told):
@@ -166,6 +169,15 @@ def test_boxes_of_nuscenes_have_the_times_of_their_samples(tmp_path):
         read_nuscenes_boxes(path)
 
 
+def test_files_with_the_ending_of_a_list_are_told_what_lists_hold(tmp_path):
+    (tmp_path / "a.yaml").write_text("name: robot\n")
+    with pytest.raises(FormatError, match="expected a list of objects or of detections"):
+        fuse(tmp_path / "a.yaml", None, tmp_path / "run")
+    (tmp_path / "results.json").write_text('{"results": {"1": [{"size": [1, 1, 1]}]}}')
+    with pytest.raises(FormatError, match="sample 1, box 1: expected a box with a translation"):
+        read_nuscenes_boxes(tmp_path / "results.json")
+
+
 # Tables
 
 
@@ -173,7 +185,9 @@ def test_boxes_of_nuscenes_have_the_times_of_their_samples(tmp_path):
     ("name", "text"),
     [
         ("a.csv", "sep=;\nt_ns;x;y\n0;1,5;2\n"),
+        ("a.csv", '"sep=;"\nt_ns;x;y\n0;1,5;2\n'),
         ("a.csv", "t_ns,x,y\n0,1.5,2\n"),
+        ("a.csv", "t_ns,x,y,,\n0,1.5,2,,\n\n"),
         ("A.CSV", "t_ns,x,y\n0,1.5,2\n"),
         ("a.tsv", "t_ns\tx\ty\n0\t1.5\t2\n"),
         ("a.TSV", "sep=\t\nt_ns\tx\ty\n0\t1.5\t2\n"),
@@ -192,6 +206,8 @@ def test_tables_are_read_whatever_their_ending_and_separator(tmp_path, name, tex
         ("\n\n", "expected a first line with the names of columns, got none"),
         ("t_ns,x,y\n", "no rows below the names of columns"),
         ("t_ns x y\n0 1 2\n", "expected commas, semicolons or tabs between the names of columns"),
+        ("t_ns|x|y\n0|1|2\n", "expected commas between the names of columns, got 't_ns|x|y'"),
+        ("t_ns;x,y\n0;1,2\n", "expected commas between the names of columns, got 't_ns;x,y'"),
         ("t_ns,x,x\n0,1,2\n", "column 'x' is there twice"),
         (
             "t_ns,x,y\n0,1,2\n1;2;3\n",

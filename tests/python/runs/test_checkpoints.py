@@ -215,6 +215,22 @@ def test_another_recording_or_configuration_is_refused(sweeps, tmp_path, what, c
     assert results_of_checkpoint(folder) == before
 
 
+def test_another_command_neither_goes_on_nor_destroys(sweeps, flight, radar_table, tmp_path):
+    """Also where its results are of other classes, and where it writes no checkpoints itself."""
+    folder = tmp_path / "run"
+    cut_short(sweeps, folder, 20)
+    before = results_of_checkpoint(folder)
+    with pytest.raises(InputError, match="of a run with another"):
+        runs.detect(flight, None, folder, picture=False, mcap=False, resume=True)
+    one_target = tmp_path / "one.csv"
+    head, *rows = radar_table.read_text().splitlines()
+    one_target.write_text("\n".join([head, *rows[::2]]) + "\n")
+    for table, association in ((radar_table, "integrated"), (one_target, None)):
+        with pytest.raises(InputError, match=r"run.checkpoint: of .*overwrite=True, starts again"):
+            runs.fuse(table, None, folder, association=association, resume=True)
+    assert results_of_checkpoint(folder) == before
+
+
 def results_of_checkpoint(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 

@@ -122,7 +122,7 @@ class CircleMapConfig(Config):
     )
     report_existence: float = Field(
         0.9,
-        gt=0,
+        ge=0.05,
         lt=1,
         description="An element is reported from this probability of existence on, until it falls"
         " below half of it (no unit).",

@@ -78,6 +78,8 @@ def read_continental(path: str | Path) -> list[DetectionScan]:
         what="object lists of bytes",
     )
     scans = [scan for file in files for scan in _scans(file)]
+    if not scans:
+        raise FormatError(f"{place}: no list of a radar in it")
     return sorted(scans, key=lambda scan: (scan.stamp_ns, scan.source))
 
 
@@ -103,6 +105,11 @@ def _scan(place: str, message: Any) -> DetectionScan:
         raise FormatError(f"{place}: expected a list of {' or of '.join(LISTS)}, got {got}")
     stamp = _numbers(message, "header.stamp.sec", "header.stamp.nanosec", place=place)
     stamp_ns = int(stamp[0]) * 10**9 + int(stamp[1])
+    if (stamp % 1).any() or not -(2**63) <= stamp_ns < 2**63:
+        raise FormatError(
+            f"{place}: header.stamp: expected whole seconds and nanoseconds within 64 bits, got"
+            f" {stamp[0]:g} and {stamp[1]:g}"
+        )
     entries = message[kind] or []
     if not isinstance(entries, list):
         raise FormatError(f"{place}: {kind}: expected a list, got {type(entries).__name__}")

@@ -84,7 +84,9 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
 
 
 def _files(place: Path) -> list[Path]:
-    return sorted(place.glob("*.csv")) if place.is_dir() else [place]
+    if not place.is_dir():
+        return [place]
+    return sorted(file for file in place.iterdir() if file.suffix.lower() == ".csv")
 
 
 def _rows(place: Path) -> NDArray[np.void]:

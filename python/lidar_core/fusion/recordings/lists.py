@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
+from lidar_core.fusion.recordings.continental import ENDINGS as YAML
 from lidar_core.fusion.recordings.continental import is_continental, read_continental
 from lidar_core.fusion.recordings.delphi import is_delphi, read_delphi
 from lidar_core.fusion.recordings.nuscenes import (
@@ -24,14 +25,14 @@ def list_reader(path: Path) -> tuple[str, Reader] | None:
     >>> list_reader(Path("boats_detections.json"))[0]
     'Autoferry'
     """
-    if path.suffix.lower() == ".json":
+    suffix = path.suffix.lower()
+    if suffix == ".json":
         if is_boxes(path):
             return "nuScenes boxes", read_nuscenes_boxes
         return "Autoferry", read_autoferry
-    if is_delphi(path):
-        return "Delphi ESR", read_delphi
-    if is_continental(path):
+    # By its ending what nothing else has: then the errors are those of its reader.
+    if suffix in YAML or is_continental(path):
         return "Continental", read_continental
-    if is_radar_sweep(path):
+    if suffix == ".pcd" or is_radar_sweep(path):
         return "nuScenes radar", read_nuscenes_radar
-    return None
+    return ("Delphi ESR", read_delphi) if is_delphi(path) else None

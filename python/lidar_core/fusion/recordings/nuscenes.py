@@ -157,6 +157,10 @@ def read_nuscenes_boxes(path: str | Path) -> list[DetectionScan]:
             raise FormatError(f"{where}: expected a list of boxes, got {type(listed).__name__}")
         found = []
         for number, box in enumerate(listed):
+            if not isinstance(box, Mapping) or "translation" not in box:
+                raise FormatError(
+                    f"{where}, box {number + 1}: expected a box with a translation, got {box!r:.60}"
+                )
             with reading(f"{where}, box {number + 1}"):
                 score = float(box.get("detection_score", box.get("tracking_score", 1.0)))
                 at = np.array(box["translation"], np.float64)

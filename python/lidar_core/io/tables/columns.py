@@ -27,7 +27,7 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """What may stand between values; the first of them that the names have does."""
-SEPARATOR_LINE = re.compile(r"sep=([,;\t])\s*", re.IGNORECASE)
+SEPARATOR_LINE = re.compile(r"\"?sep=([,;\t])\"?\s*", re.IGNORECASE)
 """First line by which spreadsheets tell the separator."""
 TRACK_FILE = re.compile(r"track_(\d+)\.txt")
 FOREIGN = (".parquet", ".mcap")
@@ -119,26 +119,38 @@ def _read_csv(path: Path) -> Columns:
         separator = told[1] if told else _separator(first)
         lines = csv.reader(file, delimiter=separator)
         names = next(lines, [])
-        _check_names(path, names)
+        _check_names(path, names, separator)
         rows: list[list[str]] = []
         for row in lines:
+            if not row:
+                continue  # an empty line, as at the end of a file
             if len(row) != len(names):
                 raise FormatError(_uneven(path, names, row, separator, len(rows)))
             rows.append(row if separator == "," else [_point(text) for text in row])
     values: Iterable[Sequence[str]] = zip(*rows, strict=True) if rows else [()] * len(names)
-    return {name: _parse(column) for name, column in zip(names, values, strict=True)}
+    # Spreadsheets write the empty columns beside a table, too.
+    return {
+        name: _parse(column) for name, column in zip(names, values, strict=True) if name.strip()
+    }
 
 
-def _check_names(path: Path, names: Sequence[str]) -> None:
+def _check_names(path: Path, names: Sequence[str], used: str) -> None:
     """Refuse a first line that cannot be the names of columns."""
     if not any(name.strip() for name in names):
         raise FormatError(f"{path}: expected a first line with the names of columns, got none")
-    if len(names) == 1 and len(names[0].split()) > 2:
+    text = used.join(names)
+    others = [other for other in SEPARATORS if other != used and other in text]
+    if others or (len(names) == 1 and "|" in text):
+        raise FormatError(
+            f"{path}: expected {SEPARATORS[used]} between the names of columns, got"
+            f" {text!r}; use commas, semicolons or tabs in all lines"
+        )
+    if len(names) == 1 and len(names[0].split()) > 1:
         raise FormatError(
             f"{path}: expected commas, semicolons or tabs between the names of columns,"
             f" got {names[0]!r}"
         )
-    twice = [name for place, name in enumerate(names) if name in names[:place]]
+    twice = [name for place, name in enumerate(names) if name.strip() and name in names[:place]]
     if twice:
         raise FormatError(f"{path}: column {twice[0]!r} is there twice; leave one of them out")
 

@@ -51,8 +51,8 @@ pub(crate) fn check_memory(what: &'static str, rows: usize) -> Result<(), Error>
     if is_there {
         return Ok(());
     }
-    let what = format!("{what} of {rows} rows, which may take {bytes} bytes of memory,");
-    Err(Error::Limit { what, limit: 0, key: "free memory" })
+    let what = format!("{what} of {rows} rows may take {} MiB of memory", bytes >> 20);
+    Err(Error::Memory { what })
 }
 
 /// Check the number of points in a scan.

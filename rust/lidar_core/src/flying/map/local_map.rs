@@ -63,7 +63,7 @@ impl LocalMap {
     ) -> Result<(), Error> {
         let voxel_size = map.parameters().voxel_size;
         let fits = voxel_size == parameters.voxel_size;
-        let expected = "a map with the configured size; a static map is no map to go on from: take the map of a run";
+        let expected = "the configured size; a map of --static-map has 0.1 and is none to go on from: take that of a run";
         require(fits, "voxel_size", expected, voxel_size)?;
         map.set_skip(parameters.skip); // no file holds it
         self.place(map);
