@@ -24,7 +24,7 @@ STANDS, MOVES = 0.8, 0.4  # probabilities
 BIRTH_DENSITY = 1e-4  # [1/m^3]
 MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
 LEAST_RAYS = 4
-MOMENT = 0.5  # [s]
+MOMENT, AWAY = 0.5, 2.5  # [s]
 SEE_MARGIN = 0.15  # [m]
 OTHER, OTHER_OF_ROUND = 0.05, 0.001  # probabilities
 PART, PART_SHARE = 0.03, 0.5  # [m], of the radius
@@ -189,6 +189,7 @@ class Element:
     confirmed: bool = False
     seen: str = "measured"
     hidden: float = 0.0
+    away: float = 0.0
     last: int = 0
     count: int = 1
     lost: bool = False
@@ -381,12 +382,14 @@ class IndependentMap:
                 z, R = measurements[row_of[k]]
                 self.correct(element, z, R, stamp, (pose, spacing))
                 element.seen, element.last, element.count = "measured", stamp, element.count + 1
-                element.hidden = 0.0
+                element.hidden = element.away = 0.0
             else:
                 element.seen = look(*element.combined())
                 if not element.visible():
                     element.hidden += dt
             element.existence.see(element.seen, element.doubt())
+            if element.seen != "measured" and element.existence() < OVER:
+                element.away += dt
         for row, number in enumerate(numbers):
             if number is None and wholes[row] == row:
                 numbers[row] = self.create(*measurements[row], stamp)
@@ -544,7 +547,7 @@ class IndependentMap:
             most = np.inf if config.max_coast is None else config.max_coast
             was_sure = element.confirmed or element.existence.was >= config.report_existence
             most = most if was_sure else min(most, MOMENT)
-            is_long = not element.visible() and element.hidden > most
+            is_long = (not element.visible() and element.hidden > most) or element.away > AWAY
             is_over = element.existence.was * element.existence.anywhere < OVER or is_long or vague
             element.existence.settle(is_over, self.arrivals)
             if not is_over:
@@ -601,7 +604,7 @@ def whole_of(circles, gap):
 def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
-        names = "x P mu seen last hidden stands places excess weight"
+        names = "x P mu seen last hidden away stands places excess weight"
         names += " sides same lasting share rough waits waiting"
         for name in names.split():
             setattr(kept, name, getattr(dropped, name))

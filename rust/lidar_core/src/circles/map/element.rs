@@ -123,6 +123,8 @@ impl ScanEvidence {
 
 /// Time for which what was measured is still known to be where it was [s].
 const MOMENT: f64 = 0.5;
+/// Time for which what is not where it is expected may come back with its number [s].
+const AWAY: f64 = 2.5;
 
 /// One object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -146,6 +148,8 @@ pub(super) struct Element<S> {
     watcher: u32,
     /// Time for which it has been hidden or out of view [s].
     hidden: f64,
+    /// Time for which it has not been where it is expected [s].
+    away: f64,
 }
 
 impl<S: State> Element<S> {
@@ -168,6 +172,7 @@ impl<S: State> Element<S> {
             seen: ScanEvidence::Measured,
             watcher: sensor,
             hidden: 0.0,
+            away: 0.0,
         }
     }
 
@@ -184,16 +189,13 @@ impl<S: State> Element<S> {
         self.n_measurements = self.n_measurements.saturating_add(1);
         self.belief.measured();
         (self.seen, self.watcher) = (ScanEvidence::Measured, sensor);
-        self.hidden = 0.0;
+        (self.hidden, self.away) = (0.0, 0.0);
     }
 
     /// Count a scan, `dt` seconds after the one before, that did not measure the element. A sensor
     /// from which the element is hidden does not override one that sees it.
     pub(super) fn unmeasured(&mut self, visibility: CircleVisibility, sensor: u32, dt: f64) {
         let seen = ScanEvidence::Unmeasured(visibility);
-        if !seen.is_visible() {
-            self.hidden += dt;
-        }
         if seen.is_visible() || sensor == self.watcher {
             if S::is_shown_by_returns() && visibility == CircleVisibility::Returns {
                 self.belief.measured();
@@ -201,6 +203,12 @@ impl<S: State> Element<S> {
                 self.belief.unmeasured(visibility, self.state.doubt(visibility));
             }
             (self.seen, self.watcher) = (seen, sensor);
+        }
+        if !seen.is_visible() {
+            self.hidden += dt;
+        }
+        if self.belief.existence() < OVER {
+            self.away += dt;
         }
     }
 
@@ -241,6 +249,7 @@ impl<S: State> Element<S> {
         let was_sure = self.confirmed || self.belief.was() >= rules.parameters().report_existence;
         let coast = if was_sure { coast } else { Some(coast.map_or(MOMENT, |c| c.min(MOMENT))) };
         let is_over = self.belief.existence_anywhere() < OVER
+            || self.away > AWAY
             || !self.is_visible() && coast.is_some_and(|most| self.hidden > most)
             // The covariance grows while an element is hidden, and comes back into view as it is;
             // the measured part alone is tested by it.
@@ -264,7 +273,7 @@ impl<S: State> Element<S> {
         if is_newer {
             (self.seen, self.watcher) = (twin.seen, twin.watcher);
             self.seen_ns = twin.seen_ns;
-            self.hidden = twin.hidden;
+            (self.hidden, self.away) = (twin.hidden, twin.away);
         }
         self.state.absorb(twin.state, is_newer);
         self.belief = self.belief.united(twin.belief);

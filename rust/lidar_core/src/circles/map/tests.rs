@@ -71,7 +71,7 @@ fn an_element_is_confirmed_moves_and_goes() -> Result<(), Error> {
         assert_eq!(stats.elements, [0]);
         confirmed.extend(stats.confirmed.iter().map(|&id| (step, id)));
     }
-    assert_eq!(confirmed, [(2, 0)]);
+    assert_eq!(confirmed, [(1, 0)]);
     let now = map.map_at(39 * STEP_NS);
     assert!((now[0].state.mean[2] - 1.0).abs() < 0.02 && (now[0].age - 1.95).abs() < 1e-9);
     let gone: Vec<i64> = (40..46)
@@ -320,8 +320,14 @@ fn a_slow_scanner_may_miss_a_scan() -> Result<(), Error> {
         map.update(&scan(10 * step, circles))?; // 2 Hz
         assert_eq!(map.map_at(10 * step * STEP_NS)[0].id, 0);
     }
-    let removed = (59..62).map(|step| map.update(&scan(10 * step, &[])).map(|stats| stats.removed));
-    assert_eq!(removed.collect::<Result<Vec<_>, _>>()?, [vec![], vec![0], vec![]]);
+    let (mut reported, mut removed) = (Vec::new(), Vec::new());
+    for step in 59..69 {
+        removed.extend(map.update(&scan(10 * step, &[]))?.removed);
+        let now = map.map_at(10 * step * STEP_NS);
+        reported.push(now.iter().filter(|element| element.confirmed).count());
+    }
+    assert_eq!(reported, [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(removed, [0]); // it might have come back elsewhere for some seconds
     Ok(())
 }
 
@@ -442,7 +448,7 @@ fn what_lies_on_a_reported_line_is_known() -> Result<(), Error> {
     let mut map = map_of(ElementFilter::Independent(best()))?;
     let here = [[4.0, 0.0], [4.01, 0.1], [3.99, 0.2]];
     for step in 0..6 {
-        assert_eq!(map.is_on_line(&here, 0.01, 1.0), step >= 3);
+        assert_eq!(map.is_on_line(&here, 0.01, 1.0), step >= 2);
         map.update(&walls(step, &[line(0.0, 4.0, [-2.0, 2.0])]))?;
     }
     let before = here.map(|[x, y]| [x - 0.1, y]);
