@@ -77,6 +77,7 @@ UNREAD = {
     ("circles", "map.velocity_step"): "of the joint filter",
     ("circles", "map.max_eigenvalue"): "of the joint filter",
     ("fusion", "imm_sojourn"): "of method imm",
+    ("fusion", "sigma_spread"): "of method ukf",
     ("fusion", "published.speed"): "of model paper",
     ("fusion", "published.elevation"): "of model paper",
 }
