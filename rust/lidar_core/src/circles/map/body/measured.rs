@@ -3,7 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::measurement::STAYED;
-use super::{KNOWN, RoundBody};
+use super::{FARTHEST, KNOWN, RoundBody};
 use crate::Error;
 use crate::circles::map::circle_measurement::{CircleMeasurement, Measures};
 use crate::circles::map::element::exceeds;
@@ -30,9 +30,8 @@ const PART: f64 = 0.03;
 const PART_SHARE: f64 = 0.5;
 /// The same of what is surely round, for the decision if it stands.
 const OTHER_OF_ROUND: f64 = 0.001;
-/// Distance from its predicted place, and speed since the last scan, above which a measurement is
-/// of another body [m], [m/s]; since its last measurement, where its place is not known.
-pub(super) const FARTHEST: f64 = 0.8;
+/// Speed since the last scan above which a measurement is of another body [m/s]; since its last
+/// measurement, where its place is not known.
 const FASTEST: f64 = 3.0;
 /// Squared distance up to which something is a body that comes back into sight: 99.7 % of where it
 /// may be, chi-square of 2 degrees of freedom.

@@ -11,7 +11,6 @@ mod person;
 mod places;
 
 use self::look::Looks;
-use self::measured::FARTHEST;
 use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
 use self::person::{Gait, Person};
@@ -34,6 +33,8 @@ use serde::{Deserialize, Serialize};
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
 
+/// Distance from its predicted place above which a measurement is of another body [m].
+const FARTHEST: f64 = 0.8;
 /// Standard deviation of the position up to which a body adopts what touches it [m].
 const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
