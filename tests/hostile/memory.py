@@ -86,13 +86,14 @@ def saved(folder: Path, size: float) -> Prepared:
     from lidar_core.flying import FlyingObjectDetector
 
     detector = FlyingObjectDetector()
+    detector.make_static_map()
     detector.process(_cloud(int(60_000 * size)), np.eye(4), 0)
 
     def work() -> None:
         detector.save_map(folder / "map.lcvm")
         detector.save(folder / "state.lcst")
-        detector.load_map(folder / "map.lcvm")
         detector.save_static_map(folder / "static.lcvm")
+        detector.load_map(folder / "map.lcvm")
 
     return work, detector._detector.to_state
 

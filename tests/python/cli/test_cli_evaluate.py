@@ -337,9 +337,9 @@ def bad_files(folder):
     return [
         (folder / "missing.csv", FileNotFoundError, "missing.csv: no such file or folder"),
         (text("a.xyz", ""), FormatError, "a.xyz: expected a table: .csv"),
-        (text("a.csv", ""), FormatError, "a.csv: no column t_ns among none"),
+        (text("a.csv", ""), FormatError, "a.csv: expected a first line with the names"),
         (text("b.csv", "t_ns,x\n1,2\n"), FormatError, "b.csv: no column y"),
-        (text("c.csv", header + "1,2,3\n"), FormatError, "c.csv, line 2: expected 5 values, got 3"),
+        (text("c.csv", header + "1,2,3\n"), FormatError, "c.csv, row 1: expected 5 values"),
         (text("d.csv", header + "0.5,2,3,4,5\n"), FormatError, "column t_ns: expected integers"),
         (text("e.csv", header + "1,2,3,nan,5\n"), FormatError, "column y: expected finite numbers"),
         (text("f.csv", header + "1,2,3,far,5\n"), FormatError, "column y: expected numbers"),
