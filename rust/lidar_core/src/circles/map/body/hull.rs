@@ -70,7 +70,7 @@ mod tests {
         assert_eq!(one.ends([1.0, 0.0]), [1.0, 1.4]);
         assert_eq!(one.ends([0.0, 1.0]), [0.0, 0.2]);
         let both = one.joined(&two);
-        assert_eq!(both.ends([1.0, 0.0]), [1.0, 1.7]);
+        assert_eq!(both.ends([1.0, 0.0]), [1.0, 1.3 + 0.4]);
         assert!(both.is_covered() && !one.is_covered());
         assert!(Hull::of(&[], false).is_none());
     }
