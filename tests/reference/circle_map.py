@@ -21,6 +21,7 @@ LONGEST_STEP = 0.1
 # Rules of the map that are no parameters.
 SURE, NO_CHANCE = 5.99, 0.25  # squared velocity in its covariance: begins to move, stands again
 STANDS, MOVES = 0.8, 0.4  # probabilities
+DEPARTS = 2  # measurements in a row
 BIRTH_DENSITY = 1e-4  # [1/m^3]
 MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
 LEAST_RAYS = 4
@@ -194,6 +195,7 @@ class Element:
     count: int = 1
     lost: bool = False
     stands: bool = False
+    departs: int = 0
     places: list = field(default_factory=list)
     excess: float = 0.0
     weight: float = 4.0
@@ -525,11 +527,14 @@ class IndependentMap:
                 stood, p = element.stands, element.mu[0]
                 x, P = element.combined()
                 by_chance = x[2:4] @ np.linalg.solve(P[2:4, 2:4], x[2:4])
-                element.stands = (
+                still = (
                     p > STANDS
                     or (stood and p >= MOVES)
                     or by_chance < (SURE if stood else NO_CHANCE)
                 )
+                if not element.waits:
+                    element.departs = 0 if still else element.departs + 1
+                element.stands = still or (stood and element.departs < DEPARTS)
             worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
             most = config.max_position_std
             if element.waits and self.stops:

@@ -228,6 +228,7 @@ fn map(
             delays: delays.as_deref(),
             outlines: &[],
             points: None,
+            covered: None,
             lines: &[],
             view: input.is_set().then_some(view),
         });

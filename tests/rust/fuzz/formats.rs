@@ -158,6 +158,7 @@ pub fn state_circle_map(bytes: &[u8]) {
         delays: None,
         outlines: &[],
         points: None,
+        covered: None,
         lines: &[],
         view: None,
     });

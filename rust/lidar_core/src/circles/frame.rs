@@ -3,7 +3,7 @@
 use super::fit::circle::CircleEstimate;
 use super::map::{MapElement, MapShape, MapStats, PoseCovariance};
 use super::preprocess::projection::LevelScan;
-use super::segment::segments::Segments;
+use super::segment::segments::{Segments, Side};
 use super::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
 
@@ -55,6 +55,11 @@ impl PreparedSweep {
             ranges[ray] < self.range_limits[0] + NEAR * std
                 && (is_unknown(ray.wrapping_sub(1)) || is_unknown(ray + 1))
         })
+    }
+
+    /// True if something nearer hides a side of a segment.
+    pub(super) fn is_covered(&self, number: usize) -> bool {
+        self.segments.sides[number].contains(&Side::Occluded)
     }
 
     /// End points of the rays of a segment, from above [m].

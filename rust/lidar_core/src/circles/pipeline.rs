@@ -280,6 +280,8 @@ impl CirclePipeline {
             .map(|delays| parts.bodies.iter().map(|&number| delays[number]).collect());
         let points: Vec<_> =
             parts.bodies.iter().map(|&number| prepared.points_world(number)).collect();
+        let covered: Vec<bool> =
+            parts.bodies.iter().map(|&number| prepared.is_covered(number)).collect();
         let [range_min, range_max] = prepared.range_limits;
         let updated = self.map.update(&CircleScan {
             stamp_ns: prepared.stamp_ns,
@@ -290,6 +292,7 @@ impl CirclePipeline {
             delays: delays.as_deref(),
             outlines: &parts.outlines,
             points: Some(&points),
+            covered: Some(&covered),
             lines: &parts.shapes,
             view: Some(ScanWithLimits { scan: &prepared.level.scan, range_min, range_max }),
         });

@@ -187,6 +187,7 @@ impl PyCircleMap {
                 delays,
                 outlines: &[],
                 points: None,
+                covered: None,
                 lines: &[],
                 view: scan.as_ref().map(|(scan, (range_min, range_max))| ScanWithLimits {
                     scan,

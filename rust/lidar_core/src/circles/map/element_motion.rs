@@ -15,6 +15,8 @@ pub(super) const SLOTS: usize = MAX_MODES + 1;
 const MAX_STEP: f64 = 0.1;
 /// Most steps of one prediction; for longer times the steps become longer.
 const MAX_STEPS: f64 = 600.0;
+/// Random walk of the sides of a box [m^2/s]: another height of the body is seen.
+const LENGTHS: f64 = 1e-5;
 /// Largest product of rate and time for which the exponential series is summed.
 const SERIES: f64 = 1e-3;
 
@@ -84,6 +86,8 @@ pub(super) struct ElementStep {
     pub(super) circles: Move<5>,
     /// Prediction of other outlines: centre, velocity, heading, half lengths.
     pub(super) outlines: Move<7>,
+    /// Prediction of boxes: centre, velocity, half lengths.
+    pub(super) extents: Move<6>,
     /// Time of the whole step [s].
     pub(super) seconds: f64,
     line_variance: f64,
@@ -158,6 +162,7 @@ impl ElementMotion {
         ElementStep {
             circles: self.movement(dt, &[size]),
             outlines: self.movement(dt, &[self.turn_density, size, size]),
+            extents: self.movement(dt, &[LENGTHS; 2]),
             seconds: dt,
             line_variance: self.line_density * dt.abs(),
         }

@@ -221,7 +221,7 @@ impl CircleMap {
                 // Before the scan is transformed, which would be in vain for a refused stamp.
                 history.is_late((scan.stamp_ns, scan.sensor))?;
                 let mut kept = KeptScan::new(scan)?;
-                kept.compare(scan.points, &history.earlier);
+                kept.compare(scan, &history.earlier);
                 history.push(rules, kept, &mut self.next_id)?
             }
         };

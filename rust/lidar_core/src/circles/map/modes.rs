@@ -101,6 +101,23 @@ impl<const N: usize> ElementModes<N> {
         }
     }
 
+    /// Take the velocity for zero in every mode, as uncertain as it is.
+    pub(super) fn halt(&mut self) {
+        for state in &mut self.states {
+            let variance = 0.5 * (state.covariance[(2, 2)] + state.covariance[(3, 3)]);
+            set_speed(state, variance);
+        }
+    }
+
+    /// Exchange two values of the state.
+    pub(super) fn swap(&mut self, one: usize, other: usize) {
+        for state in &mut self.states {
+            state.mean.swap_rows(one, other);
+            state.covariance.swap_rows(one, other);
+            state.covariance.swap_columns(one, other);
+        }
+    }
+
     /// Probability that the element stands; 0 without that mode.
     pub(super) fn standing(&self, motion: &ElementMotion) -> f64 {
         if motion.standing.is_some() { self.probabilities[0] } else { 0.0 }
@@ -236,11 +253,13 @@ fn log_sum(costs: &[f64]) -> f64 {
     libm::log(sum) - 0.5 * least
 }
 
-/// Mean and covariance of a mixture; the weights sum to one.
+/// Mean and covariance of a mixture of modes; the weights sum to one.
 fn mixture<const N: usize>(states: &[Gaussian<N>], weights: &[f64; SLOTS]) -> Gaussian<N> {
-    if let [state] = states {
-        return state.clone();
-    }
+    if let [state] = states { state.clone() } else { mixture_of(states, weights) }
+}
+
+/// Mean and covariance of a mixture of any states; the weights sum to one.
+pub(super) fn mixture_of<const N: usize>(states: &[Gaussian<N>], weights: &[f64]) -> Gaussian<N> {
     let mut mean = SVector::<f64, N>::zeros();
     for (state, &weight) in states.iter().zip(weights) {
         mean += state.mean * weight;

@@ -2,6 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+use super::body::hull::Hull;
 use super::body::look::Look;
 use super::body::measurement::{BodyMeasurement, Legs};
 use super::body::outline::{OutlineEstimate, OutlineMeasurement};
@@ -53,6 +54,9 @@ pub struct CircleScan<'a> {
     /// End points of the rays of each of `estimates`, in the world as seen from above; None: only
     /// the estimates themselves show what moves. The filter of the paper ignores them.
     pub points: Option<&'a [Vec<[f64; 2]>]>,
+    /// Whether something nearer hides a side of each of `estimates`; None: of none. The filter of the
+    /// paper ignores it.
+    pub covered: Option<&'a [bool]>,
     /// Lines found in the scan. The filter of the paper ignores them.
     pub lines: &'a [ShapeEstimate],
     /// The scan itself; None: all elements should have been measured.
@@ -119,6 +123,7 @@ impl KeptScan {
                 time_ns: scan.stamp_ns + libm::round(delay * 1e9) as i64,
                 sight: pose.sight(estimate.circle.center),
                 look,
+                hull: None,
                 trace: None,
                 legs: Legs::None,
             }
@@ -138,11 +143,14 @@ impl KeptScan {
         })
     }
 
-    /// Note which bodies are where earlier scans met something.
-    pub(super) fn compare(&mut self, points: Option<&[Vec<[f64; 2]>]>, earlier: &Earlier) {
-        let Some(points) = points.filter(|points| !points.is_empty()) else { return };
+    /// Note how far the points of bodies reach, and which are where earlier scans met something.
+    pub(super) fn compare(&mut self, scan: &CircleScan<'_>, earlier: &Earlier) {
+        let Some(points) = scan.points.filter(|points| !points.is_empty()) else { return };
         let before = earlier.before(&self.from);
-        for (body, points) in self.bodies.measurements.iter_mut().zip(points) {
+        for (number, (body, points)) in self.bodies.measurements.iter_mut().zip(points).enumerate()
+        {
+            let is_covered = scan.covered.is_some_and(|covered| covered[number]);
+            body.hull = Hull::of(points, is_covered);
             body.trace = before.trace(points);
         }
     }
@@ -212,6 +220,9 @@ pub(super) fn check(scan: &CircleScan<'_>) -> Result<LevelPose, Error> {
     let (expected, got) = (scan.estimates.len(), scan.points.map(<[_]>::len));
     if let Some(got) = got.filter(|&got| got != expected) {
         return Err(Error::Length { name: "points", expected, got });
+    }
+    if let Some(got) = scan.covered.map(<[_]>::len).filter(|&got| got != expected) {
+        return Err(Error::Length { name: "covered", expected, got });
     }
     Ok(LevelPose::of(pose))
 }

@@ -47,6 +47,7 @@ fn scan(step: i64, estimates: &[CircleEstimate]) -> CircleScan<'_> {
         delays: None,
         outlines: &[],
         points: None,
+        covered: None,
         lines: &[],
         view: None,
     }

@@ -65,7 +65,8 @@ pub(super) fn put_together(
                     leg.circle.R[(axis, axis)] += SINGLE * SINGLE;
                 }
                 leg.circle.R[(2, 2)] += SIZE[1] * SIZE[1];
-                (leg.round, leg.outline, leg.look, leg.legs) = (None, None, None, Legs::One);
+                (leg.round, leg.outline, leg.look, leg.hull) = (None, None, None, None);
+                leg.legs = Legs::One;
                 free.retain(|&leg| leg != one);
             }
             _ => {}
@@ -144,7 +145,7 @@ fn join(seen: &mut [BodyMeasurement], wholes: &mut [usize], [one, two]: [usize; 
     person.circle.delay = 0.5 * (a.delay + b.delay);
     person.time_ns = left.time_ns / 2 + right.time_ns / 2;
     person.trace = left.trace.zip(right.trace).map(|(first, second)| 0.5 * (first + second));
-    (person.round, person.outline, person.look) = (None, None, None);
+    (person.round, person.outline, person.look, person.hull) = (None, None, None, None);
     (person.is_face, person.legs) = (false, Legs::Two);
     seen[one] = person;
     wholes[one] = one;
@@ -180,6 +181,7 @@ mod tests {
             time_ns: 0,
             sight: [1.0, 0.0],
             look: None,
+            hull: None,
             trace: Some(trace),
             legs: Legs::None,
         }

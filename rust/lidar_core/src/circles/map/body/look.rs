@@ -36,6 +36,16 @@ impl Look {
         Self { place: pose.origin(), yaw: pose.yaw(), spacing }
     }
 
+    /// Place of the scanner [m].
+    pub(super) fn place(&self) -> [f64; 2] {
+        self.place
+    }
+
+    /// Distance from ray to ray at a distance [m].
+    pub(super) fn gap(&self, distance: f64) -> f64 {
+        self.spacing.abs() * distance
+    }
+
     /// Bearings of both sides of a circle (x, y, r), seen from here.
     fn sides(&self, circle: &Vector3<f64>) -> [f64; 2] {
         let [x, y] = [circle[0] - self.place[0], circle[1] - self.place[1]];

@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::measurement::STAYED;
+use super::measurement::{FREE, STAYED};
 use super::{FARTHEST, KNOWN, RoundBody};
 use crate::Error;
 use crate::circles::map::circle_measurement::{CircleMeasurement, Measures};
@@ -15,10 +15,8 @@ use nalgebra::{Matrix3, Vector2};
 
 /// Probability of standing above which a body is where it was, whatever its fit says.
 const LIKELY: f64 = 0.2;
-/// Probability of standing above which a body has stood, and share of the points of a measurement on
-/// earlier surfaces below which it is where space was free.
+/// Probability of standing above which a body has stood.
 const STOOD: f64 = 0.8;
-const FREE: f64 = 0.5;
 /// Squared distance that is left of a larger one then: the centre tells less than the trace.
 const STAYING: f64 = 1.0;
 /// Largest squared distance of the centre of what is not surely round, or has stayed.

@@ -1,5 +1,6 @@
 //! A body as one segment of one scan shows it.
 
+use super::hull::Hull;
 use super::look::Look;
 use super::outline::OutlineMeasurement;
 use crate::circles::map::circle_measurement::CircleMeasurement;
@@ -11,6 +12,8 @@ const EVIDENCE: f64 = 1.5;
 /// Traces that tell nothing, and that tell most.
 const EVEN: f64 = 0.8;
 pub(super) const STAYED: f64 = 0.95;
+/// Share of the points of a measurement on earlier surfaces below which it is where space was free.
+pub(super) const FREE: f64 = 0.5;
 
 /// How many legs a measurement is put together of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,6 +43,8 @@ pub(in crate::circles::map) struct BodyMeasurement {
     pub(in crate::circles::map) sight: [f64; 2],
     /// From where and with which rays it was seen; None: unknown.
     pub(in crate::circles::map) look: Option<Look>,
+    /// How far its points reach; None: unknown.
+    pub(in crate::circles::map) hull: Option<Hull>,
     /// Share of its points where earlier scans met a surface, not free space; None: unknown.
     pub(in crate::circles::map) trace: Option<Trace>,
     /// Whether it is put together of the legs of a person.
@@ -50,6 +55,11 @@ impl BodyMeasurement {
     /// True if all of it is where earlier scans met a surface.
     pub(super) fn has_stayed(&self) -> bool {
         self.trace.is_some_and(|trace| trace >= STAYED)
+    }
+
+    /// True if most of it is where earlier scans met free space.
+    pub(super) fn is_in_free(&self) -> bool {
+        self.trace.is_some_and(|trace| trace < FREE)
     }
 
     /// Logarithm of the Bayes factor for standing: what moves is where space was free.

@@ -2,6 +2,8 @@
 
 #![allow(non_snake_case)] // textbook letters
 
+mod extent;
+pub(super) mod hull;
 mod legs;
 pub(super) mod look;
 mod measured;
@@ -10,6 +12,7 @@ pub(super) mod outline;
 mod person;
 mod places;
 
+use self::extent::Extent;
 use self::look::Looks;
 use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
@@ -41,9 +44,12 @@ const KNOWN: f64 = 0.5;
 const TRUST: f64 = 4.0;
 
 /// Squared velocity, in its covariance, from which an element that stood moves: 95 % of chi-square of
-/// 2 degrees of freedom; and below which one that moved stands.
+/// 2 degrees of freedom, 50 % where space was free; and below which one that moved stands.
 const MOVES: f64 = 5.99;
+const LEAVES: f64 = 1.39;
 const RESTS: f64 = 0.25;
+/// Measurements in a row that must tell so: a single one may show another part of what stands.
+const DEPARTS: u32 = 2;
 
 /// Probability above which a body is a person.
 const PERSON: f64 = 0.5;
@@ -57,6 +63,8 @@ const BESIDE: f64 = 1.0;
 pub(super) struct RoundBody {
     circle: ElementModes<5>,
     pub(super) outline: Outline,
+    /// Box around it, unless it is surely round.
+    extent: Option<Extent>,
     /// Noise of the centre beyond that of the fits: real objects are not round, and rays that graze
     /// their rims end anywhere.
     jitter: Jitter,
@@ -65,8 +73,12 @@ pub(super) struct RoundBody {
     rough: f64,
     /// The body is reported as standing.
     stands: bool,
+    /// Number of measurements in a row that told that it moves.
+    departs: u32,
     /// All that the last scan met of it was there in earlier scans.
     has_stayed: bool,
+    /// Most of what the last scan met of it was free space in earlier scans.
+    is_in_free: bool,
     /// Direction in which it was seen last, of length one.
     sight: [f64; 2],
     looks: Looks,
@@ -83,7 +95,9 @@ pub(super) struct RoundBody {
 impl RoundBody {
     /// True if the parts of a restored state agree.
     pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
-        self.circle.fits(motion) && self.outline.fits(motion)
+        self.circle.fits(motion)
+            && self.outline.fits(motion)
+            && self.extent.iter().all(|extent| extent.fits(motion))
     }
 
     pub(super) fn circle(&self) -> Gaussian<5> {
@@ -91,19 +105,58 @@ impl RoundBody {
     }
 
     /// State as it is reported: a standing body has no velocity. The centre of what is not round is
-    /// as uncertain as the side that nobody sees.
+    /// that of its box, or as uncertain as the side that nobody sees.
     pub(super) fn reported(&self) -> Gaussian<5> {
-        let mut state = if self.stands { halted(self.circle()) } else { self.circle() };
+        let mut state = self.circle();
         self.looks.widen(&mut state);
         let mut block = state.covariance.fixed_view_mut::<2, 2>(0, 0);
         block += self.outline.unseen(state.mean[4], self.sight);
-        state
+        if let Some(extent) = &self.extent {
+            state = extent.mixed(state, self.boxiness(extent));
+        }
+        if self.stands { halted(state) } else { state }
+    }
+
+    /// How sure its box is the better outline, 0 to 1: of what moves, or shows a bent face only. The
+    /// shape of what stands is known from its fits.
+    fn boxiness(&self, extent: &Extent) -> f64 {
+        let is_box = if extent.has_moved() { 1.0 } else { self.outline.is_bent(self.sight) };
+        self.outline.doubt() * is_box
+    }
+
+    /// Probability that it stands, and its squared velocity in its covariance.
+    fn motion(&self, rules: &Rules) -> (f64, f64) {
+        match self.extent.as_ref().filter(|_| self.outline.doubt() > 0.5) {
+            Some(extent) => (extent.standing(rules.motion()), moves_by(&extent.circle())),
+            None => (self.circle.standing(rules.motion()), moves_by(&self.circle())),
+        }
+    }
+
+    /// Follow the box around what may not be round.
+    fn surround(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
+        let is_boxy = self.outline.doubt() > 0.0 && !self.person.has_legs();
+        let Some((hull, look)) = seen.hull.as_ref().zip(seen.look.as_ref()).filter(|_| is_boxy)
+        else {
+            self.extent = self.extent.take().filter(|_| is_boxy);
+            return Ok(());
+        };
+        let (seen, is_in_free) = ((look, seen.circle.delay), seen.is_in_free());
+        match &mut self.extent {
+            Some(extent) => extent.correct(hull, seen, is_in_free)?,
+            None if hull.is_covered() => {}
+            None => self.extent = Some(Extent::new(hull, seen, rules)),
+        }
+        self.extent = self.extent.take().filter(Extent::is_sound);
+        Ok(())
     }
 
     /// State as it is reported after a time without scans; what stands stays where it is.
     pub(super) fn coasted(&self, step: &ElementStep) -> Gaussian<5> {
         let mut later = self.clone();
         later.circle.predict(&step.circles);
+        if let Some(extent) = &mut later.extent {
+            extent.predict(step);
+        }
         let mut state = later.reported();
         if self.stands {
             state.mean = self.reported().mean;
@@ -219,10 +272,13 @@ impl State for RoundBody {
         let mut body = Self {
             circle: ElementModes::new(new_state(&seen.circle, rules.speed()), rules.motion()),
             outline: Outline::new(seen.outline.as_ref(), seen.is_face, rules),
+            extent: None,
             jitter: Jitter::new((sum / weight).max(known), TRUST),
             rough: 0.0,
             stands: rules.has_standing(),
+            departs: 0,
             has_stayed: seen.has_stayed(),
+            is_in_free: false,
             sight: seen.sight,
             looks: Looks::default(),
             waits: 0,
@@ -233,6 +289,12 @@ impl State for RoundBody {
         };
         body.circle =
             ElementModes::new(new_state(&body.noisy(&seen.circle), rules.speed()), rules.motion());
+        if body.outline.doubt() > 0.0 {
+            let known = seen.hull.as_ref().zip(seen.look.as_ref());
+            let known = known.filter(|(hull, _)| !hull.is_covered());
+            body.extent =
+                known.map(|(hull, look)| Extent::new(hull, (look, seen.circle.delay), rules));
+        }
         body.listen(&seen.circle, seen.time_ns);
         body
     }
@@ -246,6 +308,10 @@ impl State for RoundBody {
     ) -> (Vec<BodyMeasurement>, Vec<usize>) {
         let mut measurements = seen.to_vec();
         let mut wholes = places::wholes(seen, rules);
+        for (part, &whole) in wholes.iter().enumerate().filter(|&(part, &whole)| part != whole) {
+            let hull = measurements[whole].hull.zip(seen[part].hull);
+            measurements[whole].hull = hull.map(|(whole, part)| whole.joined(&part));
+        }
         if rules.has_standing() {
             let bodies: Vec<&Self> = all.collect();
             legs::put_together(&bodies, &mut measurements, &mut wholes);
@@ -256,6 +322,12 @@ impl State for RoundBody {
     fn predict(&mut self, step: &ElementStep) {
         self.circle.predict(&step.circles);
         self.outline.predict(step);
+        if let Some(extent) = &mut self.extent {
+            if self.stands && self.waits > 0 {
+                extent.halt(); // what stands stays where it was seen
+            }
+            extent.predict(step);
+        }
         self.waits = self.waits.saturating_add(1);
         self.waiting += step.seconds;
     }
@@ -266,6 +338,7 @@ impl State for RoundBody {
         } else {
             self.outline.correct(seen.outline.as_ref(), rules)?;
         }
+        self.surround(seen, rules)?;
         // One scan may take a circle for something else, of which it hardly knows the centre.
         let mut used = seen.circle;
         if let Some(round) = seen.round.filter(|_| self.outline.is_round())
@@ -276,6 +349,7 @@ impl State for RoundBody {
         self.listen(&used, seen.time_ns);
         self.sight = seen.sight;
         self.has_stayed = seen.has_stayed();
+        self.is_in_free = seen.is_in_free();
         self.person.hear(&self.gait(seen.legs), self.waiting);
         self.known += self.waiting;
         (self.waits, self.waiting) = (0, 0.0);
@@ -388,13 +462,23 @@ impl State for RoundBody {
     /// is where earlier scans met it does not move, whatever its fits say.
     fn settle(&mut self, rules: &Rules) -> bool {
         let [begin, end] = rules.parameters().standing.hysteresis;
-        let probability = self.circle.standing(rules.motion());
-        let least = if self.stands { MOVES } else { RESTS };
-        self.stands = rules.has_standing()
-            && (probability > begin
-                || self.has_stayed
-                || self.stands && probability >= end
-                || moves_by(&self.circle()) < least);
+        let (probability, moves_by) = self.motion(rules);
+        // What is known and has entered free space is believed at once.
+        let is_leaving = self.is_in_free && self.known >= MET;
+        let least = match (self.stands, is_leaving) {
+            (true, false) => MOVES,
+            (true, true) => LEAVES,
+            (false, _) => RESTS,
+        };
+        let stands = probability > begin
+            || self.has_stayed
+            || self.stands && probability >= end
+            || moves_by < least;
+        if self.waits == 0 {
+            self.departs = if stands { 0 } else { self.departs.saturating_add(1) };
+        }
+        let is_sure = !self.stands || is_leaving || self.departs >= DEPARTS;
+        self.stands = rules.has_standing() && (stands || !is_sure);
         self.stands
     }
 

@@ -40,6 +40,10 @@ const ROUND: f64 = 0.15;
 /// half widths: it may be less than half as deep as it is wide, or more than twice.
 const DEPTH: f64 = 1.0;
 const WIDTH: f64 = 0.35;
+/// Ratio of half lengths up to which an ellipse is one bent face, and from which on it is none; and
+/// sines of the angle between its longer axis and the sight, from which on it is seen broadside.
+const FLAT: [f64; 2] = [0.35, 0.5];
+const BROAD: [f64; 2] = [0.5, 0.8];
 /// Lead in weight that another kind needs.
 const AHEAD: f64 = 0.1;
 
@@ -181,6 +185,19 @@ impl Outline {
         let half = radius.max(longer) * self.doubt();
         let (along, across) = (Vector2::new(x, y) * half, Vector2::new(-y, x) * half);
         along * along.transpose() * (DEPTH * DEPTH) + across * across.transpose() * (WIDTH * WIDTH)
+    }
+
+    /// How sure one bent face is all that was seen of it from this direction, 0 to 1: a flat ellipse
+    /// seen from its flat side.
+    pub(in crate::circles::map) fn is_bent(&self, sight: [f64; 2]) -> f64 {
+        let ellipse = |&(kind, _): &(ShapeKind, _)| kind == ShapeKind::Ellipse;
+        self.reported().filter(ellipse).map_or(0.0, |(_, state)| {
+            let mean = state.mean;
+            let flat = ((FLAT[1] - mean[6] / mean[5]) / (FLAT[1] - FLAT[0])).clamp(0.0, 1.0);
+            let across = libm::cos(mean[4]) * sight[1] - libm::sin(mean[4]) * sight[0];
+            let facing = (across.abs() - BROAD[0]) / (BROAD[1] - BROAD[0]);
+            flat * facing.clamp(0.0, 1.0)
+        })
     }
 
     /// Note if a measurement looked like something that is not round.
