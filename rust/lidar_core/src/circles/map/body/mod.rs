@@ -8,21 +8,23 @@ mod legs;
 pub(super) mod look;
 mod measured;
 pub(super) mod measurement;
+mod meeting;
 pub(super) mod outline;
 mod person;
 mod places;
+mod shown;
 
 use self::extent::Extent;
 use self::look::Looks;
 use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
 use self::person::{Gait, Person};
-use self::places::{are_alike, axes, is_one, moves_by};
+use self::places::{are_alike, axes, is_one};
 use super::arrivals::BirthPlace;
 use super::circle_measurement::new_state;
 use super::element::{State, exceeds};
 use super::element_motion::{ElementMotion, ElementStep};
-use super::modes::{ElementModes, halted};
+use super::modes::ElementModes;
 use super::rules::Rules;
 use super::view::viewpoint::Viewpoint;
 use super::view::visibility::CircleVisibility;
@@ -104,66 +106,6 @@ impl RoundBody {
         self.circle.combined()
     }
 
-    /// State as it is reported: a standing body has no velocity. The centre of what is not round is
-    /// that of its box, or as uncertain as the side that nobody sees.
-    pub(super) fn reported(&self) -> Gaussian<5> {
-        let mut state = self.circle();
-        self.looks.widen(&mut state);
-        let mut block = state.covariance.fixed_view_mut::<2, 2>(0, 0);
-        block += self.outline.unseen(state.mean[4], self.sight);
-        if let Some(extent) = &self.extent {
-            state = extent.mixed(state, self.boxiness(extent));
-        }
-        if self.stands { halted(state) } else { state }
-    }
-
-    /// How sure its box is the better outline, 0 to 1: of what moves, or shows a bent face only. The
-    /// shape of what stands is known from its fits.
-    fn boxiness(&self, extent: &Extent) -> f64 {
-        let is_box = if extent.has_moved() { 1.0 } else { self.outline.is_bent(self.sight) };
-        self.outline.doubt() * is_box
-    }
-
-    /// Probability that it stands, and its squared velocity in its covariance.
-    fn motion(&self, rules: &Rules) -> (f64, f64) {
-        match self.extent.as_ref().filter(|_| self.outline.doubt() > 0.5) {
-            Some(extent) => (extent.standing(rules.motion()), moves_by(&extent.circle())),
-            None => (self.circle.standing(rules.motion()), moves_by(&self.circle())),
-        }
-    }
-
-    /// Follow the box around what may not be round.
-    fn surround(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
-        let is_boxy = self.outline.doubt() > 0.0 && !self.person.has_legs();
-        let Some((hull, look)) = seen.hull.as_ref().zip(seen.look.as_ref()).filter(|_| is_boxy)
-        else {
-            self.extent = self.extent.take().filter(|_| is_boxy);
-            return Ok(());
-        };
-        let (seen, is_in_free) = ((look, seen.circle.delay), seen.is_in_free());
-        match &mut self.extent {
-            Some(extent) => extent.correct(hull, seen, is_in_free)?,
-            None if hull.is_covered() => {}
-            None => self.extent = Some(Extent::new(hull, seen, rules)),
-        }
-        self.extent = self.extent.take().filter(Extent::is_sound);
-        Ok(())
-    }
-
-    /// State as it is reported after a time without scans; what stands stays where it is.
-    pub(super) fn coasted(&self, step: &ElementStep) -> Gaussian<5> {
-        let mut later = self.clone();
-        later.circle.predict(&step.circles);
-        if let Some(extent) = &mut later.extent {
-            extent.predict(step);
-        }
-        let mut state = later.reported();
-        if self.stands {
-            state.mean = self.reported().mean;
-        }
-        state
-    }
-
     /// Probability that the body is a person.
     pub(super) fn person(&self) -> f64 {
         self.person.probability()
@@ -183,72 +125,6 @@ impl RoundBody {
     /// True if the body is reported as standing.
     pub(super) fn stands(&self) -> bool {
         self.stands
-    }
-
-    /// Bodies that were not measured but touch a measurement that none explains: a change of the
-    /// visible part, not a new object. Owners of such measurements are set.
-    fn adopt<'a>(
-        all: impl Iterator<Item = &'a Self>,
-        seen: &[BodyMeasurement],
-        wholes: &[usize],
-        owners: &mut [Option<usize>],
-        rules: &Rules,
-    ) {
-        let places: Vec<(usize, Gaussian<5>)> = all.map(Self::circle).enumerate().collect();
-        for (column, measurement) in seen.iter().enumerate() {
-            if owners[column].is_some() || wholes[column] != column {
-                continue;
-            }
-            let z = &measurement.circle.z;
-            let nearest = places
-                .iter()
-                .filter(|(row, _)| !owners.contains(&Some(*row)))
-                .filter(|(_, state)| {
-                    let mean = &state.mean;
-                    let circle = Vector3::new(mean[0], mean[1], mean[4]);
-                    let P = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-                    is_one(&circle, z, rules)
-                        && are_alike(circle[2], z[2])
-                        && !exceeds(&P, KNOWN * KNOWN)
-                })
-                .map(|(row, state)| (*row, libm::hypot(state.mean[0] - z[0], state.mean[1] - z[1])))
-                .filter(|&(_, apart)| apart <= FARTHEST)
-                .min_by(|one, other| one.1.total_cmp(&other.1));
-            owners[column] = nearest.map(|(row, _)| row);
-        }
-    }
-
-    /// True if one is a person who may pass the other closely: neither is a part of the other.
-    fn passes(&self, other: &Self) -> bool {
-        self.is_somebody() && (other.is_somebody() || other.is_fixture())
-            || self.is_fixture() && other.is_somebody()
-    }
-
-    /// True if it is a person, and surely no part of another one.
-    fn is_somebody(&self) -> bool {
-        self.is_like_a_person() && self.known >= MET && !self.is_beside
-    }
-
-    /// True if it is something that stands, and surely no part of a person.
-    fn is_fixture(&self) -> bool {
-        self.stands && !self.is_like_a_person() && self.known >= MET && !self.is_beside
-    }
-
-    /// True if it was seen on two legs, or is most probably a person.
-    fn is_like_a_person(&self) -> bool {
-        self.person.has_legs() || self.person() > PERSON
-    }
-
-    /// Distance of a circle from the body [m].
-    fn apart(&self, z: &Vector3<f64>) -> f64 {
-        let mean = self.circle().mean;
-        libm::hypot(mean[0] - z[0], mean[1] - z[1])
-    }
-
-    /// True if a measurement may be of this body by its size. A large body and what stands inside
-    /// its circle are two objects.
-    fn is_alike(&self, seen: &BodyMeasurement) -> bool {
-        are_alike(self.circle().mean[4], seen.circle.z[2])
     }
 }
 

@@ -1,0 +1,78 @@
+//! Which bodies may be one, and which are surely two.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::places::{are_alike, is_one};
+use super::{BodyMeasurement, FARTHEST, KNOWN, MET, PERSON, RoundBody};
+use crate::circles::map::element::exceeds;
+use crate::circles::map::rules::Rules;
+use crate::estimation::kalman::Gaussian;
+use nalgebra::Vector3;
+
+impl RoundBody {
+    /// Bodies that were not measured but touch a measurement that none explains: a change of the
+    /// visible part, not a new object. Owners of such measurements are set.
+    pub(super) fn adopt<'a>(
+        all: impl Iterator<Item = &'a Self>,
+        seen: &[BodyMeasurement],
+        wholes: &[usize],
+        owners: &mut [Option<usize>],
+        rules: &Rules,
+    ) {
+        let places: Vec<(usize, Gaussian<5>)> = all.map(Self::circle).enumerate().collect();
+        for (column, measurement) in seen.iter().enumerate() {
+            if owners[column].is_some() || wholes[column] != column {
+                continue;
+            }
+            let z = &measurement.circle.z;
+            let nearest = places
+                .iter()
+                .filter(|(row, _)| !owners.contains(&Some(*row)))
+                .filter(|(_, state)| {
+                    let mean = &state.mean;
+                    let circle = Vector3::new(mean[0], mean[1], mean[4]);
+                    let P = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+                    is_one(&circle, z, rules)
+                        && are_alike(circle[2], z[2])
+                        && !exceeds(&P, KNOWN * KNOWN)
+                })
+                .map(|(row, state)| (*row, libm::hypot(state.mean[0] - z[0], state.mean[1] - z[1])))
+                .filter(|&(_, apart)| apart <= FARTHEST)
+                .min_by(|one, other| one.1.total_cmp(&other.1));
+            owners[column] = nearest.map(|(row, _)| row);
+        }
+    }
+
+    /// True if one is a person who may pass the other closely: neither is a part of the other.
+    pub(super) fn passes(&self, other: &Self) -> bool {
+        self.is_somebody() && (other.is_somebody() || other.is_fixture())
+            || self.is_fixture() && other.is_somebody()
+    }
+
+    /// True if it is a person, and surely no part of another one.
+    pub(super) fn is_somebody(&self) -> bool {
+        self.is_like_a_person() && self.known >= MET && !self.is_beside
+    }
+
+    /// True if it is something that stands, and surely no part of a person.
+    pub(super) fn is_fixture(&self) -> bool {
+        self.stands && !self.is_like_a_person() && self.known >= MET && !self.is_beside
+    }
+
+    /// True if it was seen on two legs, or is most probably a person.
+    pub(super) fn is_like_a_person(&self) -> bool {
+        self.person.has_legs() || self.person() > PERSON
+    }
+
+    /// Distance of a circle from the body [m].
+    pub(super) fn apart(&self, z: &Vector3<f64>) -> f64 {
+        let mean = self.circle().mean;
+        libm::hypot(mean[0] - z[0], mean[1] - z[1])
+    }
+
+    /// True if a measurement may be of this body by its size. A large body and what stands inside
+    /// its circle are two objects.
+    pub(super) fn is_alike(&self, seen: &BodyMeasurement) -> bool {
+        are_alike(self.circle().mean[4], seen.circle.z[2])
+    }
+}
