@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.files import check_regular
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.fusion.recordings.folders import check_sizes
+from lidar_core.io.files.guard import reading
 
-MAX_FILE_BYTES = 256 * 2**20
 DETECTIONS, TRUTH = "_detections.json", "_groundTruth.json"
 SOURCES = {1: "lidar", 2: "radar"}
 MAX_TIME = 9e9
@@ -97,13 +96,7 @@ def read_autoferry(path: str | Path) -> list[DetectionScan]:
 
 
 def _entries(place: Path) -> list[Any]:
-    check_size(
-        str(place),
-        check_regular(place).stat().st_size,
-        limit=MAX_FILE_BYTES,
-        key="nothing",
-        what="a file of bytes",
-    )
+    check_sizes(place, [place], what="a file")
     with reading(str(place)):
         entries = json.loads(place.read_text("utf-8"))
     if not isinstance(entries, list):
