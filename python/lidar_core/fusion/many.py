@@ -1,6 +1,6 @@
 """Tracks of many targets, scan by scan."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -44,7 +44,7 @@ class ScanResult:
 
 @dataclass(frozen=True, slots=True)
 class TrackerHealth:
-    """What the scans of a tracker have cost, and what they show of the scanners.
+    """What the scans of a tracker have cost.
 
     Attributes
     ----------
@@ -54,16 +54,11 @@ class TrackerHealth:
         Predictions of a track to the time of a scan: one per track and scan.
     n_pairs : int
         Pairs of a track and a measurement that were compared: only near ones.
-    delays_s : mapping of str to float
-        How much later than those of the scanner that is the first to know the measurements of each
-        scanner are, by its name: estimated from targets that move and that several of them see,
-        and taken into account [s].
     """
 
     n_scans: int
     n_predictions: int
     n_pairs: int
-    delays_s: Mapping[str, float]
 
 
 class MultiTargetTracker(FullState):
@@ -163,12 +158,8 @@ class MultiTargetTracker(FullState):
         return ScanResult(*result)
 
     def health(self) -> TrackerHealth:
-        """Return what the scans have cost and shown; costs begin anew in a loaded tracker."""
-        delays = dict(self._tracker.delays())
-        return TrackerHealth(
-            *self._tracker.work(),
-            {name: delays.get(number, 0.0) for name, number in self._sources.items()},
-        )
+        """Return what the scans have cost; a tracker from a saved state begins anew."""
+        return TrackerHealth(*self._tracker.work())
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
         """Tracks, predicted to a time.

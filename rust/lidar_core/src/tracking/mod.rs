@@ -1,7 +1,6 @@
 //! Mechanisms that every tracker needs and no filter has: which measurements are near a track, how
 //! probable each is its own, what a track follows, how noisy a sensor really is.
 
-pub mod delay;
 pub mod existence;
 pub mod extent;
 pub mod joint_association;

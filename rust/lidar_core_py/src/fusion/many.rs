@@ -120,11 +120,6 @@ impl PyMultiTargetTracker {
         })
     }
 
-    /// How late every scanner is, by number [s].
-    fn delays(&self, py: Python<'_>) -> Result<Vec<(u8, f64)>, BorderError> {
-        self.0.with(py, |tracker| Ok(tracker.delays()))
-    }
-
     fn tracks_at<'py>(
         &self,
         py: Python<'py>,

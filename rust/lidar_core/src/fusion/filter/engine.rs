@@ -196,18 +196,13 @@ pub struct Single<const N: usize, M> {
 struct Corrected<'a, 'b, const N: usize> {
     state: &'a mut Gaussian<N>,
     believe: AcceptInnovation<'b>,
-    /// Jacobian of the state that was measured, where that is an earlier one.
-    earlier: Option<SMatrix<f64, N, N>>,
 }
 
 impl<const N: usize> Observer<N> for Corrected<'_, '_, N> {
     type Output = Result<Innovation, Error>;
 
     fn observe<const K: usize, V: SeenValues<N, K>>(self, seen: &V) -> Self::Output {
-        let (expected, mut H) = seen.linear();
-        if let Some(back) = &self.earlier {
-            H *= back;
-        }
+        let (expected, H) = seen.linear();
         let y = seen.minus(&seen.measured(), &expected);
         let model = Linearised { y, H, R: seen.noise() };
         let of = |far: &Mahalanobis<K>| Innovation::new(model.y.as_slice(), far);
@@ -245,15 +240,8 @@ impl<const N: usize, M: SeenMotion<N>> Engine for Single<N, M> {
         platform: &Platform,
         believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
-        let mut mean = state.mean;
-        let earlier = (m.delay() > 0.0).then(|| {
-            // What was measured is where the target was; noise of its motion since then is left
-            // out.
-            let (then, back) = self.motion.transition(&mean, -m.delay(), platform);
-            mean = then;
-            back
-        });
-        let corrected = Corrected { state, believe, earlier };
+        let mean = state.mean;
+        let corrected = Corrected { state, believe };
         M::World::see(&self.motion, &mean, m, &self.sensing, platform, corrected).transpose()
     }
 

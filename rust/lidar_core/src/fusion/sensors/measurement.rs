@@ -102,8 +102,6 @@ pub struct Measurement {
     count: usize,
     /// Upper triangle, row by row.
     covariance: Option<[f64; PACKED]>,
-    /// How long before its stamp it was measured [s]; not saved, since trackers find it.
-    delay: f64,
 }
 
 /// A measurement as it is saved: stamp, sensor, what it measures, values, covariance row by row.
@@ -195,15 +193,7 @@ impl Measurement {
         let mut padded = [0.0; MAX_VALUES];
         padded[..values.len()].copy_from_slice(values);
         let count = values.len();
-        let plain = Self {
-            stamp_ns,
-            sensor,
-            measures,
-            values: padded,
-            count,
-            covariance: None,
-            delay: 0.0,
-        };
+        let plain = Self { stamp_ns, sensor, measures, values: padded, count, covariance: None };
         let packed = covariance.map(|entries| packed(plain.noisy(), entries)).transpose()?;
         Ok(Self { covariance: packed, ..plain })
     }
@@ -257,22 +247,6 @@ impl Measurement {
             packed[packed_at(index, index)] = *variance;
         }
         Self { covariance: Some(packed), ..*self }
-    }
-
-    /// The measurement as one that was made `delay` before its stamp [s].
-    pub(in crate::fusion) fn delayed(&self, delay: f64) -> Self {
-        Self { delay, ..*self }
-    }
-
-    /// The measurement at the time when it was made, but not before `earliest_ns`.
-    pub(in crate::fusion) fn when_made(&self, earliest_ns: i64) -> Self {
-        let made_ns = self.stamp_ns.saturating_sub((self.delay * 1e9).round() as i64);
-        if made_ns < earliest_ns { *self } else { Self { stamp_ns: made_ns, delay: 0.0, ..*self } }
-    }
-
-    /// How long before its stamp it was made [s].
-    pub(in crate::fusion) fn delay(&self) -> f64 {
-        self.delay
     }
 
     /// Number of values that have a covariance: the first ones.

@@ -24,13 +24,9 @@ use crate::fusion::models::world::{Plane, Space, World};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::sensors::sensing::Sensing;
 use crate::fusion::sensors::sight::SeenMotion;
-use crate::tracking::delay::{Look, VALUES};
 use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
-
-/// Difference of two delays that shows how fast a measurement changes [s].
-const SHIFT: f64 = 0.05;
 
 /// Estimation method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -302,24 +298,6 @@ impl Filter {
             tail += weight * (1.0 - chi2::cdf(innovation.nis, innovation.count as u32));
         });
         tail
-    }
-
-    /// What a measurement of the target says about its delay, compared with the foreseen state; None
-    /// if one of its innovations is not defined.
-    pub(super) fn look(&mut self, m: &Measurement) -> Option<Look> {
-        let mut look = Look::default();
-        let is_seen = self.innovations(m, &mut |weight, innovation| {
-            for k in 0..VALUES.min(innovation.count) {
-                look.values[k] += weight * innovation.values[k];
-                look.variances[k] += weight * innovation.variances[k];
-            }
-        });
-        let mut earlier = [0.0; VALUES];
-        let is_seen_earlier = self.innovations(&m.delayed(m.delay() + SHIFT), &mut |weight, i| {
-            (0..VALUES.min(i.count)).for_each(|k| earlier[k] += weight * i.values[k]);
-        });
-        look.rates = std::array::from_fn(|k| (earlier[k] - look.values[k]) / SHIFT);
-        (is_seen && is_seen_earlier).then_some(look)
     }
 
     /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.

@@ -278,7 +278,7 @@ impl Tracks {
                 continue;
             }
             let mut filter = unseen.clone();
-            let step = filter.step(&m.when_made(filter.stamp_ns()));
+            let step = filter.step(m);
             let output = step.output.filter(|_| step.outcome == Outcome::Started);
             let Some(start) = output.map(|output| [output.mean[0], output.mean[1]]) else {
                 continue;

@@ -241,12 +241,6 @@ impl ManyTargets {
         self.work
     }
 
-    /// How late every scanner is, compared with the first to know, by number [s].
-    #[must_use]
-    pub fn delays(&self) -> Vec<(u8, f64)> {
-        self.tracks.delays.all().collect()
-    }
-
     fn check(&self, stamp_ns: i64, source: u8, scan: &[Measurement]) -> Result<(), Error> {
         require(source < MAX_SOURCES, "source", "0 to 63", source)?;
         let oldest = |last: i64| last.saturating_sub(self.buffer_ns).max(self.forgotten_ns);

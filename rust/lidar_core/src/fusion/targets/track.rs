@@ -6,7 +6,6 @@ use super::many_parameters::{ExistenceParameters, ManyParameters};
 use crate::estimation::assignment::Pair;
 use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::Measurement;
-use crate::tracking::delay::Look;
 use crate::tracking::existence::Presence;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -21,17 +20,6 @@ pub struct Scan {
     /// Measurements of targets, one each, and of the platform's motion.
     pub measurements: Vec<Measurement>,
 }
-
-impl Scan {
-    /// The scan with targets measured `delay` before its time [s].
-    pub(super) fn delayed(&self, delay: f64) -> Self {
-        let late = |m: &Measurement| if m.is_of_platform() { *m } else { m.delayed(delay) };
-        Self { measurements: self.measurements.iter().map(late).collect(), ..*self }
-    }
-}
-
-/// What measurements say about the delay of their scanner, by number of track and index.
-pub(super) type Looks = BTreeMap<(i64, usize), Look>;
 
 /// Result of a measurement for a tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -260,14 +248,11 @@ impl TargetTrack {
         self.confirmed |= hits >= parameters.confirm_hits;
     }
 
-    /// Whether the track goes on. Its position counts as it was `delay` before [s], the least delay of
-    /// the scanners that see it: what makes it uncertain since then is no reason to give it up.
-    pub(super) fn stays(&self, stamp_ns: i64, delay: f64, parameters: &ManyParameters) -> bool {
+    pub(super) fn stays(&self, stamp_ns: i64, parameters: &ManyParameters) -> bool {
         let (hits, looks) = self.recent(parameters.confirm_window);
         let misses = parameters.confirm_window - parameters.confirm_hits;
         let unseen = stamp_ns.saturating_sub(self.seen_ns) as f64 * 1e-9;
-        let then_ns = stamp_ns.saturating_sub((delay * 1e9).round() as i64);
-        let Some(output) = self.filter.output_at(then_ns) else { return false };
+        let Some(output) = self.filter.output_at(stamp_ns) else { return false };
         let variance = output.covariance[0][0].max(output.covariance[1][1]);
         (self.confirmed || looks - hits <= misses)
             && unseen <= parameters.max_coast

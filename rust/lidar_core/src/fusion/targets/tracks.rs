@@ -7,14 +7,12 @@ use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
 use super::near_pairs::ScanIndex;
 use super::target::SavedTarget;
 use super::track::{
-    Assigned, Births, Candidates, IntegratedScan, Looks, Scan, TargetTrack, TrackState,
-    TrackingWork,
+    Assigned, Births, Candidates, IntegratedScan, Scan, TargetTrack, TrackState, TrackingWork,
 };
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::tracking::delay::Delays;
 use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{Population, Surroundings};
@@ -39,7 +37,6 @@ pub struct SavedTracks {
     all: Vec<TargetTrack<SavedTarget>>,
     scanners: BTreeMap<u8, [Surroundings; 2]>,
     population: Population,
-    delays: Delays,
 }
 
 /// All tracks at one time.
@@ -52,8 +49,6 @@ pub struct Tracks {
     pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
     /// How long targets stay.
     pub(super) population: Population,
-    /// How late every scanner is.
-    pub(super) delays: Delays,
 }
 
 impl TargetAssociation {
@@ -82,7 +77,6 @@ impl Tracks {
             all: Vec::new(),
             scanners: BTreeMap::new(),
             population: Population::default(),
-            delays: Delays::default(),
         })
     }
 
@@ -90,16 +84,14 @@ impl Tracks {
     #[must_use]
     pub fn moved_out(&mut self) -> Self {
         let (all, scanners) = (std::mem::take(&mut self.all), self.scanners.clone());
-        let (population, delays) = (self.population, self.delays.clone());
-        Self { unseen: self.unseen.clone(), all, scanners, population, delays }
+        Self { unseen: self.unseen.clone(), all, scanners, population: self.population }
     }
 
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &TargetTrack| track.with_filter(track.filter.saved());
         let (all, scanners) = (self.all.iter().map(one).collect(), self.scanners.clone());
-        let (population, delays) = (self.population, self.delays.clone());
-        SavedTracks { unseen: self.unseen.saved(), all, scanners, population, delays }
+        SavedTracks { unseen: self.unseen.saved(), all, scanners, population: self.population }
     }
 
     /// Saved tracks, with filters of the parameters of `self`.
@@ -120,7 +112,6 @@ impl Tracks {
             all,
             scanners: saved.scanners.clone(),
             population: saved.population,
-            delays: saved.delays.clone(),
         })
     }
 
@@ -151,7 +142,7 @@ impl Tracks {
         states
     }
 
-    /// Process a scan that is not older than the last one, and learn how late its scanner is.
+    /// Process a scan that is not older than the last one.
     ///
     /// # Errors
     /// [`Error::Limit`] for more than [`MAX_TARGETS`] tracks; the tracks are then unusable.
@@ -161,24 +152,6 @@ impl Tracks {
         scan: &Scan,
         births: &mut Births,
         work: &mut TrackingWork,
-    ) -> Result<Vec<Assigned>, Error> {
-        let (delay, mut looks) = (self.delays.of(scan.source), Looks::new());
-        let late = (delay > 0.0).then(|| scan.delayed(delay));
-        let scan = late.as_ref().unwrap_or(scan);
-        let assigned = self.take_in_time(parameters, scan, births, work, &mut looks)?;
-        let own = assigned.iter().enumerate();
-        let own = own.filter_map(|(column, one)| looks.get(&(one.id?, column)).copied());
-        self.delays.learn(scan.source, own);
-        Ok(assigned)
-    }
-
-    fn take_in_time(
-        &mut self,
-        parameters: &ManyParameters,
-        scan: &Scan,
-        births: &mut Births,
-        work: &mut TrackingWork,
-        looks: &mut Looks,
     ) -> Result<Vec<Assigned>, Error> {
         work.scans += 1;
         let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
@@ -200,7 +173,6 @@ impl Tracks {
         let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
         if let TargetAssociation::Integrated(existence) = &parameters.association {
             let candidates = self.candidates(parameters, scan, &index, |_| true, &assigned, work);
-            self.look(scan, &candidates, looks);
             let space = IntegratedScan { parameters, existence, scan };
             self.integrate(&space, &candidates, births, &mut assigned);
             self.keep_company(parameters, stamp_ns);
@@ -210,36 +182,15 @@ impl Tracks {
         for confirmed in [true, false] {
             let wanted = |track: &TargetTrack| track.confirmed == confirmed;
             let candidates = self.candidates(parameters, scan, &index, wanted, &assigned, work);
-            self.look(scan, &candidates, looks);
             self.associate(parameters, scan, &candidates, &mut assigned)?;
         }
         let measured = self.measured_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
-        let delays = &self.delays;
-        let old = std::env::var("FUS_STAY").is_ok();
-        self.all.retain(|track| {
-            let least = if old { 0.0 } else { delays.least(track.sources) };
-            track.stays(stamp_ns, least, parameters)
-        });
+        self.all.retain(|track| track.stays(stamp_ns, parameters));
         self.keep_company(parameters, stamp_ns);
         self.start(parameters, scan, &measured, births, &mut assigned);
         within("tracks", self.all.len())?;
         Ok(assigned)
-    }
-
-    /// What measurements of a confirmed track that several scanners see say about their delays.
-    fn look(&mut self, scan: &Scan, candidates: &Candidates, looks: &mut Looks) {
-        if !self.delays.are_comparable() {
-            return;
-        }
-        for Pair { row, column, .. } in &candidates.pairs {
-            let track = &mut self.all[*row];
-            let is_of_several = (track.sources | 1 << scan.source).count_ones() > 1;
-            if track.confirmed && is_of_several {
-                let look = track.filter.look(&scan.measurements[*column]);
-                looks.extend(look.map(|look| ((track.id, *column), look)));
-            }
-        }
     }
 
     /// Assign measurements to tracks. The global nearest neighbour uses the likelihood of the
@@ -377,7 +328,7 @@ impl Tracks {
                 continue;
             }
             let mut filter = self.unseen.clone();
-            let step = filter.step(&m.when_made(filter.stamp_ns()));
+            let step = filter.step(m);
             let Some(output) = step.output.filter(|_| step.outcome == Outcome::Started) else {
                 continue;
             };
