@@ -85,7 +85,7 @@ class FusionConfig(Config):
         "noise_memory": "noise is estimated over 200 measurements",
         "loss_window": "the NIS is averaged over 10 measurements",
     }
-    model: ModelName = Field("ctrv", description=f"How targets move (no unit): {_MEANINGS}.")
+    model: ModelName = Field("ct", description=f"How targets move (no unit): {_MEANINGS}.")
     method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
         "ekf",
         description="Linear Kalman filter, which takes radar as a position, of models cv, ca,"
@@ -130,7 +130,7 @@ class FusionConfig(Config):
         " measurements; or constant over a step, as courses have it (no unit).",
     )
     acceleration_noise: float = Field(
-        1.0,
+        0.7,
         ge=0,
         le=1e6,
         description="Noise of the acceleration: root of its density [m/s^1.5], or discrete its"
@@ -244,7 +244,7 @@ class FusionConfig(Config):
     @classmethod
     def turning_sensor(cls) -> Self:
         """Targets in the frame of a sensor that turns and moves, as its gyro says."""
-        return cls(model="ctrv-drone")
+        return cls(model="ctrv-drone", acceleration_noise=1.0)
 
     @classmethod
     def paper(cls) -> Self:

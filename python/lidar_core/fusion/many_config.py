@@ -31,6 +31,7 @@ class MultiTargetConfig(Config):
             method="imm",
             imm_models=("cv", "standing"),
             imm_quiet=0.1,
+            acceleration_noise=1.0,
             start_rows=1,
             initial_speed=15.0,
         ),

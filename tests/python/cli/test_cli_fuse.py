@@ -83,12 +83,12 @@ def test_a_recording_becomes_a_run_folder(recordings, tmp_path):
     assert set(result["files"]) <= {path.name for path in folder.iterdir()}
     pytest.importorskip("pyarrow")
     states = read_columns(folder / "states.parquet")
-    np.testing.assert_array_equal(states["theta"], expected.states[:, 3])
+    np.testing.assert_array_equal(states["vy"], expected.states[:, 3])
     np.testing.assert_array_equal(states["cov_x_w"], expected.covariances[:, 0, 4])
     np.testing.assert_array_equal(states["innovation_3"], expected.innovations[:, 2])
     assert states["sensor"].tolist()[:2] == ["lidar", "radar"]
     note = tomllib.loads((folder / "run.toml").read_text())
-    assert note["config"]["fusion"]["model"] == "ctrv"
+    assert note["config"]["fusion"]["model"] == "ct"
     assert note["input"]["recording"]["bytes"] == (recordings / OBJ_POSE).stat().st_size
     lines = (folder / "tracks_tum" / "track_0.txt").read_text().splitlines()
     assert len(lines) == len(expected.stamps_ns)

@@ -128,7 +128,8 @@ def test_the_unscented_filter_of_courses(recordings):
 
 def test_noise_is_found_from_measurements_alone(recordings):
     recording = read_laser_radar(recordings / OBJ_POSE)
-    config = fit_noise(recording.measurements, FusionConfig(sensor_noise="configured"))
+    begin = FusionConfig(model="ctrv", sensor_noise="configured")
+    config = fit_noise(recording.measurements, begin)
     # the true errors of the file: its readme
     np.testing.assert_allclose(config.lidar_std, 0.148, rtol=0.1)
     np.testing.assert_allclose(config.radar_std, [0.305, 0.0284, 0.288], rtol=0.1)

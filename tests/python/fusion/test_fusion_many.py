@@ -22,6 +22,7 @@ from lidar_core.fusion import (
     read_autoferry,
     target_coverage,
 )
+from lidar_core.fusion.recordings.autoferry import DELAYS, SOURCES
 from reference.fusion_company import is_reported
 from reference.fusion_many import JointTargets, ManyTargets
 
@@ -323,10 +324,11 @@ def test_north_and_east_become_y_and_x(tmp_path):
     truth = [[{"targetID": 7, "position": [20.0, 30.0, 0.0], "time": 11.4}], [], [], []]
     scans = read_autoferry(scenario(tmp_path, entries, truth))
     order = [(scan.source, scan.stamp_ns) for scan in scans]
+    # less the delays, 0.6 s of the LiDAR and 1.7 s of the radar
     assert order == [
-        ("lidar", 10_250_000_000),
-        ("radar", 11_500_000_000),
-        ("lidar", 12_000_000_000),
+        ("lidar", 9_650_000_000),
+        ("radar", 9_800_000_000),
+        ("lidar", 11_400_000_000),
     ]
     assert scans[0].measurements[0].values.tolist() == [6.0, 5.0]
     first, second = scans[1].measurements
@@ -336,6 +338,18 @@ def test_north_and_east_become_y_and_x(tmp_path):
     assert scans[1].truth[7].tolist() == [30.0, 20.0]
     assert scans[2].measurements == []
     assert scans[2].sensor.tolist() == [1.0, 2.0]
+
+
+def test_true_places_are_those_at_the_time_of_a_scan(tmp_path):
+    truth = [
+        [{"targetID": 7, "position": [10.0 * time, -time, 0.0], "time": time}]
+        for time in (9.0, 10.0, 12.0)
+    ]
+    entries = [entry(2, 11.7, [4.0, 0.0]), entry(1, 11.6, []), entry(1, 12.1, [])]
+    scans = read_autoferry(scenario(tmp_path, entries, truth))
+    assert [scan.stamp_ns for scan in scans] == [10_000_000_000, 11_000_000_000, 11_500_000_000]
+    places = [scan.truth[7] for scan in scans]
+    np.testing.assert_allclose(places, [[-10, 100], [-11, 110], [-11.5, 115]])
 
 
 @pytest.mark.parametrize(
@@ -438,7 +452,12 @@ def test_a_gap_is_three_seconds_without_a_detection_of_either_sensor(tmp_path):
         (2, 9.0, near),
     ]
     entries = [
-        entry(sensor, time, [list(place) for place in zip(*there, strict=True)], own=(0, 0))
+        entry(
+            sensor,
+            time + DELAYS[SOURCES[sensor]],
+            [list(place) for place in zip(*there, strict=True)],
+            own=(0, 0),
+        )
         for sensor, time, there in seen
     ]
     scans = read_autoferry(scenario(tmp_path, entries, [truth] * len(entries)))

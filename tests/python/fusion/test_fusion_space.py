@@ -15,6 +15,7 @@ OPEN = {
     "gate_probability": None,
     "loss_ratio": None,
     "sensor_noise": "configured",
+    "acceleration_noise": 1.0,
     "start_rows": 1,
     "lever_arm": LEVER,
     "lidar_std": (0.1, 0.15, 0.2),

@@ -52,13 +52,18 @@ def scores(**options):
 def test_errors_of_targets_that_stop_are_what_covariances_say(method):
     error, nees = scores(method=method)
     assert error < 0.13
-    assert 0.8 < nees < 1.35
+    assert 0.8 < nees < 1.25
+
+
+def test_a_heading_says_too_much_about_targets_that_stop():
+    """Why the default has a velocity: the same measurements with speed and heading."""
+    assert scores(method="ukf", model="ctrv")[1] > 1.1 * scores(method="ukf")[1]
 
 
 def test_sigma_points_far_away_do_not_follow_targets_that_stop():
-    """What the default avoids: points all around the circle of headings."""
-    error, nees = scores(method="ukf", sigma_spread=None)
-    assert error > 1.15 * scores(method="ukf")[0]
+    """What `sigma_spread` avoids: points all around the circle of headings."""
+    error, nees = scores(method="ukf", model="ctrv", sigma_spread=None)
+    assert error > 1.15 * scores(method="ukf", model="ctrv")[0]
     assert nees > 2
 
 

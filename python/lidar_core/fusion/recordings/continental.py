@@ -9,26 +9,21 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
-from lidar_core.files import check_regular
 from lidar_core.fusion.measurement import MEASURES, Measurement
-from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
+from lidar_core.fusion.recordings.autoferry import DetectionScan
+from lidar_core.fusion.recordings.folders import check_sizes, files_of, head_of
 from lidar_core.fusion.recordings.radar_tracks import radar_of_track
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.guard import reading
 
 ENDINGS = (".yaml", ".yml")
 LISTS = ("objects", "detections")
 METADATA = "metadata.yaml"
 """What a ROS 2 folder holds beside its recording."""
-HEAD_BYTES = 4096
 
 
 def is_continental(path: str | Path) -> bool:
     """Whether a YAML file, or the first one of a folder, holds a list of a radar."""
-    files = _files(Path(path))
-    if not files or not files[0].is_file():
-        return False
-    with files[0].open("rb") as file:
-        head = file.read(HEAD_BYTES).decode("utf-8", "replace")
+    head = head_of(_files(Path(path))).decode("utf-8", "replace")
     return any(f"\n{name}:" in head for name in LISTS)
 
 
@@ -68,15 +63,7 @@ def read_continental(path: str | Path) -> list[DetectionScan]:
     files = _files(place)
     if not files:
         raise FormatError(f"{place}: expected a YAML file of a radar's lists, or a folder of them")
-    for file in files:
-        check_regular(file)
-    check_size(
-        str(place),
-        sum(file.stat().st_size for file in files),
-        limit=MAX_FILE_BYTES,
-        key="nothing",
-        what="object lists of bytes",
-    )
+    check_sizes(place, files, what="object lists")
     scans = [scan for file in files for scan in _scans(file)]
     if not scans:
         raise FormatError(f"{place}: no list of a radar in it")
@@ -84,10 +71,8 @@ def read_continental(path: str | Path) -> list[DetectionScan]:
 
 
 def _files(place: Path) -> list[Path]:
-    if not place.is_dir():
-        return [place] if place.suffix.lower() in ENDINGS else []
-    found = [one for one in place.iterdir() if one.suffix.lower() in ENDINGS]
-    return sorted(one for one in found if one.name != METADATA)
+    found = files_of(place, *ENDINGS)
+    return [one for one in found if one.name != METADATA] if place.is_dir() else found
 
 
 def _scans(file: Path) -> Iterator[DetectionScan]:

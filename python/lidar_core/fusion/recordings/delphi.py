@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
+from lidar_core.fusion.recordings.autoferry import DetectionScan
 from lidar_core.fusion.recordings.cells import numbers_in
-from lidar_core.io.files.guard import check_size
+from lidar_core.fusion.recordings.folders import check_sizes, files_of, head_of
 from lidar_core.io.tables.columns import at_row, read_columns
 
 TIME, SLOT = "time_ns", "trackID"
@@ -25,16 +25,12 @@ car; medians, so that slots that pass to another object do not count.
 """
 PAUSE_NS = 5_000_000
 """A longer pause between two rows is one between two scans."""
-HEAD_BYTES = 4096
 
 
 def is_delphi(path: str | Path) -> bool:
     """Whether a file, or the first one of a folder of CSV files, has the columns of such lists."""
-    files = _files(Path(path))
-    if not files or not files[0].is_file():
-        return False
-    with files[0].open("rb") as file:
-        names = file.read(HEAD_BYTES).partition(b"\n")[0].decode("utf-8-sig", "replace")
+    head = head_of(_files(Path(path)))
+    names = head.partition(b"\n")[0].decode("utf-8-sig", "replace")
     return VALUES[0] in [name.strip(' \r"') for name in re.split("[,;\t]", names)]
 
 
@@ -71,22 +67,15 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
     files = _files(place)
     if not files:
         raise FormatError(f"{place}: expected a CSV file of objects, or a folder of them")
-    check_size(
-        str(place),
-        sum(file.stat().st_size for file in files),
-        limit=MAX_FILE_BYTES,
-        key="nothing",
-        what="object lists of bytes",
-    )
+    check_sizes(place, files, what="object lists")
     rows = np.concatenate([_rows(file) for file in files])
     rows = rows[np.argsort(rows["stamp"], kind="stable")]
     return [_scan(rows[start:end]) for start, end in _bounds(rows)]
 
 
 def _files(place: Path) -> list[Path]:
-    if not place.is_dir():
-        return [place]
-    return sorted(file for file in place.iterdir() if file.suffix.lower() == ".csv")
+    """One file may have any ending."""
+    return files_of(place, ".csv") if place.is_dir() else [place]
 
 
 def _rows(place: Path) -> NDArray[np.void]:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from lidar_core.errors import FormatError
-from lidar_core.files import check_regular
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.fusion.recordings.autoferry import MAX_FILE_BYTES, DetectionScan
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.fusion.recordings.autoferry import DetectionScan
+from lidar_core.fusion.recordings.folders import check_sizes, files_of
+from lidar_core.io.files.guard import reading
 from lidar_core.io.formats.pcd import PcdRecording
 from lidar_core.io.options import LONGEST, ReadOptions
 
@@ -35,7 +35,7 @@ def is_radar_sweep(path: str | Path) -> bool:
     >>> is_radar_sweep("n015-2018__RADAR_FRONT__1532402927664178.pcd")
     True
     """
-    files = _sweeps(Path(path))
+    files = files_of(Path(path), PCD)
     return bool(files) and SWEEP.fullmatch(files[0].stem) is not None
 
 
@@ -71,30 +71,14 @@ def read_nuscenes_radar(path: str | Path) -> list[DetectionScan]:
     Source: Caesar et al., "nuScenes: A multimodal dataset for autonomous driving", CVPR 2020.
     """
     place = Path(path)
-    files = _sweeps(place)
+    files = files_of(place, PCD)
     if not files:
         raise FormatError(
             f"{place}: expected a radar sweep of nuScenes (.pcd), or a folder of them"
         )
-    _check_sizes(place, files)
+    check_sizes(place, files)
     scans = [_sweep(file) for file in files]
     return sorted(scans, key=lambda scan: (scan.stamp_ns, scan.source))
-
-
-def _sweeps(place: Path) -> list[Path]:
-    if not place.is_dir():
-        return [place] if place.suffix.lower() == PCD else []
-    return sorted(one for one in place.iterdir() if one.suffix.lower() == PCD)
-
-
-def _check_sizes(place: Path, files: list[Path]) -> None:
-    check_size(
-        str(place),
-        sum(check_regular(file).stat().st_size for file in files),
-        limit=MAX_FILE_BYTES,
-        key="nothing",
-        what="files of bytes",
-    )
 
 
 def _sweep(file: Path) -> DetectionScan:
@@ -178,7 +162,7 @@ def read_nuscenes_boxes(path: str | Path) -> list[DetectionScan]:
 
 
 def _json(place: Path) -> Any:
-    _check_sizes(place, [place])
+    check_sizes(place, [place])
     with reading(str(place)):
         return json.loads(place.read_text("utf-8"))
 

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.files import check_regular
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.fusion.recordings.folders import check_sizes
+from lidar_core.io.files.guard import reading
 
-MAX_FILE_BYTES = 256 * 2**20
 SENSORS = {"L": ("lidar", 2), "R": ("radar", 3)}
 TRUTH_COLUMNS = (4, 6)
 """x, y, vx, vy; or these with yaw and yaw rate."""
@@ -87,13 +86,7 @@ def read_laser_radar(path: str | Path) -> TargetRecording:
         The file is too large.
     """
     place = Path(path)
-    check_size(
-        str(place),
-        check_regular(place).stat().st_size,
-        limit=MAX_FILE_BYTES,
-        key="nothing",
-        what="a file of bytes",
-    )
+    check_sizes(place, [place], what="a file")
     with reading(str(place)):
         lines = place.read_text("utf-8").splitlines()
     rows = [_row(place, n, line.split()) for n, line in enumerate(lines, 1) if line.strip()]

@@ -106,7 +106,8 @@ def configs() -> dict[str, FusionConfig]:
     known.
     """
     of = course(OBJ_POSE)
-    fitted = fit_noise(measurements(of, of.values, "fixed", FIXED, 0.0), sensors=False)
+    begin = FusionConfig(model="ctrv", acceleration_noise=1.0)
+    fitted = fit_noise(measurements(of, of.values, "fixed", FIXED, 0.0), begin, sensors=False)
     open_gates = {
         "gate_probability": None,
         "loss_ratio": None,

@@ -25,7 +25,7 @@ impl Default for Strengths {
     fn default() -> Self {
         Self {
             form: NoiseForm::Continuous,
-            acceleration: 1.0,
+            acceleration: 0.7,
             jerk: 2.0,
             turn: 0.5,
             platform: 0.5,
@@ -90,11 +90,12 @@ impl Default for Paper {
     }
 }
 
-/// Constant turn rate and velocity, extended Kalman filter.
+/// Coordinated turn, extended Kalman filter: a velocity in place of speed and heading means something
+/// also at rest.
 impl Default for FusionParameters {
     fn default() -> Self {
         Self {
-            model: Model::Ctrv,
+            model: Model::CoordinatedTurn,
             method: Method::Extended,
             strengths: Strengths::default(),
             prior: Prior::default(),
@@ -139,6 +140,7 @@ impl Default for ManyParameters {
                     sojourn: 2.0,
                     quiet: Some(0.1),
                 },
+                strengths: Strengths { acceleration: 1.0, ..Strengths::default() },
                 prior: Prior { speed: 225.0, ..Prior::default() },
                 life: LifecycleRules { start_rows: 1, ..LifecycleRules::default() },
                 ..FusionParameters::default()
