@@ -116,7 +116,7 @@ OPTIONS = {
     "gyro measured": {"model": "ctrv-drone", "gyro": "measurement", "lever_arm": (0.3, -0.1)},
     "no gyro": {"model": "ctrv-drone", "gyro": "none", "method": "ukf"},
     "uncertain platform": {"pose_std": (0.05, 0.05, 0.02), "lever_arm": (0.2, 0.1)},
-    "tight gate": {"gate_probability": 0.6, "loss_ratio": 1.5, "loss_window": 5.0},
+    "tight gate": {"gate_probability": 0.6, "loss_ratio": 1.5},
 }
 
 

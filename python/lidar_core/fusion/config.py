@@ -83,6 +83,7 @@ class FusionConfig(Config):
         "initial_platform_rate": "the platform's first turn rate is uncertain by 1 rad/s",
         "range_min": "a radar measures a position from 0.1 m on",
         "noise_memory": "noise is estimated over 200 measurements",
+        "loss_window": "the NIS is averaged over 10 measurements",
     }
     model: ModelName = Field("ctrv", description=f"How targets move (no unit): {_MEANINGS}.")
     method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
@@ -221,11 +222,8 @@ class FusionConfig(Config):
     loss_ratio: float | None = Field(
         4.0,
         gt=1,
-        description="The filter starts anew when the NIS per value, averaged over `loss_window`,"
+        description="The filter starts anew when the NIS per value, averaged over 10 measurements,"
         " is above this (ratio, no unit; 1 is expected); none: never.",
-    )
-    loss_window: float = Field(
-        10.0, ge=1, le=1e6, description="Measurements in that average (count, no unit)."
     )
     sensor_noise: Literal["estimated", "configured"] = Field(
         "estimated",

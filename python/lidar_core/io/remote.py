@@ -88,16 +88,31 @@ def stored(folder: Path, address: str, *, last: Sequence[str] = ()) -> None:
     if files.exists(path):
         files.rm(path, recursive=True)
     found = sorted(one for one in folder.rglob("*") if one.is_file())
-    found.sort(key=lambda one: one.name in last and one.parent == folder)
-    for one in found:
-        stored_file(one, joined(address, one.relative_to(folder).as_posix()))
+    at_end = [one for one in found if one.name in last and one.parent == folder]
+    first = [one for one in found if one not in at_end]
+    for group in filter(None, (first, at_end)):
+        inner = [one.relative_to(folder).as_posix() for one in group]
+        _put(files, group, [joined(path, name) for name in inner])
 
 
 def stored_file(file: Path, address: str) -> None:
     """Copy a file to an address."""
     files, path = _opened(address)
-    files.makedirs(path.rsplit("/", 1)[0], exist_ok=True)
-    files.put_file(str(file), path)
+    _put(files, [file], [path])
+
+
+def _put(files: Any, sources: Sequence[Path], places: Sequence[str]) -> None:
+    """Copy files, together where the file system can; folders are made where they are missing.
+
+    Object stores have none, and asking them for a folder takes as long as writing a small file.
+    """
+    names = [str(source) for source in sources]
+    try:
+        files.put(names, list(places))
+    except FileNotFoundError:
+        for parent in sorted({place.rpartition("/")[0] for place in places}):
+            files.makedirs(parent, exist_ok=True)
+        files.put(names, list(places))
 
 
 def removed(address: str) -> None:

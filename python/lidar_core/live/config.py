@@ -18,6 +18,10 @@ RETRY_INTERVAL = 1.0
 """Time between two attempts to connect again [s]."""
 MAX_POSES = 10_000
 """Messages with poses that wait to be read. Source: limits table of SECURITY.md."""
+MAX_FRAMES = 1000
+"""Pairs of frames whose transforms are kept. Source: limits table of SECURITY.md."""
+CONNECT_TIMEOUT = 10.0
+"""How long the first connection may take [s]."""
 
 
 class LiveConfig(Config):
@@ -28,6 +32,8 @@ class LiveConfig(Config):
         "pose_history": "poses are forgotten after 10 s",
         "retry_interval": "a connection is tried again after 1 s",
         "max_poses": "10,000 messages with poses may wait",
+        "max_frames": "transforms of 1,000 pairs of frames are kept",
+        "connect_timeout": "the first connection may take 10 s",
     }
     pose_wait: float = Field(
         0.2,
@@ -37,12 +43,6 @@ class LiveConfig(Config):
     )
     max_waiting: int = Field(
         8, ge=1, description="Scans of one LiDAR that wait for their poses (no unit)."
-    )
-    max_frames: int = Field(
-        1000, ge=1, description="Pairs of frames whose transforms are kept (no unit)."
-    )
-    connect_timeout: float = Field(
-        10.0, gt=0, description="How long the first connection may take [s]."
     )
     domain: int = Field(0, ge=0, le=232, description="Domain of ROS 2 over Zenoh (no unit).")
     transform_topics: tuple[TopicName, ...] = Field(

@@ -11,7 +11,7 @@ from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
 from lidar_core.io.poses.posed import KISS, WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
-from lidar_core.live.config import POSE_HISTORY, LiveConfig
+from lidar_core.live.config import MAX_FRAMES, POSE_HISTORY, LiveConfig
 from lidar_core.live.scan_odometry import ScanOdometry
 from lidar_core.messages import Pose, ScanT
 
@@ -171,7 +171,7 @@ class LivePoses:
 
     def _add_odometry(self, topic: str, pose: Pose, carried_frame: str) -> None:
         is_new = topic not in self._odometry
-        if is_new and len(self._odometry) >= self._config.max_frames:
+        if is_new and len(self._odometry) >= MAX_FRAMES:
             self.dropped[topic] += 1
             return
         if is_new:
@@ -208,7 +208,7 @@ class LivePoses:
         """Add a pose, unless it is of one pair of frames more than are kept."""
         edges = buffer.edges()
         is_new = (pose.frame_id, pose.child_frame_id) not in edges
-        if is_new and len(edges) >= self._config.max_frames:
+        if is_new and len(edges) >= MAX_FRAMES:
             self.dropped[topic] += 1
             return False
         buffer.add(pose)

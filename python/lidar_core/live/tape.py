@@ -7,8 +7,9 @@ from queue import Full, Queue
 from threading import Lock, Thread
 
 from lidar_core.errors import LidarCoreError
-from lidar_core.io import write_recording
+from lidar_core.io import McapWriter, write_recording
 from lidar_core.io.files.atomic import check_place
+from lidar_core.io.poses.posed import WORLD_FRAME
 from lidar_core.io.records import Record
 from lidar_core.messages import Message
 
@@ -44,7 +45,8 @@ class Tape:
     Parameters
     ----------
     path : Path
-        Recording to write; its ending chooses the format, as of `write_recording`.
+        Recording to write; its ending chooses the format, as of `write_recording`. Only MCAP
+        outlives a process that is killed: see `McapWriter`.
 
     Attributes
     ----------
@@ -89,7 +91,12 @@ class Tape:
 
     def _write(self) -> None:
         try:
-            write_recording(self.path, self._messages())
+            if self.path.suffix == ".mcap":
+                with McapWriter(self.path, tracks_frame=WORLD_FRAME, is_live=True) as writer:
+                    for message in self._messages():
+                        writer.write(message)
+            else:
+                write_recording(self.path, self._messages())
         except Exception as error:  # whatever it is, the run ends with it
             self._error = error
             while self._waiting.get() is not None:

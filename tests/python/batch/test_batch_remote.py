@@ -160,6 +160,30 @@ def ended_by_chance(process, draw):
     return victim.pid != process.pid
 
 
+def done_despite_kills(file, out, *, kills, seed):
+    """Do a batch again and again until it is done, with a kill every few seconds; its passes."""
+    draw, left, passes, until = random.Random(seed), kills, 0, time.monotonic() + PATIENCE_S + kills
+    status = None
+    while status != 0:
+        assert time.monotonic() < until
+        passes += 1
+        process = subprocess.Popen(
+            [sys.executable, "-m", "lidar_core", "batch", file, "-o", out, "--workers", "2"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        while process.poll() is None:
+            time.sleep(draw.uniform(0.5, 3.0))
+            if left and process.poll() is None:
+                left -= 1
+                if not ended_by_chance(process, draw):
+                    break
+        status = process.wait()
+        assert status in {0, 1, -signal.SIGKILL}
+    assert left == 0
+    return passes
+
+
 @needs_s3
 @pytest.mark.skipif(find_spec("psutil") is None, reason="psutil is not installed")
 def test_kills_of_workers_and_of_the_batch_leave_the_same_tables(bucket, tmp_path):
@@ -168,27 +192,56 @@ def test_kills_of_workers_and_of_the_batch_leave_the_same_tables(bucket, tmp_pat
     file.write_text(file.read_text().replace("--no-mcap", "--no-mcap --lag {lag}"))
     calm, rough = f"{bucket}/calm", f"{bucket}/rough"
     assert invoke("batch", file, "-o", calm, "--workers", 2).exit_code == 0
-    draw, kills, until = random.Random(0), 0, time.monotonic() + PATIENCE_S
-    status = None
-    while status != 0:
-        assert time.monotonic() < until
-        process = subprocess.Popen(
-            [sys.executable, "-m", "lidar_core", "batch", file, "-o", rough, "--workers", "2"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        while process.poll() is None:
-            time.sleep(draw.uniform(0.5, 3.0))
-            if kills < KILLS and process.poll() is None:
-                kills += 1
-                if not ended_by_chance(process, draw):
-                    break
-        status = process.wait()
-        assert status in {0, 1, -signal.SIGKILL}
-    assert kills == KILLS
+    done_despite_kills(file, rough, kills=KILLS, seed=0)
     (tmp_path / "calm").mkdir()
     (tmp_path / "rough").mkdir()
     assert tables(rough, tmp_path / "rough") == tables(calm, tmp_path / "calm")
+
+
+@needs_s3
+@pytest.mark.nightly
+@pytest.mark.skipif(find_spec("psutil") is None, reason="psutil is not installed")
+def test_a_thousand_recordings_with_fifty_kills(bucket, tmp_path, capsys):
+    """The same tables as without kills; a batch costs little beside the work itself."""
+    import s3fs
+
+    files, folder = s3fs.S3FileSystem(), tmp_path / "walks"
+    folder.mkdir()
+    for seed in range(1000):
+        walk = folder / f"{seed:04}.csv"
+        done = invoke("simulate", "overflight", "-o", walk, "--seed", seed, "--scans", 20)
+        assert done.exit_code == 0, done.output
+        files.put_file(str(walk), f"field/many/{walk.name}")
+    file = batch_file(tmp_path, f"{bucket}/many/*.csv")
+    began = time.monotonic()
+    calm = subprocess.run(
+        [
+            *(sys.executable, "-m", "lidar_core", "batch", file),
+            *("-o", f"{bucket}/many-calm", "--workers", "1"),
+        ],
+        capture_output=True,
+        check=False,
+    )
+    assert calm.returncode == 0, calm.stderr
+    took = time.monotonic() - began
+    began = time.monotonic()
+    for number, name in enumerate(sorted(files.ls("field/many"))):
+        walk = tmp_path / "bare.csv"
+        files.get_file(name, str(walk))
+        out = tmp_path / "bare" / str(number)
+        done = invoke("fuse", walk, "-o", out, "--no-picture", "--no-mcap")
+        assert done.exit_code == 0, done.output
+        files.put(str(out), f"field/bare/{number}", recursive=True)
+    bare = time.monotonic() - began
+    passes = done_despite_kills(file, f"{bucket}/many-rough", kills=50, seed=1)
+    (tmp_path / "calm").mkdir()
+    (tmp_path / "rough").mkdir()
+    assert tables(f"{bucket}/many-rough", tmp_path / "rough") == tables(
+        f"{bucket}/many-calm", tmp_path / "calm"
+    )
+    with capsys.disabled():
+        sys.stdout.write(f"batch {took:.0f} s, bare loop {bare:.0f} s, passes {passes}\n")
+    assert took <= 2 * bare
 
 
 @needs_fsspec

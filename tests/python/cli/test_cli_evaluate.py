@@ -441,6 +441,7 @@ def test_no_mcap_entity_without_a_number(tmp_path):
         read_columns(path)
 
 
+@pytest.mark.nightly  # the test of the guide runs the same page, and looks at its files alone
 def test_the_commands_of_the_guide_run(tmp_path):
     (block,) = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     for line in block.strip().splitlines():

@@ -159,7 +159,8 @@ def test_poses_without_child_frame_are_those_of_the_sensor_or_what_carries_it():
 
 def test_poses_are_forgotten_and_frames_are_limited(monkeypatch):
     monkeypatch.setattr("lidar_core.live.poses.POSE_HISTORY", 1.0)
-    poses = LivePoses(PoseOptions(), LiveConfig(max_frames=5))
+    monkeypatch.setattr("lidar_core.live.poses.MAX_FRAMES", 5)
+    poses = LivePoses(PoseOptions(), LiveConfig())
     for stamp in range(100):
         poses.add(TF, pose(stamp * 10**9), "laser")
         poses.add(TF, pose(stamp * 10**9, child=f"other{stamp}"), "laser")
@@ -898,11 +899,12 @@ def test_the_console_says_that_clocks_differ(circles):
     assert summary["latency_ms"]["from_arrival"]["median"] < 1e4
 
 
-def test_no_foxglove_server_is_an_error_with_its_cure():
+def test_no_foxglove_server_is_an_error_with_its_cure(monkeypatch):
+    monkeypatch.setattr("lidar_core.live.sources.foxglove.CONNECT_TIMEOUT", 0.2)
     inbox = Inbox(max_poses=1)
     place = f"ws://127.0.0.1:{free_port()}"
     pytest.importorskip("websockets")
-    source = FoxgloveSource(place, StreamTopics(), ReadOptions(), LiveConfig(connect_timeout=0.2))
+    source = FoxgloveSource(place, StreamTopics(), ReadOptions(), LiveConfig())
     source.start(inbox)
     with pytest.raises(LinkError, match="start foxglove_bridge on the robot"):
         inbox.take(PATIENCE_S)

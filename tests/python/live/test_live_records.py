@@ -1,8 +1,10 @@
 """What a live run keeps and tells: recordings, Arrow, metrics."""
 
 import json
+import os
 import re
 import subprocess
+import sys
 from threading import Event
 from urllib.error import HTTPError
 from urllib.request import urlopen
@@ -14,13 +16,14 @@ from typer.testing import CliRunner
 
 import lidar_core as lc
 from lidar_core.cli import app
-from lidar_core.errors import FormatError, LinkError
+from lidar_core.errors import ConfigError, FormatError, LinkError
 from lidar_core.io.records import Record, Topic
 from lidar_core.live import tape as tape_module
 from lidar_core.live.metrics import MetricsServer, metrics_text
 from lidar_core.live.stats import Delay, Report
 from lidar_core.live.tape import Tape
 from lidar_core.messages import Pose, Scan
+from lidar_core.runs.streams.choice import check_files
 
 CLOUDS = Topic("/cloud", "", "scan")
 SCANS = 12
@@ -66,6 +69,49 @@ def test_a_tape_keeps_every_message_and_decodes_it_once(tmp_path, ending):
     scans = messages_of(path, Scan)
     assert [scan.stamp_ns for scan in scans] == [n * 10**8 for n in range(20)]
     np.testing.assert_array_equal(scans[3].points, cloud(3).points)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from lidar_core.io.records import Record, Topic
+from lidar_core.live.tape import Tape
+from lidar_core.messages import Scan
+
+tape = Tape(Path(sys.argv[1]))
+for number in range(200):
+    points = np.full((1000, 3), number, dtype=np.float32) + np.random.rand(1000, 3)
+    scan = Scan(number * 10**8, points.astype(np.float32), "lidar", topic="/cloud")
+    tape.kept(Record(Topic("/cloud", "", "scan"), number, lambda scan=scan: [scan]))
+while not tape._waiting.empty():
+    pass
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
+def test_a_killed_recording_keeps_all_but_its_end(tmp_path):
+    path, partial = tmp_path / "a.mcap", tmp_path / "a.partial.mcap"
+    done = subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, timeout=60)
+    assert done.returncode == -9
+    assert [file.name for file in tmp_path.iterdir()] == [partial.name]
+    options = lc.io.ReadOptions(recover=True)
+    with lc.io.open_recording(partial, options=options) as recording:
+        scans = [message for message in recording if isinstance(message, Scan)]
+    assert [scan.stamp_ns for scan in scans] == [n * 10**8 for n in range(len(scans))]
+    lost_bytes = (200 - len(scans)) * scans[0].points.nbytes
+    assert 0 < lost_bytes <= 300_000  # the last chunk, and what the thread was at
+    with pytest.raises(ConfigError, match=r"a\.partial\.mcap: exists \(of a run that was killed"):
+        check_files([], None, None, path, overwrite=False)
+    check_files([], None, None, path, overwrite=True)
+
+
+def test_a_recording_that_ends_leaves_no_partial_file(tmp_path):
+    tape = Tape(tmp_path / "a.mcap")
+    tape.kept(Record(CLOUDS, 0, lambda: [cloud(0)]))
+    tape.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
 
 
 def test_what_cannot_be_read_is_left_out_of_the_tape_and_told_to_the_loop(tmp_path):

@@ -37,7 +37,7 @@ def drawn(tmp_path_factory):
         for module in MODULES:
             patch.setattr(module, "write_figure", kept_in(figures))
         for name, commands in {
-            "demo": [("demo", "-o", "demo", "--scans", 60)],
+            "demo": [("demo", "-o", "demo", "--scans", 40)],
             "flying": [
                 ("simulate", "demo", "-o", "a.npz", "--seed", 3, "--scans", 30),
                 ("detect", "a.npz", "-o", "flying"),

@@ -22,6 +22,7 @@ from lidar_core.objects import Boxes, CircleElements, ShapeElements
 TRACKS_TOPIC, CIRCLES_TOPIC, SHAPES_TOPIC = "/tracks", "/circles", "/shapes"
 TRACK_LIFETIME_NS = 500_000_000  # a track that is no longer written disappears from the view
 SMALLEST_BOX = 0.1  # a track without extent stays visible [m]
+LIVE_CHUNK_BYTES = 256 * 1024  # what a live recording loses at most, if its process is killed
 TRACK_COLOUR = (1.0, 0.35, 0.1, 0.8)
 NO_METADATA: Mapping[str, str] = {}
 
@@ -211,6 +212,11 @@ class FoxgloveLog:
         return self._messages.Quaternion(x=x, y=y, z=z, w=w)
 
 
+def partial_path(path: Path) -> Path:
+    """Where `McapWriter` writes what nobody can make again, until it is complete."""
+    return path.with_suffix(f".partial{path.suffix}")
+
+
 class McapWriter(FoxgloveLog, WrittenInBlock):
     """Writes scans, poses and tracks as they come; the file appears when it is complete.
 
@@ -223,6 +229,10 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         File to write; an older one is replaced when the new one is complete.
     tracks_frame : str
         Frame that tracks are given in.
+    is_live : bool
+        The items come once, from a robot. They are written to `NAME.partial.mcap` beside `path`,
+        which stays there if the process is killed or an error ends the block: recordings opened
+        with `recover` read all of it but the last 256 KiB. An older partial file is replaced.
 
     Raises
     ------
@@ -232,18 +242,22 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         foxglove-sdk is not installed.
     """
 
-    def __init__(self, path: str | Path, *, tracks_frame: str) -> None:
+    def __init__(self, path: str | Path, *, tracks_frame: str, is_live: bool = False) -> None:
         foxglove = require("foxglove", extra="viz", purpose="writing MCAP")
         super().__init__(foxglove.Context(), tracks_frame=tracks_frame)
-        self._path = Path(path)
+        self._path, self._is_live = Path(path), is_live
         check_place(self._path)
-        self._temporary = temporary_for(self._path)
+        self._temporary = partial_path(self._path) if is_live else temporary_for(self._path)
+        options = {"chunk_size": LIVE_CHUNK_BYTES} if is_live else {}
         self._writer = foxglove.open_mcap(
-            self._temporary, allow_overwrite=True, context=self._context
+            self._temporary,
+            allow_overwrite=True,
+            context=self._context,
+            writer_options=foxglove.mcap.MCAPWriteOptions(**options),
         )
 
     def close(self, *, keep: bool = True) -> None:
-        """Complete the file and put it in its place, or drop it.
+        """Complete the file and put it in its place, or drop it; a live one stays a partial file.
 
         Raises
         ------
@@ -257,7 +271,8 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         except RuntimeError as error:
             raise OSError(f"{self._path}: cannot be written: {error}; is the disk full?") from error
         finally:
-            self._temporary.unlink(missing_ok=True)
+            if not self._is_live:
+                self._temporary.unlink(missing_ok=True)
 
 
 @register_writer("Foxglove's messages", [".mcap"], "viz", takes="messages")

@@ -114,7 +114,7 @@ class McapOutput(Output):
     def publish(self, update: Update) -> None:
         """Append what viewers draw."""
         if self._writer is None:
-            self._writer = McapWriter(self._path, tracks_frame=update.frame_id)
+            self._writer = McapWriter(self._path, tracks_frame=update.frame_id, is_live=True)
         update.log_to(self._writer)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from uuid import uuid4
 
 from lidar_core.extras import require
 from lidar_core.io.write.ros import RosMessages
-from lidar_core.live.config import LiveConfig
+from lidar_core.live.config import CONNECT_TIMEOUT, LiveConfig
 from lidar_core.live.outputs.output import Output
 from lidar_core.live.outputs.ros import TRACKS, TYPES, ros_messages
 from lidar_core.live.outputs.update import Update
@@ -42,7 +42,7 @@ class ZenohOutput(Output):
         super().__init__(f"zenoh, {endpoint}, {config.namespace}/{TRACKS}")
         self._messages = RosMessages(2)
         self._ext = require("zenoh.ext", extra="live", purpose="ROS 2 over Zenoh")
-        self._session = open_session(endpoint, timeout=config.connect_timeout)
+        self._session = open_session(endpoint, timeout=CONNECT_TIMEOUT)
         self._config = config
         self._count = 0
         self._gid = uuid4().bytes

@@ -20,7 +20,7 @@ from lidar_core.io import ReadOptions, Topic
 from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.messages.ros import RosDecoder, kind_of, ros_name
 from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record
-from lidar_core.live.config import RETRY_INTERVAL, LiveConfig
+from lidar_core.live.config import CONNECT_TIMEOUT, RETRY_INTERVAL, LiveConfig
 from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.messages import Message
@@ -128,7 +128,7 @@ class FoxgloveSource(Source):
         return [f"{topic.name} ({topic.type})" for _, topic in sorted(topics.items())]
 
     def _work(self, inbox: Inbox) -> None:
-        end = time.monotonic() + self._config.connect_timeout
+        end = time.monotonic() + CONNECT_TIMEOUT
         was_there = False
         while not self._ended.is_set():
             try:
@@ -156,12 +156,12 @@ class FoxgloveSource(Source):
             subprotocols=list(PROTOCOLS),
             compression=None,
             max_size=self._options.max_record_bytes,
-            open_timeout=self._config.connect_timeout,
+            open_timeout=CONNECT_TIMEOUT,
         )
 
     def _unreachable(self) -> LinkError:
         return LinkError(
-            f"foxglove: no server at {self._address} within {self._config.connect_timeout:g} s"
+            f"foxglove: no server at {self._address} within {CONNECT_TIMEOUT:g} s"
             f" ({self._error}); start foxglove_bridge on the robot, or name"
             " another address: foxglove:ws://HOST:PORT"
         )

@@ -17,7 +17,7 @@ from lidar_core.io.messages.ros import (
     kind_of,
 )
 from lidar_core.io.records import Record
-from lidar_core.live.config import LiveConfig
+from lidar_core.live.config import CONNECT_TIMEOUT, LiveConfig
 from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.live.zenoh_link import (
@@ -64,7 +64,7 @@ class ZenohSource(Source):
     def start(self, inbox: Inbox) -> None:
         """Link and subscribe."""
         ext = require("zenoh.ext", extra="live", purpose="ROS 2 over Zenoh")
-        self._session = open_session(self._endpoint, timeout=self._config.connect_timeout)
+        self._session = open_session(self._endpoint, timeout=CONNECT_TIMEOUT)
         take: Callable[[Any], None] = partial(self._take, inbox)
         for key, is_kept in self._keys():
             if is_kept:  # those who publish once, and keep it for who comes later

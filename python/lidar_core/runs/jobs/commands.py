@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, cast
@@ -31,8 +32,14 @@ def options_of(command: str) -> set[str]:
     return {name for one in parameters if not getattr(one, "is_flag", False) for name in one.opts}
 
 
+@cache
+def command_line() -> Any:
+    """All commands, built once: that takes as long as a short job."""
+    return get_command(resolve_name(COMMAND_LINE))
+
+
 def _commands() -> Mapping[str, Any]:
-    known: Mapping[str, Any] = vars(get_command(resolve_name(COMMAND_LINE)))["commands"]
+    known: Mapping[str, Any] = vars(command_line())["commands"]
     return known
 
 

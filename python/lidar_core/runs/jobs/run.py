@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
-from pkgutil import resolve_name
 from time import perf_counter
 from typing import Any
 
@@ -17,11 +16,12 @@ import numpy as np
 from lidar_core.batch import JobRecord
 from lidar_core.batch.results import NOTE, flat
 from lidar_core.errors import ConfigError, FormatError, LidarCoreError
+from lidar_core.io.child.trust import trusted_files
 from lidar_core.io.remote import fetched, is_remote, joined, removed, stored, stored_file
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import RUN_FILE, build_digest
 from lidar_core.runs.catalogue import EVENTS, OBJECTS, events_of, objects_of
-from lidar_core.runs.jobs.commands import COMMAND_LINE, OVERFLIGHT, options_of
+from lidar_core.runs.jobs.commands import OVERFLIGHT, command_line, options_of
 
 LOG, TRACKS = "log.txt", "tracks"
 INPUT = "input"
@@ -157,7 +157,8 @@ def _tabled(workplace: Workplace, names: Mapping[str, str]) -> list[dict[str, An
     for note in sorted(workplace.folder.rglob(RUN_FILE)):
         run = f"{workplace.job}/{note.parent.relative_to(workplace.folder).as_posix()}"
         try:
-            objects, happened = (of(note.parent, run=run) for of in (objects_of, events_of))
+            with trusted_files():  # this process has just written them
+                objects, happened = (of(note.parent, run=run) for of in (objects_of, events_of))
         except (FormatError, KeyError):
             continue  # a run without objects, such as a training
         for table in (objects, happened):
@@ -207,7 +208,7 @@ def _told_by(command: Sequence[str], told: Path, threads: int) -> Any:
         more += ["--threads", str(threads)]
     arguments = [*command, *more]
     sys.argv = ["lidar-core", *arguments]
-    status = resolve_name(COMMAND_LINE)(arguments, standalone_mode=False)
+    status = command_line()(arguments, standalone_mode=False)
     if status:
         raise ChildProcessError(f"lidar-core {' '.join(command)}: exit status {status}, see {LOG}")
     if not told.is_file():

@@ -10,6 +10,7 @@ from lidar_core.circles import CirclesConfig
 from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import ReadOptions
+from lidar_core.io.write.mcap import partial_path
 from lidar_core.live import LiveConfig, Output, Source
 from lidar_core.live.metrics import MetricsServer
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
@@ -208,7 +209,8 @@ def check_files(
     places += [] if tape is None else [tape]
     counts = Counter(path.resolve() for path in places)
     of_run = [] if folder is None else [folder / MCAP]
-    for path in (*places, *of_run):
+    partial = [partial_path(path) for path in places if path.suffix == ".mcap"]
+    for path in (*places, *of_run, *partial):
         if path in of_run and counts[path.resolve()]:
             raise ConfigError(f"outputs: mcap:{path}: {folder} gets this file; leave it out")
         if counts[path.resolve()] > 1:
@@ -220,7 +222,8 @@ def check_files(
         if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
             raise ConfigError(f"{path}: expected another file than the one to read")
         if not overwrite:
-            raise ConfigError(f"{path}: exists; overwrite=True replaces it")
+            left = " (of a run that was killed; recover=True reads it)" if path in partial else ""
+            raise ConfigError(f"{path}: exists{left}; overwrite=True replaces it")
 
 
 def _file(text: str) -> Path | None:

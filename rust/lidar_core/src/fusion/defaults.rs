@@ -9,7 +9,7 @@ use super::models::motion::{NoiseForm, Prior};
 use super::models::platform::GyroUse;
 use super::sensors::sensing::Sensing;
 use super::targets::any_filter::{FusionParameters, Method, Strengths};
-use super::targets::lifecycle::{LifecycleRules, Loss};
+use super::targets::lifecycle::LifecycleRules;
 use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.
@@ -64,7 +64,7 @@ impl Default for LifecycleRules {
             start_rows: 6,
             gate: Self::gates(Some(GATE_PROBABILITY)).unwrap_or([f64::INFINITY; 5]),
             memory: Some(200.0),
-            loss: Some(Loss { ratio: 4.0, window: 10.0 }),
+            loss_ratio: Some(4.0),
             radar_starts_speed: true,
             starts_as_measured: false,
             gyro: GyroUse::Input,
@@ -121,7 +121,7 @@ impl FusionParameters {
                 start_rows: 1,
                 gate: [f64::INFINITY; 5],
                 memory: None,
-                loss: None,
+                loss_ratio: None,
                 ..LifecycleRules::default()
             },
             ..Self::default()

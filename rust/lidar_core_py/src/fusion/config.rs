@@ -7,7 +7,7 @@ use lidar_core::fusion::model::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
 use lidar_core::fusion::models::platform::GyroUse;
 use lidar_core::fusion::sensors::sensing::Sensing;
-use lidar_core::fusion::targets::lifecycle::{LifecycleRules, Loss};
+use lidar_core::fusion::targets::lifecycle::LifecycleRules;
 use lidar_core::fusion::{FusionParameters, Method, Model, Strengths};
 use pyo3::prelude::*;
 
@@ -36,7 +36,6 @@ pub(crate) struct FusionConfig {
     initial_acceleration: f64,
     gate_probability: Option<f64>,
     loss_ratio: Option<f64>,
-    loss_window: f64,
     sensor_noise: String,
     buffer_time: f64,
     sigma_spread: Option<f64>,
@@ -199,7 +198,7 @@ impl FusionConfig {
             start_rows: self.start_rows,
             gate: LifecycleRules::gates(self.gate_probability)?,
             memory: LifecycleRules::default().memory.filter(|_| estimates),
-            loss: self.loss_ratio.map(|ratio| Loss { ratio, window: self.loss_window }),
+            loss_ratio: self.loss_ratio,
             radar_starts_speed: choice("start_speed", &self.start_speed, &STARTS)?,
             starts_as_measured: false,
             gyro: choice("gyro", &self.gyro, &GYROS)?,

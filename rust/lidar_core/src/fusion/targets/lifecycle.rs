@@ -5,6 +5,9 @@ use crate::estimation::chi2;
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::models::platform::GyroUse;
 
+/// Number of measurements over which the NIS is averaged to tell that a filter is lost.
+const LOSS_WINDOW: f64 = 10.0;
+
 /// Rules for the life of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LifecycleRules {
@@ -15,8 +18,9 @@ pub struct LifecycleRules {
     /// Number of measurements over which the noise of a sensor is estimated; None: the configured
     /// noise is believed, and gates decide alone.
     pub memory: Option<f64>,
-    /// Condition for a lost filter; None for never.
-    pub loss: Option<Loss>,
+    /// The filter is lost when the NIS per degree of freedom, averaged over 10
+    /// measurements, is above this; 1 is expected; None for never.
+    pub loss_ratio: Option<f64>,
     /// Use the range rate of a first radar measurement as the speed along the line of sight.
     pub radar_starts_speed: bool,
     /// A target starts with the covariance of its first position instead of that of the prior.
@@ -25,15 +29,6 @@ pub struct LifecycleRules {
     pub gyro: GyroUse,
     /// Time for which measurements are kept, so that late ones can be inserted [ns].
     pub buffer_ns: i64,
-}
-
-/// A filter is lost when its NIS stays above what its covariances allow.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Loss {
-    /// Number of measurements over which the NIS is averaged.
-    pub window: f64,
-    /// NIS per degree of freedom above which the filter is lost; 1 is expected.
-    pub ratio: f64,
 }
 
 impl LifecycleRules {
@@ -54,10 +49,10 @@ impl LifecycleRules {
     /// Outcome of an innovation: accepted, rejected, or filter lost; `average` is the NIS per
     /// value.
     pub(crate) fn check(&self, average: &mut f64, innovation: &Innovation) -> Outcome {
-        if let Some(Loss { window, ratio }) = self.loss {
+        if let Some(ratio) = self.loss_ratio {
             let share = innovation.nis / innovation.count as f64;
-            let share = share.min(ratio * window / 3.0); // one outlier alone is no loss
-            *average += (share - *average) / window;
+            let share = share.min(ratio * LOSS_WINDOW / 3.0); // one outlier alone is no loss
+            *average += (share - *average) / LOSS_WINDOW;
             if *average > ratio {
                 return Outcome::Restarted;
             }

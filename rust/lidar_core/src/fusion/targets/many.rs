@@ -78,7 +78,12 @@ impl ManyTargets {
         let starts_as_measured = matches!(parameters.association, TargetAssociation::Integrated(_));
         let filter = parameters.filter.without_buffer(); // tracks get scans in order
         let filter = FusionParameters {
-            life: LifecycleRules { memory: None, loss: None, starts_as_measured, ..filter.life },
+            life: LifecycleRules {
+                memory: None,
+                loss_ratio: None,
+                starts_as_measured,
+                ..filter.life
+            },
             ..filter
         };
         Ok(Self {
@@ -276,7 +281,7 @@ mod tests {
             life: LifecycleRules {
                 start_rows: 1,
                 gate: LifecycleRules::gates(Some(0.99))?,
-                loss: None,
+                loss_ratio: None,
                 buffer_ns: 0,
                 ..LifecycleRules::default()
             },

@@ -219,7 +219,7 @@ mod tests {
             let base = FusionParameters { model, method, ..FusionParameters::default() };
             let gate = LifecycleRules::gates(Some(0.99))?;
             let life =
-                LifecycleRules { start_rows: 2, memory: None, loss: None, gate, ..base.life };
+                LifecycleRules { start_rows: 2, memory: None, loss_ratio: None, gate, ..base.life };
             let mut sensing = base.sensing;
             sensing.convert_radar = method == Method::Linear;
             let parameters = FusionParameters { life, sensing, ..base }.without_buffer();

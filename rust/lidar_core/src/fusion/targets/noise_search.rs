@@ -47,7 +47,7 @@ pub fn log_likelihood(
     let open = LifecycleRules {
         gate: [f64::INFINITY; 5],
         memory: None,
-        loss: None,
+        loss_ratio: None,
         buffer_ns: 0,
         ..parameters.life
     };
