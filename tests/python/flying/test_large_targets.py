@@ -1,4 +1,4 @@
-"""Large targets: found from the first scan on and after they have hovered; what is large and stands is not."""
+"""Large targets: found from the first scan on and after they have hovered; what stands is not."""
 
 from functools import cache
 
@@ -17,9 +17,10 @@ CRATE = sim.Box(size=(1.4, 1.4, 0.8))
 
 @cache
 def flown(shape, ways, times):
-    """Distance to the nearest flying track of every scan [m], place of the target, flying tracks elsewhere."""
+    """Of every scan: distance of the nearest flying track, place [m]; flying tracks elsewhere."""
     motion = Waypoints(times=times, positions=ways)
-    scene = yard(Target(shape=shape, motion=motion), scans=36, lidar=lidar(40, 240, half_deg=22.0))
+    sensor = lidar(40, 240, half_deg=22.0)  # the lower edge of its view cuts off what is near
+    scene = yard(Target(shape=shape, motion=motion), scans=36, lidar=sensor)
     detector, away, places, others = FlyingObjectDetector(), [], [], 0
     for one in scans_of(scene):
         tracks = feed(detector, one).tracks.flying

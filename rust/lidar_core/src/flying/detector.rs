@@ -221,7 +221,6 @@ impl FlyingObjectDetector {
                 if parameters.tells_movers() {
                     movers.find(&scan.points, classifier.class(), &local.map, stamp_ns);
                     classifier.lift(&input, movers.in_air());
-                    movers.leave_out_flying(classifier.class());
                 }
                 Ok::<_, Error>([cluster_ms, classify_ms + clock.lap()])
             })

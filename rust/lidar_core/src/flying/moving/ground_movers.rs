@@ -122,17 +122,10 @@ impl GroundMovers {
             }
             let mut below = |&at: &usize| Below::of(&mut cursor, places[at], steps, is_entered);
             let below: Vec<Below> = part.iter().map(&mut below).collect();
-            // A table in front of it may hide a part of what is below it.
-            let count = |wanted: Below| below.iter().filter(|&&one| one == wanted).count();
-            let (n_on, n_unseen) = (count(Below::Occupied), count(Below::Unseen));
-            let is_in_air = n_on == 0 && 2 * n_unseen < part.len();
+            let is_in_air = below.iter().all(|&one| one == Below::Free);
             for &at in &part {
-                if is_in_air {
-                    self.in_air.extend(&rows[movers[at]]);
-                }
-                if n_on + n_unseen > 0 {
-                    self.rows.extend(&rows[movers[at]]);
-                }
+                let found = if is_in_air { &mut self.in_air } else { &mut self.rows };
+                found.extend(&rows[movers[at]]);
             }
             entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
         }
@@ -215,11 +208,6 @@ impl GroundMovers {
             rows.last_mut().into_iter().for_each(|rows| rows.push(row));
         }
         (voxels, rows)
-    }
-
-    /// Leave out the points of what flies after all.
-    pub(crate) fn leave_out_flying(&mut self, class: &[PointClass]) {
-        self.rows.retain(|&row| class[row as usize] != PointClass::Flying);
     }
 
     /// Add the points of something that a track of a ground mover follows.
