@@ -19,7 +19,7 @@ CRATE = sim.Box(size=(1.4, 1.4, 0.8))
 def flown(shape, ways, times):
     """Of every scan: distance of the nearest flying track, place [m]; flying tracks elsewhere."""
     motion = Waypoints(times=times, positions=ways)
-    sensor = lidar(40, 240, half_deg=22.0)  # the lower edge of its view cuts off what is near
+    sensor = lidar(48, 240, half_deg=30.0)
     scene = yard(Target(shape=shape, motion=motion), scans=36, lidar=sensor)
     detector, away, places, others = FlyingObjectDetector(), [], [], 0
     for one in scans_of(scene):
