@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz memory nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills memory nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -83,6 +83,10 @@ fuzz: ## Fuzz every target in turn, guided by coverage: MINUTES=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m fuzz_house --minutes $(MINUTES) \
 	    --folder $(CARGO_TARGET_DIR)/fuzz $(if $(EVIDENCE),--evidence)
 	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+
+KILLS ?= 300
+kills: ## Kill commands that write at any time, and look at what they leave: KILLS=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.kills --count $(KILLS)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory
