@@ -95,14 +95,22 @@ def frame(points, origin, passing, std):
     shift_std = min(0.5 / np.sqrt(count), 0.2) * radius
     lift = 0.06 * level * radius * (np.eye(3)[2] - sight[2] * sight)
     along = np.outer(sight, sight)
+    depth = (points - centroid) @ sight
+    half = max(reach, np.ptp(depth) / 2)
+    large = np.interp(half, [0.45, 0.65], [0, 1])
+    across = np.array([-sight[1], sight[0], 0.0])
+    across = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-9 else np.eye(3)[1]
+    axes = np.stack([across, np.cross(sight, across)])
+    behind = shift * sight + (1 - large) * lift + large * (middle @ axes)
     covariance = (
         scatter / count
-        + (np.eye(3) - along) * (gap**2 / (12 * np.sqrt(count)) + 0.02**2)
-        + along * (shift_std**2 + std**2 / count)
+        + (np.eye(3) - along)
+        * (gap**2 / (12 * np.sqrt(count)) + 0.02**2 + (0.03 * large * half) ** 2)
+        + along * (shift_std**2 + (0.1 * large * half) ** 2 + std**2 / count)
     )
     size = max(reach, 0.05)
     return (
-        centroid + shift * sight + lift,
+        centroid + behind,
         covariance,
         radius,
         share,
@@ -186,6 +194,7 @@ def target_center(points, origins, passing, std):
     center, spread, size, squares = ball(points, hits, near, std, start)
     ratio = (squares + 4) / (max(len(points) - 4, 0) + 2)
     weight = np.clip((share - 0.4) / 0.15, 0, 1) * expit(3 * (2 - ratio))
+    weight *= min(1, 1.5 * radius / size) ** 8
     offset = center - position
     mixed = weight * spread + (1 - weight) * covariance
     mixed += weight * (1 - weight) * np.outer(offset, offset)

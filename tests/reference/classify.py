@@ -148,10 +148,13 @@ def flying_or_unknown(vmap: VoxelMap, points, extent: float, origin, config) -> 
     inside = all(vmap.admits(vmap.voxel_at(point)) for point in points)
     if len(points) < config.min_points or too_large or too_far or upright or not inside:
         return UNKNOWN
+    search_distance = config.search_distance
+    if config.shadow == "own":  # a way out leads away from the cluster, not across it
+        search_distance = max(search_distance, 0.5 * search_distance + width + depth + height)
     floating = is_floating(
         vmap,
         points,
-        config.search_distance,
+        search_distance,
         open_border=config.border == "open",
         is_wall=Shadow(vmap, points, origin) if config.shadow == "own" else None,
         expand_start=config.own_voxels == "expanded",

@@ -133,6 +133,8 @@ impl FlyingObjectDetector {
         self.tracker.check_room(self.classifier.count_of(PointClass::Flying))?;
 
         // The last stage that may refuse the scan.
+        let seed = &self.parameters.seed;
+        self.static_points.look(&self.scan.points, gate, seed, &self.local.map);
         let stats = self.update_map(&noise, cast)?;
         self.map_what_stands();
         let standing = self.accept(raw, burn_in, gate);
@@ -202,12 +204,14 @@ impl FlyingObjectDetector {
         let follows = parameters.classify.follow_tracks;
         let targets = if follows { tracker.expected_at(stamp_ns) } else { Vec::new() };
         let expected = near_structure(targets, &local.map, distance);
+        let in_air = movers.beside_air(&scan.points, local.map.lattice());
         let input = ScanToClassify {
             scan,
             local,
             background_extent,
             parameters,
             expected: &expected,
+            in_air: &in_air,
             pool,
         };
         let watch = cancel::watch();
@@ -216,6 +220,7 @@ impl FlyingObjectDetector {
                 let [cluster_ms, classify_ms] = classifier.classify(&input, clock)?;
                 if parameters.tells_movers() {
                     movers.find(&scan.points, classifier.class(), &local.map, stamp_ns);
+                    classifier.lift(&input, movers.in_air());
                 }
                 Ok::<_, Error>([cluster_ms, classify_ms + clock.lap()])
             })
@@ -262,8 +267,15 @@ impl FlyingObjectDetector {
         if parameters.classify.after_update {
             let background_extent = burn_in.background_extent(parameters);
             let pool = workers.pool();
-            let input =
-                ScanToClassify { scan, local, background_extent, parameters, expected: &[], pool };
+            let input = ScanToClassify {
+                scan,
+                local,
+                background_extent,
+                parameters,
+                expected: &[],
+                in_air: &[],
+                pool,
+            };
             classifier.reclassify(&input)?;
         }
         Ok(stats)
@@ -291,7 +303,8 @@ impl FlyingObjectDetector {
         }
         let distance = classify.close_distance;
         let map = &mut local.map;
-        let standing = static_points.take(&scan.points, gate, seed, distance, map, tracker);
+        let (points, clusters) = (&scan.points, classifier.clusters());
+        let standing = static_points.take(points, clusters, gate, seed, distance, map, tracker);
         classifier.flying_in(&standing, &scan.points, map.lattice())
     }
 
@@ -322,9 +335,9 @@ impl FlyingObjectDetector {
         let mut found = detect(&input, classifier.clusters(), classifications);
         watch(tracker, &input, classifier, standing, stamp_ns);
         let (background_extent, pool) = (burn_in.background_extent(parameters), workers.pool());
-        let expected = &[]; // the classes are known
+        let (expected, in_air) = (&[], &[]); // the classes are known
         let classified =
-            ScanToClassify { scan, local, background_extent, parameters, expected, pool };
+            ScanToClassify { scan, local, background_extent, parameters, expected, in_air, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
         add_followed(&input, &local.map, classifier, &mut found, &followed.rows);
         for index in followed.on_ground.iter().filter_map(|&row| classifier.cluster_of(row)) {

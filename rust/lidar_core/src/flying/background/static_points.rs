@@ -2,7 +2,8 @@
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;
-use crate::flying::map::blocks::Place;
+use crate::flying::classify::clusters::Clusters;
+use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::reporting_gate::ReportingGate;
 use crate::flying::track::PointCloudTracker;
@@ -16,15 +17,26 @@ use std::hash::BuildHasherDefault;
 /// Coordinates are summed up as integers, so that the order of the points cannot matter.
 const UNITS_PER_METRE: f64 = 65_536.0;
 
+/// What stands misses so many scans one after the other, where rays show that nothing is there, with at most
+/// this probability: it has come, or gone.
+const NOT_BY_CHANCE: f64 = 0.01;
+/// Of the voxels of a cluster that moves, so many have come. A large one covers others all the time.
+const COME_SHARE: f64 = 0.3;
+
 /// Stage that finds what stands still during the burn-in: the points of every voxel so far.
 #[derive(Clone, Default)]
 pub(crate) struct StaticPoints {
     voxels: HashMap<Place, PointsOfVoxel, BuildHasherDefault<KeyHasher>>,
+    /// Voxels that were free before the newest scan, which is the first with points in them, ascending.
+    entered: Vec<Voxel>,
 }
 
 /// Points in one voxel.
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct PointsOfVoxel {
+    /// Rays had shown it free before the first scan with points in it.
+    was_free: bool,
+    first_scan: u32,
     scans: u32,
     last_scan: u32,
     /// Sums of coordinates and numbers of points in both halves.
@@ -32,12 +44,34 @@ pub(crate) struct PointsOfVoxel {
 }
 
 impl StaticPoints {
+    /// Look at what a scan of the burn-in is about to change: voxels that are free.
+    pub(crate) fn look(
+        &mut self,
+        points: &[[f32; 3]],
+        gate: ReportingGate,
+        seed: &SeedParameters,
+        map: &VoxelMap,
+    ) {
+        self.entered.clear();
+        if !matches!(gate, ReportingGate::BurnIn { .. }) || seed.standing_scans == 0 {
+            return;
+        }
+        let mut cursor = Cursor::new(&map.blocks);
+        let mut is_free = |voxel: &Voxel| map.known(cursor.stored(*voxel)) < map.uncertain_from();
+        let all = points.iter().filter_map(|&point| floor(map.lattice().scaled(wide(point))));
+        let new = all.filter(|voxel| !self.voxels.contains_key(&Place(*voxel)));
+        self.entered.extend(new.filter(|voxel| is_free(voxel)));
+        self.entered.sort_unstable();
+        self.entered.dedup();
+    }
+
     /// Take a scan of the burn-in; after its last one, what stood still all the time becomes
-    /// background in `map`, further than `distance` [m] from tracks that moved: the voxels of it, in
-    /// ascending order. Other scans give none, and those after the burn-in change nothing.
+    /// background in `map`, further than `distance` [m] from the boxes of tracks that moved: the voxels of
+    /// it, in ascending order. Other scans give none, and those after the burn-in change nothing.
     pub(crate) fn take(
         &mut self,
         points: &[[f32; 3]],
+        clusters: &Clusters,
         gate: ReportingGate,
         seed: &SeedParameters,
         distance: f64,
@@ -54,10 +88,12 @@ impl StaticPoints {
             return Vec::new();
         }
         let moving = tracker.moved_by(seed.standing_track_distance);
-        let mut standing = self.voxels(BurnIn::standing(seed, of), seed.standing_shift);
+        let mut standing = self.voxels(BurnIn::standing(seed, of), seed.standing_shift, of, map);
+        let moved = self.of_moving_clusters(points, clusters, of, map);
+        standing.retain(|voxel| moved.binary_search(voxel).is_err());
         standing.retain(|&voxel| {
             let center = lattice.center(voxel);
-            moving.iter().all(|&position| norm(minus(position, center)) > distance)
+            moving.iter().all(|&(position, half)| norm(minus(position, center)) > distance + half)
         });
         map.keep(&standing);
         self.clear();
@@ -73,6 +109,10 @@ impl StaticPoints {
             let Some(voxel) = floor(lattice.scaled(point)) else { continue };
             let of_voxel = self.voxels.entry(Place(voxel)).or_default();
             if of_voxel.last_scan != scan {
+                if of_voxel.scans == 0 {
+                    of_voxel.first_scan = scan;
+                    of_voxel.was_free = self.entered.binary_search(&voxel).is_ok();
+                }
                 of_voxel.scans += 1;
                 of_voxel.last_scan = scan;
             }
@@ -87,17 +127,48 @@ impl StaticPoints {
     }
 
     /// Voxels that held points in at least `scans` scans, which moved by at most `shift` [m]
-    /// between the halves of the burn-in, in ascending order.
-    fn voxels(&self, scans: u32, shift: f64) -> Vec<Voxel> {
-        let stands = |points: &PointsOfVoxel| points.scans >= scans && points.shift() <= shift;
-        let mut voxels: Vec<Voxel> = self
-            .voxels
-            .iter()
-            .filter(|(_, points)| stands(points))
-            .map(|(place, _)| place.0)
-            .collect();
+    /// between the halves of the burn-in of `of` scans, and neither came nor went, in ascending order.
+    fn voxels(&self, scans: u32, shift: f64, of: u32, map: &VoxelMap) -> Vec<Voxel> {
+        let mut cursor = Cursor::new(&map.blocks);
+        let mut stands = |place: &Place, points: &PointsOfVoxel| {
+            let is_free = map.known(cursor.stored(place.0)) < map.uncertain_from();
+            points.scans >= scans && points.shift() <= shift && !points.has_moved(of, is_free)
+        };
+        let all = self.voxels.iter().filter(|(place, points)| stands(place, points));
+        let mut voxels: Vec<Voxel> = all.map(|(place, _)| place.0).collect();
         voxels.sort_unstable();
         voxels
+    }
+
+    /// Voxels of the clusters of the last scan which move, in ascending order: many of their voxels have come.
+    fn of_moving_clusters(
+        &self,
+        points: &[[f32; 3]],
+        clusters: &Clusters,
+        of: u32,
+        map: &VoxelMap,
+    ) -> Vec<Voxel> {
+        let mut found = Vec::new();
+        for cluster in (0..clusters.len())
+            .filter(|&index| !clusters.is_joined(index))
+            .map(|index| clusters.get(index))
+        {
+            let voxel =
+                |row: &u32| floor(map.lattice().scaled(wide(points[*row as usize]))).map(Place);
+            let mut own: Vec<Place> = cluster.members.iter().filter_map(voxel).collect();
+            own.sort_unstable();
+            own.dedup();
+            let has_come = |place: &&Place| {
+                self.voxels.get(place).is_some_and(|points| points.has_moved(of, false))
+            };
+            let n_come = own.iter().filter(has_come).count();
+            if n_come > 1 && n_come as f64 >= COME_SHARE * own.len() as f64 {
+                found.extend(own.into_iter().map(|place| place.0));
+            }
+        }
+        found.sort_unstable();
+        found.dedup();
+        found
     }
 
     /// State that goes on to the same bits, in ascending order of voxels.
@@ -110,7 +181,7 @@ impl StaticPoints {
 
     /// Points from a saved state.
     pub(crate) fn restored(saved: Vec<(Place, PointsOfVoxel)>) -> Self {
-        Self { voxels: saved.into_iter().collect() }
+        Self { voxels: saved.into_iter().collect(), entered: Vec::new() }
     }
 
     /// Forget all scans.
@@ -120,6 +191,17 @@ impl StaticPoints {
 }
 
 impl PointsOfVoxel {
+    /// Whether points have come or gone in a burn-in of `of` scans, rather than missed so many scans by chance:
+    /// of those at its beginning and at its end those count in which nothing was there, as far as rays
+    /// tell; `is_free` is that at its end.
+    fn has_moved(&self, of: u32, is_free: bool) -> bool {
+        let span = self.last_scan - self.first_scan + 1;
+        let before = if self.was_free { self.first_scan - 1 } else { 0 };
+        let after = if is_free { of.saturating_sub(self.last_scan) } else { 0 };
+        let misses = 1.0 - f64::from(self.scans + 1) / f64::from(span + 2);
+        misses.powi((before + after).cast_signed()) < NOT_BY_CHANCE
+    }
+
     /// Distance between the mean points of both halves [m]; infinite if one is empty.
     fn shift(&self) -> f64 {
         let [(early, n_early), (late, n_late)] = self.halves;
@@ -135,6 +217,26 @@ impl PointsOfVoxel {
 mod tests {
     use super::*;
     use crate::Error;
+    use crate::flying::map::parameters::tests::parameters;
+
+    #[test]
+    fn what_comes_or_goes_where_space_is_free_has_moved() {
+        let seen = |first_scan, last_scan, scans, was_free| PointsOfVoxel {
+            was_free,
+            first_scan,
+            last_scan,
+            scans,
+            halves: Default::default(),
+        };
+        assert!(seen(5, 10, 6, true).has_moved(10, false));
+        assert!(seen(1, 6, 6, false).has_moved(10, true));
+        assert!(seen(3, 8, 6, true).has_moved(10, true));
+        // It was hidden at first, or is now; it is hit now and then; it is there all the time.
+        assert!(!seen(5, 10, 6, false).has_moved(10, false));
+        assert!(!seen(1, 6, 6, false).has_moved(10, false));
+        assert!(!seen(3, 9, 5, true).has_moved(10, true));
+        assert!(!seen(1, 10, 10, true).has_moved(10, true));
+    }
 
     #[test]
     fn what_moves_through_a_voxel_does_not_stand() -> Result<(), Error> {
@@ -150,9 +252,10 @@ mod tests {
                 10,
             );
         }
-        assert_eq!(standing.voxels(6, 0.04), [[0, 0, 0]]);
-        assert_eq!(standing.voxels(3, 0.04), [[0, 0, 0], [8, 0, 0]]);
-        assert_eq!(standing.voxels(6, 0.25), [[0, 0, 0], [0, 4, 0]]);
+        let map = VoxelMap::new(parameters())?; // nothing is free
+        assert_eq!(standing.voxels(6, 0.04, 10, &map), [[0, 0, 0]]);
+        assert_eq!(standing.voxels(3, 0.04, 10, &map), [[0, 0, 0], [8, 0, 0]]);
+        assert_eq!(standing.voxels(6, 0.25, 10, &map), [[0, 0, 0], [0, 4, 0]]);
         Ok(())
     }
 }

@@ -290,8 +290,13 @@ impl ClusterRules<'_> {
             return None; // nothing is known outside the operating volume
         }
         let shadow = p.own_shadow.then(|| Shadow::of(points, self.origin, lattice));
-        let explored = if p.search_adds_extent {
-            let distance = p.search_distance + cluster.diagonal();
+        // What is uncertain within the cluster itself, or where it has just been, is no way out: that leads
+        // away from it. Steps are counted from each voxel of it, those across it too.
+        let across: f64 = cluster.extent().iter().sum();
+        let away = if p.own_shadow { across + 0.5 * p.search_distance } else { 0.0 };
+        let explored = if p.search_adds_extent || away > p.search_distance {
+            let added = if p.search_adds_extent { cluster.diagonal() } else { 0.0 };
+            let distance = (p.search_distance + added).max(away);
             let mut memory = flood::Memory::default(); // too much to keep
             let flood = Flood::wider(self.map, distance, p.open_border, p.expand_own, &mut memory);
             self.explored(flood, voxels, shadow.as_ref())
@@ -305,6 +310,26 @@ impl ClusterRules<'_> {
             explored,
             clearance,
             is_expected: false,
+        })
+    }
+
+    /// The classification as flying of a cluster of the right size with free voxels around it, wherever ways
+    /// out of these lead.
+    pub(crate) fn in_free_shell(&self, cluster: &Cluster<'_>) -> Option<Classification> {
+        let p = self.parameters;
+        if cluster.members.len() < p.min_points || self.is_gated(cluster, cluster.diagonal()) {
+            return None;
+        }
+        let mut scratch = Scratch::default();
+        let points = cluster.members.iter().map(|&row| wide(self.points[row as usize]));
+        scratch.take(points, self.map.lattice());
+        let Scratch { voxels, shell, .. } = &mut scratch;
+        let clearance = self.clearance(voxels, shell);
+        let is_inside = voxels.iter().all(|&voxel| self.map.admits(voxel));
+        (is_inside && clearance >= p.min_clearance).then_some(Classification {
+            class: PointClass::Flying,
+            clearance,
+            ..Classification::default()
         })
     }
 

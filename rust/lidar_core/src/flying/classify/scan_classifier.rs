@@ -4,36 +4,25 @@ use super::classifier::{Classification, Classifier, ClusterRules, reclassify};
 use super::clusters::{Cluster, Clusters};
 use super::expected::ExpectedIn;
 use super::explained::{Explained, is_explained};
-use super::occupied_nearby::OccupiedNearby;
+use super::may_fly::{is_alone, may_fly};
 use crate::Error;
 use crate::flying::map::local_map::LocalMap;
-use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::{PointClass, replace};
 use crate::flying::scan::prepared::Prepared;
-use crate::flying::sky::ON_GROUND;
 use crate::flying::sky::source::SkySource;
 use crate::flying::track::ExpectedTarget;
 use crate::geometry::cluster::angular_gap::AngularGap;
 use crate::geometry::cluster::joined::JoinedLabeller;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
-use crate::geometry::transform::{minus, norm};
+use crate::geometry::transform::norm;
 use crate::util::cancel;
 use crate::util::stopwatch::Clock;
 use rayon::ThreadPool;
 
-/// Things that are no higher than this and lie as low as the lowest returns are patches of ground
-/// [m].
-const FLAT: f64 = 0.1;
 /// Gaps of so many times the angle between rays are inside a cluster, up to the second value [rad].
 const GAP: f64 = 3.0;
 const WIDEST_GAP: f64 = 0.06;
-/// Points this near to a small cluster may be of the same target, and up to the second distance none
-/// may be beside it [m].
-const OWN_RADIUS: f64 = 0.75;
-const ALONE_RADIUS: f64 = 2.0;
-/// Mirror images are this far from what they show, at most [m]: the floor is not quite flat.
-const MIRROR_ERROR: f64 = 0.75;
 
 /// Inputs of the classification of a scan.
 #[derive(Clone, Copy)]
@@ -46,6 +35,8 @@ pub(crate) struct ScanToClassify<'a> {
     pub(crate) parameters: &'a FlyingParameters,
     /// Targets that tracks predict near structure.
     pub(crate) expected: &'a [ExpectedTarget],
+    /// Rows beside what moved in the air, ascending: the map may explain them wrongly.
+    pub(crate) in_air: &'a [usize],
     pub(crate) pool: Option<&'a ThreadPool>,
 }
 
@@ -146,6 +137,61 @@ impl ScanClassifier {
     /// Clusters that fly since tracks predict them, although structure is near.
     pub(crate) fn claimed(&self) -> &[usize] {
         &self.claimed
+    }
+
+    /// Classify again the clusters of which most points, in the ascending `rows`, are of what moves in the
+    /// air, with nothing close below. Of background nothing but its own points of earlier scans explains
+    /// these: they are unknown. What is unknown since a way leads from it into space that was never
+    /// observed, such as that behind a table, flies if free space is around it.
+    pub(crate) fn lift(&mut self, input: &ScanToClassify<'_>, rows: &[u32]) {
+        if rows.is_empty() {
+            return;
+        }
+        let (map, scan, p) = (&input.local.map, input.scan, &input.parameters.classify);
+        let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
+        let rules = ClusterRules { map, points, origin, parameters: p };
+        let limit = input.background_extent.unwrap_or(f64::INFINITY);
+        let beside = p.group_distance.unwrap_or(0.0);
+        let mut is_changed = false;
+        for index in 0..self.classifications.len() {
+            let (cluster, class) = (self.clusters.get(index), self.classifications[index].class);
+            let of_it = |row: &&u32| rows.binary_search(row).is_ok();
+            if class == PointClass::Flying
+                || self.clusters.is_joined(index)
+                || cluster.diagonal() > limit
+                || 2 * cluster.members.iter().filter(of_it).count() <= cluster.members.len()
+            {
+                continue;
+            }
+            let found = if class == PointClass::Unknown && may_fly(map, scan, &cluster) {
+                let is_apart = || !self.is_beside_background(points, &cluster, beside);
+                rules.in_free_shell(&cluster).filter(|_| is_apart())
+            } else {
+                None
+            };
+            let unknown = Classification { class: PointClass::Unknown, ..Default::default() };
+            self.classifications[index] = found.unwrap_or(unknown);
+            is_changed = true;
+        }
+        if is_changed {
+            self.class_rows(input.scan);
+        }
+    }
+
+    /// True if a background point lies within `distance` [m] of the box around a cluster.
+    fn is_beside_background(
+        &self,
+        points: &[[f32; 3]],
+        cluster: &Cluster<'_>,
+        distance: f64,
+    ) -> bool {
+        points.iter().zip(&self.class).any(|(&point, &class)| {
+            let place = wide(point);
+            let away = |axis: usize| {
+                (cluster.low[axis] - place[axis]).max(place[axis] - cluster.high[axis]).max(0.0)
+            };
+            class == PointClass::Background && norm([0, 1, 2].map(away)) <= distance
+        })
     }
 
     /// Evaluate rule B again, on the map after the scan.
@@ -275,6 +321,11 @@ impl ScanClassifier {
         cancel::check()?;
         expected.clear();
         expected.extend(input.expected().rows());
+        if !input.in_air.is_empty() {
+            expected.extend(input.in_air);
+            expected.sort_unstable();
+            expected.dedup();
+        }
         let is_joined = explained.find(points, &input.local.map, parameters, input.pool, expected);
         cancel::check()?;
         match is_joined {
@@ -329,35 +380,4 @@ fn classify_clusters_of(
         }
     }
     Ok(())
-}
-
-/// True if no point is beside a place, other than those that may be of the same target.
-fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
-    let is_beside = |point: &[f32; 3]| {
-        let distance = norm(minus(wide(*point), place));
-        distance > OWN_RADIUS && distance <= ALONE_RADIUS
-    };
-    !points.iter().any(is_beside)
-}
-
-/// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if there
-/// is no background yet to tell it from.
-fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
-    let is_own = |row: &&u32| scan.maybe_own.get(**row as usize).copied().unwrap_or(false);
-    let may_be_own = || 2 * cluster.members.iter().filter(is_own).count() > cluster.members.len();
-    let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
-    let is_at_floor = scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);
-    let is_on_ground = is_flat || is_at_floor || cluster.low[2] < scan.ground;
-    !may_be_own()
-        && !is_on_ground
-        && map.has_background()
-        && !is_mirrored(map, scan, cluster.centroid)
-}
-
-/// True if a place lies below flat ground and its mirror image above is occupied: points there
-/// are reflections.
-fn is_mirrored(map: &VoxelMap, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
-    scan.floor.filter(|floor| z < floor - ON_GROUND).is_some_and(|floor| {
-        OccupiedNearby::new(map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z])
-    })
 }

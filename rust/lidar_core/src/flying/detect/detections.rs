@@ -3,6 +3,7 @@
 use super::center::Center;
 use super::detection::{Detection, Teammate};
 use super::hole::is_joined;
+use super::parts::UnitedClusters;
 use super::surroundings::{are_rays_lost_below, is_among_surfaces};
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Classification;
@@ -41,14 +42,15 @@ pub(crate) struct ScanDetections {
 pub(crate) fn detect<'c>(
     input: &ScanToDetect<'_>,
     clusters: &Clusters,
-    classifications: impl Iterator<Item = (usize, &'c Classification)> + Clone,
+    classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> ScanDetections {
-    let ScanToDetect { scan, view, .. } = *input;
+    let ScanToDetect { scan, view, parameters, .. } = *input;
     let mut found = ScanDetections::default();
-    let mut centers = centers(input, clusters, classifications.clone()).into_iter();
-    let is_flying = flying_rows(scan, clusters, classifications.clone());
-    for (index, classification) in classifications {
-        let cluster = clusters.get(index);
+    let longest = parameters.classify.max_extent;
+    let united = UnitedClusters::of(&scan.points, clusters, classifications, longest);
+    let mut centers = centers(input, united.iter(clusters)).into_iter();
+    let is_flying = flying_rows(scan, united.iter(clusters));
+    for (cluster, classification) in united.iter(clusters) {
         let mate = input
             .teammate_at(cluster.centroid)
             .filter(|_| classification.class != PointClass::Background);
@@ -89,35 +91,33 @@ pub(crate) fn detect<'c>(
 }
 
 /// For every flying cluster the centre behind its points, if centres are asked for.
-fn centers<'c>(
+fn centers<'a>(
     input: &ScanToDetect<'_>,
-    clusters: &Clusters,
-    classifications: impl Iterator<Item = (usize, &'c Classification)>,
+    clusters: impl Iterator<Item = (Cluster<'a>, &'a Classification)>,
 ) -> Vec<Center> {
     let flies = |classification: &Classification| {
         input.parameters.centers && classification.class == PointClass::Flying
     };
-    let flying = classifications.filter(|(_, classification)| flies(classification));
-    let rows: Vec<&[u32]> = flying.map(|(index, _)| clusters.get(index).members).collect();
+    let flying = clusters.filter(|(_, classification)| flies(classification));
+    let rows: Vec<&[u32]> = flying.map(|(cluster, _)| cluster.members).collect();
     input.view.centers_of(&rows)
 }
 
 /// Whether each row of a scan is of a flying cluster; empty where no hole has to be asked for: rays
 /// without return are given, or the air is full of droplets, which take returns away everywhere.
-fn flying_rows<'c>(
+fn flying_rows<'a>(
     scan: &Prepared,
-    clusters: &Clusters,
-    classifications: impl Iterator<Item = (usize, &'c Classification)>,
+    clusters: impl Iterator<Item = (Cluster<'a>, &'a Classification)>,
 ) -> Vec<bool> {
     let observation = scan.sky_observation.as_ref();
     if observation.is_none_or(|observation| !observation.is_droplet().is_empty()) {
         return Vec::new();
     }
     let mut is_flying = vec![false; scan.points.len()];
-    for (index, _) in
-        classifications.filter(|(_, classification)| classification.class == PointClass::Flying)
+    for (cluster, _) in
+        clusters.filter(|(_, classification)| classification.class == PointClass::Flying)
     {
-        clusters.get(index).members.iter().for_each(|&row| is_flying[row as usize] = true);
+        cluster.members.iter().for_each(|&row| is_flying[row as usize] = true);
     }
     is_flying
 }

@@ -5,5 +5,6 @@ pub mod detection;
 pub(crate) mod detections;
 pub(crate) mod follow_up;
 pub(crate) mod hole;
+pub(crate) mod parts;
 pub(crate) mod surroundings;
 pub(crate) mod visibility;

@@ -3,12 +3,16 @@
 //! The search for flying objects takes it for background or for unknown. But it is where space was free
 //! before, and something stands close below it. What it enters is remembered, so that it stays a mover
 //! while it stands for a moment.
+//!
+//! What moves with nothing close below it is in the air. A large target that was background once, as in the
+//! burn-in, would be background for ever: each scan would add its points to the background, and the next scan
+//! find them near those. So the space that it enters explains nothing, and its points are unknown.
 
 use super::free_space::{FreeSpace, parts, with_beside};
 use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
-use crate::geometry::lattice::{Voxel, floor, wide};
+use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -29,6 +33,8 @@ const ABOVE_GROUND: f64 = 0.75;
 pub(crate) struct Stay {
     first_ns: i64,
     last_ns: i64,
+    /// Nothing was close below it.
+    is_in_air: bool,
 }
 
 impl Stay {
@@ -40,14 +46,40 @@ impl Stay {
     }
 }
 
-/// True if something at most so many voxels below one is occupied, straight below or beside that, or
-/// if nothing of what is below was ever seen, as where the field of view ends.
-fn is_close_above(cursor: &mut Cursor<'_>, [x, y, z]: Voxel, steps: i32) -> bool {
-    let below =
-        |down: i32, place: i32| [x + place % 3 - 1, y + place / 3 - 1, z.saturating_sub(down)];
-    let mut is_occupied = |down: i32| (0..9).any(|place| cursor.is_tentative(below(down, place)));
-    (1..=steps).any(&mut is_occupied)
-        || (1..=steps).all(|down| cursor.stored(below(down, 4)).is_nan())
+/// What is below a voxel.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Below {
+    /// Something is occupied there.
+    Occupied,
+    /// Nothing of it was ever seen, as where the field of view ends.
+    Unseen,
+    Free,
+}
+
+impl Below {
+    /// Of at most so many voxels straight below one, and of those beside them, other than `own`.
+    fn of(
+        cursor: &mut Cursor<'_>,
+        [x, y, z]: Voxel,
+        steps: i32,
+        own: impl Fn(Voxel) -> bool,
+    ) -> Self {
+        let below =
+            |down: i32, place: i32| [x + place % 3 - 1, y + place / 3 - 1, z.saturating_sub(down)];
+        let mut is_occupied = |down: i32| {
+            (0..9).any(|place| {
+                let voxel = below(down, place);
+                cursor.is_tentative(voxel) && !own(voxel)
+            })
+        };
+        if (1..=steps).any(&mut is_occupied) {
+            Self::Occupied
+        } else if (1..=steps).all(|down| cursor.stored(below(down, 4)).is_nan()) {
+            Self::Unseen
+        } else {
+            Self::Free
+        }
+    }
 }
 
 /// Stage that finds the points of movers in one scan after another.
@@ -56,6 +88,8 @@ pub(crate) struct GroundMovers {
     entered: HashMap<Place, Stay, BuildHasherDefault<KeyHasher>>,
     /// Rows of the points of movers in the newest scan.
     rows: Vec<u32>,
+    /// Rows of the points of what moves in the air.
+    in_air: Vec<u32>,
 }
 
 impl GroundMovers {
@@ -67,13 +101,15 @@ impl GroundMovers {
         map: &VoxelMap,
         stamp_ns: i64,
     ) {
-        self.rows.clear();
+        self.skip();
         self.entered.retain(|_, stay| stay.is_remembered(stamp_ns));
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let (voxels, rows) = self.in_free_space(points, class, map, &mut space);
-        let is_entered = |voxel: Voxel| self.entered.contains_key(&Place(voxel));
+        let known = &self.entered;
+        let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
+        let mut entered = Vec::new();
         let open: Vec<bool> =
             voxels.iter().map(|&voxel| space.is_open(voxel, is_entered)).collect();
         let chosen = with_beside(&voxels, &open, FEWEST_OPEN);
@@ -81,17 +117,58 @@ impl GroundMovers {
         let places: Vec<Voxel> = movers.iter().map(|&at| voxels[at]).collect();
         for part in parts(&places) {
             let n_points: usize = part.iter().map(|&at| rows[movers[at]].len()).sum();
-            let mut is_on = |&at: &usize| is_close_above(&mut cursor, places[at], steps);
-            if n_points < FEWEST_POINTS || !part.iter().any(&mut is_on) {
+            if n_points < FEWEST_POINTS {
                 continue;
             }
-            for at in part {
-                self.rows.extend(&rows[movers[at]]);
-                let fresh = Stay { first_ns: stamp_ns, last_ns: stamp_ns };
-                let stay = self.entered.entry(Place(places[at])).or_insert(fresh);
-                stay.last_ns = stamp_ns;
+            let mut below = |&at: &usize| Below::of(&mut cursor, places[at], steps, is_entered);
+            let below: Vec<Below> = part.iter().map(&mut below).collect();
+            let is_in_air = below.iter().all(|&one| one == Below::Free);
+            for &at in &part {
+                let found = if is_in_air { &mut self.in_air } else { &mut self.rows };
+                found.extend(&rows[movers[at]]);
             }
+            entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
         }
+        for (place, is_in_air) in entered {
+            let fresh = Stay { first_ns: stamp_ns, last_ns: stamp_ns, is_in_air };
+            let stay = self.entered.entry(place).or_insert(fresh);
+            (stay.last_ns, stay.is_in_air) = (stamp_ns, is_in_air);
+        }
+        self.in_air.sort_unstable();
+    }
+
+    /// Rows of the points beside what moved in the air in the newest of the scans before.
+    pub(crate) fn beside_air(&self, points: &[[f32; 3]], lattice: &Lattice) -> Vec<usize> {
+        let in_air = self.entered.iter().filter(|(_, stay)| stay.is_in_air);
+        let Some(newest) = in_air.clone().map(|(_, stay)| stay.last_ns).max() else {
+            return Vec::new();
+        };
+        let mut places: Vec<Voxel> =
+            in_air.filter(|(_, stay)| stay.last_ns == newest).map(|(place, _)| place.0).collect();
+        places.sort_unstable();
+        let boxes: Vec<[[f64; 3]; 2]> = parts(&places)
+            .into_iter()
+            .map(|part| {
+                let end = |axis: usize, side: f64| {
+                    let all = part.iter().map(|&at| lattice.center(places[at])[axis]);
+                    let reach = 1.5 * lattice.voxel_size();
+                    all.fold(f64::NEG_INFINITY, |most, at| most.max(side * at + reach)) * side
+                };
+                [-1.0, 1.0].map(|side| [0, 1, 2].map(|axis| end(axis, side)))
+            })
+            .collect();
+        let is_inside = |row: &usize| {
+            let point = wide(points[*row]);
+            boxes.iter().any(|[low, high]| {
+                (0..3).all(|axis| point[axis] >= low[axis] && point[axis] <= high[axis])
+            })
+        };
+        (0..points.len()).filter(is_inside).collect()
+    }
+
+    /// Rows of the points of what moves in the air in the newest scan, ascending.
+    pub(crate) fn in_air(&self) -> &[u32] {
+        &self.in_air
     }
 
     /// Voxels with points that are not known to fly and that are free, or were before something entered them, in
@@ -146,11 +223,12 @@ impl GroundMovers {
     /// The newest scan is not used.
     pub(crate) fn skip(&mut self) {
         self.rows.clear();
+        self.in_air.clear();
     }
 
     /// Forget everything.
     pub(crate) fn clear(&mut self) {
-        self.rows.clear();
+        self.skip();
         self.entered.clear();
     }
 
@@ -163,6 +241,65 @@ impl GroundMovers {
 
     /// From a saved state.
     pub(crate) fn restored(saved: Vec<(Place, Stay)>) -> Self {
-        Self { entered: saved.into_iter().collect(), rows: Vec::new() }
+        Self { entered: saved.into_iter().collect(), ..Self::default() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::flying::map::parameters::tests::parameters;
+
+    /// Points of a target of 3 x 3 x 2 voxels whose lowest are at `up`.
+    fn target(lattice: &Lattice, up: i32) -> Vec<[f32; 3]> {
+        let voxel = |at: i32| [at % 3, at / 3 % 3, up + at / 9];
+        (0..18).map(|at| lattice.center(voxel(at)).map(|value| value as f32)).collect()
+    }
+
+    /// Free space with occupied voxels in it.
+    fn map(occupied: &[Voxel]) -> Result<VoxelMap, Error> {
+        let mut map = VoxelMap::new(parameters())?;
+        let lattice = *map.lattice();
+        let center = |voxel| lattice.center(voxel).map(|value: f64| value as f32);
+        let (from, n) = (-6, 13);
+        let voxel = |at: i32| [from + at % n, from + at / n % n, from + at / (n * n)];
+        map.pull(&(0..n * n * n).map(|at| center(voxel(at))).collect::<Vec<_>>(), -1000.0, 20.0)?;
+        map.set_occupied(&occupied.iter().map(|&voxel| center(voxel)).collect::<Vec<_>>())?;
+        Ok(map)
+    }
+
+    /// Numbers of points in the air, and of ground movers.
+    fn found(movers: &mut GroundMovers, map: &VoxelMap, up: i32) -> [usize; 2] {
+        let points = target(map.lattice(), up);
+        movers.find(&points, &[PointClass::Background; 18], map, 0);
+        [movers.in_air().len(), movers.rows().len()]
+    }
+
+    #[test]
+    fn what_has_nothing_below_is_in_the_air() -> Result<(), Error> {
+        let steps = (ABOVE_GROUND / map(&[])?.lattice().voxel_size()).ceil() as i32;
+        let mut movers = GroundMovers::default();
+        assert_eq!(found(&mut movers, &map(&[])?, 0), [18, 0]);
+        assert_eq!(found(&mut GroundMovers::default(), &map(&[[1, 1, -steps]])?, 0), [0, 18]);
+        assert_eq!(found(&mut GroundMovers::default(), &map(&[[1, 1, -steps - 1]])?, 0), [18, 0]);
+        // What it has left behind itself, as background, is nothing that it stands on; other things are.
+        let left = map(&[[1, 1, 0]])?;
+        assert_eq!(found(&mut movers, &left, 2), [18, 0]);
+        assert_eq!(found(&mut GroundMovers::default(), &left, 2), [0, 18]);
+        Ok(())
+    }
+
+    #[test]
+    fn points_beside_what_is_in_the_air_are_looked_at() -> Result<(), Error> {
+        let (mut movers, map) = (GroundMovers::default(), map(&[])?);
+        let far = map.lattice().center([9, 9, 9]).map(|value| value as f32);
+        let points = [target(map.lattice(), 1), vec![far]].concat();
+        assert_eq!(movers.beside_air(&points, map.lattice()), Vec::<usize>::new());
+        found(&mut movers, &map, 0);
+        assert_eq!(movers.beside_air(&points, map.lattice()), (0..18).collect::<Vec<_>>());
+        movers.clear();
+        assert_eq!(movers.beside_air(&points, map.lattice()), Vec::<usize>::new());
+        Ok(())
     }
 }

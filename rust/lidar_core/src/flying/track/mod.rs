@@ -43,7 +43,7 @@ use belief::standing::{self, UnmovedTarget};
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use state::{PointTrack, seconds};
 use update::Updater;
 
@@ -236,6 +236,9 @@ impl PointCloudTracker {
         let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, around };
         let born = lifecycle::number(&mut tracks, &mut next_id);
         let mut confirmed = lifecycle::confirm(&mut tracks, &set, self.parameters());
+        if let Confirmation::Existence { report } = self.parameters().confirmation {
+            standing::follow(&self.standing, &mut tracks, report, &mut confirmed);
+        }
         let mut merged = standing::hand_over(&mut self.standing, &mut tracks, &mut confirmed);
         tracks.sort_by_key(|track| track.id);
         let removed = lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters());
@@ -366,11 +369,13 @@ impl PointCloudTracker {
     }
 
     /// Positions of all tracks, unconfirmed ones included, that are further than `distance` [m]
-    /// from where they began.
+    /// from where they began, and half the diagonals of their boxes [m].
     #[must_use]
-    pub fn moved_by(&self, distance: f64) -> Vec<[f64; 3]> {
+    pub fn moved_by(&self, distance: f64) -> Vec<([f64; 3], f64)> {
         let moved = |track: &&PointTrack| (track.position() - track.born_at).norm() > distance;
-        self.tracks.iter().filter(moved).map(|track| track.position().into()).collect()
+        let half = |track: &PointTrack| 0.5 * Vector3::from(track.extent).norm();
+        let all = self.tracks.iter().filter(moved);
+        all.map(|track| (track.position().into(), half(track))).collect()
     }
 
     /// Forget the tracks within `distance` [m] of an occupied voxel.

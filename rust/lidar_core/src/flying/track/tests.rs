@@ -374,7 +374,8 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
     let look = |tracker: &mut PointCloudTracker, step: i64, there: bool| {
         let points = scan(there);
         let view = CloudView { points: &points, origin: [0.0; 3] };
-        let stats = tracker.new_point_cloud(&points, None, &free(), Some(&view), step * STEP_NS)?;
+        let held = OccupiedPoints::new(&points, 1.0);
+        let stats = tracker.new_point_cloud(&points, None, &held, Some(&view), step * STEP_NS)?;
         let kinds: Vec<TrackKind> =
             tracker.tracks_at(step * STEP_NS).iter().map(|track| track.kind).collect();
         Ok::<_, Error>((kinds, stats.removed))
@@ -391,6 +392,37 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
         assert!(kinds.is_empty());
         assert_eq!(removed, [0]);
     }
+    Ok(())
+}
+
+/// Numbers of the confirmed tracks after one detection this far from something that stood, which the map
+/// holds still or not.
+fn after_standing(away: f64, is_held: bool) -> Result<Vec<i64>, Error> {
+    let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
+    let small = [[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]];
+    let at = |stamp_ns, positions| Detections {
+        stamp_ns,
+        positions,
+        covariance: Some(&small),
+        extent: Some(&[[0.4; 3]]),
+        confidence: Some(&[0.9]),
+        ..Detections::default()
+    };
+    let place = [5.0, 0.0, 0.0];
+    tracker.watch(&at(0, &[place]));
+    let point = [5.0 + away as f32, 0.0, 0.0];
+    let held = OccupiedPoints::new(if is_held { &[[5.0, 0.0, 0.0]] } else { &NOTHING[..] }, 1.0);
+    tracker.new_point_cloud(&[point], None, &held, None, STEP_NS)?;
+    let stats = tracker.new_detections(&at(STEP_NS, &[[5.0 + away, 0.0, 0.0]]), &free())?;
+    Ok(stats.confirmed)
+}
+
+#[test]
+fn what_has_left_its_place_is_a_target_at_once_and_what_is_there_is_not() -> Result<(), Error> {
+    assert_eq!(after_standing(0.4, false)?, [0]);
+    assert_eq!(after_standing(0.4, true)?, Vec::<i64>::new());
+    assert_eq!(after_standing(0.15, false)?, Vec::<i64>::new());
+    assert_eq!(after_standing(2.5, false)?, Vec::<i64>::new(), "another target");
     Ok(())
 }
 

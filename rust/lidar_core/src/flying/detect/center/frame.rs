@@ -27,6 +27,12 @@ const SHIFT_STD: [f64; 2] = [0.5, 0.2];
 const LIFT: f64 = 0.06;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
+/// Half the size from which on, and up to which, the middle of the outline counts instead of the centroid,
+/// across the line of sight [m]: many rays meet the outline of a large target, and its parts do not give returns alike.
+const LARGE: [f64; 2] = [0.45, 0.65];
+/// Standard deviations of the centre of such a target across and along the line of sight, as shares of half
+/// its size.
+const LARGE_STD: [f64; 2] = [0.03, 0.1];
 /// A ball's centre lies behind the centroid of its near side by this share of its radius.
 const BALL_SHIFT: f64 = 0.66;
 /// Rays above a target that lie this far apart in height are of several rows [m].
@@ -78,11 +84,21 @@ impl OpenFrame {
         let shift = between([disc + level * (rims - disc), CLOSED_SHIFT]) * radius;
         let shift_std = (SHIFT_STD[0] / count.sqrt()).min(SHIFT_STD[1]) * radius;
         let lift = (Vector3::z() - sight * sight.z) * (LIFT * level * radius); // across the sight
+        let [low, high] = ends(offsets().map(|offset| offset.dot(&sight)));
+        let half = outline.reach.max(0.5 * (high - low));
+        let large = ((half - LARGE[0]) / (LARGE[1] - LARGE[0])).clamp(0.0, 1.0);
+        let [x, y] = outline.middle;
+        let middle = axes[0] * x + axes[1] * y;
+        let [aside_std, depth_std] = LARGE_STD.map(|share| large * share * half);
         Self {
-            position: centroid + sight * shift + lift,
+            position: centroid + sight * shift + lift * (1.0 - large) + middle * large,
             covariance: scatter / (count * count)
-                + (Matrix3::identity() - along) * (gap + ASIDE_STD * ASIDE_STD)
-                + along * (shift_std * shift_std + range_std * range_std / count),
+                + (Matrix3::identity() - along)
+                    * (gap + ASIDE_STD * ASIDE_STD + aside_std * aside_std)
+                + along
+                    * (shift_std * shift_std
+                        + depth_std * depth_std
+                        + range_std * range_std / count),
             radius,
             solid_share: outline.solid_share,
             filled_share: outline.filled_share,
@@ -115,8 +131,15 @@ fn axes_towards(span: Vector3<f64>) -> [Vector3<f64>; 3] {
     [aside, sight.cross(&aside), sight]
 }
 
+/// The least and the largest of some values.
+fn ends(values: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
+    [values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max)]
+}
+
 /// Extent of the target as seen from the sensor.
 struct SeenExtent {
+    /// Middle of the points, from their centroid, across the line of sight [m].
+    middle: [f64; 2],
     /// Distance of the points from their middle [m].
     reach: f64,
     /// Between neighbouring rays at the target [m].
@@ -137,9 +160,9 @@ impl SeenExtent {
         let flat =
             |point: Vector3<f64>| [(point - centroid).dot(across), (point - centroid).dot(up)];
         let hits: Vec<[f64; 2]> = observation.hits.iter().map(|hit| flat(hit.point)).collect();
-        let middle: [f64; 2] = std::array::from_fn(|axis| {
-            let ends = hits.iter().map(|hit| hit[axis]);
-            0.5 * (ends.clone().fold(f64::MAX, f64::min) + ends.fold(f64::MIN, f64::max))
+        let middle = [0, 1].map(|axis| {
+            let [low, high] = ends(hits.iter().map(|hit| hit[axis]));
+            0.5 * (low + high)
         });
         let off = |place: [f64; 2]| {
             ((place[0] - middle[0]).powi(2) + (place[1] - middle[1]).powi(2)).sqrt()
@@ -159,6 +182,7 @@ impl SeenExtent {
         let ray_gap = window * (PI / (count + within(window))).sqrt();
         let solid_share = count / (count + within(reach + 0.5 * ray_gap));
         Self {
+            middle,
             reach,
             ray_gap,
             solid_share,
@@ -172,10 +196,7 @@ impl SeenExtent {
 /// upwards. Of what stands on the ground, and of what the lower edge of the field of view cuts off,
 /// none do. None if the rays are too far apart to tell: few pass above, too.
 fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
-    let bounds = |axis: usize| {
-        let values = hits.iter().map(|hit| hit[axis]);
-        [values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max)]
-    };
+    let bounds = |axis: usize| ends(hits.iter().map(|hit| hit[axis]));
     let ([left, right], [low, high]) = (bounds(0), bounds(1));
     let beside = |ray: &&[f64; 2]| ray[0] >= left - ray_gap && ray[0] <= right + ray_gap;
     let level = passing.iter().filter(beside).map(|ray| ray[1]);

@@ -49,6 +49,11 @@ const EVEN_RATIO: f64 = 2.0;
 const RATIO_STEEPNESS: f64 = 3.0;
 /// A few points fit any ball: so many imagined degrees of freedom, at the even ratio.
 const IMAGINED_FREEDOM: f64 = 2.0;
+/// A ball is at most so many times as large as the outline that its points and the gaps between rays leave.
+/// Beyond that its weight falls with this power of the ratio: more rays would have met it. Where it is not
+/// known which rays passed, a row of points fits large balls above it and below it as well as a small one.
+const LARGEST_BALL: f64 = 1.5;
+const SIZE_POWER: i32 = 8;
 /// Solid share from which on a target may be a ball, and from which on its rays do not speak
 /// against it.
 const BALL_SHARE: [f64; 2] = [0.4, 0.55];
@@ -137,6 +142,7 @@ fn ball_weight(ball: &Sphere, frame: &OpenFrame, n_hits: usize) -> f64 {
     let imagined = EVEN_RATIO * IMAGINED_FREEDOM;
     let ratio = (ball.squared_residuals + imagined) / (freedom + IMAGINED_FREEDOM);
     let agrees = 1.0 / (1.0 + libm::exp(RATIO_STEEPNESS * (ratio - EVEN_RATIO)));
+    let fits = (LARGEST_BALL * frame.radius / ball.radius).min(1.0).powi(SIZE_POWER);
     let [from, full] = BALL_SHARE;
-    agrees * ((frame.solid_share - from) / (full - from)).clamp(0.0, 1.0)
+    agrees * fits * ((frame.solid_share - from) / (full - from)).clamp(0.0, 1.0)
 }

@@ -190,6 +190,13 @@ impl TrackBelief {
         self.has_moved
     }
 
+    /// Enter that something was there before, with this probability at least.
+    pub(super) fn exists(&mut self, existence: f64) {
+        if self.presence.existence < existence {
+            self.presence = Presence::measured(existence);
+        }
+    }
+
     /// Of two tracks of one target.
     pub(in crate::flying::track) fn more_probable(self, other: Self) -> Self {
         if other.presence.existence > self.presence.existence { other } else { self }

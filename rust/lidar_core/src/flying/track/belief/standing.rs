@@ -6,6 +6,7 @@
 use super::super::Track;
 use super::super::detections::Detections;
 use super::super::measurement::CloudScan;
+use super::super::motion::position_block;
 use super::super::state::{PointTrack, seconds};
 use super::super::visibility::occupancy::Visibility;
 use crate::estimation::kalman::Gaussian;
@@ -28,6 +29,12 @@ const EXISTENCE: f64 = 0.99;
 const STILL: [f64; 2] = [0.05, 0.05];
 /// A track that began this near to its place [m], besides its size, may be it.
 const REACH: f64 = 0.5;
+/// A detection this far from its place [m], and two standard deviations, shows that it has moved: what hangs
+/// there does not.
+const LEFT: f64 = 0.25;
+/// It is still there if a point at its place is this near to what the map holds [m]: where rays have passed
+/// through its place, what is there now is not what stood there.
+const HELD: f64 = 0.5;
 
 /// Something that stands in free space.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -107,10 +114,17 @@ impl UnmovedTarget {
         KindBelief::prior(SHARES).weighed(likelihood)
     }
 
-    /// Whether a track that has just been confirmed is this one, which has left its place.
+    /// Whether a track is this one, which has left its place.
     fn is_now(&self, track: &PointTrack) -> bool {
         let away = (track.born_at - self.position).norm();
-        !self.is_there && track.born_ns > self.born_ns && away <= self.radius() + REACH
+        !self.is_there && track.born_ns >= self.born_ns && away <= self.radius() + REACH
+    }
+
+    /// Whether a track is surely away from its place.
+    fn is_away(&self, track: &PointTrack) -> bool {
+        let covariance = self.covariance + position_block(&track.estimate.covariance);
+        let std = (covariance.trace() / 3.0).max(0.0).sqrt();
+        (track.position() - self.position).norm() >= LEFT + 2.0 * std
     }
 }
 
@@ -121,7 +135,9 @@ pub(in crate::flying::track) fn look(
 ) -> Vec<i64> {
     for target in standing.iter_mut() {
         let holds = |point: &[f32; 3]| {
-            (Vector3::from(point.map(f64::from)) - target.position).norm() <= target.radius()
+            let place = point.map(f64::from);
+            (Vector3::from(place) - target.position).norm() <= target.radius()
+                && scan.occupied.any_within(place, HELD)
         };
         target.is_there = scan.points.iter().any(holds);
         if target.is_there {
@@ -139,6 +155,25 @@ pub(in crate::flying::track) fn look(
     let gone = standing.iter().filter(|target| is_gone(target)).map(|target| target.id).collect();
     standing.retain(|target| !is_gone(target));
     gone
+}
+
+/// Confirm the tracks that follow what stood from the moment on at which it has surely left its place, as
+/// far as that makes their targets as probable as `report`: it existed before. Their numbers are added to
+/// `confirmed`.
+pub(in crate::flying::track) fn follow(
+    standing: &[UnmovedTarget],
+    tracks: &mut [PointTrack],
+    report: f64,
+    confirmed: &mut Vec<i64>,
+) {
+    for track in tracks.iter_mut().filter(|track| !track.confirmed) {
+        if standing.iter().any(|target| target.is_now(track) && target.is_away(track)) {
+            track.belief.exists(EXISTENCE);
+            track.confirmed = track.belief.existence(track) >= report;
+            track.was_confirmed |= track.confirmed;
+            confirmed.extend(track.confirmed.then_some(track.id));
+        }
+    }
 }
 
 /// Give the numbers of what stood, and has left, to the tracks that follow it since. Pairs of the

@@ -1,0 +1,50 @@
+//! What a cluster shows by itself, or beside the ground, that keeps it from flying.
+
+use super::clusters::Cluster;
+use super::occupied_nearby::OccupiedNearby;
+use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::scan::prepared::Prepared;
+use crate::flying::sky::ON_GROUND;
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{minus, norm};
+
+/// Things that are no higher than this and lie as low as the lowest returns are patches of ground
+/// [m].
+const FLAT: f64 = 0.1;
+/// Points this near to a small cluster may be of the same target, and up to the second distance none
+/// may be beside it [m].
+const OWN_RADIUS: f64 = 0.75;
+const ALONE_RADIUS: f64 = 2.0;
+/// Mirror images are this far from what they show, at most [m]: the floor is not quite flat.
+const MIRROR_ERROR: f64 = 0.75;
+
+/// True if no point is beside a place, other than those that may be of the same target.
+pub(super) fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
+    let is_beside = |point: &[f32; 3]| {
+        let distance = norm(minus(wide(*point), place));
+        distance > OWN_RADIUS && distance <= ALONE_RADIUS
+    };
+    !points.iter().any(is_beside)
+}
+
+/// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if there
+/// is no background yet to tell it from.
+pub(super) fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+    let is_own = |row: &&u32| scan.maybe_own.get(**row as usize).copied().unwrap_or(false);
+    let may_be_own = || 2 * cluster.members.iter().filter(is_own).count() > cluster.members.len();
+    let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;
+    let is_at_floor = scan.floor.is_some_and(|floor| (cluster.low[2] - floor).abs() < ON_GROUND);
+    let is_on_ground = is_flat || is_at_floor || cluster.low[2] < scan.ground;
+    !may_be_own()
+        && !is_on_ground
+        && map.has_background()
+        && !is_mirrored(map, scan, cluster.centroid)
+}
+
+/// True if a place lies below flat ground and its mirror image above is occupied: points there
+/// are reflections.
+fn is_mirrored(map: &VoxelMap, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
+    scan.floor.filter(|floor| z < floor - ON_GROUND).is_some_and(|floor| {
+        OccupiedNearby::new(map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z])
+    })
+}
