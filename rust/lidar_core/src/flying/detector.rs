@@ -303,8 +303,8 @@ impl FlyingObjectDetector {
         }
         let distance = classify.close_distance;
         let map = &mut local.map;
-        let (points, clusters) = (&scan.points, classifier.clusters());
-        let standing = static_points.take(points, clusters, gate, seed, distance, map, tracker);
+        let found = (&scan.points[..], classifier.clusters());
+        let standing = static_points.take(found, gate, seed, distance, map, tracker);
         classifier.flying_in(&standing, &scan.points, map.lattice())
     }
 

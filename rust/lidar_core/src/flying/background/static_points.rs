@@ -65,13 +65,12 @@ impl StaticPoints {
         self.entered.dedup();
     }
 
-    /// Take a scan of the burn-in; after its last one, what stood still all the time becomes
+    /// Take a scan of the burn-in and its clusters; after its last one, what stood still all the time becomes
     /// background in `map`, further than `distance` [m] from the boxes of tracks that moved: the voxels of
     /// it, in ascending order. Other scans give none, and those after the burn-in change nothing.
     pub(crate) fn take(
         &mut self,
-        points: &[[f32; 3]],
-        clusters: &Clusters,
+        (points, clusters): (&[[f32; 3]], &Clusters),
         gate: ReportingGate,
         seed: &SeedParameters,
         distance: f64,

@@ -408,12 +408,12 @@ fn after_standing(away: f64, is_held: bool) -> Result<Vec<i64>, Error> {
         confidence: Some(&[0.9]),
         ..Detections::default()
     };
-    let place = [5.0, 0.0, 0.0];
-    tracker.watch(&at(0, &[place]));
+    let (place, other) = ([[5.0, 0.0, 0.0]], [[5.0 + away, 0.0, 0.0]]);
+    tracker.watch(&at(0, &place));
     let point = [5.0 + away as f32, 0.0, 0.0];
     let held = OccupiedPoints::new(if is_held { &[[5.0, 0.0, 0.0]] } else { &NOTHING[..] }, 1.0);
     tracker.new_point_cloud(&[point], None, &held, None, STEP_NS)?;
-    let stats = tracker.new_detections(&at(STEP_NS, &[[5.0 + away, 0.0, 0.0]]), &free())?;
+    let stats = tracker.new_detections(&at(STEP_NS, &other), &free())?;
     Ok(stats.confirmed)
 }
 

@@ -282,11 +282,13 @@ mod tests {
     const LENGTH: f64 = 0.5;
     const WIDTH: f64 = 0.2;
     const STEP: f64 = 0.05;
+    /// Of what a test has and does not find.
+    const NOTHING: Error = Error::NotPositiveDefinite { matrix: "none" };
 
     fn rules() -> Result<Rules, Error> {
         let parameters = CircleMapParameters::default();
         let ElementFilter::Independent(independent) = parameters.filter else {
-            panic!("the default is a filter per element")
+            return Err(NOTHING);
         };
         Rules::new(independent, parameters.gate_probability, parameters.initial_speed)
     }
@@ -297,7 +299,7 @@ mod tests {
     }
 
     /// What the origin sees of a box with this centre, along x: points on the sides that face it.
-    fn seen(x: f64, y: f64) -> Hull {
+    fn seen(x: f64, y: f64) -> Result<Hull, Error> {
         let ends = [x - 0.5 * LENGTH, x + 0.5 * LENGTH];
         let mut points = Vec::new();
         let back = if ends[0] > 0.0 { Some(ends[0]) } else { Some(ends[1]).filter(|&x| x < 0.0) };
@@ -308,21 +310,20 @@ mod tests {
             }
             points.extend(back.map(|x| [x, y + (share - 0.5) * WIDTH]));
         }
-        let Some(hull) = Hull::of(&points, false) else { panic!("points") };
-        hull
+        Hull::of(&points, false).ok_or(NOTHING)
     }
 
     /// Boxes while one drives at 1 m/s along x from `from` to `to`, at y.
     fn driven(from: f64, to: f64, y: f64) -> Result<Vec<(f64, Extent)>, Error> {
         let (rules, look) = (rules()?, look());
         let step = rules.motion().step(STEP);
-        let mut extent = Extent::new(&seen(from, y), (&look, 0.0), &rules);
+        let mut extent = Extent::new(&seen(from, y)?, (&look, 0.0), &rules);
         let mut all = vec![(from, extent.clone())];
         while let Some(&(x, _)) = all.last()
             && x < to
         {
             extent.predict(&step);
-            extent.correct(&seen(x + STEP, y), (&look, 0.0), true)?;
+            extent.correct(&seen(x + STEP, y)?, (&look, 0.0), true)?;
             all.push((x + STEP, extent.clone()));
         }
         Ok(all)
@@ -336,7 +337,7 @@ mod tests {
     #[test]
     fn a_side_once_seen_is_remembered() -> Result<(), Error> {
         let all = driven(-3.0, 3.0, 0.8)?;
-        let Some((x, last)) = all.last() else { panic!("a drive") };
+        let (x, last) = all.last().ok_or(NOTHING)?;
         // It shows its back only, and half its side under a small angle.
         let [along, across] = off(*x, 0.8, last);
         assert!(along.abs() < 0.06 && across.abs() < 0.04, "{along} {across}");
@@ -369,14 +370,14 @@ mod tests {
     #[test]
     fn what_hides_a_side_does_not_make_it_shorter() -> Result<(), Error> {
         let all = driven(-3.0, 0.0, 0.8)?;
-        let Some((x, extent)) = all.last() else { panic!("a drive") };
+        let (x, extent) = all.last().ok_or(NOTHING)?;
         let half = |is_covered: bool| -> Result<f64, Error> {
             let mut extent = extent.clone();
             for number in 0..10 {
                 let x = x + STEP * f64::from(number + 1);
                 // Only its rear quarter is seen.
                 let quarter = [x - 0.5 * LENGTH, x - 0.25 * LENGTH].map(|x| [x, 0.7]);
-                let Some(hull) = Hull::of(&quarter, is_covered) else { panic!("points") };
+                let hull = Hull::of(&quarter, is_covered).ok_or(NOTHING)?;
                 extent.predict(&rules()?.motion().step(STEP));
                 extent.correct(&hull, (&look(), 0.0), true)?;
             }

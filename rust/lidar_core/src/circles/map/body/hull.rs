@@ -61,17 +61,19 @@ pub(super) fn along(axis: [f64; 2], point: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Error;
 
     #[test]
-    fn it_reaches_as_far_as_its_points_and_those_of_its_parts() {
+    fn it_reaches_as_far_as_its_points_and_those_of_its_parts() -> Result<(), Error> {
         let box_of = |x: f64| [[x, 0.0], [x + 0.4, 0.0], [x, 0.2], [x + 0.4, 0.2], [x + 0.1, 0.1]];
         let (one, two) = (Hull::of(&box_of(1.0), false), Hull::of(&box_of(1.3), true));
-        let Some((one, two)) = one.zip(two) else { panic!("hulls of points") };
+        let (one, two) = one.zip(two).ok_or(Error::NotPositiveDefinite { matrix: "none" })?;
         assert_eq!(one.ends([1.0, 0.0]), [1.0, 1.4]);
         assert_eq!(one.ends([0.0, 1.0]), [0.0, 0.2]);
         let both = one.joined(&two);
         assert_eq!(both.ends([1.0, 0.0]), [1.0, 1.3 + 0.4]);
         assert!(both.is_covered() && !one.is_covered());
         assert!(Hull::of(&[], false).is_none());
+        Ok(())
     }
 }
