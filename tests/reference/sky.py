@@ -156,6 +156,8 @@ class SkyOracle:
     scans: int = 0
     learnt: int = 0
     density: object = None
+    lowest_way: float = np.inf
+    turns: bool = False
 
     def process(self, points, turn, origin, stamp_ns, state_at=None, *, air=None):
         """One scan: returns in the sensor's frame, attitude and place of the sensor.
@@ -196,7 +198,7 @@ class SkyOracle:
         is_covered = returns < 0.5 * usual
         is_empty = self._empty(hits, expected)
         ground = lowest if floor is None else max(floor, lowest)
-        moment = (np.asarray(origin), stamp_ns, state_at)
+        moment = (np.asarray(origin), stamp_ns, state_at, turn)
         seen = Seen(np.empty((0, 3)), np.empty(0), 0.0, np.zeros(CELLS, bool), expected, is_empty)
         since = np.full(CELLS, -1)
         if not is_covered and self.density is not None:
@@ -213,9 +215,14 @@ class SkyOracle:
         if self.scans < 64 or self.scans % 8 == 0:
             self.counts += np.bincount(cell_of(found), minlength=CELLS)
             self.drops += np.bincount(drops, minlength=CELLS)
+            heights = found[:, 2] / np.linalg.norm(found, axis=1)
+            self.lowest_way = min(self.lowest_way, heights.min(initial=np.inf))
             self.learnt += 1
             if self.learnt >= 3:
                 self.density = density_of(self._rays_learnt(), self.learnt)
+                sectors = np.zeros(SECTORS)
+                np.add.at(sectors, SECTOR, self.counts)
+                self.turns = (sectors > 0).sum() >= 21
         self.scans += 1
 
     def _rays_learnt(self):
@@ -265,7 +272,7 @@ class SkyOracle:
 
     def _cast(self, seen, returns, limits, moment):
         (hits, nearest), (limit, visible, ground) = returns, limits
-        origin, stamp_ns, state_at = moment
+        origin, stamp_ns, state_at, turn = moment
         tilt = np.arcsin(np.clip(CENTERS[:, 2], -1, 1)) - np.deg2rad(1.4)
         fall = -np.sin(np.maximum(tilt, -np.pi / 2))
         above = np.full(CELLS, np.inf)
@@ -284,11 +291,14 @@ class SkyOracle:
         seen.share = float(seen.expected[is_sky].sum(dtype=float) / all_rays) if all_rays else 0.0
         if state_at is not None:
             is_trusted = is_sky & (stamp_ns - since >= 2_000_000_000)
-            self._rays(seen, reach, is_trusted, lambda ways: state_at(origin + ways))
+            self._rays(seen, reach, is_trusted, turn, lambda ways: state_at(origin + ways))
         return since
 
-    def _rays(self, seen, reach, is_trusted, state_of):
-        """Rays through a third of the parts of every cell, another third in every scan."""
+    def _rays(self, seen, reach, is_trusted, turn, state_of):
+        """Rays through a third of the parts of every cell, another third in every scan.
+
+        None of a sensor that turns goes below its lowest return.
+        """
         parts = [
             divmod(part, PARTS)
             for part in range(PARTS * PARTS)
@@ -297,6 +307,9 @@ class SkyOracle:
         cells = np.repeat(np.flatnonzero(reach >= 2.0), len(parts))
         shares = (np.tile(parts, (len(cells) // len(parts), 1)) + 0.5) / PARTS
         ways = part_of(cells, shares[:, 0], shares[:, 1]).astype(F32)
+        if self.turns:
+            is_cast = (ways.astype(float) @ turn)[:, 2] >= self.lowest_way
+            cells, ways = cells[is_cast], ways[is_cast]
         free = reach[cells]
         for ray in np.flatnonzero(~is_trusted[cells]):
             free[ray] = self._free(ways[ray].astype(float), free[ray], state_of)

@@ -48,6 +48,8 @@ pub(super) struct Emission {
     counts: Vec<u64>,
     drops: Vec<u64>,
     scans: u32,
+    /// Sine of the elevation of the lowest return.
+    lowest: f64,
     density: Density,
     /// The density is known and not learnt.
     is_known: bool,
@@ -74,6 +76,7 @@ impl Emission {
             density: rays.map_or(Density::Unknown, Density::of),
             is_known: rays.is_some(),
             scans: 0,
+            lowest: rays.map_or(f64::INFINITY, RayPattern::lowest),
         }
     }
 
@@ -88,11 +91,13 @@ impl Emission {
             }
     }
 
-    /// Add the returns of a scan, per cell, and those of droplets among them.
-    pub(super) fn learn(&mut self, [returns, drops]: [&[u32]; 2]) {
+    /// Add the returns of a scan, per cell, those of droplets among them, and the sine of the elevation
+    /// of the lowest one.
+    pub(super) fn learn(&mut self, [returns, drops]: [&[u32]; 2], lowest: f64) {
         if self.is_known {
             return;
         }
+        self.lowest = self.lowest.min(lowest);
         for (sums, counts) in [(&mut self.counts, returns), (&mut self.drops, drops)] {
             for (sum, &count) in sums.iter_mut().zip(counts) {
                 *sum += u64::from(count);
@@ -132,6 +137,26 @@ impl Emission {
             Density::Turning(bands) => bands[band_of(direction[2])],
             Density::Fixed(cells) => cells[GRID.cell(direction)],
         }
+    }
+}
+
+impl Emission {
+    /// Whether rays may go in a unit direction in the sensor's frame, as far as that is known more
+    /// sharply than by cell: those of a sensor that turns are not below its lowest return. What stands
+    /// at the lower edge of its field of view would else seem to be in the air.
+    pub(super) fn reaches(&self, direction: [f64; 3]) -> bool {
+        !matches!(self.density, Density::Turning(_)) || direction[2] >= self.lowest
+    }
+}
+
+impl RayPattern {
+    /// Sine of the lowest elevation.
+    fn lowest(&self) -> f64 {
+        let lowest = match self {
+            Self::Rows { elevations, .. } => elevations.first().copied(),
+            Self::FieldOfView { elevation, .. } => Some(elevation[0]),
+        };
+        lowest.map_or(-1.0, libm::sin)
     }
 }
 

@@ -179,7 +179,8 @@ impl Sky {
         }
         self.first_ns = self.first_ns.or(self.last_ns);
         if self.scans < LEARNING_SCANS || self.scans.is_multiple_of(LEARNING_STEP) {
-            self.emission.learn(observation.seen_by_sensor());
+            let (returns, lowest) = observation.seen_by_sensor();
+            self.emission.learn(returns, lowest);
         }
         if self.checked < CHECKED_SCANS {
             let seen = Elevations::of(points);

@@ -110,6 +110,8 @@ pub(crate) struct SkyObservation {
     sky_reach: Vec<f32>,
     /// Whether the rays lie in rows.
     has_rows: bool,
+    /// Sine of the elevation of the lowest return in the frame of the sensor.
+    lowest_of_sensor: f64,
     /// Range and height above the sensor of some returns [m].
     samples: Vec<[f64; 2]>,
     /// Values that are ranked.
@@ -242,9 +244,10 @@ impl SkyObservation {
         self.haze.is_droplet()
     }
 
-    /// Returns per cell, as the sensor sees them, and those of droplets among them.
-    pub(super) fn seen_by_sensor(&self) -> [&[u32]; 2] {
-        [&self.of_sensor, &self.drops]
+    /// Returns per cell, as the sensor sees them, and those of droplets among them; sine of the
+    /// elevation of the lowest return.
+    pub(super) fn seen_by_sensor(&self) -> ([&[u32]; 2], f64) {
+        ([&self.of_sensor, &self.drops], self.lowest_of_sensor)
     }
 
     /// Move the observation into `sky`; false if the scan holds no return.
@@ -307,12 +310,14 @@ impl SkyObservation {
     /// Count the returns by direction in the frame of the sensor, and take samples.
     fn count_for_sensor(&mut self, scan: &ScanToObserve<'_>) {
         self.samples.clear();
+        self.lowest_of_sensor = f64::INFINITY;
         let step = (scan.points.len() / SAMPLES).max(1);
         let is_droplet = self.haze.is_droplet();
         for row in 0..scan.points.len() {
             let Some((point, range)) = scan.return_at(row) else { continue };
             let cell = GRID.cell(point);
             self.of_sensor[cell] += 1;
+            self.lowest_of_sensor = self.lowest_of_sensor.min(point[2] / range);
             if is_droplet.get(row) == Some(&true) {
                 self.drops[cell] += 1;
             } else if row % step == 0 || self.samples.is_empty() {

@@ -61,8 +61,9 @@ impl SkyObservation {
                     continue;
                 }
                 let direction = GRID.parts[cell * PARTS * PARTS + part];
-                if (scan.is_masked)(lidar_from_map.rotate(wide(direction))) {
-                    continue; // the robot hides it
+                let towards = lidar_from_map.rotate(wide(direction));
+                if (scan.is_masked)(towards) || !sky.emission.reaches(towards) {
+                    continue; // the robot hides it, or no ray goes there
                 }
                 let free = if is_trusted { reach } else { path.length(wide(direction), reach) };
                 if free >= LEAST_REACH {
