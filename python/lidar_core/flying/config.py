@@ -164,14 +164,14 @@ class ClassifyConfig(Config):
         " not (no unit).",
     )
     max_extent: float | None = Field(
-        3.5,
+        2.5,
         gt=0,
         le=50,
         description="Groups of clusters with a larger diagonal of their box are no flying object"
         " [m]; the visible side of a sphere has one of up to 3.1 radii.",
     )
     background_extent: float | None = Field(
-        4.5, gt=0, le=100, description="Larger clusters are background at any time [m]."
+        3.5, gt=0, le=100, description="Larger clusters are background at any time [m]."
     )
     min_points: int = Field(
         3,
@@ -297,7 +297,7 @@ class SeedConfig(Config):
         " as in paper mode: scans are counted however they come.",
     )
     burn_in_extent: float = Field(
-        3.5,
+        2.5,
         gt=0,
         le=50,
         description="During the burn-in clusters with a larger diagonal of their box are"

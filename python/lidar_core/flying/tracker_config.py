@@ -48,7 +48,7 @@ class TrackerConfig(Config):
         0.5, gt=0, le=10, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
     )
     max_extent: float | None = Field(
-        3.5,
+        2.5,
         ge=0,
         le=50,
         description="Clusters with a longer side of their bounding box are no targets [m];"

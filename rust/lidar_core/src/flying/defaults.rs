@@ -73,8 +73,8 @@ impl Default for ClassifyParameters {
             open_border: true,
             own_shadow: true,
             expand_own: true,
-            max_extent: Some(3.5),
-            background_extent: Some(4.5),
+            max_extent: Some(2.5),
+            background_extent: Some(3.5),
             min_points: 3,
             max_distance: Some(20.0),
             group_distance: Some(0.7),
@@ -121,7 +121,7 @@ impl Default for SeedParameters {
         Self {
             burn_in_scans: 10,
             burn_in_period: Some(0.1),
-            burn_in_extent: 3.5,
+            burn_in_extent: 2.5,
             standing_scans: 5,
             standing_shift: 0.04,
             standing_track_distance: 0.5,
@@ -226,7 +226,7 @@ impl Default for TrackerParameters {
         Self {
             buffer_size: 10,
             clustering: Clustering { max_distance: 0.5, ..Clustering::default() },
-            max_extent: Some(3.5),
+            max_extent: Some(2.5),
             occupied_distance: 0.7,
             radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
             motion: Motion::default(),

@@ -370,22 +370,27 @@ mod tests {
         let mut emission = Emission::of(None);
         // Sky over a third of the turn, nothing above 30 degrees anywhere.
         let seen = counts(|d| (-0.2..0.5).contains(&d[2]) && (d[1] < 0.0 || d[0] < 0.0));
-        (0..3).for_each(|_| emission.learn([&seen, &vec![0; CELLS]]));
+        (0..3).for_each(|_| emission.learn([&seen, &vec![0; CELLS]], -0.19));
         let expected = 20.0 / GRID.solid_angles[GRID.cell([1.0, 1.0, 0.1])];
         assert!((emission.towards([0.7, 0.7, 0.1]) / expected - 1.0).abs() < 0.2);
         assert_eq!(emission.towards([0.6, 0.0, 0.8]), 0.0);
+        // The lowest return is in the middle of a cell: nothing is cast below it, on any side.
+        assert!(emission.reaches([0.7, 0.7, -0.18]) && !emission.reaches([0.7, 0.7, -0.2]));
+        emission.learn([&seen, &vec![0; CELLS]], -0.3);
+        assert!(emission.reaches([0.7, 0.7, -0.2]), "a lower one was seen since");
     }
 
     #[test]
     fn a_fixed_field_of_view_is_symmetric_and_has_no_holes() {
         let mut emission = Emission::of(None);
         let seen = counts(|d| d[0] > 0.8 && d[2] < -0.1 && d[2] > -0.4 && d[1].abs() > 0.1);
-        (0..3).for_each(|_| emission.learn([&seen, &vec![0; CELLS]]));
+        (0..3).for_each(|_| emission.learn([&seen, &vec![0; CELLS]], -0.19));
         for direction in [[0.93, 0.2, 0.3], [0.93, -0.2, 0.3], [0.95, 0.0, -0.3]] {
             assert!(emission.towards(direction) > 0.0, "{direction:?}");
         }
         assert_eq!(emission.towards([-1.0, 0.0, 0.0]), 0.0);
         assert_eq!(emission.towards([0.5, 0.0, 0.86]), 0.0);
+        assert!(emission.reaches([0.9, 0.0, -0.4]), "its lower half may be hidden");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-mod extent;
+mod body_box;
 pub(super) mod hull;
 mod legs;
 pub(super) mod look;
@@ -14,7 +14,7 @@ mod person;
 mod places;
 mod shown;
 
-use self::extent::Extent;
+use self::body_box::BodyBox;
 use self::look::Looks;
 use self::measurement::{BodyMeasurement, Legs};
 use self::outline::Outline;
@@ -66,7 +66,7 @@ pub(super) struct RoundBody {
     circle: ElementModes<5>,
     pub(super) outline: Outline,
     /// Box around it, unless it is surely round.
-    extent: Option<Extent>,
+    extent: Option<BodyBox>,
     /// Noise of the centre beyond that of the fits: real objects are not round, and rays that graze
     /// their rims end anywhere.
     jitter: Jitter,
@@ -169,7 +169,7 @@ impl State for RoundBody {
             let known = seen.hull.as_ref().zip(seen.look.as_ref());
             let known = known.filter(|(hull, _)| !hull.is_covered());
             body.extent =
-                known.map(|(hull, look)| Extent::new(hull, (look, seen.circle.delay), rules));
+                known.map(|(hull, look)| BodyBox::new(hull, (look, seen.circle.delay), rules));
         }
         body.listen(&seen.circle, seen.time_ns);
         body

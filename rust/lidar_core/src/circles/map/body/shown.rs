@@ -1,6 +1,6 @@
 //! What is shown of a body: its circle, or the box around what is not round.
 
-use super::extent::Extent;
+use super::body_box::BodyBox;
 use super::places::moves_by;
 use super::{BodyMeasurement, RoundBody};
 use crate::Error;
@@ -25,7 +25,7 @@ impl RoundBody {
 
     /// How sure its box is the better outline, 0 to 1: of what moves, or shows a bent face only. The
     /// shape of what stands is known from its fits.
-    pub(super) fn boxiness(&self, extent: &Extent) -> f64 {
+    pub(super) fn boxiness(&self, extent: &BodyBox) -> f64 {
         let is_box = if extent.has_moved() { 1.0 } else { self.outline.is_bent(self.sight) };
         self.outline.doubt() * is_box
     }
@@ -50,9 +50,9 @@ impl RoundBody {
         match &mut self.extent {
             Some(extent) => extent.correct(hull, seen, is_in_free)?,
             None if hull.is_covered() => {}
-            None => self.extent = Some(Extent::new(hull, seen, rules)),
+            None => self.extent = Some(BodyBox::new(hull, seen, rules)),
         }
-        self.extent = self.extent.take().filter(Extent::is_sound);
+        self.extent = self.extent.take().filter(BodyBox::is_sound);
         Ok(())
     }
 

@@ -1,4 +1,4 @@
-//! Extent of a body that is not round: where its sides are, those that nobody sees now included.
+//! BodyBox of a body that is not round: where its sides are, those that nobody sees now included.
 //!
 //! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner than
 //! the middle, and moves as the body turns or the scanner passes. Here the sides of a box are
@@ -56,7 +56,7 @@ const UNSEEN: f64 = 1e4;
 
 /// A box that follows the sides of a body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Extent {
+pub(super) struct BodyBox {
     /// Centre, velocity, half lengths along the heading and across it.
     state: ElementModes<6>,
     /// Bearing of the first half length [rad], and its variance.
@@ -92,7 +92,7 @@ impl Measures<6, 4> for Sides {
     }
 }
 
-impl Extent {
+impl BodyBox {
     /// True if the parts of a restored state agree.
     pub(super) fn fits(&self, motion: &ElementMotion) -> bool {
         self.state.fits(motion)
@@ -314,10 +314,10 @@ mod tests {
     }
 
     /// Boxes while one drives at 1 m/s along x from `from` to `to`, at y.
-    fn driven(from: f64, to: f64, y: f64) -> Result<Vec<(f64, Extent)>, Error> {
+    fn driven(from: f64, to: f64, y: f64) -> Result<Vec<(f64, BodyBox)>, Error> {
         let (rules, look) = (rules()?, look());
         let step = rules.motion().step(STEP);
-        let mut extent = Extent::new(&seen(from, y)?, (&look, 0.0), &rules);
+        let mut extent = BodyBox::new(&seen(from, y)?, (&look, 0.0), &rules);
         let mut all = vec![(from, extent.clone())];
         while let Some(&(x, _)) = all.last()
             && x < to
@@ -329,7 +329,7 @@ mod tests {
         Ok(all)
     }
 
-    fn off(x: f64, y: f64, extent: &Extent) -> [f64; 2] {
+    fn off(x: f64, y: f64, extent: &BodyBox) -> [f64; 2] {
         let mean = extent.circle().mean;
         [mean[0] - x, mean[1] - y]
     }
