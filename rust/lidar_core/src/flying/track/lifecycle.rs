@@ -1,11 +1,12 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
-use super::belief::existence::{self, DELETED, ExpectedClutter, FalseBirths, KEPT, TrackBelief};
+use super::belief::existence::{DELETED, ExpectedClutter, FalseBirths, KEPT};
+use super::belief::weighing::{born, weigh};
 use super::measurement::Evidence;
-use super::motion;
+use super::motion::{self, seconds};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
-use super::state::{PointTrack, UNNUMBERED, seconds};
+use super::state::{PointTrack, UNNUMBERED};
 use nalgebra::Vector3;
 
 /// A target with a longer side may fall into several clusters: a fuselage between wings [m].
@@ -31,7 +32,7 @@ pub(super) fn remove_uncertain(
                 Ageing::Visible { max_coast, .. } => seconds(track.seen_ns, now_ns) > max_coast,
             }
     };
-    tracks.iter().filter(|track| lost(track)).for_each(|track| births.count_end(track));
+    tracks.iter().filter(|track| lost(track)).for_each(|track| track.count_end(births));
     remove(tracks, lost)
 }
 
@@ -67,12 +68,12 @@ pub(super) fn confirm(
             }
             Confirmation::Existence { report } => {
                 if index < set.known {
-                    existence::weigh(track, evidence, set.around, set.stamp_ns);
+                    weigh(track, evidence, set.around, set.stamp_ns);
                 } else {
-                    track.belief = TrackBelief::born(set.around, track, set.stamp_ns);
+                    track.belief = born(set.around, track, set.stamp_ns);
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
-                track.belief.existence(track) >= limit
+                track.existence() >= limit
             }
         };
         if is_sure && !track.confirmed {
@@ -96,8 +97,8 @@ pub(super) fn remove_unconfirmed(
             remove(tracks, |track| !track.confirmed && last(track.history, window) == 0)
         }
         Confirmation::Existence { .. } => {
-            let is_gone = |track: &PointTrack| track.belief.existence(track) < DELETED;
-            tracks.iter().filter(|track| is_gone(track)).for_each(|track| births.count_end(track));
+            let is_gone = |track: &PointTrack| track.existence() < DELETED;
+            tracks.iter().filter(|track| is_gone(track)).for_each(|track| track.count_end(births));
             remove(tracks, is_gone)
         }
     }

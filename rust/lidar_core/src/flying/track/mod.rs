@@ -43,8 +43,9 @@ use belief::standing::{self, UnmovedTarget};
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
+use motion::seconds;
 use nalgebra::{Matrix3, SMatrix, Vector3};
-use state::{PointTrack, seconds};
+use state::PointTrack;
 use update::Updater;
 
 /// A track, predicted to one time.
@@ -232,7 +233,7 @@ impl PointCloudTracker {
         }
         let mut births = self.births;
         births.count_set();
-        let around = births.expected(&tracks[..known]);
+        let around = births.expected(state::without_target(&tracks[..known]));
         let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, around };
         let born = lifecycle::number(&mut tracks, &mut next_id);
         let mut confirmed = lifecycle::confirm(&mut tracks, &set, self.parameters());
@@ -400,7 +401,7 @@ impl PointCloudTracker {
     fn existence(&self, track: &PointTrack, stamp_ns: i64) -> f64 {
         match self.parameters().confirmation {
             Confirmation::Counts { .. } => f64::NAN,
-            Confirmation::Existence { .. } => track.belief.at(stamp_ns).existence(track),
+            Confirmation::Existence { .. } => track.existence_at(stamp_ns),
         }
     }
 

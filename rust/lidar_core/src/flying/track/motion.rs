@@ -172,6 +172,11 @@ fn faded_noise(dt: f64, time: f64) -> [f64; 6] {
     ]
 }
 
+/// Seconds from `start_ns` to `end_ns`.
+pub(super) fn seconds(start_ns: i64, end_ns: i64) -> f64 {
+    (i128::from(end_ns) - i128::from(start_ns)) as f64 * 1e-9
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

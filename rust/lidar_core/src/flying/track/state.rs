@@ -1,8 +1,8 @@
 //! One track, or one hypothesis on its way to become a track.
 
-use super::belief::existence::{Sight, TrackBelief};
+use super::belief::existence::{FalseBirths, Sight, TrackBelief};
 use super::measurement::{Evidence, Measurement};
-use super::motion::{self, Matrix9};
+use super::motion::{self, Matrix9, seconds};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;
 use crate::estimation::kalman::{Gaussian, Linearised, update};
@@ -127,6 +127,27 @@ impl PointTrack {
         self.size.into_iter().fold(0.0, f64::max)
     }
 
+    /// Probability that its target exists.
+    pub(super) fn existence(&self) -> f64 {
+        self.belief.existence(self.is_among_strays())
+    }
+
+    /// The same at another time, without anything seen.
+    pub(super) fn existence_at(&self, stamp_ns: i64) -> f64 {
+        self.belief.at(stamp_ns).existence(self.is_among_strays())
+    }
+
+    fn is_among_strays(&self) -> bool {
+        self.stray_points > self.own_points
+    }
+
+    /// Count its end among those of tracks without targets, as far as it may have been one.
+    pub(super) fn count_end(&self, births: &mut FalseBirths) {
+        if !self.was_confirmed {
+            births.count_end(self.existence());
+        }
+    }
+
     pub(super) fn radius(&self, parameters: &Radius) -> f64 {
         motion::radius(&self.estimate.covariance, parameters)
     }
@@ -213,7 +234,7 @@ impl PointTrack {
     }
 }
 
-/// Seconds from `start_ns` to `end_ns`.
-pub(super) fn seconds(start_ns: i64, end_ns: i64) -> f64 {
-    (i128::from(end_ns) - i128::from(start_ns)) as f64 * 1e-9
+/// How many tracks that were never confirmed have no target.
+pub(super) fn without_target(tracks: &[PointTrack]) -> f64 {
+    tracks.iter().filter(|track| !track.was_confirmed).map(|track| 1.0 - track.existence()).sum()
 }

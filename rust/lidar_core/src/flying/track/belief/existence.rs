@@ -8,8 +8,7 @@
 //! The same evidence tells whether what exists stands: see [`Kinds`].
 
 use super::super::measurement::Evidence;
-use super::super::motion::position_block;
-use super::super::state::{PointTrack, seconds};
+use super::super::motion::seconds;
 use super::super::visibility::occupancy::ENOUGH_RAYS;
 use super::kinds::Kinds;
 use crate::tracking::existence::{Presence, Sojourn};
@@ -53,7 +52,7 @@ pub(in crate::flying::track) enum Sight {
 
 /// How likely each cause makes something: a target, one that gives no returns for a while, something
 /// that stands, and what comes and goes. Only ratios count.
-type CauseLikelihoods = [f64; 4];
+pub(super) type CauseLikelihoods = [f64; 4];
 
 impl Sight {
     /// Of a track without points, through whose place so many rays went.
@@ -67,7 +66,7 @@ impl Sight {
 
     /// Whether it tells about a track at all. Points that may be of anything say that what began the
     /// track stands, but nothing about what has moved; few points say something about that alone.
-    fn tells(self, has_moved: bool) -> bool {
+    pub(super) fn tells(self, has_moved: bool) -> bool {
         match self {
             Self::Followed => !has_moved,
             Self::Few => has_moved,
@@ -76,11 +75,11 @@ impl Sight {
     }
 
     /// Whether it is something in free space, of which the place tells.
-    fn is_in_free_space(self) -> bool {
+    pub(super) fn is_in_free_space(self) -> bool {
         matches!(self, Self::Few | Self::Weak | Self::Sure)
     }
 
-    fn of_detection(evidence: Evidence) -> Self {
+    pub(super) fn of_detection(evidence: Evidence) -> Self {
         match evidence {
             Evidence { is_led: true, .. } => Self::Followed,
             Evidence { is_sure: true, .. } => Self::Sure,
@@ -90,7 +89,7 @@ impl Sight {
 
     /// Shares of what was seen of tracks, with and without targets, of simulated sensors as their
     /// drivers deliver them and in rain, dust, leaves and among insects.
-    fn likelihood(self, around: ExpectedClutter) -> CauseLikelihoods {
+    pub(super) fn likelihood(self, around: ExpectedClutter) -> CauseLikelihoods {
         let [target, hidden, standing, fleeting] = self.shares();
         let more = if self.is_in_free_space() { around.clutter } else { 1.0 };
         [target, hidden, standing, more * fleeting]
@@ -112,33 +111,17 @@ impl Sight {
 /// Of a detection that seems to be a part of a surface: one in thirty of those of targets, half of
 /// those of parts.
 const JOINED: CauseLikelihoods = [0.033, 0.033, 0.5, 0.033];
-/// Of a first detection around which surfaces give more returns than it does: the parts of a surface that
-/// come into view do so beside the rest of it, few targets do.
-const AMONG_SURFACES: CauseLikelihoods = [0.18, 0.18, 1.0, 0.6];
-/// Of having moved.
-const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
-/// What comes and goes does so anywhere in the gate of a track; what is there is found near its
-/// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
-/// two at no distance, for the largest distance of default gates, and its bounds: neither are targets
-/// that well described, nor is the rest that scattered.
-const NEAREST: f64 = 25.0;
-const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
-/// The upper bound of the first detection after the two that began the track of a fast target: that
-/// three lie on a straight line metres apart, what comes and goes hardly ever does.
-const NEAR_THIRD: f64 = 10.0;
-/// Of two detections that only a fast target explains: few targets are that fast.
-const IS_FAST: CauseLikelihoods = [0.3, 0.3, 1.0, 1.0];
 /// Of having more points around it than its own.
 const AMONG_STRAYS: f64 = 0.02;
 
 /// What is known of the causes of a track.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct TrackBelief {
-    presence: Presence,
+    pub(super) presence: Presence,
     /// Probability that something stands there, if there is no target.
-    standing: f64,
-    stamp_ns: i64,
-    has_moved: bool,
+    pub(super) standing: f64,
+    pub(super) stamp_ns: i64,
+    pub(super) has_moved: bool,
     kinds: Kinds,
 }
 
@@ -150,37 +133,15 @@ impl TrackBelief {
         Self { presence, standing: 0.5, stamp_ns, has_moved: false, kinds }
     }
 
-    /// Of a new track.
-    pub(in crate::flying::track) fn born(
-        around: ExpectedClutter,
-        track: &PointTrack,
-        stamp_ns: i64,
-    ) -> Self {
-        let presence = Presence::measured(around.prior);
-        let mut belief = Self { presence, ..Self::unknown(stamp_ns) };
-        for evidence in track.before.into_iter().chain([track.first]) {
-            belief.take(Sight::of_detection(evidence).likelihood(around));
-            belief.take_shape(evidence);
-        }
-        if track.before.is_some() {
-            belief.take(IS_FAST);
-        }
-        if track.first.is_among_surfaces {
-            belief.take(AMONG_SURFACES);
-        }
-        belief
-    }
-
     /// At another time, without anything seen.
     pub(in crate::flying::track) fn at(&self, stamp_ns: i64) -> Self {
         let presence = self.presence.predicted(seconds(self.stamp_ns, stamp_ns), &MEAN);
         Self { presence, stamp_ns, ..*self }
     }
 
-    /// Probability that the target of `track` exists: one among many returns that belong to nothing is
-    /// rather one of them.
-    pub(in crate::flying::track) fn existence(&self, track: &PointTrack) -> f64 {
-        let is_among_strays = track.stray_points > track.own_points;
+    /// Probability that the target exists: one among many returns that belong to nothing is rather one
+    /// of them.
+    pub(in crate::flying::track) fn existence(&self, is_among_strays: bool) -> f64 {
         let odds = if is_among_strays { AMONG_STRAYS } else { 1.0 };
         self.presence.weighed(odds, odds).existence
     }
@@ -208,7 +169,7 @@ impl TrackBelief {
     }
 
     /// Enter what a detection shows of the target itself.
-    fn take_shape(&mut self, evidence: Evidence) {
+    pub(super) fn take_shape(&mut self, evidence: Evidence) {
         if evidence.is_joined {
             self.take(JOINED);
             self.kinds.see_joined();
@@ -218,7 +179,7 @@ impl TrackBelief {
         }
     }
 
-    fn take(&mut self, [target, hidden, standing, fleeting]: CauseLikelihoods) {
+    pub(super) fn take(&mut self, [target, hidden, standing, fleeting]: CauseLikelihoods) {
         let share = self.presence.hidden / self.presence.existence;
         let of_target = share * hidden + (1.0 - share) * target;
         self.kinds.see(of_target, standing);
@@ -226,44 +187,6 @@ impl TrackBelief {
         self.standing *= standing / without;
         self.presence = self.presence.weighed(target / without, hidden / without);
     }
-}
-
-/// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that.
-pub(in crate::flying::track) fn weigh(
-    track: &mut PointTrack,
-    evidence: Option<Evidence>,
-    around: ExpectedClutter,
-    stamp_ns: i64,
-) {
-    let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
-    let sight = evidence.map_or(seen, Sight::of_detection);
-    let mut belief = track.belief.at(stamp_ns.max(track.belief.stamp_ns));
-    let near = track.nis.take().map(|nis| NEAREST * libm::exp(-0.5 * nis));
-    if sight.is_in_free_space() && !belief.has_moved && has_moved(track) {
-        belief.has_moved = true;
-        belief.take(HAS_MOVED);
-        belief.standing = 0.0; // it may be something else yet, but it does not stand
-    }
-    if sight.tells(belief.has_moved) {
-        belief.take(sight.likelihood(around));
-        if let Some(near) = near.filter(|_| evidence.is_some()) {
-            let is_third = track.before.is_some() && track.n_detections == 3;
-            let most = if is_third { NEAR_THIRD } else { NEAR_BOUNDS[1] };
-            let near = near.clamp(NEAR_BOUNDS[0], most);
-            belief.take([near, near, near, 1.0]);
-        }
-    }
-    if let Some(evidence) = evidence {
-        belief.take_shape(evidence);
-    }
-    track.belief = belief;
-}
-
-/// True if a track is surely away from where it began and nothing is left there.
-fn has_moved(track: &PointTrack) -> bool {
-    let spread = position_block(&track.estimate.covariance).trace() / 3.0;
-    let reach = MOVED + 2.0 * spread.max(0.0).sqrt();
-    track.left && (track.position() - track.born_at).norm() > reach
 }
 
 /// Number of sets after which one counts 1/e.
@@ -284,7 +207,7 @@ const FEWEST: f64 = 0.02;
 #[derive(Clone, Copy, Debug)]
 pub(in crate::flying::track) struct ExpectedClutter {
     /// Probability that a new track has a target.
-    prior: f64,
+    pub(super) prior: f64,
     /// Detections of what comes and goes, over the usual.
     clutter: f64,
 }
@@ -304,17 +227,13 @@ impl FalseBirths {
         self.without_target *= kept;
     }
 
-    /// Take in the end of a track.
-    pub(in crate::flying::track) fn count_end(&mut self, track: &PointTrack) {
-        if !track.was_confirmed {
-            self.without_target += 1.0 - track.belief.existence(track);
-        }
+    /// Take in the end of a track that was never confirmed and had a target with this probability.
+    pub(in crate::flying::track) fn count_end(&mut self, existence: f64) {
+        self.without_target += 1.0 - existence;
     }
 
-    /// What is expected of the next set, beside tracks that are there already.
-    pub(in crate::flying::track) fn expected(&self, tracks: &[PointTrack]) -> ExpectedClutter {
-        let new = tracks.iter().filter(|track| !track.was_confirmed);
-        let alive: f64 = new.map(|track| 1.0 - track.belief.existence(track)).sum();
+    /// What is expected of the next set, beside so many tracks without a target that are there already.
+    pub(in crate::flying::track) fn expected(&self, alive: f64) -> ExpectedClutter {
         let without = (FALSE_PRIOR + self.without_target + alive) / (SETS_PRIOR + self.sets);
         let [low, high] = CLUTTER_BOUNDS;
         ExpectedClutter {

@@ -3,3 +3,4 @@
 pub(super) mod existence;
 pub(super) mod kinds;
 pub(super) mod standing;
+pub(super) mod weighing;

@@ -6,8 +6,8 @@
 use super::super::Track;
 use super::super::detections::Detections;
 use super::super::measurement::CloudScan;
-use super::super::motion::position_block;
-use super::super::state::{PointTrack, seconds};
+use super::super::motion::{position_block, seconds};
+use super::super::state::PointTrack;
 use super::super::visibility::occupancy::Visibility;
 use crate::estimation::kalman::Gaussian;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
@@ -169,7 +169,7 @@ pub(in crate::flying::track) fn follow(
     for track in tracks.iter_mut().filter(|track| !track.confirmed) {
         if standing.iter().any(|target| target.is_now(track) && target.is_away(track)) {
             track.belief.exists(EXISTENCE);
-            track.confirmed = track.belief.existence(track) >= report;
+            track.confirmed = track.existence() >= report;
             track.was_confirmed |= track.confirmed;
             confirmed.extend(track.confirmed.then_some(track.id));
         }

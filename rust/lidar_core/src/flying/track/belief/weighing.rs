@@ -1,0 +1,83 @@
+//! What detections tell of the existence of the targets of tracks.
+
+use super::super::measurement::Evidence;
+use super::super::motion::position_block;
+use super::super::state::PointTrack;
+use super::existence::{CauseLikelihoods, ExpectedClutter, MOVED, Sight, TrackBelief};
+use crate::tracking::existence::Presence;
+
+/// Of a first detection around which surfaces give more returns than it does: the parts of a surface that
+/// come into view do so beside the rest of it, few targets do.
+const AMONG_SURFACES: CauseLikelihoods = [0.18, 0.18, 1.0, 0.6];
+/// Of having moved.
+const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
+/// What comes and goes does so anywhere in the gate of a track; what is there is found near its
+/// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
+/// two at no distance, for the largest distance of default gates, and its bounds: neither are targets
+/// that well described, nor is the rest that scattered.
+const NEAREST: f64 = 25.0;
+const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
+/// The upper bound of the first detection after the two that began the track of a fast target: that
+/// three lie on a straight line metres apart, what comes and goes hardly ever does.
+const NEAR_THIRD: f64 = 10.0;
+/// Of two detections that only a fast target explains: few targets are that fast.
+const IS_FAST: CauseLikelihoods = [0.3, 0.3, 1.0, 1.0];
+
+/// What is believed of a new track.
+pub(in crate::flying::track) fn born(
+    around: ExpectedClutter,
+    track: &PointTrack,
+    stamp_ns: i64,
+) -> TrackBelief {
+    let mut belief = TrackBelief::unknown(stamp_ns);
+    belief.presence = Presence::measured(around.prior);
+    for evidence in track.before.into_iter().chain([track.first]) {
+        belief.take(Sight::of_detection(evidence).likelihood(around));
+        belief.take_shape(evidence);
+    }
+    if track.before.is_some() {
+        belief.take(IS_FAST);
+    }
+    if track.first.is_among_surfaces {
+        belief.take(AMONG_SURFACES);
+    }
+    belief
+}
+
+/// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that.
+pub(in crate::flying::track) fn weigh(
+    track: &mut PointTrack,
+    evidence: Option<Evidence>,
+    around: ExpectedClutter,
+    stamp_ns: i64,
+) {
+    let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
+    let sight = evidence.map_or(seen, Sight::of_detection);
+    let mut belief = track.belief.at(stamp_ns.max(track.belief.stamp_ns));
+    let near = track.nis.take().map(|nis| NEAREST * libm::exp(-0.5 * nis));
+    if sight.is_in_free_space() && !belief.has_moved && has_moved(track) {
+        belief.has_moved = true;
+        belief.take(HAS_MOVED);
+        belief.standing = 0.0; // it may be something else yet, but it does not stand
+    }
+    if sight.tells(belief.has_moved) {
+        belief.take(sight.likelihood(around));
+        if let Some(near) = near.filter(|_| evidence.is_some()) {
+            let is_third = track.before.is_some() && track.n_detections == 3;
+            let most = if is_third { NEAR_THIRD } else { NEAR_BOUNDS[1] };
+            let near = near.clamp(NEAR_BOUNDS[0], most);
+            belief.take([near, near, near, 1.0]);
+        }
+    }
+    if let Some(evidence) = evidence {
+        belief.take_shape(evidence);
+    }
+    track.belief = belief;
+}
+
+/// True if a track is surely away from where it began and nothing is left there.
+fn has_moved(track: &PointTrack) -> bool {
+    let spread = position_block(&track.estimate.covariance).trace() / 3.0;
+    let reach = MOVED + 2.0 * spread.max(0.0).sqrt();
+    track.left && (track.position() - track.born_at).norm() > reach
+}
