@@ -92,6 +92,9 @@ class LidarModel(Config):
     of a preset holds what the sensor's driver delivers (`delivery`); `ideal` makes all rays known.
     """
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "dropout_is_no_return": "lost returns tell nothing; every `delivery` but rays hides them",
+    }
     pattern: Annotated[Spinning | Rosette | Planar, Field(discriminator="kind")] = Field(
         description="Directions and their order (see the two kinds for units)."
     )
@@ -101,9 +104,6 @@ class LidarModel(Config):
     range_max: float = Field(100.0, gt=0, description="Surfaces from here on: no return [m].")
     range_std: float = Field(0.03, ge=0, description="Standard deviation of the ranges [m].")
     dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
-    dropout_is_no_return: bool = Field(
-        False, description="Lost returns look like no return, as from most drivers (no unit)."
-    )
     delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
         "rays",
         description="How the driver of a 3D LiDAR delivers rays without return: as known rays with"

@@ -231,7 +231,6 @@ fn lidar() -> Lidar {
         range_max: 100.0,
         range_std: 0.03,
         dropout: 0.0,
-        dropout_is_no_return: false,
         beam: None,
     }
 }

@@ -80,10 +80,8 @@ pub struct Lidar {
     pub range_max: f64,
     /// Standard deviation of the ranges [m].
     pub range_std: f64,
-    /// Probability that a return is lost.
+    /// Probability that a return is lost: it tells nothing.
     pub dropout: f64,
-    /// True: a lost return is reported as no return, as most drivers do; false: as no information.
-    pub dropout_is_no_return: bool,
     /// Width of the beam; None for single lines.
     pub beam: Option<Beam>,
 }
@@ -237,7 +235,7 @@ impl Lidar {
         }
         let drawn = random::words(seed, random::place(Purpose::Ray, scan, ray));
         if random::uniform(drawn[2]) < self.dropout {
-            return if self.dropout_is_no_return { f64::INFINITY } else { f64::NAN };
+            return f64::NAN;
         }
         let range = (distance + self.range_std * random::normal(drawn[0], drawn[1])).max(0.0);
         match self.pattern {

@@ -305,13 +305,6 @@ def test_noise_and_dropout_have_the_stated_distribution():
     assert np.isnan(noisy.scan.points.reshape(-1, 3)[lost]).all()
 
 
-def test_dropout_can_look_like_no_return():
-    lidar = sim.LidarModel.preset("vlp-16", ideal=True, dropout=1.0, dropout_is_no_return=True)
-    made = only(wall_scene(lidar=lidar))
-    assert made.scan.no_return.all()
-    assert (made.label == -1).all()
-
-
 def test_near_surfaces_give_no_information_and_far_ones_no_return():
     lidar = sim.LidarModel.preset(
         "vlp-16", ideal=True, range_min=31.0, range_max=40.0, range_std=0.0

@@ -136,7 +136,6 @@ fn seen(input: &mut Input<'_>) -> Result<(), Error> {
         range_max: 50.0,
         range_std: input.share() * 0.1,
         dropout: input.share(),
-        dropout_is_no_return: input.is_set(),
         beam: input.maybe(|input| Beam {
             half_width: input.share() * 0.01,
             lines: input.below(4),

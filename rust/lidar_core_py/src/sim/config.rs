@@ -20,7 +20,6 @@ pub(crate) struct LidarConfig {
     range_max: f64,
     range_std: f64,
     dropout: f64,
-    dropout_is_no_return: bool,
     beam: Option<BeamConfig>,
 }
 
@@ -100,7 +99,6 @@ impl LidarConfig {
             range_max: self.range_max,
             range_std: self.range_std,
             dropout: self.dropout,
-            dropout_is_no_return: self.dropout_is_no_return,
             beam: self.beam.as_ref().map(BeamConfig::beam).transpose()?,
         })
     }
