@@ -125,6 +125,18 @@ def test_without_a_terminal_there_is_a_line_a_minute(monkeypatch, verbose, lines
     assert " of 1200 scans, 4.0 per second, " in told[-1]
 
 
+def test_more_than_was_asked_for_has_no_time_left(monkeypatch):
+    """Of an item that does every part once, however few scans are told."""
+    clock = iter(np.arange(0.0, 1000.0, 50.0))
+    monkeypatch.setattr("lidar_core.cli.shared.voice.time.monotonic", lambda: next(clock))
+    written = io.StringIO()
+    with shown_progress(Console(file=written), counts="scans") as on_progress:
+        for done in (1, 50, 100):
+            on_progress("item", done, 10)
+    (told,) = written.getvalue().splitlines()
+    assert told == "item: 100 scans, 1.0 per second"
+
+
 def test_lines_that_were_begun_are_completed():
     written = io.StringIO()
     with voice.JsonLines(written) as lines:

@@ -215,6 +215,8 @@ class Pace:
         if now - self._told.setdefault(what, begun) < _chosen.every_s:
             return
         self._told[what] = now
+        if total is not None and done > total:
+            total = None  # an item does every part once, however little was asked for
         rate = done / (now - begun)
         of = "" if total is None else f" of {total}"
         left_s = None if total is None or not rate else round((total - done) / rate)
