@@ -63,6 +63,7 @@ def works(size: int) -> dict[str, Work]:
         "detect, static map": Work(
             ("detect", "flight.npz", "-o", "flying3", *quiet, "--static-map", "still.ply"),
             "flying3",
+            beside="still.ply",
         ),
         "circles": Work(("circles", "sweeps.npz", "-o", "map", "--no-picture"), "map"),
         "circles, resumed": Work(
@@ -129,7 +130,7 @@ def files_of(place: Path) -> Iterator[Path]:
     """Files that a command left under their own names, temporary ones left out."""
     from lidar_core.io.files.atomic import is_temporary
 
-    paths = [place] if place.is_file() else sorted(place.rglob("*"))
+    paths = sorted(place.rglob("*")) if place.is_dir() else [place]
     for path in paths:
         inner = path.relative_to(place.parent).parts
         if path.is_file() and not any(map(is_temporary, inner)):
@@ -168,6 +169,7 @@ WHOLE: dict[str, Callable[[Path], object]] = {
     ".toml": lambda path: tomllib.loads(path.read_text()),
     ".png": _image,
     ".npz": _recording,
+    ".ply": _recording,
     ".mcap": _recording,
     ".parquet": _table,
     ".lcvm": _map,
@@ -219,19 +221,20 @@ def clear(folder: Path, work: Work) -> None:
 
 def attempt(folder: Path, work: Work, whole: dict[str, bytes], wait: float) -> str:
     """Kill a command after `wait` seconds and tell it again: how that ended."""
-    place = folder / work.output
+    place, places = folder / work.output, [folder / work.output]
+    places += [folder / work.beside] if work.beside else []
     status = run(folder, work.arguments, wait=wait)
     if status not in (0, -signal.SIGKILL):
         return f"status {status}: {(folder / 'stderr').read_text()[-300:]}"
     was_killed = status != 0
-    if bad := torn(place):
+    if bad := [one for path in places for one in torn(path)]:
         return f"torn {bad}"
     status = run(folder, (*work.arguments, *work.again))
     told = (folder / "stderr").read_text()
     was_complete = status == 2 and "there is nothing to resume" in told
     if status != 0 and not was_complete:
         return f"again: status {status}: {(folder / 'stderr').read_text()[-300:]}"
-    if bad := torn(place):
+    if bad := [one for path in places for one in torn(path)]:
         return f"torn after the next command {bad}"
     if found := left_over(place):
         return f"left over {found}"

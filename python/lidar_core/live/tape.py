@@ -91,7 +91,7 @@ class Tape:
 
     def _write(self) -> None:
         try:
-            if self.path.suffix == ".mcap":
+            if self.path.suffix.lower() == ".mcap":
                 with McapWriter(self.path, tracks_frame=WORLD_FRAME, is_live=True) as writer:
                     for message in self._messages():
                         writer.write(message)

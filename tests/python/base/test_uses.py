@@ -136,4 +136,6 @@ def test_a_file_of_another_use_is_told_as_such(tmp_path):
 
 
 def test_a_turning_sensor_is_told_by_its_gyro():
-    assert FusionConfig.turning_sensor() == FusionConfig(model="ctrv-drone", gyro="input")
+    assert FusionConfig.turning_sensor() == FusionConfig(
+        model="ctrv-drone", gyro="input", acceleration_noise=1.0
+    )

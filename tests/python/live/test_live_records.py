@@ -102,7 +102,19 @@ def test_a_killed_recording_keeps_all_but_its_end(tmp_path):
     assert [scan.stamp_ns for scan in scans] == [n * 10**8 for n in range(len(scans))]
     lost_bytes = (200 - len(scans)) * scans[0].points.nbytes
     assert 0 < lost_bytes <= 300_000  # the last chunk, and what the thread was at
-    with pytest.raises(ConfigError, match=r"a\.partial\.mcap: exists \(of a run that was killed"):
+    (tmp_path / "other").write_bytes(b"precious")
+    partial.unlink()
+    partial.symlink_to(tmp_path / "other")
+    with lc.io.McapWriter(path, tracks_frame="map", is_live=True) as writer:
+        with pytest.raises(FileExistsError, match="another process writes this recording"):
+            lc.io.McapWriter(path, tracks_frame="map", is_live=True)
+        writer.write(scans[0])
+    assert (tmp_path / "other").read_bytes() == b"precious"
+    path.unlink()
+    partial.write_bytes(b"")
+    with pytest.raises(
+        ConfigError, match=r"a\.partial\.mcap: exists, left by a run that was killed"
+    ):
         check_files([], None, None, path, overwrite=False)
     check_files([], None, None, path, overwrite=True)
 

@@ -1,8 +1,10 @@
 """Writer of MCAP files with Foxglove's messages, for viewers and for `open_recording`."""
 
+import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,7 +223,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
     """Writes scans, poses and tracks as they come; the file appears when it is complete.
 
     Messages are those of `FoxgloveLog`. Leaving the `with` block completes the file, also on
-    Ctrl-C; any other error leaves nothing behind.
+    Ctrl-C; any other error leaves nothing behind, unless `is_live`.
 
     Parameters
     ----------
@@ -232,12 +234,15 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
     is_live : bool
         The items come once, from a robot. They are written to `NAME.partial.mcap` beside `path`,
         which stays there if the process is killed or an error ends the block: recordings opened
-        with `recover` read all of it but the last 256 KiB. An older partial file is replaced.
+        with `recover` read all of it but the last scan, or the last 256 KiB of smaller ones. An
+        older partial file is replaced.
 
     Raises
     ------
     FileNotFoundError
         The folder of the file is missing.
+    FileExistsError
+        Another process writes the same live file.
     MissingExtraError
         foxglove-sdk is not installed.
     """
@@ -248,6 +253,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         self._path, self._is_live = Path(path), is_live
         check_place(self._path)
         self._temporary = partial_path(self._path) if is_live else temporary_for(self._path)
+        self._lock = _locked(self._temporary) if is_live else None
         options = {"chunk_size": LIVE_CHUNK_BYTES} if is_live else {}
         self._writer = foxglove.open_mcap(
             self._temporary,
@@ -271,8 +277,10 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         except RuntimeError as error:
             raise OSError(f"{self._path}: cannot be written: {error}; is the disk full?") from error
         finally:
-            if not self._is_live:
+            if self._lock is None:
                 self._temporary.unlink(missing_ok=True)
+            else:
+                self._lock.close()
 
 
 @register_writer("Foxglove's messages", [".mcap"], "viz", takes="messages")
@@ -298,6 +306,29 @@ def write_mcap(
     with McapWriter(path, tracks_frame=tracks_frame) as writer:
         for item in items:
             writer.write(item)
+
+
+def _locked(path: Path) -> BinaryIO:
+    """A new file at `path`, locked while it is open; what lies there goes, if nobody writes it."""
+    check_place(path)
+    with suppress(FileNotFoundError), path.open("rb") as older:
+        _lock(older, path)
+    path.unlink(missing_ok=True)
+    file = path.open("xb")
+    _lock(file, path)
+    return file
+
+
+def _lock(file: BinaryIO, path: Path) -> None:
+    if os.name != "posix":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        raise FileExistsError(f"{path}: another process writes this recording") from None
 
 
 def _check_stamp(stamp_ns: int) -> None:

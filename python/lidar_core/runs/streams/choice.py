@@ -209,7 +209,7 @@ def check_files(
     places += [] if tape is None else [tape]
     counts = Counter(path.resolve() for path in places)
     of_run = [] if folder is None else [folder / MCAP]
-    partial = [partial_path(path) for path in places if path.suffix == ".mcap"]
+    partial = [partial_path(path) for path in places if path.suffix.lower() == ".mcap"]
     for path in (*places, *of_run, *partial):
         if path in of_run and counts[path.resolve()]:
             raise ConfigError(f"outputs: mcap:{path}: {folder} gets this file; leave it out")
@@ -222,7 +222,12 @@ def check_files(
         if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
             raise ConfigError(f"{path}: expected another file than the one to read")
         if not overwrite:
-            left = " (of a run that was killed; recover=True reads it)" if path in partial else ""
+            left = (
+                f", left by a run that was killed, if none is at it: lidar-core convert {path}"
+                " saved.mcap --recover saves it"
+                if path in partial
+                else ""
+            )
             raise ConfigError(f"{path}: exists{left}; overwrite=True replaces it")
 
 

@@ -11,7 +11,7 @@ use std::fmt::Debug;
 use std::io::Write;
 
 const MAGIC: &[u8; 4] = b"LCFS";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const CHECKSUM_BYTES: usize = 4;
 
 /// Bytes that hold `content`, the state of an object of this `kind` with these `parameters`.

@@ -6,7 +6,7 @@
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::point_class::PointClass;
-use crate::geometry::transform::norm;
+use crate::geometry::transform::{minus, norm};
 
 /// A target with a longer side may fall into several clusters [m].
 const LARGE: f64 = 0.75;
@@ -35,35 +35,44 @@ impl<'c> UnitedClusters<'c> {
             .filter(|(_, one)| one.class == PointClass::Flying)
             .map(|&(index, _)| (index, clusters.get(index)))
             .collect();
+        let large: Vec<(usize, Cluster<'_>)> =
+            flying.iter().filter(|(_, one)| side(one) >= LARGE).copied().collect();
         let mut host: Vec<(usize, usize)> = Vec::new();
-        for &(index, part) in &flying {
-            let larger = |(other, whole): &&(usize, Cluster<'_>)| {
+        // Boxes around targets and the parts that they have got already.
+        let mut boxes: Vec<(usize, [[f64; 3]; 2])> = Vec::new();
+        for &(index, part) in flying.iter().filter(|_| !large.is_empty()) {
+            let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
                 *other != index
-                    && side(whole) >= LARGE
                     && (side(whole), *other) > (side(&part), index)
                     && gap(whole, &part) <= GAP
-                    && longest.is_some_and(|longest| across(whole, &part) <= longest)
             };
-            let whole = flying
+            let whole = large
                 .iter()
-                .filter(larger)
+                .filter(is_near)
                 .max_by(|(_, one), (_, other)| side(one).total_cmp(&side(other)));
-            host.extend(whole.map(|&(whole, _)| (index, whole)));
+            let Some((&(whole, cluster), longest)) = whole.zip(longest) else { continue };
+            let top = top_of(&host, whole);
+            let known = |number: usize, own: &Cluster<'_>| {
+                let found = boxes.iter().find(|(other, _)| *other == number);
+                found.map_or([own.low, own.high], |&(_, found)| found)
+            };
+            let of_top = large.iter().find(|(other, _)| *other == top).map_or(cluster, |one| one.1);
+            let together = around(known(top, &of_top), known(index, &part));
+            if norm(minus(together[1], together[0])) <= longest {
+                host.push((index, whole));
+                boxes.retain(|(other, _)| *other != top);
+                boxes.push((top, together));
+            }
         }
         if host.is_empty() {
             return Self { united: None, items };
         }
         items.retain(|(index, _)| !host.iter().any(|(part, _)| part == index));
         // A part of a part belongs to the largest of them.
-        let root = |mut index: usize| {
-            while let Some(&(_, whole)) = host.iter().find(|(part, _)| *part == index) {
-                index = whole;
-            }
-            index
-        };
         let mut labels = vec![-1; points.len()];
         for (place, (index, _)) in items.iter().enumerate() {
-            let parts = host.iter().map(|&(part, _)| part).filter(|&part| root(part) == *index);
+            let parts =
+                host.iter().map(|&(part, _)| part).filter(|&part| top_of(&host, part) == *index);
             for row in parts.chain([*index]).flat_map(|own| clusters.get(own).members) {
                 labels[*row as usize] = place as i32;
             }
@@ -100,36 +109,49 @@ fn gap(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
     norm([0, 1, 2].map(away))
 }
 
-/// Diagonal of the box around both [m].
-fn across(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
-    let sides =
-        |axis: usize| one.high[axis].max(other.high[axis]) - one.low[axis].min(other.low[axis]);
-    norm([0, 1, 2].map(sides))
+/// The box around two boxes, each from its lowest to its highest corner.
+fn around(one: [[f64; 3]; 2], other: [[f64; 3]; 2]) -> [[f64; 3]; 2] {
+    let low = [0, 1, 2].map(|axis: usize| one[0][axis].min(other[0][axis]));
+    [low, [0, 1, 2].map(|axis: usize| one[1][axis].max(other[1][axis]))]
+}
+
+/// The whole that a cluster belongs to, by way of other parts; itself if it is none.
+fn top_of(host: &[(usize, usize)], mut index: usize) -> usize {
+    while let Some(&(_, whole)) = host.iter().find(|(part, _)| *part == index) {
+        index = whole;
+    }
+    index
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Numbers of points of what is detected of a wing of `width` [m] and a tip `apart` [m] from it.
-    fn detected(width: f32, apart: f32) -> Vec<usize> {
+    /// Numbers of points of what is detected of a wing of `width` [m] and tips `apart` [m] from its
+    /// ends; of one of them, if that is all.
+    fn detected(width: f32, apart: f32, is_one: bool) -> Vec<usize> {
         let wing = (0..11).map(|step| [5.0, 0.1 * width * step as f32, 2.0]);
         let tip = (0..3).map(|step| [5.0, width + apart + 0.05 * step as f32, 2.0]);
-        let points: Vec<[f32; 3]> = wing.chain(tip).collect();
-        let labels: Vec<i32> = (0..14).map(|row| i32::from(row > 10)).collect();
+        let other = (0..3).map(|step| [5.0, -apart - 0.05 * step as f32, 2.0]);
+        let points: Vec<[f32; 3]> = wing.chain(tip).chain(other).collect();
+        let points = if is_one { &points[..14] } else { &points[..] };
+        let labels: Vec<i32> =
+            (0..points.len()).map(|row| i32::from(row > 10) + i32::from(row > 13)).collect();
         let mut clusters = Clusters::default();
-        clusters.fill(&points, &labels);
+        clusters.fill(points, &labels);
         let flying = Classification { class: PointClass::Flying, ..Classification::default() };
-        let all = [(0, &flying), (1, &flying)];
-        let united = UnitedClusters::of(&points, &clusters, all.into_iter(), Some(3.5));
+        let all = (0..if is_one { 2 } else { 3 }).map(|index| (index, &flying));
+        let united = UnitedClusters::of(points, &clusters, all, Some(2.5));
         united.iter(&clusters).map(|(cluster, _)| cluster.members.len()).collect()
     }
 
     #[test]
     fn tips_of_wings_are_parts_and_targets_beside_each_other_are_not() {
-        assert_eq!(detected(1.5, 0.45), [14]);
-        assert_eq!(detected(1.5, 0.6), [11, 3]);
-        assert_eq!(detected(0.7, 0.45), [11, 3], "two small targets");
-        assert_eq!(detected(3.3, 0.45), [11, 3], "too long for a target");
+        assert_eq!(detected(1.5, 0.45, true), [14]);
+        assert_eq!(detected(1.5, 0.6, true), [11, 3]);
+        assert_eq!(detected(0.7, 0.45, true), [11, 3], "two small targets");
+        assert_eq!(detected(2.3, 0.45, true), [11, 3], "too long for a target");
+        assert_eq!(detected(1.3, 0.35, false), [17]);
+        assert_eq!(detected(1.6, 0.45, false), [14, 3], "too long with the second tip");
     }
 }
