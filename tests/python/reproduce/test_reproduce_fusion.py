@@ -24,8 +24,8 @@ from lidar_core.reproduce.fusion.laser_radar import (
     SAMPLE_1,
     Contender,
     Course,
+    add_noise,
     course,
-    drawn,
     draws_of,
     estimates,
     in_turn,
@@ -49,7 +49,7 @@ def circle(rows=400):
 
 def test_noise_has_its_power_in_the_plane_and_leaves_range_rates():
     of = circle(4000)
-    values = drawn(of, 0.2, np.random.default_rng(41))
+    values = add_noise(of, 0.2, np.random.default_rng(41))
     added = places(values, of.is_lidar) - places(of.values, of.is_lidar)
     np.testing.assert_allclose(added.std(axis=0), 0.2, rtol=0.05)
     np.testing.assert_array_equal(values[~of.is_lidar, 2], of.values[~of.is_lidar, 2])
@@ -65,7 +65,7 @@ def test_draws_hang_on_their_seed_number_and_level_alone():
 
 def test_a_position_and_a_range_rate_are_what_the_radar_said():
     of, std = circle(), 0.2
-    values = drawn(of, std, np.random.default_rng(42))
+    values = add_noise(of, std, np.random.default_rng(42))
     config = FusionConfig(acceleration_noise=0.3, turn_noise=0.3)
     found = [
         estimates(run(measurements(of, values, form, OURS, std), config), of, form)
