@@ -164,7 +164,7 @@ def test_a_recording_that_is_not_there_is_named_with_the_cure(monkeypatch, tmp_p
 def test_what_a_moving_sensor_sees_moves_as_its_rates_say(rate, speed):
     of = circle()
     ride = Ride.of(of.truth.stamps_ns * 1e-9, rate, speed)
-    seen = ride.seen(of.truth)
+    seen = ride.relative(of.truth)
     read = ride.gyro(of.truth.stamps_ns * 1e-9)
     np.testing.assert_allclose(np.diff(ride.yaw) / 0.05, (read[1:] + read[:-1]) / 2, atol=1e-3)
     late = ride.gyro(of.truth.stamps_ns * 1e-9, 0.1, 0.05)
