@@ -33,7 +33,7 @@ from lidar_core.io.options import NS
 from lidar_core.run_folder import fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.recording import folder_to_write
-from lidar_core.runs.result import RunResult, draw
+from lidar_core.runs.result import RunResult, draw, no_mcap_of
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
 from lidar_core.runs.targets.many import ManyRun
 from lidar_core.runs.targets.one import TargetRun
@@ -168,9 +168,12 @@ def fuse(
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
     folder.write_summary(summary)
     folder.write_note({"recording": fingerprint(source)}, run.configs)
-    if writes_mcap and (mcap or not (run.stamps < 0).any()):
-        files.append(run.write_mcap(folder))
     notes = [f"note: {run.doubt}"] if run.doubt else []
+    lacks_mcap = no_mcap_of(run.stamps)
+    if writes_mcap and (mcap or not lacks_mcap):
+        files.append(run.write_mcap(folder))
+    elif writes_mcap and lacks_mcap:
+        notes.append(lacks_mcap)
     if keeps and not is_kept:
         notes.append("note: one target: no checkpoint is written; a killed run starts again")
     if picture:

@@ -184,6 +184,9 @@ def test_times_before_1970_leave_no_file_for_viewers(tmp_path):
     content = [row | {"t_ns": row["t_ns"] - 10**9} for row in looking_around()]
     path = write(tmp_path / "early.csv", content)
     assert "run.mcap" not in result_of(path, "-o", tmp_path / "a", "--no-picture")["files"]
+    told = lc.runs.fuse(path, None, tmp_path / "b", picture=False).notes
+    assert told == ("no run.mcap: MCAP holds no times below 0, and the first is -1 s",)
+    assert lc.runs.fuse(path, None, tmp_path / "c", picture=False, mcap=False).notes == ()
 
 
 # Tables
