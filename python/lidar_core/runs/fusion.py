@@ -15,16 +15,12 @@ from lidar_core.fusion import (
     DetectionScan,
     FusionConfig,
     MeasurementLog,
-    Measurements,
     MultiTargetConfig,
     TableOptions,
     read_bag,
     read_measurements,
 )
-from lidar_core.fusion import (
-    fit_noise as fit_noise_of,
-)
-from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
+from lidar_core.fusion.plausibility import implausible
 from lidar_core.fusion.recordings.lists import list_reader
 from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import is_table
@@ -36,10 +32,9 @@ from lidar_core.runs.recording import folder_to_write
 from lidar_core.runs.result import RunResult, draw, no_mcap_of
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
 from lidar_core.runs.targets.many import ManyRun
+from lidar_core.runs.targets.noise import fitted, tells_model
 from lidar_core.runs.targets.one import TargetRun
 
-SETTLED = 10
-"""Measurements of every recording that a fit of noise leaves out, since the filter starts."""
 BAGS = (".bag", ".db3", ".mcap")
 
 
@@ -219,7 +214,8 @@ def fit_config(
     Returns
     -------
     FusionConfig
-        `config` with the noise under which the measurements are most likely.
+        `config` with the noise under which the measurements are most likely; where no model or
+        method is told, also with the likelier model of ct and ctrv.
 
     Raises
     ------
@@ -248,8 +244,9 @@ def fit_config(
     )
     jobs = [_FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
-    chosen = _with(config, _given(model=model, method=method))
-    return _fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
+    ways = _given(model=model, method=method)
+    chosen = config_of_run(_with(config, ways), FusionConfig, "fusion")
+    return fitted(logs, chosen, finds_model=not tells_model(config, ways), force=force)
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +339,9 @@ class _FuseJob:
                 " of the platform, which are here; ctrv takes them in"
             )
         if self.fit_noise:
-            chosen = _fitted([(self.recording, kept)], chosen, force=self.force)
+            finds_model = not tells_model(self.config, self.ways)
+            logs = [(self.recording, kept)]
+            chosen = fitted(logs, chosen, finds_model=finds_model, force=self.force)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:
@@ -396,40 +395,6 @@ class _FuseJob:
         for name in self.read:
             if name not in used:
                 raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
-
-
-def _fitted(
-    logs: Sequence[tuple[Path, MeasurementLog]], config: FusionConfig, *, force: bool
-) -> FusionConfig:
-    """`config` with the noise of recordings.
-
-    Raises
-    ------
-    InputError
-        As `fit_config`.
-    """
-    ordered = [
-        (place, sorted(log.measurements, key=lambda one: one.stamp_ns)) for place, log in logs
-    ]
-    for place, measurements in ordered:
-        if len(measurements) <= SETTLED:
-            raise InputError(
-                f"{place}: expected more than {SETTLED} measurements to find noise from,"
-                f" got {len(measurements)}"
-            )
-    try:
-        fitted = fit_noise_of([Measurements(rows) for _, rows in ordered], config)
-    except InputError as error:
-        places = ", ".join(str(place) for place, _ in ordered)
-        raise InputError(f"{places}: {error}") from error
-    for place, measurements in () if force else ordered:
-        mistake = mistaken_for_noise(measurements, config, fitted)
-        if mistake is not None:
-            raise InputError(
-                f"{place}: noise would have to explain a mistake. The data shows: {mistake}."
-                " force=True goes on nevertheless"
-            )
-    return fitted
 
 
 def _given(**values: Any) -> dict[str, Any]:
