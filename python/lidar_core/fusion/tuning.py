@@ -14,8 +14,8 @@ EVALUATIONS = 2000
 MODELS = ("ct", "ctrv")
 """Models of which the likelier is taken where none is told; both have as many values to find.
 
-The noise of ct is the same in all directions; that of ctrv drives speed and turning apart, so that a
-target that turns with an even speed is told from a noisy one.
+The noise of ct is the same in all directions. That of ctrv drives speed and turning apart, so that
+a target that turns with an even speed is told from a noisy one.
 """
 MAX_STD = 1e6
 """Largest deviation that may be asked for at least [m/s]."""

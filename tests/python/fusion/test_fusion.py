@@ -157,7 +157,7 @@ def test_the_likelier_model_is_found_where_none_is_told():
 
 
 def test_noise_that_is_given_is_not_believed_more_after_a_fit():
-    """The opposite error: sensors were not fitted, so the filter goes on to look for their noise."""
+    """The opposite error: sensors were not fitted, so the filter still looks for their noise."""
     seen, _ = walk(np.random.default_rng(7412), rows=120)
     assert fit_noise(seen, FusionConfig(), sensors=False).sensor_noise == "estimated"
 
