@@ -56,6 +56,10 @@ class PoseFrameWarning(UserWarning):
     """Poses that were given do not fit the scans, but would in another frame."""
 
 
+class TruthWarning(UserWarning):
+    """True places of a recording are missing, so that there is less to compare results with."""
+
+
 def closest(name: str, known: Iterable[str]) -> str | None:
     """Which of `known` is spelt most like `name`; None if none is."""
     return next(iter(get_close_matches(name, list(known), n=1)), None)

@@ -14,10 +14,11 @@ import numpy as np
 from hostile.child import _said
 from lidar_core import VoxelMap
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.io import write_recording
+from lidar_core.io import read_columns, write_recording
 from lidar_core.messages import Scan
 from lidar_core.run_folder import RunFolder
 from lidar_core.runs.checkpoints import Checkpoints
+from lidar_core.viz.figure import write_figure
 
 
 def _map(path, size):
@@ -68,6 +69,16 @@ def _checkpoint(path, size):
     _RUNS[path].take(_Counted(size), size)
 
 
+def _table(path, size):
+    folder = RunFolder.__new__(RunFolder)
+    folder.path = path.parent
+    folder.write_table(path.stem, {"x": np.arange(size)})
+
+
+def _picture(path, size):
+    write_figure(path, lambda figure: figure.text(0, 0, str(size)), size=(1, 1), dpi=40)
+
+
 _RUNS = {}
 """What writes the checkpoints of a folder."""
 
@@ -80,6 +91,9 @@ WRITERS = {
     "map.lcvm": (_map, lambda path: VoxelMap.load(path).n_observed),
     "state.lcst": (_detector, lambda path: FlyingObjectDetector.load(path).n_observed),
     "scans.npz": (_recording, lambda path: path.stat().st_size),
+    "scans.mcap": (_recording, lambda path: path.stat().st_size),
+    "table.parquet": (_table, lambda path: len(read_columns(path, trusted=True)["x"])),
+    "picture.png": (_picture, lambda path: path.read_bytes()),
     "summary.json": (_text, lambda path: len(path.read_text())),
     "run.checkpoint": (_checkpoint, _resumed),
 }

@@ -1,9 +1,10 @@
-"""`python -m hostile.kills`: commands that write are killed at any time, and told again.
+"""`python -m hostile.kills`: commands that write are killed at any time, and then run again.
 
 A kill may leave a temporary file, which the next command of that output removes, but no torn one:
 every file under its own name can be read. What the next command leaves is the same to the bit as
 without a kill, but for the times that the computer took: `--resume` goes on from a checkpoint,
-other commands begin anew with `--overwrite`.
+other commands begin anew with `--overwrite`. Every second kill of a command with checkpoints waits
+for one; that kills fell on checkpoints is counted, and without any the attack has failed.
 """
 
 import argparse
@@ -17,21 +18,18 @@ import tempfile
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from lidar_core.run_folder import CHECKPOINT
+
 PROGRAM = "import sys; sys.argv[0] = 'lidar-core'; from lidar_core.cli import main; main()"
-OF_TIME = ("timing.parquet", "timing.csv", "run.toml", "summary.json", "batch.toml", "job.json")
-"""Files that hold times of the computer, or how often a command was told."""
-OF_TIME_TOO = (
-    "results.parquet",
-    "results.csv",
-    "report.html",
-    "run.mcap",
-    "log.txt",
-    "1-fuse.json",
+OF_TIME = (
+    *("timing.parquet", "timing.csv", "results.parquet", "results.csv", "report.html"),
+    *("run.toml", "batch.toml", "summary.json", "job.json", "1-fuse.json", "run.mcap", "log.txt"),
 )
+"""Files that hold times of the computer, or how often a command was given."""
 PATIENCE_S = 300
 
 
@@ -44,6 +42,10 @@ class Work:
     again: tuple[str, ...] = ("--overwrite",)
     beside: str = ""
     is_same: bool = True
+
+    @property
+    def is_resumed(self) -> bool:
+        return "--resume" in self.again
 
 
 def works(size: int) -> dict[str, Work]:
@@ -91,14 +93,30 @@ def works(size: int) -> dict[str, Work]:
     }
 
 
-def run(folder: Path, arguments: tuple[str, ...], *, wait: float | None = None) -> int:
-    """Do a command in `folder`; after `wait` seconds it is killed. Its exit status."""
-    with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *arguments],
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        stderr=(folder / "stderr").open("wb"),
-    ) as process:
+def run(
+    folder: Path,
+    arguments: tuple[str, ...],
+    *,
+    wait: float | None = None,
+    after: Path | None = None,
+) -> int:
+    """Do a command in `folder`; its exit status.
+
+    With `wait` it is killed so many seconds after its start, or after the file `after` appears.
+    """
+    with (
+        (folder / "stderr").open("wb") as told,
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *arguments],
+            cwd=folder,
+            stdout=subprocess.DEVNULL,
+            stderr=told,
+        ) as process,
+    ):
+        until = time.monotonic() + PATIENCE_S
+        while after is not None and not after.exists() and process.poll() is None:
+            assert time.monotonic() < until, f"{after} never came"
+            time.sleep(0.002)
         try:
             return process.wait(PATIENCE_S if wait is None else wait)
         except subprocess.TimeoutExpired:
@@ -140,6 +158,7 @@ def files_of(place: Path) -> Iterator[Path]:
 def _image(path: Path) -> object:
     from PIL import Image
 
+    assert path.read_bytes()[-8:-4] == b"IEND", "no end"  # which Image does not miss
     with Image.open(path) as image:
         image.load()
     return image
@@ -196,7 +215,7 @@ def contents(place: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(place.parent)): path.read_bytes()
         for path in files_of(place)
-        if path.name not in (*OF_TIME, *OF_TIME_TOO)
+        if path.name not in OF_TIME
     }
 
 
@@ -219,29 +238,109 @@ def clear(folder: Path, work: Work) -> None:
             place.unlink(missing_ok=True)
 
 
-def attempt(folder: Path, work: Work, whole: dict[str, bytes], wait: float) -> str:
-    """Kill a command after `wait` seconds and tell it again: how that ended."""
-    place, places = folder / work.output, [folder / work.output]
-    places += [folder / work.beside] if work.beside else []
-    status = run(folder, work.arguments, wait=wait)
-    if status not in (0, -signal.SIGKILL):
-        return f"status {status}: {(folder / 'stderr').read_text()[-300:]}"
-    was_killed = status != 0
-    if bad := [one for path in places for one in torn(path)]:
-        return f"torn {bad}"
-    status = run(folder, (*work.arguments, *work.again))
-    told = (folder / "stderr").read_text()
-    was_complete = status == 2 and "there is nothing to resume" in told
-    if status != 0 and not was_complete:
-        return f"again: status {status}: {(folder / 'stderr').read_text()[-300:]}"
-    if bad := [one for path in places for one in torn(path)]:
-        return f"torn after the next command {bad}"
-    if found := left_over(place):
-        return f"left over {found}"
-    if work.is_same and (now := contents(place)) != whole:
-        names = sorted(n for n in {*now, *whole} if now.get(n) != whole.get(n))
-        return f"not the same {names}"
-    return "killed" if was_killed else "was faster"
+@dataclass
+class Tally:
+    """How the attempts at one command ended.
+
+    Attributes
+    ----------
+    ended : Counter
+        Of every end, how often.
+    checkpoints : int
+        Kills that left a checkpoint with results, from which the next command went on.
+    is_resumed : bool
+        Whether the command writes checkpoints.
+    """
+
+    ended: Counter[str]
+    checkpoints: int = 0
+    is_resumed: bool = False
+
+    @property
+    def killed(self) -> int:
+        return self.ended["killed"]
+
+    def __str__(self) -> str:
+        met = f", on a checkpoint {self.checkpoints}" if self.is_resumed else ""
+        return ", ".join(f"{how} {count}" for how, count in self.ended.items()) + met
+
+
+def fault(tallies: Mapping[str, Tally], count: int) -> str | None:
+    """Why the whole attack says nothing, or failed; None if it stands."""
+    bad = sum(one.ended.total() - one.killed - one.ended["was faster"] for one in tallies.values())
+    if bad:
+        return f"{bad} ended badly"
+    if sum(one.killed for one in tallies.values()) < count:
+        return f"fewer than {count} commands could be killed"
+    resumed = [one for one in tallies.values() if one.is_resumed and one.killed]
+    if resumed and not any(one.checkpoints for one in resumed):
+        return "no kill fell on a checkpoint"
+    return None
+
+
+@dataclass
+class Attack:
+    """Kills commands in a folder; `whole` keeps what each of them writes, and how long it takes."""
+
+    folder: Path
+    draw: random.Random
+    whole: dict[str, tuple[float, dict[str, bytes]]]
+    tallies: dict[str, Tally]
+
+    def measure(self, name: str, work: Work) -> None:
+        """Do the command twice without a kill."""
+        began = time.monotonic()
+        assert run(self.folder, work.arguments) == 0, (self.folder / "stderr").read_text()
+        place = self.folder / work.output
+        self.whole[name] = time.monotonic() - began, contents(place)
+        again = ("--overwrite",) if work.again else ()
+        done = run(self.folder, (*work.arguments, *again))
+        assert done == 0, (self.folder / "stderr").read_text()
+        if work.is_same and contents(place) != self.whole[name][1]:
+            raise AssertionError(f"{name}: two runs without a kill differ")
+        clear(self.folder, work)
+
+    def kill(self, name: str, work: Work) -> str:
+        """Kill a command and give it again: how that ended."""
+        clear(self.folder, work)
+        if name not in self.whole:
+            self.measure(name, work)
+        tally = self.tallies.setdefault(name, Tally(Counter(), is_resumed=work.is_resumed))
+        seconds, before = self.whole[name]
+        checkpoint = self.folder / work.output / CHECKPOINT
+        if work.is_resumed and tally.ended.total() % 2:
+            wait = self.draw.uniform(0.0, 0.2) * seconds
+            status = run(self.folder, work.arguments, wait=wait, after=checkpoint)
+        else:
+            status = run(self.folder, work.arguments, wait=self.draw.uniform(0.2, 1.0) * seconds)
+        has_results = checkpoint.exists() and any(checkpoint.parent.glob(".checkpoint-*"))
+        how = self.outcome(work, status, before)
+        tally.ended[how.split(":")[0].split(" [")[0]] += 1
+        tally.checkpoints += has_results and how == "killed"
+        return how
+
+    def outcome(self, work: Work, status: int, before: Mapping[str, bytes]) -> str:
+        """What a command that ended with this status left, and the next one made of it."""
+        place, errors = self.folder / work.output, self.folder / "stderr"
+        places = [self.folder / name for name in (work.output, work.beside) if name]
+        if status not in (0, -signal.SIGKILL):
+            return f"status {status}: {errors.read_text()[-300:]}"
+        was_killed = status != 0
+        if bad := [one for path in places for one in torn(path)]:
+            return f"torn {bad}"
+        status = run(self.folder, (*work.arguments, *work.again))
+        said = errors.read_text()
+        was_complete = status == 2 and "there is nothing to resume" in said
+        if status != 0 and not was_complete:
+            return f"again: status {status}: {said[-300:]}"
+        if bad := [one for path in places for one in torn(path)]:
+            return f"torn after the next command {bad}"
+        if found := left_over(place):
+            return f"left over {found}"
+        if work.is_same and (now := contents(place)) != before:
+            names = sorted(n for n in {*now, *before} if now.get(n) != before.get(n))
+            return f"not the same {names}"
+        return "killed" if was_killed else "was faster"
 
 
 def main() -> int:
@@ -251,37 +350,29 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=20, help="scans of the recordings")
     parser.add_argument("--work", action="append", default=[], help="only this")
     chosen = parser.parse_args()
-    draw, bad, ended = random.Random(chosen.seed), 0, dict[str, Counter[str]]()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        prepared(folder, chosen.size)
+    with tempfile.TemporaryDirectory() as folder:
+        attack = Attack(Path(folder), random.Random(chosen.seed), {}, {})
+        prepared(attack.folder, chosen.size)
         every = works(chosen.size)
         names = chosen.work or list(every)
-        whole: dict[str, tuple[float, dict[str, bytes]]] = {}
         for number in range(10 * chosen.count):
-            if sum(one["killed"] for one in ended.values()) >= chosen.count:
+            if sum(one.killed for one in attack.tallies.values()) >= chosen.count:
                 break
-            work = every[name := names[number % len(names)]]
-            clear(folder, work)
-            if name not in whole:
-                began = time.monotonic()
-                assert run(folder, work.arguments) == 0, (folder / "stderr").read_text()
-                whole[name] = time.monotonic() - began, contents(folder / work.output)
-                again = ("--overwrite",) if work.again else ()
-                assert run(folder, (*work.arguments, *again)) == 0, (folder / "stderr").read_text()
-                if work.is_same and contents(folder / work.output) != whole[name][1]:
-                    raise AssertionError(f"{name}: two runs without a kill differ")
-                clear(folder, work)
-            how = attempt(folder, work, whole[name][1], draw.uniform(0.2, 1.0) * whole[name][0])
-            ended.setdefault(name, Counter())[how.split(":")[0].split(" [")[0]] += 1
+            name = names[number % len(names)]
+            how = attack.kill(name, every[name])
             if how not in ("killed", "was faster"):
-                bad += 1
                 print(f"{name}: {how}", flush=True)
-    for name, counts in ended.items():
-        print(f"{name}: {dict(counts)}")
-    killed = sum(one["killed"] for one in ended.values())
-    print(f"{killed} kills that ended well, {bad} that did not")
-    return 1 if bad or killed < chosen.count else 0
+    for name, tally in attack.tallies.items():
+        print(f"{name}: {tally}")
+    resumed = [one for one in attack.tallies.values() if one.is_resumed]
+    print(
+        f"{sum(one.killed for one in attack.tallies.values())} kills that ended well, of"
+        f" {sum(one.killed for one in resumed)} commands with checkpoints"
+        f" {sum(one.checkpoints for one in resumed)} on a checkpoint"
+    )
+    if wrong := fault(attack.tallies, chosen.count):
+        print(wrong)
+    return 1 if wrong else 0
 
 
 if __name__ == "__main__":

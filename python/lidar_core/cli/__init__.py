@@ -15,7 +15,13 @@ import typer
 from lidar_core.cli import config, train
 from lidar_core.cli.shared.common import help_text, printing, stoppable, with_trust
 from lidar_core.cli.shared.voice import Command, print_error, voice, with_voice
-from lidar_core.errors import LidarCoreError, OdometryWarning, PluginWarning, PoseFrameWarning
+from lidar_core.errors import (
+    LidarCoreError,
+    OdometryWarning,
+    PluginWarning,
+    PoseFrameWarning,
+    TruthWarning,
+)
 
 READING = ("info", "convert", "detect", "circles", "fuse", "evaluate", "view", "live")
 """Commands that read recordings, tables and clouds."""
@@ -105,7 +111,7 @@ def _formatted(
     usual: Callable[..., str], message: Warning | str, category: type[Warning], *place: Any
 ) -> str:
     """One line for what users cause or cure; others keep the place in the code that warns."""
-    if issubclass(category, PluginWarning):
+    if issubclass(category, PluginWarning | TruthWarning):
         return f"warning: {message}\n"
     return usual(message, category, *place)
 

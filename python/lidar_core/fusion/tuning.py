@@ -1,6 +1,7 @@
 """Noise from measurements alone."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from lidar_core import _core
 from lidar_core.config import as_config
@@ -10,6 +11,12 @@ from lidar_core.fusion.measurement import Measurement, Measurements, as_measurem
 
 EVALUATIONS = 2000
 """Most runs over all measurements of the last search of a fit; the six before it have a tenth."""
+MODELS = ("ct", "ctrv")
+"""Models of which the likelier is taken where none is told; both have as many values to find.
+
+The noise of ct is the same in all directions. That of ctrv drives speed and turning apart, so that
+a target that turns with an even speed is told from a noisy one.
+"""
 MAX_STD = 1e6
 """Largest deviation that may be asked for at least [m/s]."""
 
@@ -28,7 +35,8 @@ def fit_noise(
     measurements : iterable of Measurement, Measurements, or sequence of Measurements
         Of one target, or of several that move alike.
     config : FusionConfig, optional
-        Model and method, and where the search begins; values that are zero stay zero.
+        Model and method, and where the search begins; values that are zero stay zero. Without it
+        the model is found, too: ct or ctrv, which of them makes the measurements likelier.
     sensors : bool
         Whether deviations of LiDAR and radar are found, too, for measurements that bring no
         covariance; else only the process noise is.
@@ -39,7 +47,8 @@ def fit_noise(
     Returns
     -------
     FusionConfig
-        `config` with that noise.
+        `config` with that noise. Where deviations of sensors were found, `sensor_noise` is
+        "configured": the filter does not look for them a second time.
 
     Raises
     ------
@@ -61,19 +70,51 @@ def fit_noise(
             f"least_range_rate_std: expected 0 to {MAX_STD} m/s, got {least_range_rate_std}"
         )
     settings = as_config(config, FusionConfig)
+    several = [settings] if config is not None else with_models(settings)
+    return fit_likeliest(
+        measurements, several, sensors=sensors, least_range_rate_std=least_range_rate_std
+    )
+
+
+def fit_likeliest(
+    measurements: Iterable[Measurement] | Measurements | Iterable[Measurements],
+    configs: Sequence[FusionConfig],
+    *,
+    sensors: bool = True,
+    least_range_rate_std: float = 0.0,
+) -> FusionConfig:
+    """Fit each of several configurations, as `fit_noise`, and return the likeliest."""
     targets = _targets(measurements)
-    (acceleration, jerk, turn), lidar, radar, _ = _core.fusion_fit_noise(
+    found = (_fitted(targets, one, sensors, least_range_rate_std) for one in configs)
+    return max(found, key=lambda one: one[1])[0]
+
+
+def with_models(config: FusionConfig) -> list[FusionConfig]:
+    """Return `config` with each of `MODELS`."""
+    return [config.model_copy(update={"model": model}) for model in MODELS]
+
+
+def _fitted(
+    targets: list[Measurements], settings: FusionConfig, sensors: bool, least_rate: float
+) -> tuple[FusionConfig, float]:
+    """`settings` with the noise that makes measurements most likely, and how likely it does."""
+    (acceleration, jerk, turn), lidar, radar, likelihood = _core.fusion_fit_noise(
         settings,
         [target._core for target in targets],
         sensors=sensors,
-        least_rate=least_range_rate_std,
+        least_rate=least_rate,
         evaluations=EVALUATIONS,
     )
-    noise = {"acceleration_noise": acceleration, "jerk_noise": jerk, "turn_noise": turn}
-    stds = (
-        {"lidar_std": tuple(lidar.tolist()), "radar_std": tuple(radar.tolist())} if sensors else {}
-    )
-    return FusionConfig(**(settings.model_dump() | noise | stds))
+    found: dict[str, Any] = {
+        "acceleration_noise": acceleration,
+        "jerk_noise": jerk,
+        "turn_noise": turn,
+    }
+    if sensors:
+        stds = {"lidar_std": tuple(lidar.tolist()), "radar_std": tuple(radar.tolist())}
+        if any(stds[name] != getattr(settings, name) for name in stds):
+            found |= stds | {"sensor_noise": "configured"}
+    return FusionConfig(**(settings.model_dump() | found)), likelihood
 
 
 def _targets(

@@ -14,10 +14,11 @@ from lidar_core.io import Span
 from lidar_core.run_folder import fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.recording import folder_to_write
-from lidar_core.runs.result import RunResult, draw
+from lidar_core.runs.result import RunResult, draw, no_mcap_of
 from lidar_core.runs.settings import ConfigChoice, config_of_run
-from lidar_core.runs.targets.job import FuseJob, fitted, with_ways
+from lidar_core.runs.targets.job import FuseJob, with_ways
 from lidar_core.runs.targets.many import ManyRun
+from lidar_core.runs.targets.noise import fitted, tells_model
 
 
 @checked
@@ -145,9 +146,12 @@ def fuse(
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
     folder.write_summary(summary)
     folder.write_note({"recording": fingerprint(source)}, run.configs)
-    if writes_mcap and (mcap or not (run.stamps < 0).any()):
-        files.append(run.write_mcap(folder))
     notes = [f"note: {run.doubt}"] if run.doubt else []
+    lacks_mcap = no_mcap_of(run.stamps)
+    if writes_mcap and (mcap or not lacks_mcap):
+        files.append(run.write_mcap(folder))
+    elif writes_mcap and lacks_mcap:
+        notes.append(lacks_mcap)
     if keeps and not is_kept:
         notes.append("note: one target: no checkpoint is written; a killed run starts again")
     if picture:
@@ -193,7 +197,8 @@ def fit_config(
     Returns
     -------
     FusionConfig
-        `config` with the noise under which the measurements are most likely.
+        `config` with the noise under which the measurements are most likely; where no model or
+        method is told, also with the likelier model of ct and ctrv.
 
     Raises
     ------
@@ -222,8 +227,9 @@ def fit_config(
     )
     jobs = [FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
-    chosen = with_ways(config, _given_values(model=model, method=method))
-    return fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
+    ways = _given_values(model=model, method=method)
+    chosen = config_of_run(with_ways(config, ways), FusionConfig, "fusion")
+    return fitted(logs, chosen, finds_model=not tells_model(config, ways), force=force)
 
 
 def _given_values(**values: Any) -> dict[str, Any]:

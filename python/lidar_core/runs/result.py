@@ -7,8 +7,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lidar_core.errors import FormatError, LidarCoreError, MissingExtraError
 from lidar_core.extras import require
+from lidar_core.io.options import NS
 
 MCAP = "run.mcap"
 OnProgress: TypeAlias = Callable[[str, int, int | None], None]
@@ -73,6 +77,14 @@ def wants_mcap(mcap: bool | None) -> bool:
     if mcap:
         require("foxglove", extra="viz", purpose="writing MCAP")
     return find_spec("foxglove") is not None if mcap is None else mcap
+
+
+def no_mcap_of(stamps: NDArray[np.int64]) -> str | None:
+    """Why results of these times [ns] go into no run.mcap; None if they do."""
+    first = int(stamps.min(initial=0))
+    if first >= 0:
+        return None
+    return f"no {MCAP}: MCAP holds no times below 0, and the first is {first / NS:g} s"
 
 
 def draw(pictures: Iterable[Picture]) -> tuple[list[str], list[str]]:

@@ -14,6 +14,8 @@ pub mod estimation;
 pub mod flying;
 pub mod fusion;
 pub mod geometry;
+#[cfg(test)]
+mod state_layouts;
 pub mod tracking;
 pub mod util;
 

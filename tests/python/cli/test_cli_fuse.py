@@ -27,6 +27,8 @@ from lidar_core.fusion import (
 )
 from lidar_core.fusion.states import STATES, dimensions, state_names, velocities
 from lidar_core.io.tables.columns import read_columns
+from lidar_core.runs.settings import ConfigChoice
+from lidar_core.runs.targets.noise import tells_model
 from lidar_core.viz import Playback
 
 OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
@@ -184,6 +186,9 @@ def test_times_before_1970_leave_no_file_for_viewers(tmp_path):
     content = [row | {"t_ns": row["t_ns"] - 10**9} for row in looking_around()]
     path = write(tmp_path / "early.csv", content)
     assert "run.mcap" not in result_of(path, "-o", tmp_path / "a", "--no-picture")["files"]
+    told = lc.runs.fuse(path, None, tmp_path / "b", picture=False).notes
+    assert told == ("no run.mcap: MCAP holds no times below 0, and the first is -1 s",)
+    assert lc.runs.fuse(path, None, tmp_path / "c", picture=False, mcap=False).notes == ()
 
 
 # Tables
@@ -402,6 +407,23 @@ def test_fuse_with_fit_noise_is_fuse_with_the_file_of_config_fit(tmp_path):
     assert not np.array_equal(of_fit["x"], plain["x"])
 
 
+@pytest.mark.parametrize(
+    ("config", "ways", "told"),
+    [
+        (None, {}, False),
+        (ConfigChoice(values=("fusion.lever_arm=[1.0, 0.0]",)), {}, False),
+        (ConfigChoice(values=('model="cv"',)), {}, True),
+        (ConfigChoice(values=('fusion.method = "imm"',)), {}, True),
+        (ConfigChoice(file="a.toml"), {}, True),
+        (ConfigChoice("paper"), {}, True),
+        (None, {"method": "ukf"}, True),
+        (FusionConfig(), {}, True),
+    ],
+)
+def test_a_fit_finds_the_model_where_nobody_told_it(config, ways, told):
+    assert tells_model(config, ways) is told
+
+
 def test_config_fit_prints_with_a_dash_as_without_a_file(tmp_path, monkeypatch):
     place = noisy(tmp_path / "a.csv", 0.6, SEED)
     monkeypatch.chdir(tmp_path)
@@ -473,11 +495,11 @@ def test_a_fit_does_not_take_a_mistake_for_noise(recordings, tmp_path, change, s
     place = tmp_path / "wrong.txt"
     place.write_text("\n".join("\t".join(change(one)) for one in words) + "\n")
     with pytest.raises(InputError, match=rf"mistake\. The data shows: .*{shown}"):
-        lc.runs.fit_config(place)
+        lc.runs.fit_config(place, model="ct")
     with pytest.raises(InputError, match="mistake"):
-        lc.runs.fuse(place, None, tmp_path / "run", fit_noise=True)
+        lc.runs.fuse(place, None, tmp_path / "run", model="ct", fit_noise=True)
     assert not (tmp_path / "run").exists()
-    assert lc.runs.fit_config(place, force=True).lidar_std != FusionConfig().lidar_std
+    assert lc.runs.fit_config(place, model="ct", force=True).lidar_std != FusionConfig().lidar_std
 
 
 def test_a_fit_needs_every_recording_to_be_long_and_possible(recordings, tmp_path):

@@ -139,6 +139,29 @@ def test_noise_is_found_from_measurements_alone(recordings):
     assert (rmse(lagged, recording.truth, polar=True, skip=20)[:2] <= [0.044, 0.055]).all()
 
 
+def test_the_likelier_model_is_found_where_none_is_told():
+    """One target keeps its speed and turns; the other is pushed in any direction."""
+    rng, found = np.random.default_rng(7411), []
+    for pushed in (False, True):
+        turn = 0.0 if pushed else 1.0
+        angle = np.cumsum(np.full(150, 0.1) * turn * np.sign(np.sin(np.arange(150) / 12)))
+        velocity = 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        velocity += pushed * np.cumsum(rng.normal(0, 0.4, velocity.shape), axis=0)
+        places = 0.1 * np.cumsum(velocity, axis=0) + rng.normal(0, 0.05, velocity.shape)
+        seen = [Measurement(k * 10**8, "lidar", place) for k, place in enumerate(places)]
+        config = fit_noise(seen)
+        found.append(config.model)
+        assert config.sensor_noise == "configured"
+        assert fit_noise(seen, FusionConfig(model="cv"), sensors=False).model == "cv"
+    assert found == ["ctrv", "ct"]
+
+
+def test_noise_that_is_given_is_not_believed_more_after_a_fit():
+    """The opposite error: sensors were not fitted, so the filter still looks for their noise."""
+    seen, _ = walk(np.random.default_rng(7412), rows=120)
+    assert fit_noise(seen, FusionConfig(), sensors=False).sensor_noise == "estimated"
+
+
 def test_range_rates_are_believed_no_more_than_asked_for():
     seen, _ = walk(np.random.default_rng(7410), rows=120)
     free, bound = fit_noise(seen), fit_noise(seen, least_range_rate_std=0.6)

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import tomllib
+from importlib.metadata import PackageNotFoundError, distribution
 
 import pytest
 from repository import ROOT
@@ -62,16 +63,85 @@ def test_expressions_of_licences(licence, expected):
     assert is_allowed(licence, DENY["licenses"]["allow"]) is expected
 
 
-def test_every_licence_is_allowed():
+@pytest.mark.parametrize("folder", [ROOT, ROOT / "fuzz"], ids=["package", "fuzz"])
+def test_every_licence_is_allowed(folder):
+    """What `cargo deny check licenses` asks, for those who have no cargo-deny."""
     if shutil.which("cargo") is None:
         pytest.skip("needs cargo")
     told = ["cargo", "metadata", "--locked", "--offline", "--format-version", "1"]
-    done = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(told, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         pytest.skip("the crates are not on this machine")
     found = {one["name"]: one["license"] for one in json.loads(done.stdout)["packages"]}
-    allowed = DENY["licenses"]["allow"]
-    assert {name: one for name, one in found.items() if not is_allowed(one or "", allowed)} == {}
+    assert found
+    also = {one["crate"]: one["allow"] for one in DENY["licenses"]["exceptions"]}
+    bad = {
+        name: one
+        for name, one in found.items()
+        if not is_allowed(one or "", DENY["licenses"]["allow"] + also.get(name, []))
+    }
+    assert bad == {}
+
+
+COPYLEFT = re.compile(r"\bA?GPL|GNU (Affero )?General|Affero|SSPL|Business Source")
+
+
+def test_no_allowed_licence_binds_users():
+    assert [one for one in DENY["licenses"]["allow"] if COPYLEFT.search(one)] == []
+    assert DENY["advisories"]["yanked"] == "deny"
+    assert {DENY["sources"][what] for what in ("unknown-registry", "unknown-git")} == {"deny"}
+
+
+def licence_of(metadata):
+    """What a Python package says of its licence, most exact first; its whole text is no name."""
+    name = metadata.get("License-Expression") or ""
+    classifiers = [one for one in metadata.get_all("Classifier") or [] if "License ::" in one]
+    stated = (metadata.get("License") or "").strip().splitlines()[:1]
+    return name or " OR ".join(classifiers) or " ".join(stated)
+
+
+def required(names, extras):
+    """Installed packages that those of these names need, extras of the first ones included."""
+    found, left = {}, [(name, extras) for name in names]
+    while left:
+        name, wanted = left.pop()
+        try:
+            metadata = distribution(name).metadata
+        except PackageNotFoundError:
+            continue
+        for line in metadata.get_all("Requires-Dist") or []:
+            extra = re.search(r"extra == ['\"]([\w-]+)", line)
+            other = re.match(r"[\w.-]+", line)[0].lower()
+            if (extra is None or extra[1] in wanted) and other not in found:
+                found[other] = None
+                left.append((other, ()))
+        found[name] = licence_of(metadata)
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def test_packages_of_python_bind_no_users():
+    extras = set(
+        tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    )
+    found = required(["lidar-core"], extras - {"train"})
+    assert {"numpy", "onnxruntime", "lidar-core"} <= found.keys()
+    bad = {name: one for name, one in found.items() if COPYLEFT.search(one.replace("LGPL", ""))}
+    # One of several licences may be chosen.
+    assert {name: one for name, one in bad.items() if " OR " not in one} == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "binds"),
+    [
+        ("GPL-3.0-only", True),
+        ("License :: OSI Approved :: GNU General Public License v3 (GPLv3)", True),
+        ("AGPL-3.0-or-later", True),
+        ("BSD-3-Clause", False),
+        ("MIT", False),
+    ],
+)
+def test_licences_that_bind_are_known(text, binds):
+    assert bool(COPYLEFT.search(text)) is binds
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)

@@ -1,18 +1,20 @@
 """Reader of the Autoferry recordings: LiDAR and radar detections of boats, with the truth."""
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import FormatError
+from lidar_core.errors import FormatError, TruthWarning
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.fusion.recordings.folders import check_sizes
 from lidar_core.io.files.guard import reading
+from lidar_core.io.options import NS
 
 DETECTIONS, TRUTH = "_detections.json", "_groundTruth.json"
 SOURCES = {1: "lidar", 2: "radar"}
@@ -32,6 +34,17 @@ Source: differences from the truth in scenarios 2 and 13, antennas and hulls inc
 RADAR_BEARING_STD = 0.02
 """Standard deviation of the radar's bearing, added across the line of sight [rad]; same source."""
 
+LONGEST_STEP_NS = 2 * NS
+"""Longest time between two true places within which the places between are known [ns].
+
+Source: a boat that turns with 1 m/s^2 is then up to 0.5 m off the straight line between them.
+"""
+
+Target: TypeAlias = tuple[int, int, NDArray[np.float64]]
+"""Number, time [ns] and true place (east, north) of a target [m]."""
+Way: TypeAlias = tuple[NDArray[np.int64], NDArray[np.float64]]
+"""Times (K,) [ns] and places (K, 2) of a target."""
+
 
 @dataclass(frozen=True, slots=True)
 class DetectionScan:
@@ -48,7 +61,7 @@ class DetectionScan:
     sensor : ndarray, shape (2,)
         Where the scanner was [m].
     truth : mapping of int to ndarray, shape (2,)
-        Where the targets were [m]; empty without truth.
+        Where the targets were [m]; those are left out of which that is not known.
     """
 
     stamp_ns: int
@@ -79,9 +92,16 @@ def read_autoferry(path: str | Path) -> list[DetectionScan]:
     LimitError
         More than 256 MiB.
 
+    Warns
+    -----
+    TruthWarning
+        A true place that is not finite, which is left out, or more than 2 s between two of a
+        target, between which it is in no truth.
+
     Notes
     -----
-    True positions are interpolated to the times of the scans.
+    True positions are interpolated to the times of the scans, between places that are at most 2 s
+    apart; before the first and after the last one a target is in no truth.
 
     Source: Helgesen et al., "Heterogeneous multi-sensor tracking for an autonomous surface
     vehicle in a littoral environment", Ocean Engineering 252, 2022.
@@ -94,39 +114,105 @@ def read_autoferry(path: str | Path) -> list[DetectionScan]:
         raise FormatError(
             f"{beside}: expected {len(entries)} entries as {place.name} has, got {len(truths)}"
         )
-    scans, ways = [], _ways(beside, entries, truths)
-    for number, (entry, truth) in enumerate(zip(entries, truths, strict=True)):
-        with reading(f"{place}, entry {number}"):
+    scans, targets = [], _targets(place, beside, entries, truths)
+    ways = _ways(targets)
+    for number, (entry, known) in enumerate(zip(entries, targets, strict=True)):
+        at = f"{place}, entry {number}"
+        with reading(at):
             if int(entry["sensorID"]) in SOURCES:
-                scans.append(_scan(entry, {key: ways[key] for key, *_ in _targets(entry, truth)}))
-    return sorted(scans, key=lambda scan: scan.stamp_ns)
+                own = {key: ways[key] for key, *_ in known if key in ways}
+                scans.append(_scan(entry, own, at))
+    scans.sort(key=lambda scan: scan.stamp_ns)
+    for doubt in (_unknown_places(targets), _long_steps(ways, scans)):
+        if doubt:
+            warnings.warn(f"{beside}: {doubt}", TruthWarning, stacklevel=2)
+    return scans
 
 
-def _targets(entry: Any, truth: Any) -> list[tuple[int, float, NDArray[np.float64]]]:
-    """Number, time [s] and place (east, north) of the targets of an entry."""
-    return [
-        (
-            int(one["targetID"]),
-            float(one["time"] if "time" in one else entry["time"]),
-            np.array(one["position"][1::-1], np.float64),
-        )
-        for one in (truth if isinstance(truth, list) else [truth])
+def _targets(
+    place: Path, beside: Path, entries: Sequence[Any], truths: Sequence[Any]
+) -> list[list[Target]]:
+    """The targets of every entry; places that are not known are NaN."""
+    found = []
+    for number, (entry, truth) in enumerate(zip(entries, truths, strict=True)):
+        if not isinstance(entry, dict):
+            raise FormatError(f"{place}, entry {number}: expected an object")
+        at = f"{beside}, entry {number}"
+        with reading(at):
+            rows = truth if isinstance(truth, list) else [truth]
+            found.append([_target(one, entry.get("time"), at) for one in rows])
+    return found
+
+
+def _target(one: Mapping[str, Any], usual_time: object, place: str) -> Target:
+    at = np.array(one["position"][1::-1], np.float64)  # north, east; null is NaN
+    if at.shape != (2,):
+        raise FormatError(f"{place}: expected a position, north and east, got {one['position']}")
+    return int(one["targetID"]), _stamp_ns(one.get("time", usual_time), place), at
+
+
+def _stamp_ns(time: Any, place: str) -> int:
+    """A time [s] in nanoseconds."""
+    if not abs(float(time)) <= MAX_TIME:
+        raise FormatError(f"{place}: expected a time in seconds, got {time}")
+    return round(float(time) * NS)
+
+
+def _ways(targets: Sequence[Sequence[Target]]) -> dict[int, Way]:
+    """Where every target was, by time, where that is known."""
+    rows: dict[int, dict[int, NDArray[np.float64]]] = {}
+    for number, stamp_ns, at in (one for known in targets for one in known):
+        if np.isfinite(at).all():
+            rows.setdefault(number, {})[stamp_ns] = at
+    return {
+        number: (np.array(sorted(own), np.int64), np.array([own[stamp] for stamp in sorted(own)]))
+        for number, own in rows.items()
+    }
+
+
+def _place_at(way: Way, stamp_ns: int) -> NDArray[np.float64] | None:
+    """Where a target was; None where that is not known."""
+    stamps, places = way
+    after = int(np.searchsorted(stamps, stamp_ns))
+    if after == len(stamps):
+        return None
+    begins = after == 0 or stamps[after] - stamps[after - 1] > LONGEST_STEP_NS
+    if begins and stamps[after] != stamp_ns:
+        return None
+    return np.array([np.interp(0, stamps - stamp_ns, places[:, axis]) for axis in (0, 1)])
+
+
+def _unknown_places(targets: Sequence[Sequence[Target]]) -> str | None:
+    """What to tell of places that are not finite."""
+    bad = [
+        (entry, number)
+        for entry, known in enumerate(targets)
+        for number, _, at in known
+        if not np.isfinite(at).all()
     ]
+    if not bad:
+        return None
+    entry, number = bad[0]
+    return (
+        f"entry {entry}: the true place of target {number} is not finite;"
+        f" {len(bad)} such places are left out"
+    )
 
 
-def _ways(
-    place: Path, entries: Sequence[Any], truths: Sequence[Any]
-) -> dict[int, NDArray[np.float64]]:
-    """Times and places (K, 3) of every target, by time."""
-    rows: dict[int, dict[float, NDArray[np.float64]]] = {}
-    with reading(str(place)):
-        for entry, truth in zip(entries, truths, strict=True):
-            for number, time, at in _targets(entry, truth):
-                rows.setdefault(number, {})[time] = at
-        return {
-            number: np.array([[time, *own[time]] for time in sorted(own)])
-            for number, own in rows.items()
-        }
+def _long_steps(ways: Mapping[int, Way], scans: Sequence[DetectionScan]) -> str | None:
+    """What to tell of times without true places, in which there are scans."""
+    told = []
+    seen = np.array([scan.stamp_ns for scan in scans], np.int64)
+    for number, (stamps, _) in sorted(ways.items()):
+        for row in np.flatnonzero(np.diff(stamps) > LONGEST_STEP_NS).tolist():
+            first, last = stamps[row : row + 2].tolist()
+            count = int(((seen > first) & (seen < last)).sum())
+            if count:
+                told.append(
+                    f"target {number} has no true place for {(last - first) / NS:.3g} s from"
+                    f" {first / NS:.1f} s on: it is in the truth of none of {count} scans there"
+                )
+    return "; ".join(told[:3]) + (f"; and {len(told) - 3} more" if told[3:] else "") or None
 
 
 def _entries(place: Path) -> list[Any]:
@@ -138,25 +224,20 @@ def _entries(place: Path) -> list[Any]:
     return entries
 
 
-def _scan(entry: Mapping[str, Any], ways: Mapping[int, NDArray[np.float64]]) -> DetectionScan:
-    time = float(entry["time"])
-    if not abs(time) <= MAX_TIME:
-        raise FormatError(f"expected a time in seconds, got {time}")
+def _scan(entry: Mapping[str, Any], ways: Mapping[int, Way], place: str) -> DetectionScan:
     source = SOURCES[int(entry["sensorID"])]
-    stamp_ns = round(time * 1e9) - round(DELAYS[source] * 1e9)
+    stamp_ns = _stamp_ns(entry["time"], place) - round(DELAYS[source] * NS)
     sensor = np.array(entry["ownshipPosition"], np.float64)[1::-1]  # north, east
     offsets = np.array(entry["measurement"], np.float64).reshape(2, -1)[::-1].T
     if sensor.shape != (2,) or not (np.isfinite(sensor).all() and np.isfinite(offsets).all()):
-        raise FormatError("expected finite positions, north and east")
-    places = {
-        number: np.array([np.interp(stamp_ns * 1e-9, way[:, 0], way[:, axis]) for axis in (1, 2)])
-        for number, way in ways.items()
-    }
+        raise FormatError(f"{place}: expected finite positions, north and east")
+    places = {number: _place_at(way, stamp_ns) for number, way in ways.items()}
+    known = {number: at for number, at in places.items() if at is not None}
     measurements = [
         Measurement(stamp_ns, "lidar", sensor + offset, _covariance(offset, source))
         for offset in offsets
     ]
-    return DetectionScan(stamp_ns, source, measurements, sensor, places)
+    return DetectionScan(stamp_ns, source, measurements, sensor, known)
 
 
 def _covariance(offset: NDArray[np.float64], source: str) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from errno import EIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -255,12 +256,16 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         self._temporary = partial_path(self._path) if is_live else temporary_for(self._path)
         self._lock = _locked(self._temporary) if is_live else None
         options = {"chunk_size": LIVE_CHUNK_BYTES} if is_live else {}
-        self._writer = foxglove.open_mcap(
-            self._temporary,
-            allow_overwrite=True,
-            context=self._context,
-            writer_options=foxglove.mcap.MCAPWriteOptions(**options),
-        )
+        try:
+            self._writer = foxglove.open_mcap(
+                self._temporary,
+                allow_overwrite=True,
+                context=self._context,
+                writer_options=foxglove.mcap.MCAPWriteOptions(**options),
+            )
+        except OSError as error:  # which names no file
+            self._put_away()
+            raise self._unwritten(error) from error
 
     def close(self, *, keep: bool = True) -> None:
         """Complete the file and put it in its place, or drop it; a live one stays a partial file.
@@ -275,12 +280,20 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
             if keep:
                 commit(self._temporary, self._path)
         except RuntimeError as error:
-            raise OSError(f"{self._path}: cannot be written: {error}; is the disk full?") from error
+            raise self._unwritten(error) from error
         finally:
-            if self._lock is None:
-                self._temporary.unlink(missing_ok=True)
-            else:
-                self._lock.close()
+            self._put_away()
+
+    def _put_away(self) -> None:
+        """Remove what is temporary; a live file may be written by others then."""
+        if self._lock is None:
+            self._temporary.unlink(missing_ok=True)
+        else:
+            self._lock.close()
+
+    def _unwritten(self, error: Exception) -> OSError:
+        text = f"cannot be written: {error}; is the disk full?"
+        return OSError(EIO, text, str(self._path))
 
 
 @register_writer("Foxglove's messages", [".mcap"], "viz", takes="messages")

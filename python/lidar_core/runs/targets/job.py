@@ -12,14 +12,12 @@ from lidar_core.fusion import (
     DetectionScan,
     FusionConfig,
     MeasurementLog,
-    Measurements,
     MultiTargetConfig,
     TableOptions,
     read_bag,
     read_measurements,
 )
-from lidar_core.fusion import fit_noise as fit_noise_of
-from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
+from lidar_core.fusion.plausibility import implausible
 from lidar_core.fusion.recordings.lists import list_reader
 from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import is_table
@@ -28,10 +26,9 @@ from lidar_core.io.options import NS
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
 from lidar_core.runs.targets.many import ManyRun
+from lidar_core.runs.targets.noise import fitted, tells_model
 from lidar_core.runs.targets.one import TargetRun
 
-SETTLED = 10
-"""Measurements of every recording that a fit of noise leaves out, since the filter starts."""
 BAGS = (".bag", ".db3", ".mcap")
 
 
@@ -125,7 +122,9 @@ class FuseJob:
                 " of the platform, which are here; ctrv takes them in"
             )
         if self.fit_noise:
-            chosen = fitted([(self.recording, kept)], chosen, force=self.force)
+            finds_model = not tells_model(self.config, self.ways)
+            logs = [(self.recording, kept)]
+            chosen = fitted(logs, chosen, finds_model=finds_model, force=self.force)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:
@@ -181,40 +180,6 @@ class FuseJob:
         for name in self.read:
             if name not in used:
                 raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
-
-
-def fitted(
-    logs: Sequence[tuple[Path, MeasurementLog]], config: FusionConfig, *, force: bool
-) -> FusionConfig:
-    """`config` with the noise of recordings.
-
-    Raises
-    ------
-    InputError
-        As `fit_config`.
-    """
-    ordered = [
-        (place, sorted(log.measurements, key=lambda one: one.stamp_ns)) for place, log in logs
-    ]
-    for place, measurements in ordered:
-        if len(measurements) <= SETTLED:
-            raise InputError(
-                f"{place}: expected more than {SETTLED} measurements to find noise from,"
-                f" got {len(measurements)}"
-            )
-    try:
-        found = fit_noise_of([Measurements(rows) for _, rows in ordered], config)
-    except InputError as error:
-        places = ", ".join(str(place) for place, _ in ordered)
-        raise InputError(f"{places}: {error}") from error
-    for place, measurements in () if force else ordered:
-        mistake = mistaken_for_noise(measurements, config, found)
-        if mistake is not None:
-            raise InputError(
-                f"{place}: noise would have to explain a mistake. The data shows: {mistake}."
-                " force=True goes on nevertheless"
-            )
-    return found
 
 
 def with_ways(config: Any, ways: Mapping[str, str]) -> Any:

@@ -11,7 +11,8 @@ use std::fmt::Debug;
 use std::io::Write;
 
 const MAGIC: &[u8; 4] = b"LCFS";
-const VERSION: u32 = 2;
+/// Raised with every change of a layout; `state_layouts.rs` at the root of the crate tests it.
+pub(crate) const VERSION: u32 = 2;
 const CHECKSUM_BYTES: usize = 4;
 
 /// Bytes that hold `content`, the state of an object of this `kind` with these `parameters`.
@@ -65,6 +66,8 @@ pub(crate) fn opened<T: DeserializeOwned>(
     parameters: &impl Debug,
     bytes: &[u8],
 ) -> Result<T, Error> {
+    #[cfg(test)]
+    super::layout::tell::<T>(kind);
     let body = bytes.len().saturating_sub(CHECKSUM_BYTES);
     let content = MAGIC.len() + 4 + 1 + kind.len() + 4;
     if bytes.get(..4) != Some(MAGIC) {

@@ -4,6 +4,8 @@ pub mod budget;
 pub mod cancel;
 pub(crate) mod full_state;
 pub(crate) mod key_hasher;
+#[cfg(test)]
+pub(crate) mod layout;
 pub(crate) mod object_pool;
 pub(crate) mod stopwatch;
 pub mod threads;

@@ -2,15 +2,18 @@
 
 import subprocess
 import sys
+from collections import Counter
 
 import numpy as np
 import pytest
 from repository import ROOT
 
-from hostile.kills import contents, left_over, torn, works
+from hostile.kills import Tally, Work, contents, fault, left_over, run, torn, works
 from lidar_core.flying.voxel_map import VoxelMap
 from lidar_core.io import write_recording
 from lidar_core.messages import Scan
+from lidar_core.run_folder import RunFolder
+from lidar_core.viz.figure import figure_with_style
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="SIGKILL")
 
@@ -45,6 +48,66 @@ def test_temporary_files_are_left_over_and_no_results(output):
     assert contents(output) == before
     (output / "map.lcvm").write_bytes(b"other")
     assert contents(output) != before
+
+
+def table(path):
+    folder = RunFolder(path.parent, overwrite=False)
+    folder.write_table(path.stem, {"x": np.arange(50)})
+
+
+def picture(path):
+    with figure_with_style(size=(1, 1), dpi=30) as figure:
+        figure.savefig(path, format="png")
+
+
+RICH = {
+    "a.mcap": lambda path: write_recording(path, [Scan(0, np.ones((50, 3), np.float32))]),
+    "a.parquet": table,
+    "a.png": picture,
+    "a.html": lambda path: path.write_text(f"<!doctype html><html>{100 * 'a'}</html>"),
+}
+"""What writes files that need an extra, or are for people."""
+
+
+@pytest.mark.parametrize("name", RICH)
+def test_pages_pictures_and_tables_that_were_cut_are_torn(tmp_path, name):
+    for package in ("matplotlib", "pyarrow", "foxglove", "mcap"):
+        pytest.importorskip(package)
+    place = tmp_path / "run"
+    place.mkdir()
+    RICH[name](place / name)
+    assert torn(place) == []
+    whole = (place / name).read_bytes()
+    for length in (0, len(whole) // 2, len(whole) - 4):
+        (place / name).write_bytes(whole[:length])
+        assert [one.split(":")[0] for one in torn(place)] == [name], length
+
+
+def test_kills_without_a_checkpoint_prove_nothing():
+    def tally(checkpoints, **ended):
+        return Tally(Counter(ended), checkpoints, is_resumed=True)
+
+    plain = Tally(Counter(killed=3))
+    assert fault({"a": plain, "b": tally(1, killed=2)}, 5) is None
+    assert fault({"a": plain, "b": tally(0, killed=2)}, 5) == "no kill fell on a checkpoint"
+    assert fault({"a": plain}, 3) is None  # of commands without checkpoints
+    assert (
+        fault({"a": plain, "b": tally(1, killed=2)}, 6) == "fewer than 6 commands could be killed"
+    )
+    assert fault({"a": plain, "b": tally(1, killed=2, torn=1)}, 5) == "1 ended badly"
+    assert "on a checkpoint 1" in str(tally(1, killed=2))
+
+
+def test_a_kill_waits_for_a_file(tmp_path, monkeypatch):
+    """What makes kills fall on checkpoints."""
+    program = "import pathlib, time; pathlib.Path('met').write_text('a'); time.sleep(60)"
+    monkeypatch.setattr("hostile.kills.PROGRAM", program)
+    assert run(tmp_path, (), wait=0.0, after=tmp_path / "met") == -9
+    assert (tmp_path / "met").exists()
+    monkeypatch.setattr("hostile.kills.PROGRAM", "pass")
+    assert run(tmp_path, (), wait=5.0, after=tmp_path / "never") == 0
+    assert Work((), "a", ("--resume",)).is_resumed
+    assert not Work((), "a").is_resumed
 
 
 @pytest.mark.nightly
