@@ -144,24 +144,35 @@ def test_a_batch_reads_and_writes_s3(bucket, tmp_path):
     assert plain(here)[1] == plain(events)[1]
 
 
+def workers_of(process):
+    """Processes below that of a batch; none once it has ended."""
+    import psutil
+
+    try:
+        return psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+
+
 def ended_by_chance(process, draw):
     """End the batch or one of its workers; return whether the batch itself still runs."""
     import psutil
 
+    workers = workers_of(process)
     try:
-        workers = psutil.Process(process.pid).children(recursive=True)
-    except psutil.NoSuchProcess:
-        return False
-    victim = draw.choice([psutil.Process(process.pid), *workers, *workers])
-    try:
+        victim = draw.choice([psutil.Process(process.pid), *workers, *workers])
         victim.send_signal(signal.SIGKILL)
     except psutil.NoSuchProcess:
         return process.poll() is None
     return victim.pid != process.pid
 
 
-def done_despite_kills(file, out, *, kills, seed):
-    """Do a batch again and again until it is done, with a kill every few seconds; its passes."""
+def done_despite_kills(file, out, *, kills, seed, calm_s):
+    """Do a batch again and again until it is done, with kills while it works; its passes.
+
+    All kills meet it on machines of any speed: the pauses between them, in which workers run, are
+    together no longer than `calm_s`, the time that the batch takes without kills.
+    """
     draw, left, passes, until = random.Random(seed), kills, 0, time.monotonic() + PATIENCE_S + kills
     status = None
     while status != 0:
@@ -172,13 +183,16 @@ def done_despite_kills(file, out, *, kills, seed):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        while process.poll() is None:
-            time.sleep(draw.uniform(0.5, 3.0))
-            if left and process.poll() is None:
+        runs = True
+        while left and runs:
+            while process.poll() is None and not workers_of(process):
+                time.sleep(0.02)
+            time.sleep(draw.uniform(0, calm_s / kills))
+            runs = process.poll() is None
+            if runs:
                 left -= 1
-                if not ended_by_chance(process, draw):
-                    break
-        status = process.wait()
+                runs = ended_by_chance(process, draw)
+        status = process.wait(PATIENCE_S)
         assert status in {0, 1, -signal.SIGKILL}
     assert left == 0
     return passes
@@ -191,8 +205,9 @@ def test_kills_of_workers_and_of_the_batch_leave_the_same_tables(bucket, tmp_pat
     file = batch_file(tmp_path, f"{bucket}/day/*.csv", more="grid.lag = [0, 0.5]\n")
     file.write_text(file.read_text().replace("--no-mcap", "--no-mcap --lag {lag}"))
     calm, rough = f"{bucket}/calm", f"{bucket}/rough"
+    began = time.monotonic()
     assert invoke("batch", file, "-o", calm, "--workers", 2).exit_code == 0
-    done_despite_kills(file, rough, kills=KILLS, seed=0)
+    done_despite_kills(file, rough, kills=KILLS, seed=0, calm_s=time.monotonic() - began)
     (tmp_path / "calm").mkdir()
     (tmp_path / "rough").mkdir()
     assert tables(rough, tmp_path / "rough") == tables(calm, tmp_path / "calm")
@@ -233,7 +248,7 @@ def test_a_thousand_recordings_with_fifty_kills(bucket, tmp_path, capsys):
         assert done.exit_code == 0, done.output
         files.put(str(out), f"field/bare/{number}", recursive=True)
     bare = time.monotonic() - began
-    passes = done_despite_kills(file, f"{bucket}/many-rough", kills=50, seed=1)
+    passes = done_despite_kills(file, f"{bucket}/many-rough", kills=50, seed=1, calm_s=took / 2)
     (tmp_path / "calm").mkdir()
     (tmp_path / "rough").mkdir()
     assert tables(f"{bucket}/many-rough", tmp_path / "rough") == tables(

@@ -22,9 +22,6 @@ LEAST = 20
 MODULES = (circles_picture, flying_picture, fusion_picture, playback)
 
 
-pytestmark = pytest.mark.xdist_group("framing")
-
-
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     """Figures of picture.png and `view --png`, by tour; they are drawn as the commands draw."""
