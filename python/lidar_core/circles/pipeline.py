@@ -222,6 +222,7 @@ class CirclePipeline(FullState):
                 self._health,
                 range_std_estimated=values["range_std"],
                 pose_offset_s=values["pose_offset"],
+                stuck_poses=self._health.stuck_poses + int(values["stuck_pose"]),
             )
 
     def map_at(self, stamp_ns: int) -> CircleElements:
@@ -358,6 +359,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
         map=elements_of(values["map"], stamp_ns),
         map_shapes=shape_elements_of(values["map_shapes"], stamp_ns),
         events=MapEvents(*values["events"]),
+        stuck_pose=values["stuck_pose"],
         timing_ms=values["timing_ms"],
     )
 

@@ -56,6 +56,10 @@ class CircleFrame:
         Those that are no circles.
     events : MapEvents
         What the scan did to the map.
+    stuck_pose : bool
+        Whether the scanner moved since scans of up to 2 s before of which this one has the very
+        same pose: the source of the poses stopped, and what stands seems to move. Not in paper
+        mode.
     timing_ms : dict
         Milliseconds per stage: prepare, segment, fit, map.
     rejected : str, optional
@@ -78,6 +82,7 @@ class CircleFrame:
     map: CircleElements
     map_shapes: ShapeElements
     events: MapEvents
+    stuck_pose: bool = False
     timing_ms: dict[str, float] = field(default_factory=dict)
     rejected: str | None = None
 
@@ -99,6 +104,8 @@ class CirclesHealth:
         How late the poses of this scanner are, estimated from what stands [s]; none before the
         motion of the scanner tells it to 5 ms, and in paper mode. In best mode poses are moved on
         by an offset that is clearly not zero.
+    stuck_poses : int
+        Scans with a pose that stayed the same while the scanner moved; see `CircleFrame.stuck_pose`.
     """
 
     received: int = 0
@@ -107,6 +114,7 @@ class CirclesHealth:
     reasons: Mapping[str, int] = field(default_factory=dict)
     range_std_estimated: float | None = None
     pose_offset_s: float | None = None
+    stuck_poses: int = 0
 
     def one_more(self, name: str, reason: str | None = None) -> Self:
         """Count one more scan as `name`, for a reason if it is rejected."""

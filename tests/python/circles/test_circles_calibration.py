@@ -17,8 +17,12 @@ def turning(seconds):
     return oracle.pose((0.0, 0.0, 0.0), yaw=1.2 * np.sin(0.5 * seconds), pitch=0.0, roll=0.0)
 
 
-def run(*, std=0.01, late=0.0, where=turning, seconds=20.0, seed=4200, **more):
-    """A pipeline that was given all scans, and NEES of (x, y, radius) in the last quarter."""
+def run(*, std=0.01, late=0.0, where=turning, told=None, seconds=20.0, seed=4200, **more):
+    """A pipeline that was given all scans, and NEES of (x, y, radius) in the last quarter.
+
+    The scanner is at `where(time)`, and its pose says `told(time)`.
+    """
+    told = told or (lambda time: where(time - late))
     rng = np.random.default_rng(seed)
     pipeline = CirclePipeline(CirclesConfig(scanner=SCANNER, **more))
     nees = []
@@ -27,7 +31,7 @@ def run(*, std=0.01, late=0.0, where=turning, seconds=20.0, seed=4200, **more):
         ranges = oracle.cylinder_ranges(SCANNER.bearings(), where(time), POSTS)
         ranges = ranges + rng.normal(0, std, len(ranges))
         frame = pipeline.process(
-            ranges.astype(np.float32), where(time - late), round(time * 1e9) + 10**9
+            ranges.astype(np.float32), told(time), round(time * 1e9) + 10**9
         )
         if time < 0.75 * seconds:
             continue
@@ -74,6 +78,38 @@ def test_a_scanner_that_turns_steadily_cannot_tell_and_says_so():
 
     pipeline, _ = run(late=0.05, where=steadily)
     assert pipeline.health().pose_offset_s is None
+
+
+def driving(seconds):
+    """A scanner that drives along at 0.4 m/s."""
+    return oracle.pose((0.4 * seconds - 1.0, 0.0, 0.0), yaw=0.3, pitch=0.0, roll=0.0)
+
+
+@pytest.mark.parametrize("where", [turning, driving])
+def test_poses_that_stop_while_the_scanner_moves_are_told(where):
+    pipeline, _ = run(where=where, told=lambda time: where(min(time, 2.0)), seconds=4.0)
+    stuck = pipeline.health().stuck_poses
+    assert 20 <= stuck <= 40  # of the 40 scans of the last 2 s; the first show it too little
+    (note,) = CirclesRun(pipeline, film=False).notes
+    assert note.startswith(f"{stuck} scans have a pose that stays the same")
+
+
+@pytest.mark.parametrize("where", [turning, driving, lambda _: np.eye(4)])
+def test_right_poses_are_not_stuck(where):
+    pipeline, _ = run(where=where, seconds=4.0)
+    assert pipeline.health().stuck_poses == 0
+
+
+def test_a_scanner_at_rest_among_people_is_not_stuck():
+    rng = np.random.default_rng(4250)
+    pipeline = CirclePipeline(CirclesConfig(scanner=SCANNER))
+    ways = rng.uniform(-1, 1, (4, 2))
+    for scan in range(60):
+        people = POSTS + np.c_[ways * scan / RATE, np.zeros(4)]
+        ranges = oracle.cylinder_ranges(SCANNER.bearings(), np.eye(4), people)
+        ranges = ranges + rng.normal(0, 0.01, len(ranges))
+        pipeline.process(ranges.astype(np.float32), np.eye(4), scan * 50_000_000)
+    assert pipeline.health().stuck_poses == 0
 
 
 def test_paper_mode_estimates_nothing():

@@ -30,6 +30,7 @@ from lidar_core.viz.scan_log import log_circles
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
 FILM_FRAMES, FILM_RATE = 120, 10.0
 NOTED_OFFSET_S = 0.01  # of poses that a run is told about
+NOTED_STUCK = 5  # scans whose pose stayed the same while the scanner moved
 NOTED_RATIO = 1.5  # of the noise of ranges to the configured one
 
 
@@ -109,6 +110,11 @@ class CirclesRun:
                 f"poses are {abs(offset) * 1e3:.0f} ms {when}: what stands turns with the scanner;"
                 " the map moves them on, check the clocks"
             )
+        if health.stuck_poses >= NOTED_STUCK:
+            notes.append(
+                f"{health.stuck_poses} scans have a pose that stays the same while the scanner moves:"
+                " the source of the poses stopped there, and what stands seems to move"
+            )
         if noise is not None and not 1 / NOTED_RATIO < noise / told < NOTED_RATIO:
             notes.append(
                 f"ranges have a standard deviation of {noise:.3f} m, not {told:g} m as in"
@@ -162,6 +168,7 @@ class CirclesRun:
             "ms_per_scan": self._times.ms_per_scan,
             "range_std_estimated": health.range_std_estimated,
             "pose_offset_s": health.pose_offset_s,
+            "stuck_poses": health.stuck_poses,
         }
 
     def write(self, folder: RunFolder) -> list[str]:

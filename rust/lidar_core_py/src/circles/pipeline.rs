@@ -229,6 +229,7 @@ fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, B
     values.set_item("line", numbers(&frame.lines).into_pyarray(py))?;
     values.set_item("map", element_arrays(py, &frame.map)?)?;
     values.set_item("map_shapes", map_shape_arrays(py, &frame.map_shapes)?)?;
+    values.set_item("stuck_pose", frame.stats.stuck_pose)?;
     values.set_item("events", event_arrays(py, frame.stats)?)?;
     values.set_item("range_std", frame.range_std)?;
     values.set_item("pose_offset", frame.pose_offset)?;

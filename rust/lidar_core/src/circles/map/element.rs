@@ -89,7 +89,7 @@ pub(super) trait State: Clone {
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
     /// What earlier scans met where a measurement is.
-    fn place(_: &Self::Measurement) -> BirthPlace {
+    fn birth_place(_: &Self::Measurement) -> BirthPlace {
         BirthPlace::Revealed
     }
 

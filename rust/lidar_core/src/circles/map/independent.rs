@@ -197,7 +197,7 @@ fn take_in<S: State>(
         if is_new && S::is_born(measurement, rules) {
             let id = fresh(known[index]);
             let state = S::new(measurement, all.iter().map(|one| &one.state), rules);
-            let belief = ElementBelief::new(S::place(measurement), arrivals);
+            let belief = ElementBelief::new(S::birth_place(measurement), arrivals);
             all.push(Element::new(id, state, belief, from.key()));
             seen.elements[index] = Some(id);
         }

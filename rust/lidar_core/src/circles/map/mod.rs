@@ -101,6 +101,9 @@ pub struct MapShape {
 pub struct MapStats {
     /// The scan was older than the newest one.
     pub late: bool,
+    /// The scanner moved since earlier scans of which it has the very same pose: the source of the
+    /// poses stopped.
+    pub stuck_pose: bool,
     /// Element of every circle of the scan; it may have been removed since.
     pub elements: Vec<i64>,
     /// Element of every line of the scan; None for a line too short to start one.
@@ -215,13 +218,14 @@ impl CircleMap {
     /// error the map is unchanged.
     pub fn update(&mut self, scan: &CircleScan<'_>) -> Result<MapStats, Error> {
         let before = self.numbers();
+        let mut stuck_pose = false;
         let outcome = match &mut self.engine {
             MapFilter::Paper(joint) => joint.update(scan, &mut self.next_id)?,
             MapFilter::Independent(rules, history) => {
                 // Before the scan is transformed, which would be in vain for a refused stamp.
                 history.is_late((scan.stamp_ns, scan.sensor))?;
                 let mut kept = KeptScan::new(scan)?;
-                kept.compare(scan, &history.earlier);
+                stuck_pose = kept.compare(scan, &history.earlier);
                 history.push(rules, kept, &mut self.next_id)?
             }
         };
@@ -233,6 +237,7 @@ impl CircleMap {
         // removed.
         Ok(MapStats {
             late: outcome.late,
+            stuck_pose,
             elements: outcome.found.circles,
             lines: outcome.found.lines,
             merged: outcome.merged,

@@ -147,6 +147,11 @@ impl<const N: usize> ElementModes<N> {
         Ok(Distances { least, calm, first: first.unwrap_or(least) })
     }
 
+    /// Mean over all modes.
+    pub(super) fn mean(&self) -> SVector<f64, N> {
+        mean_of(&self.states, &self.probabilities)
+    }
+
     /// Mean and covariance over all modes.
     pub(super) fn combined(&self) -> Gaussian<N> {
         mixture(&self.states, &self.probabilities)
@@ -258,12 +263,21 @@ fn mixture<const N: usize>(states: &[Gaussian<N>], weights: &[f64; SLOTS]) -> Ga
     if let [state] = states { state.clone() } else { mixture_of(states, weights) }
 }
 
-/// Mean and covariance of a mixture of any states; the weights sum to one.
-pub(super) fn mixture_of<const N: usize>(states: &[Gaussian<N>], weights: &[f64]) -> Gaussian<N> {
+/// Mean of a mixture of states; the weights sum to one.
+fn mean_of<const N: usize>(states: &[Gaussian<N>], weights: &[f64]) -> SVector<f64, N> {
+    if let [state] = states {
+        return state.mean;
+    }
     let mut mean = SVector::<f64, N>::zeros();
     for (state, &weight) in states.iter().zip(weights) {
         mean += state.mean * weight;
     }
+    mean
+}
+
+/// Mean and covariance of a mixture of any states; the weights sum to one.
+pub(super) fn mixture_of<const N: usize>(states: &[Gaussian<N>], weights: &[f64]) -> Gaussian<N> {
+    let mean = mean_of(states, weights);
     let mut covariance = Square::<N>::zeros();
     for (state, &weight) in states.iter().zip(weights) {
         let apart = state.mean - mean;

@@ -143,9 +143,10 @@ impl KeptScan {
         })
     }
 
-    /// Note how far the points of bodies reach, and which are where earlier scans met something.
-    pub(super) fn compare(&mut self, scan: &CircleScan<'_>, earlier: &Earlier) {
-        let Some(points) = scan.points.filter(|points| !points.is_empty()) else { return };
+    /// Note how far the points of bodies reach, and which are where earlier scans met something; true
+    /// if the scanner moved under a pose that stayed the same.
+    pub(super) fn compare(&mut self, scan: &CircleScan<'_>, earlier: &Earlier) -> bool {
+        let Some(points) = scan.points else { return false };
         let before = earlier.before(&self.from);
         for (number, (body, points)) in self.bodies.measurements.iter_mut().zip(points).enumerate()
         {
@@ -153,6 +154,7 @@ impl KeptScan {
             body.hull = Hull::of(points, is_covered);
             body.trace = before.trace(points);
         }
+        before.has_stuck_pose()
     }
 
     /// Key for the order of scans.

@@ -2,9 +2,17 @@
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 /// Number of directions. Between two of them the farthest point may be missed by 2 % of the extent.
 const DIRECTIONS: usize = 16;
+/// The directions: their sines are not taken anew for every point.
+static AXES: LazyLock<[[f64; 2]; DIRECTIONS]> = LazyLock::new(|| {
+    std::array::from_fn(|number| {
+        let angle = TAU * number as f64 / DIRECTIONS as f64;
+        [libm::cos(angle), libm::sin(angle)]
+    })
+});
 
 /// Of the points of one object in one scan, those that reach farthest in directions all around.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,9 +50,7 @@ impl Hull {
     }
 
     fn with(mut self, others: [[f64; 2]; DIRECTIONS]) -> Self {
-        for (number, (point, other)) in self.points.iter_mut().zip(others).enumerate() {
-            let angle = TAU * number as f64 / DIRECTIONS as f64;
-            let axis = [libm::cos(angle), libm::sin(angle)];
+        for ((point, other), &axis) in self.points.iter_mut().zip(others).zip(AXES.iter()) {
             if along(axis, other) > along(axis, *point) {
                 *point = other;
             }

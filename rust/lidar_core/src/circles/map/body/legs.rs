@@ -48,11 +48,8 @@ pub(super) fn put_together(
         })
         .filter(|&one| !bodies.iter().any(|body| body.holds(&seen[one])))
         .collect();
-    let people: Vec<Vector3<f64>> = bodies
-        .iter()
-        .filter(|body| body.person.has_legs())
-        .map(|body| place(&body.circle().mean))
-        .collect();
+    let people: Vec<Vector3<f64>> =
+        bodies.iter().filter(|body| body.person.has_legs()).map(|body| body.place()).collect();
     for own in shared_out(&people, seen, &free) {
         match own[..] {
             [one, two, ..] if apart(&seen[one].circle.z, &seen[two].circle.z) < STEP => {
@@ -109,7 +106,7 @@ impl RoundBody {
         self.known >= KNOWN
             && !self.person.has_legs()
             && !(self.stands && seen.trace.is_some_and(|trace| trace < BOTH))
-            && apart(&place(&self.circle().mean), &seen.circle.z) < OWN
+            && apart(&self.place(), &seen.circle.z) < OWN
     }
 }
 
@@ -152,10 +149,6 @@ fn join(seen: &mut [BodyMeasurement], wholes: &mut [usize], [one, two]: [usize; 
     for whole in wholes.iter_mut().filter(|whole| **whole == two) {
         *whole = one;
     }
-}
-
-fn place(mean: &nalgebra::SVector<f64, 5>) -> Vector3<f64> {
-    Vector3::new(mean[0], mean[1], mean[4])
 }
 
 fn apart(one: &Vector3<f64>, two: &Vector3<f64>) -> f64 {

@@ -106,8 +106,12 @@ impl RoundBody {
         if !rules.has_standing() {
             return self.circle.cost(&noisy, rules.gate());
         }
+        // Most pairs are too far apart, whatever their covariances.
+        let apart = self.apart(&seen.z);
+        if apart > FARTHEST.max(FASTEST * self.waiting) {
+            return Ok(None);
+        }
         let state = self.circle();
-        let apart = libm::hypot(seen.z[0] - state.mean[0], seen.z[1] - state.mean[1]);
         let place = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let has_stood = self.circle.standing(rules.motion()) > STOOD;
         let time = if exceeds(&place, KNOWN * KNOWN) && !has_stood {
@@ -149,7 +153,7 @@ impl RoundBody {
 
     /// A measurement if it shows another part of this body.
     pub(super) fn of_part(&self, seen: &CircleMeasurement) -> CircleMeasurement {
-        let spread = PART + PART_SHARE * self.circle().mean[4].max(seen.z[2]);
+        let spread = PART + PART_SHARE * self.place()[2].max(seen.z[2]);
         CircleMeasurement { R: seen.R + Matrix3::identity() * (spread * spread), ..*seen }
     }
 

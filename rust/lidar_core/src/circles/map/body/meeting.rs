@@ -6,7 +6,6 @@ use super::places::{are_alike, is_one};
 use super::{BodyMeasurement, FARTHEST, KNOWN, MET, PERSON, RoundBody};
 use crate::circles::map::element::exceeds;
 use crate::circles::map::rules::Rules;
-use crate::estimation::kalman::Gaussian;
 use nalgebra::Vector3;
 
 impl RoundBody {
@@ -19,24 +18,24 @@ impl RoundBody {
         owners: &mut [Option<usize>],
         rules: &Rules,
     ) {
-        let places: Vec<(usize, Gaussian<5>)> = all.map(Self::circle).enumerate().collect();
+        let bodies: Vec<(usize, Vector3<f64>, &Self)> =
+            all.enumerate().map(|(row, body)| (row, body.place(), body)).collect();
         for (column, measurement) in seen.iter().enumerate() {
             if owners[column].is_some() || wholes[column] != column {
                 continue;
             }
             let z = &measurement.circle.z;
-            let nearest = places
+            let is_known = |body: &Self| {
+                let P = body.circle().covariance.fixed_view::<2, 2>(0, 0).into_owned();
+                !exceeds(&P, KNOWN * KNOWN)
+            };
+            let nearest = bodies
                 .iter()
-                .filter(|(row, _)| !owners.contains(&Some(*row)))
-                .filter(|(_, state)| {
-                    let mean = &state.mean;
-                    let circle = Vector3::new(mean[0], mean[1], mean[4]);
-                    let P = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-                    is_one(&circle, z, rules)
-                        && are_alike(circle[2], z[2])
-                        && !exceeds(&P, KNOWN * KNOWN)
+                .filter(|(row, ..)| !owners.contains(&Some(*row)))
+                .filter(|(_, circle, body)| {
+                    is_one(circle, z, rules) && are_alike(circle[2], z[2]) && is_known(body)
                 })
-                .map(|(row, state)| (*row, libm::hypot(state.mean[0] - z[0], state.mean[1] - z[1])))
+                .map(|(row, circle, _)| (*row, libm::hypot(circle[0] - z[0], circle[1] - z[1])))
                 .filter(|&(_, apart)| apart <= FARTHEST)
                 .min_by(|one, other| one.1.total_cmp(&other.1));
             owners[column] = nearest.map(|(row, _)| row);
@@ -66,13 +65,13 @@ impl RoundBody {
 
     /// Distance of a circle from the body [m].
     pub(super) fn apart(&self, z: &Vector3<f64>) -> f64 {
-        let mean = self.circle().mean;
-        libm::hypot(mean[0] - z[0], mean[1] - z[1])
+        let place = self.place();
+        libm::hypot(place[0] - z[0], place[1] - z[1])
     }
 
     /// True if a measurement may be of this body by its size. A large body and what stands inside
     /// its circle are two objects.
     pub(super) fn is_alike(&self, seen: &BodyMeasurement) -> bool {
-        are_alike(self.circle().mean[4], seen.circle.z[2])
+        are_alike(self.place()[2], seen.circle.z[2])
     }
 }

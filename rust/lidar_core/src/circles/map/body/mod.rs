@@ -32,7 +32,7 @@ use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::estimation::jitter::Jitter;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::Vector3;
+use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
@@ -106,6 +106,17 @@ impl RoundBody {
         self.circle.combined()
     }
 
+    /// Mean of [`Self::circle`]: whoever asks every pair of bodies needs no covariance.
+    fn mean(&self) -> SVector<f64, 5> {
+        self.circle.mean()
+    }
+
+    /// Centre and radius [m].
+    fn place(&self) -> Vector3<f64> {
+        let mean = self.mean();
+        Vector3::new(mean[0], mean[1], mean[4])
+    }
+
     /// Probability that the body is a person.
     pub(super) fn person(&self) -> f64 {
         self.person.probability()
@@ -113,7 +124,7 @@ impl RoundBody {
 
     /// What tells a person from other bodies.
     fn gait(&self, legs: Legs) -> Gait {
-        let mean = self.circle().mean;
+        let mean = self.mean();
         Gait {
             legs,
             speed: if self.stands { 0.0 } else { libm::hypot(mean[2], mean[3]) },
@@ -230,8 +241,7 @@ impl State for RoundBody {
         self.known += self.waiting;
         (self.waits, self.waiting) = (0, 0.0);
         if let Some(look) = seen.look {
-            let mean = self.circle().mean;
-            self.looks.add(look, &Vector3::new(mean[0], mean[1], mean[4]), &used.R);
+            self.looks.add(look, &self.place(), &used.R);
         }
         let weighted = self.weighted(&used, seen.trace, rules)?;
         if !rules.has_standing() {
@@ -364,10 +374,7 @@ impl State for RoundBody {
         if self.outline.is_large() || other.outline.is_large() || self.passes(other) {
             return false;
         }
-        let [one, two] = [self, other].map(|body| {
-            let mean = body.circle().mean;
-            Vector3::new(mean[0], mean[1], mean[4])
-        });
+        let [one, two] = [self, other].map(Self::place);
         are_alike(one[2], two[2])
             && libm::hypot(one[0] - two[0], one[1] - two[1]) <= FARTHEST
             && is_one(&one, &two, rules)
@@ -379,7 +386,7 @@ impl State for RoundBody {
         }
     }
 
-    fn place(seen: &BodyMeasurement) -> BirthPlace {
+    fn birth_place(seen: &BodyMeasurement) -> BirthPlace {
         BirthPlace::of(seen.trace, seen.circle.R[(2, 2)])
     }
 

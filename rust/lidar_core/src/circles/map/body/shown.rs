@@ -58,6 +58,9 @@ impl RoundBody {
 
     /// State as it is reported after a time without scans; what stands stays where it is.
     pub(in crate::circles::map) fn coasted(&self, step: &ElementStep) -> Gaussian<5> {
+        if step.seconds == 0.0 {
+            return self.reported();
+        }
         let mut later = self.clone();
         later.circle.predict(&step.circles);
         if let Some(extent) = &mut later.extent {

@@ -3,6 +3,7 @@
 //! Source: the idea of Wang, Thorpe & Thrun, "Online simultaneous localization and mapping with
 //! detection and tracking of moving objects", ICRA 2003: what moves is where space was free.
 
+use super::slip;
 use super::surface::Met;
 use super::viewpoint::Viewpoint;
 use super::visibility::SortedView;
@@ -26,6 +27,8 @@ const SAMPLES: [usize; 2] = [20, 100];
 const KNOWN: f64 = 0.3;
 /// Largest distance behind its old place of a surface that moved away from the scanner [m].
 const RECEDED: f64 = 0.3;
+/// Usual distance above which a scan may be from another place than its pose says [m].
+const OFF: f64 = 0.02;
 /// Most points of one object that are looked up.
 const MOST_POINTS: usize = 40;
 /// Least share of the answers that must tell something.
@@ -45,6 +48,8 @@ pub(in crate::circles::map) struct EarlierViews<'a> {
 struct Asked<'a> {
     from: &'a Viewpoint,
     view: &'a SortedView,
+    /// Usual distance of a point from it; None if too few points tell [m].
+    usual: Option<f64>,
     margin: f64,
 }
 
@@ -69,6 +74,15 @@ impl EarlierViews<'_> {
         is_known.then(|| f64::from(there) / f64::from(known))
     }
 
+    /// True if the pose is the same as that of an earlier scan, although the scanner moved.
+    pub(in crate::circles::map) fn has_stuck_pose(&self) -> bool {
+        let Some(now) = &self.now.view else { return false };
+        let is_off = |asked: &&Asked<'_>| asked.usual.is_some_and(|usual| usual > OFF);
+        let mut same = self.asked.iter().filter(|asked| asked.from.pose.is_same(&self.now.pose));
+        same.clone().any(|asked| is_off(&asked))
+            && same.any(|asked| slip::has_slipped(now, asked.view))
+    }
+
     /// True if a surface was just before this point, and rays pass there now: it moved away.
     fn has_receded(&self, point: [f64; 2], asked: &Asked<'_>) -> bool {
         let Some(view) = &self.now.view else { return false };
@@ -81,27 +95,25 @@ impl EarlierViews<'_> {
     }
 }
 
-/// Largest distance of a point of the scan `now` from a surface that an earlier one met there [m].
+/// Usual distance of a point of the scan `now` from a surface that an earlier one met there [m]; None
+/// if too few points tell.
 ///
-/// Most of a scan stands, so that the usual distance is that of noise: of the ranges, and of the
-/// pose over the time between both.
-fn margin(now: &Viewpoint, then: &Viewpoint, view: &SortedView) -> f64 {
-    let [least, most] = MARGIN;
-    let Some(seen) = &now.view else { return most };
+/// Most of a scan stands, so that this is noise: of the ranges, and of the pose over the time between
+/// both.
+fn usual(now: &Viewpoint, then: &Viewpoint, view: &SortedView) -> Option<f64> {
+    let seen = now.view.as_ref()?;
     let every = seen.len().div_ceil(SAMPLES[1]).max(1);
-    let off = |number: usize| {
-        let (bearing, range) = seen.ray(number);
-        let point = [range * libm::cos(bearing), range * libm::sin(bearing)];
-        let place = then.pose.level(now.pose.world_point(point), 0.0).center;
-        view.distance(place).filter(|off| range.is_finite() && *off < KNOWN)
+    let off = |point: &Option<[f64; 2]>| {
+        let place = then.pose.level(now.pose.world_point((*point)?), 0.0).center;
+        view.distance(place).filter(|off| *off < KNOWN)
     };
-    let mut distances: Vec<f64> = (0..seen.len()).step_by(every).filter_map(off).collect();
+    let mut distances: Vec<f64> = seen.ends().iter().step_by(every).filter_map(off).collect();
     if distances.len() < SAMPLES[0] {
-        return most;
+        return None;
     }
     let middle = distances.len() / 2;
     let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
-    (USUAL * *median).clamp(least, most)
+    Some(*median)
 }
 
 /// Recent viewpoints, the oldest first.
@@ -128,7 +140,10 @@ impl Earlier {
             if let Some((one, view)) = found.and_then(|one| Some((one, one.view.as_ref()?)))
                 && asked.iter().all(|known| known.from.stamp_ns != one.stamp_ns)
             {
-                asked.push(Asked { from: one, view, margin: margin(now, one, view) });
+                let [least, most] = MARGIN;
+                let usual = usual(now, one, view);
+                let margin = usual.map_or(most, |usual| (USUAL * usual).clamp(least, most));
+                asked.push(Asked { from: one, view, usual, margin });
             }
         }
         EarlierViews { now, asked }

@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 
 /// Vertical part of the scan's normal below which a scan plane is treated as upright.
 const UPRIGHT: f64 = 0.05;
+/// Differences of poses that are rounding [m], [rad].
+const SAME: f64 = 1e-6;
 
 /// Pose of the level frame in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +27,13 @@ impl LevelPose {
         let norm = (x * x + y * y).sqrt();
         let (cos, sin) = if norm > 0.0 { (x / norm, y / norm) } else { (1.0, 0.0) };
         Self { origin: [pose.translation[0], pose.translation[1]], cos, sin }
+    }
+
+    /// True if both are the same, up to rounding.
+    pub(in crate::circles::map) fn is_same(&self, other: &Self) -> bool {
+        let (one, two) = ([self.origin[0], self.origin[1], self.cos, self.sin], other);
+        let two = [two.origin[0], two.origin[1], two.cos, two.sin];
+        one.iter().zip(two).all(|(one, two)| (one - two).abs() < SAME)
     }
 
     pub(in crate::circles::map) fn rotation(&self) -> Matrix2<f64> {

@@ -2,6 +2,7 @@
 
 use super::visibility::SortedView;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// Largest gap between the ends of neighbouring rays that met one surface [m].
 const JOINED: f64 = 0.3;
@@ -66,42 +67,58 @@ impl SortedView {
     }
 
     /// Distance of a point from the surfaces that the rays of a range met [m].
+    fn off(&self, point: [f64; 2], rays: Range<usize>) -> f64 {
+        self.nearest(point, rays).map_or(f64::INFINITY, |(distance, _)| distance)
+    }
+
+    /// Distance of a point from the nearest surface that rays up to an angle `half` beside it met
+    /// [m], and the way from there to the point.
+    pub(super) fn beside(&self, point: [f64; 2], half: f64) -> Option<(f64, [f64; 2])> {
+        let bearing = libm::atan2(point[1], point[0]);
+        let found = [-TAU, 0.0, TAU].into_iter().map(|turn| self.around(bearing + turn, half));
+        found
+            .filter_map(|rays| self.nearest(point, rays))
+            .min_by(|one, two| one.0.total_cmp(&two.0))
+    }
+
+    /// The same of the surfaces that the rays of a range met.
     ///
     /// Between two rays that met one surface it is straight. Beside another one, a surface reaches
     /// across half of the gap between the rays.
-    fn off(&self, point: [f64; 2], rays: std::ops::Range<usize>) -> f64 {
-        let mut least = f64::INFINITY;
+    fn nearest(&self, point: [f64; 2], rays: Range<usize>) -> Option<(f64, [f64; 2])> {
+        let ends = self.ends();
+        let mut least: Option<(f64, [f64; 2])> = None;
         for number in rays {
-            let Some(end) = self.end(number) else { continue };
-            let [range, bearing] = [self.ray(number).1, self.ray(number).0];
-            let reach = 0.5 * range * self.step();
-            let aside = [-reach * libm::sin(bearing), reach * libm::cos(bearing)];
+            let Some(end) = ends[number] else { continue };
+            let alone = |side: f64| {
+                let (bearing, range) = self.ray(number);
+                let reach = 0.5 * range * self.step();
+                let aside = [-reach * libm::sin(bearing), reach * libm::cos(bearing)];
+                [end[0] + side * aside[0], end[1] + side * aside[1]]
+            };
             for (neighbour, side) in [(number.checked_sub(1), -1.0), (Some(number + 1), 1.0)] {
-                let beside =
-                    neighbour.filter(|&one| one < self.len()).and_then(|one| self.end(one));
-                let joined = beside
+                let joined = neighbour
+                    .and_then(|one| ends.get(one).copied().flatten())
                     .filter(|one| libm::hypot(end[0] - one[0], end[1] - one[1]) < JOINED)
-                    .unwrap_or([end[0] + side * aside[0], end[1] + side * aside[1]]);
-                least = least.min(from_stretch(point, [end, joined]));
+                    .unwrap_or_else(|| alone(side));
+                let way = from_stretch(point, [end, joined]);
+                let distance = libm::hypot(way[0], way[1]);
+                if least.is_none_or(|(known, _)| distance < known) {
+                    least = Some((distance, way));
+                }
             }
         }
         least
     }
-
-    /// Place where a ray ended; None without return.
-    fn end(&self, number: usize) -> Option<[f64; 2]> {
-        let (bearing, range) = self.ray(number);
-        range.is_finite().then(|| [range * libm::cos(bearing), range * libm::sin(bearing)])
-    }
 }
 
-/// Distance of a point from a stretch of a line [m].
-fn from_stretch([x, y]: [f64; 2], [from, to]: [[f64; 2]; 2]) -> f64 {
+/// Way from the nearest point of a stretch of a line to a point [m].
+fn from_stretch([x, y]: [f64; 2], [from, to]: [[f64; 2]; 2]) -> [f64; 2] {
     let [along_x, along_y] = [to[0] - from[0], to[1] - from[1]];
     let square = along_x * along_x + along_y * along_y;
     let share = ((x - from[0]) * along_x + (y - from[1]) * along_y) / square.max(f64::MIN_POSITIVE);
     let share = share.clamp(0.0, 1.0);
-    libm::hypot(x - from[0] - share * along_x, y - from[1] - share * along_y)
+    [x - from[0] - share * along_x, y - from[1] - share * along_y]
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use crate::circles::map::parameters::VisibilityTest;
 
@@ -43,6 +44,9 @@ pub struct SortedView {
     ranges: Vec<f64>,
     range_min: f64,
     range_max: f64,
+    /// Where the rays ended [m], from the first question on: later scans ask many.
+    #[serde(skip)]
+    ends: OnceLock<Vec<Option<[f64; 2]>>>,
 }
 
 impl ScanWithLimits<'_> {
@@ -66,7 +70,8 @@ impl ScanWithLimits<'_> {
             return Err(Error::Parameter { name: "range_max", expected: "> range_min >= 0", got });
         }
         let (bearings, ranges) = ascending(bearings, ranges);
-        Ok(SortedView { bearings, ranges, range_min: self.range_min, range_max: self.range_max })
+        let [range_min, range_max] = [self.range_min, self.range_max];
+        Ok(SortedView { bearings, ranges, range_min, range_max, ends: OnceLock::new() })
     }
 }
 
@@ -126,8 +131,24 @@ impl SortedView {
         (last - first) / (self.bearings.len().max(2) - 1) as f64
     }
 
+    /// Places where the rays ended; None without return.
+    pub(super) fn ends(&self) -> &[Option<[f64; 2]>] {
+        self.ends.get_or_init(|| {
+            let rays = self.bearings.iter().zip(&self.ranges);
+            rays.map(|(&bearing, &range)| {
+                let end = || [range * libm::cos(bearing), range * libm::sin(bearing)];
+                range.is_finite().then(end)
+            })
+            .collect()
+        })
+    }
+
     /// Rays up to an angle `half` beside a bearing.
     pub(super) fn around(&self, bearing: f64, half: f64) -> Range<usize> {
+        let ends = self.bearings.first().zip(self.bearings.last());
+        if ends.is_none_or(|(&first, &last)| bearing + half < first || bearing - half > last) {
+            return 0..0; // as for most turns of a bearing
+        }
         let low = self.bearings.partition_point(|&ray| ray < bearing - half);
         low..self.bearings.partition_point(|&ray| ray <= bearing + half).max(low)
     }

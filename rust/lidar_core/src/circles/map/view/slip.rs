@@ -1,0 +1,156 @@
+//! Whether the scanner moved between two scans of which the poses say that it did not.
+//!
+//! Where poses come from a source that stopped, they stay the same, and all that stands moves with
+//! the scanner. One motion then explains both scans; no number of things that move do that.
+
+#![allow(non_snake_case)] // textbook letters
+
+use super::visibility::SortedView;
+use nalgebra::{Matrix3, Vector3};
+
+/// Most ends of rays that are compared, and the least number that decides.
+const SAMPLES: usize = 100;
+const FEWEST: usize = 30;
+/// Distance from the surface of the earlier scan within which an end lies on it [m].
+const ON: f64 = 0.05;
+/// Shares of the ends on it: at most where they are, and at least after the motion.
+const BEFORE: f64 = 0.5;
+const AFTER: f64 = 0.85;
+/// Least gap between two surfaces [m], and the least number of surfaces that are explained: two things
+/// may move side by side.
+const GAP: f64 = 0.5;
+const SURFACES: usize = 3;
+/// Farthest that a surface is looked for [m]; the search ends that much nearer in every round.
+const REACH: f64 = 0.6;
+const ROUNDS: usize = 12;
+const NARROWER: f64 = 0.85;
+/// What keeps a motion along a single wall at zero.
+const DAMPING: f64 = 1e-3;
+
+/// Motion in the plane: a turn about the scanner, then a shift [m].
+#[derive(Clone, Copy, Debug, Default)]
+struct PlaneMotion {
+    shift: [f64; 2],
+    turn: f64,
+}
+
+impl PlaneMotion {
+    fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = (libm::sin(self.turn), libm::cos(self.turn));
+        [cos * x - sin * y + self.shift[0], sin * x + cos * y + self.shift[1]]
+    }
+}
+
+/// True if the scanner moved from one scan to the next, both in the frame of one pose.
+pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
+    let ends: Vec<[f64; 2]> = now.ends().iter().copied().flatten().collect();
+    let every = ends.len().div_ceil(SAMPLES).max(1);
+    let samples: Vec<[f64; 2]> = ends.into_iter().step_by(every).collect();
+    if samples.len() < FEWEST {
+        return false;
+    }
+    let share = |on: usize| on as f64 / samples.len() as f64;
+    if share(on_surface(&samples, then, PlaneMotion::default()).len()) > BEFORE {
+        return false;
+    }
+    let explained = on_surface(&samples, then, between(&samples, then));
+    let apart = |pair: &&[[f64; 2]]| libm::hypot(pair[0][0] - pair[1][0], pair[0][1] - pair[1][1]);
+    let gaps = explained.windows(2).filter(|pair| apart(pair) > GAP).count();
+    share(explained.len()) >= AFTER && gaps + 1 >= SURFACES
+}
+
+/// Points that lie on a surface of a scan after a motion.
+fn on_surface(points: &[[f64; 2]], then: &SortedView, motion: PlaneMotion) -> Vec<[f64; 2]> {
+    let is_on = |point: &&[f64; 2]| {
+        let found = beside(then, motion.apply(**point), ON);
+        found.is_some_and(|(distance, _)| distance < ON)
+    };
+    points.iter().filter(is_on).copied().collect()
+}
+
+/// Nearest surface within a distance.
+fn beside(view: &SortedView, point: [f64; 2], reach: f64) -> Option<(f64, [f64; 2])> {
+    let half = (reach / libm::hypot(point[0], point[1]).max(reach)).max(view.step());
+    view.beside(point, half).filter(|&(distance, _)| distance < reach)
+}
+
+/// Motion that puts points on the surfaces of a scan: least squares of their distances, again and
+/// again with nearer surfaces.
+///
+/// Source: Chen & Medioni, "Object modelling by registration of multiple range images", 1992.
+fn between(points: &[[f64; 2]], then: &SortedView) -> PlaneMotion {
+    let mut motion = PlaneMotion::default();
+    let mut reach = REACH;
+    for _ in 0..ROUNDS {
+        let (mut A, mut b) = (Matrix3::identity() * DAMPING, Vector3::zeros());
+        for place in points.iter().map(|&point| motion.apply(point)) {
+            let Some((distance, [x, y])) = beside(then, place, reach) else { continue };
+            let normal = [x / distance.max(1e-9), y / distance.max(1e-9)];
+            let J = Vector3::new(
+                normal[0],
+                normal[1],
+                normal[1] * (place[0] - motion.shift[0]) - normal[0] * (place[1] - motion.shift[1]),
+            );
+            A += J * J.transpose();
+            b += J * distance;
+        }
+        let Some(step) = A.cholesky().map(|A| A.solve(&b)) else { break };
+        motion.shift = [motion.shift[0] - step[0], motion.shift[1] - step[1]];
+        motion.turn -= step[2];
+        reach = (reach * NARROWER).max(2.0 * ON);
+    }
+    motion
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::circles::map::view::visibility::ScanWithLimits;
+    use crate::circles::preprocess::polar_scan::PolarScan;
+
+    /// A room of 8 m by 6 m with round things (x, y, radius), seen from a place and under a yaw.
+    fn view(at: [f64; 2], yaw: f64, things: &[[f64; 3]]) -> Result<SortedView, Error> {
+        let bearings: Vec<f64> = (-180..180).map(|ray| f64::from(ray) * 0.017).collect();
+        let range = |bearing: &f64| {
+            let (dx, dy) = (libm::cos(bearing + yaw), libm::sin(bearing + yaw));
+            let along = |side: f64, from: f64, way: f64| (side * way.signum() - from) / way;
+            let mut range = along(4.0, at[0], dx).min(along(3.0, at[1], dy));
+            for [x, y, radius] in things {
+                let [x, y] = [x - at[0], y - at[1]];
+                let (middle, aside) = (x * dx + y * dy, x * dy - y * dx);
+                if middle > 0.0 && aside.abs() < *radius {
+                    range = range.min(middle - (radius * radius - aside * aside).sqrt());
+                }
+            }
+            range
+        };
+        let ranges = bearings.iter().map(range).collect();
+        let scan = PolarScan { ranges, bearings };
+        ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 20.0 }.sorted()
+    }
+
+    #[test]
+    fn a_scanner_that_moves_is_told_from_things_that_move() -> Result<(), Error> {
+        let things = [[2.0, 1.0, 0.3], [-1.5, 2.0, 0.2], [1.0, -2.0, 0.4]];
+        let then = view([0.0, 0.0], 0.0, &things)?;
+        for (at, yaw) in [([0.2, 0.1], 0.0), ([0.0, 0.0], 0.08), ([-0.15, 0.1], -0.1)] {
+            assert!(has_slipped(&view(at, yaw, &things)?, &then), "{at:?} {yaw}");
+        }
+        assert!(!has_slipped(&then, &then));
+        let walked = things.map(|[x, y, radius]| [x + 0.3 * y.signum(), y, radius]);
+        assert!(!has_slipped(&view([0.0, 0.0], 0.0, &walked)?, &then));
+        // A crowd close around the scanner, of which everybody goes elsewhere, hides the room.
+        let crowd = |by: f64| -> Vec<[f64; 3]> {
+            let place = |number: i32| {
+                let (sin, cos) = (libm::sin(f64::from(number)), libm::cos(f64::from(number)));
+                let way = libm::cos(2.3 * f64::from(number));
+                [cos * (1.2 + by * way), sin * (1.2 + by * way) + by * (1.0 - way), 0.5]
+            };
+            (0..7).map(place).collect()
+        };
+        let apart = view([0.0, 0.0], 0.0, &crowd(0.25))?;
+        assert!(!has_slipped(&apart, &view([0.0, 0.0], 0.0, &crowd(0.0))?));
+        Ok(())
+    }
+}
