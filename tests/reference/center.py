@@ -70,8 +70,8 @@ def outline(points, origin, passing):
         for off in (hits - hits.mean(axis=0), rays - hits.mean(axis=0))
     ]
     filled = inside[0] / sum(inside) if sum(inside) else 1.0
-    beside = (rays[:, 0] >= hits[:, 0].min() - gap) & (rays[:, 0] <= hits[:, 0].max() + gap)
-    level = rays[beside, 1]
+    half = max(np.ptp(hits[:, 0]) / 4, gap)  # the middle half, or what a gap leaves
+    level = rays[np.abs(rays[:, 0] - (hits[:, 0].min() + hits[:, 0].max()) / 2) <= half, 1]
     if (level < hits[:, 1].min() - BELOW_GAPS * gap).any():
         return filled, True
     above = level[level > hits[:, 1].max()]
@@ -100,8 +100,11 @@ def frame(points, origin, passing, std):
     large = np.interp(half, [0.45, 0.65], [0, 1])
     across = np.array([-sight[1], sight[0], 0.0])
     across = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-9 else np.eye(3)[1]
-    axes = np.stack([across, np.cross(sight, across)])
-    behind = shift * sight + (1 - large) * lift + large * (middle @ axes)
+    axes = np.stack([across, np.cross(across, np.eye(3)[2]), np.eye(3)[2]])  # upright box
+    boxed = (points - centroid) @ axes.T
+    box = (boxed.min(axis=0) + boxed.max(axis=0)) / 2 @ axes
+    box = box + max(0, shift - box @ sight) * sight  # the further of both
+    behind = (1 - large) * (shift * sight + lift) + large * box
     covariance = (
         scatter / count
         + (np.eye(3) - along)

@@ -11,7 +11,7 @@ use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::hash::BuildHasherDefault;
 
 /// Coordinates are summed up as integers, so that the order of the points cannot matter.
@@ -139,7 +139,8 @@ impl StaticPoints {
         voxels
     }
 
-    /// Voxels of the clusters of the last scan which move, in ascending order: many of their voxels have come.
+    /// Voxels of the clusters of the last scan which move, and those that these have left behind, in ascending
+    /// order: many of their voxels have come.
     fn of_moving_clusters(
         &self,
         points: &[[f32; 3]],
@@ -162,12 +163,32 @@ impl StaticPoints {
             };
             let n_come = own.iter().filter(has_come).count();
             if n_come > 1 && n_come as f64 >= COME_SHARE * own.len() as f64 {
-                found.extend(own.into_iter().map(|place| place.0));
+                found.extend(self.trail(&own, of));
             }
         }
         found.sort_unstable();
         found.dedup();
         found
+    }
+
+    /// The voxels `own` of what moves in scan `of`, and those that it has left behind: beside each other, and the
+    /// further back, the earlier left. No ray may have passed through them since, as where only the sky is behind
+    /// them; so nothing but what moves tells that they are empty.
+    fn trail(&self, own: &[Place], of: u32) -> Vec<Voxel> {
+        let mut trail: Vec<(Voxel, u32)> = own.iter().map(|place| (place.0, of)).collect();
+        let mut met: HashSet<Place, BuildHasherDefault<KeyHasher>> = own.iter().copied().collect();
+        let mut at = 0;
+        while let Some(&([x, y, z], left)) = trail.get(at) {
+            at += 1;
+            for step in 0..27 {
+                let beside = [x + step % 3 - 1, y + step / 3 % 3 - 1, z + step / 9 - 1];
+                let Some(points) = self.voxels.get(&Place(beside)) else { continue };
+                if points.last_scan < of && points.last_scan <= left && met.insert(Place(beside)) {
+                    trail.push((beside, points.last_scan));
+                }
+            }
+        }
+        trail.into_iter().map(|(voxel, _)| voxel).collect()
     }
 
     /// State that goes on to the same bits, in ascending order of voxels.
@@ -235,6 +256,26 @@ mod tests {
         assert!(!seen(1, 6, 6, false).has_moved(10, false));
         assert!(!seen(3, 9, 5, true).has_moved(10, true));
         assert!(!seen(1, 10, 10, true).has_moved(10, true));
+    }
+
+    #[test]
+    fn what_has_left_a_trail_moves_and_what_is_beside_it_stands() -> Result<(), Error> {
+        let lattice = Lattice::new(0.25, [0.0; 3])?;
+        let middle = |x: i32, y: i32| lattice.center([x, y, 0]).map(|value| value as f32);
+        let mut standing = StaticPoints::default();
+        for scan in 1..=10_i32 {
+            // Six voxels that go on by one in every second scan, beside a post and before something far away
+            // that is not hit at the end.
+            let mut points: Vec<[f32; 3]> = (0..6).map(|step| middle(scan / 2 + step, 0)).collect();
+            points.push(middle(3, 1));
+            points.extend((scan < 9).then(|| middle(-3, 0)));
+            standing.add(&lattice, &points, scan as u32, 10);
+        }
+        let own: Vec<Place> = (5..11).map(|x| Place([x, 0, 0])).collect();
+        let mut trail = standing.trail(&own, 10);
+        trail.sort_unstable();
+        assert_eq!(trail, (0..11).map(|x| [x, 0, 0]).collect::<Vec<Voxel>>());
+        Ok(())
     }
 
     #[test]

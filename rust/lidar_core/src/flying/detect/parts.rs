@@ -6,7 +6,8 @@
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::point_class::PointClass;
-use crate::geometry::transform::{minus, norm};
+use crate::geometry::lattice::wide;
+use crate::geometry::transform::{dot, norm};
 
 /// A target with a longer side may fall into several clusters [m].
 const LARGE: f64 = 0.75;
@@ -22,7 +23,7 @@ pub(crate) struct UnitedClusters<'c> {
 
 impl<'c> UnitedClusters<'c> {
     /// Of the clusters of `points` with these numbers; those of another kind than flying stay as they
-    /// are. What is united has no longer diagonal than `longest` [m]; None unites nothing.
+    /// are. What is united is no longer than `longest` [m]; None unites nothing.
     pub(crate) fn of(
         points: &[[f32; 3]],
         clusters: &Clusters,
@@ -38,8 +39,8 @@ impl<'c> UnitedClusters<'c> {
         let large: Vec<(usize, Cluster<'_>)> =
             flying.iter().filter(|(_, one)| side(one) >= LARGE).copied().collect();
         let mut host: Vec<(usize, usize)> = Vec::new();
-        // Boxes around targets and the parts that they have got already.
-        let mut boxes: Vec<(usize, [[f64; 3]; 2])> = Vec::new();
+        // Of targets and the parts that they have got already.
+        let mut spans: Vec<(usize, Span)> = Vec::new();
         for &(index, part) in flying.iter().filter(|_| !large.is_empty()) {
             let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
                 *other != index
@@ -50,18 +51,17 @@ impl<'c> UnitedClusters<'c> {
                 .iter()
                 .filter(is_near)
                 .max_by(|(_, one), (_, other)| side(one).total_cmp(&side(other)));
-            let Some((&(whole, cluster), longest)) = whole.zip(longest) else { continue };
+            let Some((&(whole, _), longest)) = whole.zip(longest) else { continue };
             let top = top_of(&host, whole);
-            let known = |number: usize, own: &Cluster<'_>| {
-                let found = boxes.iter().find(|(other, _)| *other == number);
-                found.map_or([own.low, own.high], |&(_, found)| found)
+            let known = |number: usize| {
+                let found = spans.iter().find(|(other, _)| *other == number);
+                found.map_or_else(|| Span::of(points, &clusters.get(number)), |&(_, found)| found)
             };
-            let of_top = large.iter().find(|(other, _)| *other == top).map_or(cluster, |one| one.1);
-            let together = around(known(top, &of_top), known(index, &part));
-            if norm(minus(together[1], together[0])) <= longest {
+            let together = known(top).united(&known(index));
+            if together.length() <= longest {
                 host.push((index, whole));
-                boxes.retain(|(other, _)| *other != top);
-                boxes.push((top, together));
+                spans.retain(|(other, _)| *other != top);
+                spans.push((top, together));
             }
         }
         if host.is_empty() {
@@ -109,10 +109,60 @@ fn gap(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
     norm([0, 1, 2].map(away))
 }
 
-/// The box around two boxes, each from its lowest to its highest corner.
-fn around(one: [[f64; 3]; 2], other: [[f64; 3]; 2]) -> [[f64; 3]; 2] {
-    let low = [0, 1, 2].map(|axis: usize| one[0][axis].min(other[0][axis]));
-    [low, [0, 1, 2].map(|axis: usize| one[1][axis].max(other[1][axis]))]
+/// Directions to the faces, edges and corners of a cube, one of every opposite pair: none is further than 28
+/// degrees from one of them.
+const WAYS: [[i8; 3]; 13] = [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+    [1, 1, 0],
+    [1, -1, 0],
+    [1, 0, 1],
+    [1, 0, -1],
+    [0, 1, 1],
+    [0, 1, -1],
+    [1, 1, 1],
+    [1, 1, -1],
+    [1, -1, 1],
+    [1, -1, -1],
+];
+
+/// How far some points reach along each of [`WAYS`]. A box along the axes would be longer or shorter as the
+/// target turns.
+#[derive(Clone, Copy)]
+struct Span {
+    low: [f64; WAYS.len()],
+    high: [f64; WAYS.len()],
+}
+
+impl Span {
+    fn of(points: &[[f32; 3]], cluster: &Cluster<'_>) -> Self {
+        let mut span =
+            Self { low: [f64::INFINITY; WAYS.len()], high: [f64::NEG_INFINITY; WAYS.len()] };
+        for &row in cluster.members {
+            let point = wide(points[row as usize]);
+            for (at, way) in WAYS.iter().enumerate() {
+                let way = way.map(f64::from);
+                let along = dot(point, way) / norm(way);
+                span.low[at] = span.low[at].min(along);
+                span.high[at] = span.high[at].max(along);
+            }
+        }
+        span
+    }
+
+    /// Of the points of both.
+    fn united(&self, other: &Self) -> Self {
+        Self {
+            low: std::array::from_fn(|at| self.low[at].min(other.low[at])),
+            high: std::array::from_fn(|at| self.high[at].max(other.high[at])),
+        }
+    }
+
+    /// The longest of its sides [m].
+    fn length(&self) -> f64 {
+        self.low.iter().zip(&self.high).map(|(low, high)| high - low).fold(0.0, f64::max)
+    }
 }
 
 /// The whole that a cluster belongs to, by way of other parts; itself if it is none.
@@ -143,6 +193,26 @@ mod tests {
         let all = (0..if is_one { 2 } else { 3 }).map(|index| (index, &flying));
         let united = UnitedClusters::of(points, &clusters, all, Some(2.5));
         united.iter(&clusters).map(|(cluster, _)| cluster.members.len()).collect()
+    }
+
+    #[test]
+    fn a_wing_with_its_tip_is_as_long_however_it_is_turned() {
+        // A cross of 2.2 m and 1.2 m, of which a tip is another cluster.
+        let is_one = |turn: f32| {
+            let (sine, cosine) = turn.to_radians().sin_cos();
+            let place = |x: f32, y: f32| [9.0 + cosine * x - sine * y, sine * x + cosine * y, 2.0];
+            let wing = (0..18).map(|step| place(0.0, -1.1 + 0.1 * step as f32));
+            let body = (0..12).map(|step| place(-0.6 + 0.1 * step as f32, 0.0));
+            let tip = (0..2).map(|step| place(0.0, 1.05 + 0.05 * step as f32));
+            let points: Vec<[f32; 3]> = wing.chain(body).chain(tip).collect();
+            let labels: Vec<i32> = (0..points.len()).map(|row| i32::from(row > 29)).collect();
+            let mut clusters = Clusters::default();
+            clusters.fill(&points, &labels);
+            let flying = Classification { class: PointClass::Flying, ..Classification::default() };
+            let all = (0..2).map(|index| (index, &flying));
+            UnitedClusters::of(&points, &clusters, all, Some(2.3)).iter(&clusters).count() == 1
+        };
+        assert!([0.0, 20.0, 45.0, 70.0, 90.0].into_iter().all(is_one));
     }
 
     #[test]

@@ -253,14 +253,18 @@ impl PointCloudTracker {
     /// Every track, unconfirmed ones included, predicted to `stamp_ns`, by number. Changes nothing.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
-        let model = &self.parameters().motion;
+        let TrackerParameters { motion, measurement, .. } = self.parameters();
+        let state = |track: &PointTrack| match measurement {
+            MeasurementForm::Center => track.told_at(stamp_ns, motion),
+            MeasurementForm::Paper | MeasurementForm::Cluster => track.at(stamp_ns, motion),
+        };
         let moving = self
             .tracks
             .iter()
             .map(|track| Track {
                 id: track.id,
                 stamp_ns,
-                state: track.at(stamp_ns, model),
+                state: state(track),
                 extent: track.extent,
                 n_detections: track.n_detections,
                 age: seconds(track.born_ns, stamp_ns),

@@ -12,6 +12,12 @@ use serde::{Deserialize, Serialize};
 /// Weight that the points of a track and around it keep from one scan to the next.
 const AROUND_KEPT: f64 = 0.8;
 
+/// Every scan shows the same parts of a large target, so that the error of its centre is the same in all of
+/// them, and no number of scans removes it: its standard deviation as a share of the longest side of the
+/// target, in full from the second length on, and none up to the first [m].
+const SHAPE_SHARE: f64 = 0.03;
+const LARGE: [f64; 2] = [0.9, 1.3];
+
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
 
@@ -161,6 +167,16 @@ impl PointTrack {
         };
         let model = Motion { acceleration_time, ..*model };
         motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), &model)
+    }
+
+    /// The state at `stamp_ns` with all that is not known of the place of the centre.
+    pub(super) fn told_at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
+        let mut state = self.at(stamp_ns, model);
+        let side = self.longest_side();
+        let share = ((side - LARGE[0]) / (LARGE[1] - LARGE[0])).clamp(0.0, 1.0);
+        let variance = (share * SHAPE_SHARE * side).powi(2);
+        (0..3).for_each(|axis| state.covariance[(axis, axis)] += variance);
+        state
     }
 
     /// Move to `stamp_ns`.

@@ -461,3 +461,28 @@ fn a_fast_target_is_known_by_its_third_detection_however_late_in_the_scan() -> R
     }
     Ok(())
 }
+
+/// However often a large target is seen, its centre is no better known than the shape of it; a small one is.
+#[test]
+fn scans_do_not_remove_what_the_shape_of_a_large_target_hides() -> Result<(), Error> {
+    for (side, is_large) in [(1.5, true), (0.5, false)] {
+        let parameters = TrackerParameters { measurement: MeasurementForm::Center, ..best() };
+        let mut tracker = PointCloudTracker::new(parameters, 1)?;
+        let detections = Detections {
+            positions: &[[0.0; 3]],
+            extent: Some(&[[side, 0.3, 0.3]]),
+            ..Detections::default()
+        };
+        tracker.new_detections(&detections, &free())?;
+        let points: Vec<[f32; 3]> =
+            (-6_i8..=6).map(|at| [side as f32 / 12.0 * f32::from(at), 0.0, 0.0]).collect();
+        for step in 1..30 {
+            tracker.new_point_cloud(&points, None, &free(), None, step * STEP_NS)?;
+        }
+        let (told, own) = (&tracker.tracks_at(29 * STEP_NS)[0], &tracker.tracks[0]);
+        let more = told.state.covariance - own.estimate.covariance;
+        assert_eq!(more[(2, 2)] > 0.03_f64.powi(2), is_large, "{more}");
+        assert!(is_large || more.norm() == 0.0);
+    }
+    Ok(())
+}

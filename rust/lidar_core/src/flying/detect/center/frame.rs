@@ -27,8 +27,8 @@ const SHIFT_STD: [f64; 2] = [0.5, 0.2];
 const LIFT: f64 = 0.06;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
-/// Half the size from which on, and up to which, the middle of the outline counts instead of the centroid,
-/// across the line of sight [m]: many rays meet the outline of a large target, and its parts do not give returns alike.
+/// Half the size from which on, and up to which, the middle of the box around the points counts instead of their
+/// centroid [m]: many rays meet the ends of a large target, and its parts do not give returns alike.
 const LARGE: [f64; 2] = [0.45, 0.65];
 /// Standard deviations of the centre of such a target across and along the line of sight, as shares of half
 /// its size.
@@ -42,6 +42,9 @@ const FEWEST_ABOVE: usize = 4;
 /// Rays below a target pass it by this share of the gap between rays. Those of its own lowest row do not:
 /// a row is a cone, and so a curve in the plane of the target.
 const BELOW_GAPS: f64 = 0.5;
+/// They do so below the middle of it, this share of its width: rays beside what stands on the ground pass to the
+/// ground behind it.
+const MIDDLE: f64 = 0.5;
 /// Smallest radius to start with [m].
 const LEAST_RADIUS: f64 = 0.05;
 
@@ -87,11 +90,12 @@ impl OpenFrame {
         let [low, high] = ends(offsets().map(|offset| offset.dot(&sight)));
         let half = outline.reach.max(0.5 * (high - low));
         let large = ((half - LARGE[0]) / (LARGE[1] - LARGE[0])).clamp(0.0, 1.0);
-        let [x, y] = outline.middle;
-        let middle = axes[0] * x + axes[1] * y;
+        let middle = box_middle(offsets(), axes[0]);
+        // Far parts are hidden or missed by the rays: both estimates are too near.
+        let middle = middle + sight * (shift - middle.dot(&sight)).max(0.0);
         let [aside_std, depth_std] = LARGE_STD.map(|share| large * share * half);
         Self {
-            position: centroid + sight * shift + lift * (1.0 - large) + middle * large,
+            position: centroid + (sight * shift + lift) * (1.0 - large) + middle * large,
             covariance: scatter / (count * count)
                 + (Matrix3::identity() - along)
                     * (gap + ASIDE_STD * ASIDE_STD + aside_std * aside_std)
@@ -131,6 +135,21 @@ fn axes_towards(span: Vector3<f64>) -> [Vector3<f64>; 3] {
     [aside, sight.cross(&aside), sight]
 }
 
+/// Middle of the box around some places, upright and turned to the line of sight, of which `aside` is the
+/// horizontal side across it. Seen from below, the near end of a wing is higher than the far one: the middle of
+/// what is seen across the line of sight would not be that of the wing.
+fn box_middle(
+    places: impl Iterator<Item = Vector3<f64>> + Clone,
+    aside: Vector3<f64>,
+) -> Vector3<f64> {
+    let up = Vector3::z();
+    let middle = |axis: Vector3<f64>| {
+        let [low, high] = ends(places.clone().map(|place| place.dot(&axis)));
+        axis * (0.5 * (low + high))
+    };
+    [aside, aside.cross(&up), up].map(middle).iter().sum()
+}
+
 /// The least and the largest of some values.
 fn ends(values: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     [values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max)]
@@ -138,8 +157,6 @@ fn ends(values: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
 
 /// Extent of the target as seen from the sensor.
 struct SeenExtent {
-    /// Middle of the points, from their centroid, across the line of sight [m].
-    middle: [f64; 2],
     /// Distance of the points from their middle [m].
     reach: f64,
     /// Between neighbouring rays at the target [m].
@@ -182,7 +199,6 @@ impl SeenExtent {
         let ray_gap = window * (PI / (count + within(window))).sqrt();
         let solid_share = count / (count + within(reach + 0.5 * ray_gap));
         Self {
-            middle,
             reach,
             ray_gap,
             solid_share,
@@ -198,8 +214,9 @@ impl SeenExtent {
 fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
     let bounds = |axis: usize| ends(hits.iter().map(|hit| hit[axis]));
     let ([left, right], [low, high]) = (bounds(0), bounds(1));
-    let beside = |ray: &&[f64; 2]| ray[0] >= left - ray_gap && ray[0] <= right + ray_gap;
-    let level = passing.iter().filter(beside).map(|ray| ray[1]);
+    let half = (0.5 * MIDDLE * (right - left)).max(ray_gap);
+    let in_line = |ray: &&[f64; 2]| (ray[0] - 0.5 * (left + right)).abs() <= half;
+    let level = passing.iter().filter(in_line).map(|ray| ray[1]);
     if level.clone().any(|up| up < low - BELOW_GAPS * ray_gap) {
         return Some(true);
     }
@@ -253,6 +270,13 @@ mod tests {
         // A row below it is.
         let passing: Vec<[f64; 2]> = rows(-0.02).into_iter().filter(beside).collect();
         assert_eq!(is_free_below(&hits, &passing, 0.02), Some(true));
+        // Rays on both sides of a thing that is wider than the gaps between them are not below it.
+        let wide: Vec<[f64; 2]> = (-10..=10).map(|x| [0.02 * f64::from(x), 0.0]).collect();
+        let mut passing = rows(0.04);
+        passing.extend((-5..=0).flat_map(|up| [-0.21, 0.21].map(|x| [x, 0.02 * f64::from(up)])));
+        assert_eq!(is_free_below(&wide, &passing, 0.02), Some(false));
+        passing.push([0.09, -0.02]);
+        assert_eq!(is_free_below(&wide, &passing, 0.02), Some(true));
         // Three rays above tell nothing.
         assert_eq!(is_free_below(&hits, &[[0.0, 0.1], [0.0, 0.2], [0.0, 0.3]], 0.02), None);
     }

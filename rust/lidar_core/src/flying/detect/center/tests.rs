@@ -95,6 +95,22 @@ fn rays_through_a_target_make_it_a_frame() {
 }
 
 #[test]
+fn a_wide_target_seen_from_below_is_in_the_middle_of_its_box() {
+    // A disc of 0.7 m radius with a load below it, whose front is all that is seen of that.
+    let seen = |way: Vector3<f64>| {
+        let load = way * (6.8 / way.x);
+        if load.y.abs() < 0.2 && (0.65..0.95).contains(&load.z) {
+            return Some(load.norm());
+        }
+        let disc = way * (1.0 / way.z);
+        let is_hit = way.z > 0.0 && (disc - Vector3::new(7.0, 0.0, 1.0)).norm() < 0.7;
+        is_hit.then(|| disc.norm())
+    };
+    let offset = Center::of(&Fan(seen).observation(), STD).position - Vector3::new(7.0, 0.0, 0.825);
+    assert!(offset.x.abs() < 0.1 && offset.y.abs() < 0.02 && offset.z.abs() < 0.03, "{offset}");
+}
+
+#[test]
 fn the_order_of_rays_does_not_matter() {
     let fan = Fan(ball(Vector3::new(9.0, 0.1, 0.2), 0.35));
     let observation = fan.observation();
