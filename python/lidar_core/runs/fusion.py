@@ -123,7 +123,7 @@ def fuse(
         source,
         config,
         {name: value for name, value in ways.items() if value is not None},
-        _given(
+        _given_values(
             columns=columns,
             topics=topics,
             time_unit=time_unit,
@@ -217,7 +217,7 @@ def fit_config(
     places = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     if not places:
         raise InputError("recordings: expected at least one, got none")
-    read = _given(
+    read = _given_values(
         columns=columns,
         topics=topics,
         time_unit=time_unit,
@@ -227,11 +227,11 @@ def fit_config(
     )
     jobs = [FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
-    ways = _given(model=model, method=method)
+    ways = _given_values(model=model, method=method)
     chosen = config_of_run(with_ways(config, ways), FusionConfig, "fusion")
     return fitted(logs, chosen, finds_model=not tells_model(config, ways), force=force)
 
 
-def _given(**values: Any) -> dict[str, Any]:
+def _given_values(**values: Any) -> dict[str, Any]:
     """Values that are not None and not empty."""
     return {name: value for name, value in values.items() if value}
