@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzz_house import rust
+from fuzz_house import rust, seeds
 from fuzz_house.core_calls import Caller, stub_entries
 from hostile import evidence
 
@@ -82,6 +82,7 @@ def turns(chosen: list[str], minutes: float, folder: Path, seed: int) -> Iterato
     wanted = [name for name in names if not chosen or name in chosen]
     if wanted:
         driver = rust.build(folder / "build")
+        seeds.fresh(folder)
         share = 1.0 if chosen else SHARES["rust"]
         for name in wanted:
             told = rust.run(driver, name, 60 * minutes * share / len(wanted), folder, seed)

@@ -13,8 +13,12 @@ ROOT = Path(__file__).parents[2]
 TARGETS = re.compile(r'^    \("(\w+)", (\w+)::(\w+)\),$', re.MULTILINE)
 MOD = ROOT / "tests" / "rust" / "fuzz" / "mod.rs"
 CORPUS = ROOT / "tests" / "rust" / "fuzz" / "corpus"
-LONGEST = {"lcvm": 9000, "state_map": 9000, "state_detector": 12000}
-"""Longest input [bytes], where it is not `USUAL`."""
+LONGEST = {
+    **dict.fromkeys(("lcvm", "state_map", "state_many"), 9000),
+    **dict.fromkeys(("state_tracker", "state_filter"), 3000),
+    "state_detector": 12000,
+}
+"""Longest input [bytes], where it is not `USUAL`: a seed that is longer is cut, and says nothing."""
 USUAL = 1500
 MOST_FINDINGS = 3
 """Of one target in one run: the rest is most likely the same bug."""

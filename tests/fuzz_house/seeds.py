@@ -1,28 +1,36 @@
 """First inputs of the Rust targets: contents of valid states and maps, and plain bytes."""
 
-import struct
+import zlib
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from fuzz_house.rust import CORPUS, targets
+from fuzz_house.rust import CORPUS, LONGEST, USUAL, targets
 from lidar_core import _core
+from lidar_core.errors import FormatError
+from lidar_core.flying import VoxelMapConfig
 
+_CHECKSUM_BYTES = 4
 MOST_BYTES = 8192
 """Longest content that is written; longer ones are made by the target itself."""
 
 
-def states() -> dict[str, list[bytes]]:
-    """What stands between header and checksum of valid states, by target."""
+Owner: TypeAlias = tuple[Any, Callable[[bytes], object]]
+"""An object with `to_state`, and what makes it again from a state."""
+
+
+def owners() -> dict[str, Owner]:
+    """Objects that have met a few scans, by the target that reads their states."""
     from lidar_core.circles import CircleMap, CirclePipeline
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
     from lidar_core.flying.tracker import PointCloudTracker
     from lidar_core.fusion import Measurement, MultiTargetTracker, TargetFilter
 
-    config = FlyingConfig().voxel_map
-    world = _core.VoxelMap(config, threads=1, origin=np.zeros(3))
-    world.set_occupied(np.array([[1, 2, 3], [1.3, 2, 3]], np.float32))
     detector, tracker, pipeline = FlyingObjectDetector(), PointCloudTracker(), CirclePipeline()
-    one, many = TargetFilter(), MultiTargetTracker()
+    one, many, circles = TargetFilter(), MultiTargetTracker(), CircleMap()
     rng = np.random.default_rng(0)
     ranges = np.full(pipeline.config.scanner.n_beams, 5.0, np.float32)
     ranges[100:140] = 3.0
@@ -35,42 +43,117 @@ def states() -> dict[str, list[bytes]]:
         measured = [Measurement(stamp_ns, "lidar", np.array([1.0 + 0.1 * step, 2.0]))]
         one.step(measured[0])
         many.process(stamp_ns, measured, source="lidar")
-    found = {
-        "state_map": world,
-        "state_tracker": tracker._tracker,
-        "state_filter": one._filter,
-        "state_many": many._tracker,
-        "state_circle_map": CircleMap()._map,
-        "state_pipeline": pipeline._pipeline,
-        "state_detector": detector._detector,
+    in_flight = {"threads": 1}
+    return {
+        "state_map": (
+            _map(FlyingConfig().voxel_map),
+            partial(_core.VoxelMap.from_state, threads=1),
+        ),
+        "state_tracker": _owner(tracker._tracker, tracker.config, **in_flight),
+        "state_detector": _owner(detector._detector, detector.config, **in_flight),
+        "state_filter": _owner(one._filter, one.config),
+        "state_many": _owner(many._tracker, many.config),
+        "state_circle_map": _owner(circles._map, circles.config),
+        "state_pipeline": _owner(pipeline._pipeline, pipeline.config, fit=pipeline._fit),
     }
-    inner = {name: [_content(owner.to_state())] for name, owner in found.items()}
-    # The first byte says that the content follows; two bytes before choose the filter.
-    inner = {name: [b"\0" + one for one in some] for name, some in inner.items()}
-    inner["state_filter"] = [b"\0\0" + one for one in inner["state_filter"]]
-    return inner | {"lcvm": [b"\0" + one for one in _maps(world.to_bytes()[:-4])]}
 
 
-def _maps(plain: bytes) -> list[bytes]:
-    """A map without checksum, and the same with bounds and a further threshold."""
-    at = 4 + 4 + 7 * 8 + 7 * 4 + 1 + 8  # of the byte that says whether there are bounds
-    assert plain[at : at + 2] == b"\0\0"
-    bounds = struct.pack("<B6dBf", 1, *3 * [-9.0], *3 * [9.0], 1, -500.0)
-    return [plain, plain[:at] + bounds + plain[at + 2 :]]
+def _owner(core: Any, config: object, **more: Any) -> Owner:
+    return core, lambda state: type(core).from_state(config, state, **more)
+
+
+CHOICES = {"state_filter": b"\x07", "state_circle_map": b"\0", "state_pipeline": b"\0"}
+"""What chooses the default parameters, where a target has several."""
+
+
+def prefix(target: str) -> bytes:
+    """What stands before a content: the choice of parameters, and that the content follows."""
+    if target == "lcvm":
+        return b"\4"  # its checksum is mended, and it is only read
+    return CHOICES.get(target, b"") + b"\0"
+
+
+def states() -> dict[str, list[bytes]]:
+    """What stands between header and checksum of valid states, and valid maps, by target."""
+    inner = {
+        name: [prefix(name) + _content(owner.to_state())] for name, (owner, _) in owners().items()
+    }
+    return inner | {"lcvm": [prefix("lcvm") + one for one in _maps()]}
+
+
+def reads(owner: Owner, content: bytes) -> bool:
+    """Whether a state with this content is read."""
+    valid = owner[0].to_state()
+    body = valid[: _head_bytes(valid)] + content
+    try:
+        owner[1](body + zlib.crc32(body).to_bytes(4, "little"))
+    except FormatError:
+        return False
+    return True
+
+
+def _map(config: VoxelMapConfig, *, is_empty: bool = False) -> _core.VoxelMap:
+    world = _core.VoxelMap(config, threads=1, origin=np.zeros(3))
+    if not is_empty:
+        world.set_occupied(np.array([[1, 2, 3], [1.3, 2, 3]], np.float32))
+    return world
+
+
+def _maps() -> Iterator[bytes]:
+    """Maps without checksum, of every unit, with and without bounds and further thresholds.
+
+    Most are empty: in a long input a mutation seldom meets the few bytes that decide.
+    """
+    for unit in ("edges", "metres", "diagonals"):
+        for bounds in (None, ((-9, -9, -9), (9, 9, 9))):
+            for thresholds in ((), (-500.0,)):
+                told = {"ray_unit": unit, "bounds": bounds, "extra_thresholds": thresholds}
+                made = _map(VoxelMapConfig.load(told), is_empty=bool(thresholds))
+                yield made.to_bytes()[:-_CHECKSUM_BYTES]
+
+
+def _head_bytes(state: bytes) -> int:
+    """Length of magic, version, kind and fingerprint."""
+    return 9 + state[8] + 4
 
 
 def _content(state: bytes) -> bytes:
-    return state[9 + state[8] + 4 : -4]
+    return state[_head_bytes(state) : -_CHECKSUM_BYTES]
+
+
+def _tracker_after_nothing() -> bytes:
+    """Content of a tracker that met a scan without anything: as short as one with a scan can be."""
+    from lidar_core.flying.tracker import PointCloudTracker
+
+    tracker = PointCloudTracker()
+    tracker.new_detections(np.empty((0, 3)), 0)
+    return _content(tracker._tracker.to_state())
+
+
+def fresh(folder: Path) -> None:
+    """Write those of states and maps into the corpus of a run: of the layout that is built now."""
+    known = states()
+    known["state_tracker"].append(prefix("state_tracker") + _tracker_after_nothing())
+    for target, contents in known.items():
+        place = folder / "corpus" / target
+        place.mkdir(parents=True, exist_ok=True)
+        fitting = [one for one in contents if len(one) <= LONGEST.get(target, USUAL)]
+        for number, content in enumerate(fitting):
+            (place / f"fresh-{number}").write_bytes(content)
 
 
 def write() -> None:
-    """Write them for every target that has no corpus."""
+    """Write the corpus in git again: after a change of a layout, with which the old ones end."""
     known = states()
     for target in targets():
         folder = CORPUS / target
         folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob("seed-*"):
+            old.unlink()
         rng = np.random.default_rng(1)
-        contents = [one for one in known.get(target, []) if len(one) <= MOST_BYTES]
+        longest = min(MOST_BYTES, LONGEST.get(target, USUAL))
+        contents = [one for one in known.get(target, []) if len(one) <= longest]
+        contents = contents[:1] + contents[1:][-1:]  # the plainest, and the richest
         plain = [
             bytes(rng.integers(0, 200, 64, np.uint8)),
             bytes(rng.integers(0, 256, 400, np.uint8)),

@@ -52,7 +52,7 @@ class _Counted:
     def __init__(self, size):
         self.size = size
 
-    def kept(self):
+    def checkpoint_state(self):
         return {"size": self.size}
 
     def rows(self, since):

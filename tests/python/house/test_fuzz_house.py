@@ -83,3 +83,20 @@ def test_some_calls_of_everything(tmp_path, monkeypatch):
     for name in caller.entries:
         caller.call(name)
     assert sum(caller.accepted.values()) > 10
+
+
+def test_seeds_of_states_are_of_the_layout_of_now():
+    """Bytes of an old layout end at once: nothing behind them would ever be reached."""
+    from fuzz_house.rust import CORPUS, LONGEST, USUAL
+    from fuzz_house.seeds import MOST_BYTES, owners, prefix, reads
+
+    found = owners()
+    told = "stale: `python -m fuzz_house.seeds` writes them again"
+    for target, owner in found.items():
+        seeds = [path.read_bytes() for path in sorted((CORPUS / target).glob("seed-*"))]
+        contents = [one.removeprefix(prefix(target)) for one in seeds]
+        if len(owner[0].to_state()) <= MOST_BYTES:  # longer ones are not in git
+            assert any(reads(owner, one) for one in contents), f"{target}: {told}"
+        limit = LONGEST.get(target, USUAL)
+        assert all(len(one) <= limit for one in seeds), f"{target}: a seed is cut to {limit}"
+    assert not reads(found["state_tracker"], b"\xff" * 40)

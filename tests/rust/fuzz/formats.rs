@@ -15,6 +15,7 @@ use lidar_core::fusion::{
 };
 use lidar_core::geometry::transform::Transform;
 use std::path::Path;
+use std::sync::LazyLock;
 
 /// A later stamp than any sensible state has.
 const LATER_NS: i64 = 1 << 62;
@@ -68,40 +69,100 @@ fn used_map(mut map: VoxelMap) -> Result<(), Error> {
     Ok(())
 }
 
-/// A valid state with a checksum that is right, and another content: `bytes` as they are, or the
-/// valid content with bytes changed at places of which `bytes` tells.
-fn forged(valid: &[u8], bytes: &[u8]) -> Vec<u8> {
-    let (head, content) = valid[..valid.len() - 4].split_at(9 + usize::from(valid[8]) + 4);
-    let mut forged = head.to_vec();
-    let [kind, bytes @ ..] = bytes else { return with_checksum(forged) };
-    if kind % 2 == 0 {
-        forged.extend(bytes);
-        return with_checksum(forged);
-    }
-    let mut changed = content.to_vec();
-    for [low, middle, high, value] in bytes.as_chunks().0 {
-        let at = u32::from_le_bytes([*low, *middle, *high, 0]) as usize % content.len().max(1);
-        if let Some(byte) = changed.get_mut(at) {
-            *byte = *value;
+/// Valid states of an object, after none and more and more steps; made once.
+type Bases = LazyLock<Vec<Vec<u8>>>;
+
+/// States of `object` after 0, 1, 2, ... calls of `step`, as many as succeed, at most `most`.
+fn states_of<O>(
+    object: Result<O, Error>,
+    most: i64,
+    to_state: impl Fn(&O) -> Result<Vec<u8>, Error>,
+    step: impl Fn(&mut O, i64) -> Result<(), Error>,
+) -> Vec<Vec<u8>> {
+    let Ok(mut object) = object else { return Vec::new() };
+    let mut states: Vec<_> = to_state(&object).into_iter().collect();
+    for number in 0..most {
+        if step(&mut object, number * 100_000_000).is_ok() {
+            states.extend(to_state(&object));
         }
     }
-    forged.extend(changed);
+    states
+}
+
+/// A state with a checksum that is right, and the head of a valid one. The first byte says what its
+/// content is: `bytes` as they are, or that of one of `bases` with bytes or whole numbers changed at
+/// places of which `bytes` tells.
+fn forged(bases: &[Vec<u8>], bytes: &[u8]) -> Vec<u8> {
+    let [kind, bytes @ ..] = bytes else { return Vec::new() };
+    let Some(valid) = bases.get(usize::from(kind / 3) % bases.len().max(1)) else {
+        return Vec::new();
+    };
+    let (head, content) = valid[..valid.len() - 4].split_at(9 + usize::from(valid[8]) + 4);
+    let mut forged = head.to_vec();
+    let at = |low, middle, high| {
+        u32::from_le_bytes([low, middle, high, 0]) as usize % content.len().max(1)
+    };
+    match kind % 3 {
+        0 => forged.extend(bytes),
+        1 => {
+            forged.extend(content);
+            for &[low, middle, high, value] in bytes.as_chunks().0 {
+                if let Some(byte) = forged.get_mut(head.len() + at(low, middle, high)) {
+                    *byte = value;
+                }
+            }
+        }
+        _ => {
+            let mut changed = content.to_vec();
+            for &[low, middle, high, a, b, c, d] in bytes.as_chunks().0 {
+                let value = i32::from_le_bytes([a, b, c, d]);
+                put_number(&mut changed, at(low, middle, high), value);
+            }
+            forged.extend(changed);
+        }
+    }
     with_checksum(forged)
 }
 
+/// Replace the number that begins at a place, as postcard writes one: seven bits a byte, the lowest
+/// first, the sign below them.
+fn put_number(content: &mut Vec<u8>, at: usize, value: i32) {
+    let Some(rest) = content.get(at..) else { return };
+    let old = rest.iter().take_while(|&&byte| byte >= 0x80).count() + 1;
+    let mut left = (value << 1 ^ value >> 31) as u32;
+    let mut new = Vec::new();
+    while left >= 0x80 {
+        new.push(left as u8 | 0x80);
+        left >>= 7;
+    }
+    new.push(left as u8);
+    content.splice(at..(at + old).min(content.len()), new);
+}
+
 pub fn state_map(bytes: &[u8]) {
-    let make = || VoxelMap::new(MapParameters { max_voxels: 1 << 16, ..MapParameters::default() });
-    let Ok(valid) = make().and_then(|map| map.to_state()) else { return };
-    if let Ok(map) = VoxelMap::from_state(&forged(&valid, bytes)) {
+    static BASES: Bases = LazyLock::new(|| {
+        let parameters = MapParameters { max_voxels: 1 << 16, ..MapParameters::default() };
+        states_of(VoxelMap::new(parameters), 2, VoxelMap::to_state, |map, stamp_ns| {
+            map.set_occupied(&[[1.0 + (stamp_ns as f32) * 1e-8, 2.0, 3.0], [0.1, 0.2, 0.3]])
+        })
+    });
+    if let Ok(map) = VoxelMap::from_state(&forged(&BASES, bytes)) {
         let _ = used_map(map);
     }
 }
 
 pub fn state_tracker(bytes: &[u8]) {
+    static BASES: Bases = LazyLock::new(|| {
+        let new = PointCloudTracker::new(TrackerParameters::default(), 1);
+        states_of(new, 4, PointCloudTracker::to_state, |tracker, stamp_ns| {
+            // The first scan is empty: its state is short, so that changes meet what decides.
+            let positions: &[_] = if stamp_ns == 0 { &[] } else { &[[1.0, 2.0, 3.0]] };
+            let seen = Detections { stamp_ns, positions, ..Detections::default() };
+            tracker.new_detections(&seen, &OccupiedPoints::new(&[], 1.0)).map(|_| ())
+        })
+    });
     let parameters = TrackerParameters::default();
-    let new = PointCloudTracker::new(parameters, 1).and_then(|tracker| tracker.to_state());
-    let Ok(valid) = new else { return };
-    let made = PointCloudTracker::from_state(parameters, 1, &forged(&valid, bytes));
+    let made = PointCloudTracker::from_state(parameters, 1, &forged(&BASES, bytes));
     let Ok(mut tracker) = made else { return };
     let nothing = OccupiedPoints::new(&[], 1.0);
     let points = [[1.0, 2.0, 3.0], [1.1, 2.0, 3.0], [1.0, 2.1, 3.0]];
@@ -116,15 +177,11 @@ pub fn state_tracker(bytes: &[u8]) {
 }
 
 pub fn state_detector(bytes: &[u8]) {
-    let parameters = flying_parameters();
-    let new = FlyingObjectDetector::new(parameters.clone(), 1);
-    let Ok(valid) = new.and_then(|mut detector| {
-        small_scan(&mut detector, 0)?;
-        detector.to_state()
-    }) else {
-        return;
-    };
-    let made = FlyingObjectDetector::from_state(parameters, 1, &forged(&valid, bytes));
+    static BASES: Bases = LazyLock::new(|| {
+        let new = FlyingObjectDetector::new(flying_parameters(), 1);
+        states_of(new, 3, FlyingObjectDetector::to_state, small_scan)
+    });
+    let made = FlyingObjectDetector::from_state(flying_parameters(), 1, &forged(&BASES, bytes));
     let Ok(mut detector) = made else { return };
     let _ = detector.sky_rays();
     let _ = detector.static_points();
@@ -135,22 +192,36 @@ pub fn state_detector(bytes: &[u8]) {
     let _ = detector.to_state();
 }
 
-fn circle_parameters(bytes: &[u8]) -> CircleMapParameters {
-    match bytes.len() % 2 {
-        0 => CircleMapParameters::default(),
-        _ => CircleMapParameters::paper(),
+/// Parameters of a map of circles by a byte, and the number of their states.
+fn circle_parameters(choice: u8) -> (usize, CircleMapParameters) {
+    match choice % 2 {
+        0 => (0, CircleMapParameters::default()),
+        _ => (1, CircleMapParameters::paper()),
     }
 }
 
 pub fn state_circle_map(bytes: &[u8]) {
-    let parameters = circle_parameters(bytes);
-    let new = CircleMap::new(parameters.clone()).and_then(|map| map.to_state());
-    let Ok(valid) = new else { return };
-    let Ok(mut map) = CircleMap::from_state(parameters, &forged(&valid, bytes)) else { return };
+    static BASES: [Bases; 2] = [
+        LazyLock::new(|| circle_maps(CircleMapParameters::default())),
+        LazyLock::new(|| circle_maps(CircleMapParameters::paper())),
+    ];
+    let [choice, bytes @ ..] = bytes else { return };
+    let (number, parameters) = circle_parameters(*choice);
+    let state = forged(&BASES[number], bytes);
+    let Ok(mut map) = CircleMap::from_state(parameters, &state) else { return };
     let _ = map.map_at(LATER_NS);
     let _ = map.shapes_at(LATER_NS);
-    let _ = map.update(&CircleScan {
-        stamp_ns: LATER_NS,
+    let _ = empty_sweep(&mut map, LATER_NS);
+    let _ = map.to_state();
+}
+
+fn circle_maps(parameters: CircleMapParameters) -> Vec<Vec<u8>> {
+    states_of(CircleMap::new(parameters), 1, CircleMap::to_state, empty_sweep)
+}
+
+fn empty_sweep(map: &mut CircleMap, stamp_ns: i64) -> Result<(), Error> {
+    map.update(&CircleScan {
+        stamp_ns,
         sensor: 0,
         world_from_lidar: &Transform::default(),
         pose_covariance: None,
@@ -161,34 +232,48 @@ pub fn state_circle_map(bytes: &[u8]) {
         covered: None,
         lines: &[],
         view: None,
-    });
-    let _ = map.to_state();
+    })?;
+    Ok(())
 }
 
 pub fn state_pipeline(bytes: &[u8]) {
-    let map = circle_parameters(bytes);
+    static BASES: [Bases; 2] = [
+        LazyLock::new(|| pipelines(CircleMapParameters::default())),
+        LazyLock::new(|| pipelines(CircleMapParameters::paper())),
+    ];
+    let [choice, bytes @ ..] = bytes else { return };
+    let (number, map) = circle_parameters(*choice);
     let parameters = PipelineParameters { map, ..PipelineParameters::default() };
-    let new = CirclePipeline::new(parameters.clone()).and_then(|pipeline| pipeline.to_state());
-    let Ok(valid) = new else { return };
-    let made = CirclePipeline::from_state(parameters.clone(), &forged(&valid, bytes));
-    let Ok(mut pipeline) = made else { return };
-    let ranges: Vec<f32> = (0..parameters.scanner.n_beams)
-        .map(|ray| if (400..440).contains(&ray) { 3.0 } else { f32::INFINITY })
-        .collect();
+    let state = forged(&BASES[number], bytes);
+    let Ok(mut pipeline) = CirclePipeline::from_state(parameters, &state) else { return };
     for step in 0..3 {
-        let _ = pipeline.process(&RawSweep {
-            scanner: "lidar",
-            stamp_ns: LATER_NS + step * 100_000_000,
-            ranges: &ranges,
-            poses: &[[1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.]],
-            pose_stamps_ns: None,
-            ray_time_ns: None,
-            pose_covariance: None,
-        });
+        let _ = sweep(&mut pipeline, LATER_NS + step * 100_000_000);
     }
     let _ = pipeline.map_at(LATER_NS);
     let _ = pipeline.shapes_at(LATER_NS);
     let _ = pipeline.to_state();
+}
+
+fn pipelines(map: CircleMapParameters) -> Vec<Vec<u8>> {
+    let parameters = PipelineParameters { map, ..PipelineParameters::default() };
+    states_of(CirclePipeline::new(parameters), 3, CirclePipeline::to_state, sweep)
+}
+
+/// A post before the scanner.
+fn sweep(pipeline: &mut CirclePipeline, stamp_ns: i64) -> Result<(), Error> {
+    let ranges: Vec<f32> = (0..PipelineParameters::default().scanner.n_beams)
+        .map(|ray| if (400..440).contains(&ray) { 3.0 } else { f32::INFINITY })
+        .collect();
+    pipeline.process(&RawSweep {
+        scanner: "lidar",
+        stamp_ns,
+        ranges: &ranges,
+        poses: &[[1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.]],
+        pose_stamps_ns: None,
+        ray_time_ns: None,
+        pose_covariance: None,
+    })?;
+    Ok(())
 }
 
 fn measured(stamp_ns: i64) -> Result<[Measurement; 2], Error> {
@@ -199,17 +284,18 @@ fn measured(stamp_ns: i64) -> Result<[Measurement; 2], Error> {
 }
 
 pub fn state_filter(bytes: &[u8]) {
+    static BASES: [Bases; 3] = [
+        LazyLock::new(|| filters(FusionParameters::default())),
+        LazyLock::new(|| filters(FusionParameters::paper())),
+        LazyLock::new(|| filters(ManyParameters::default().filter)),
+    ];
     let mut input = Input::new(bytes);
-    let parameters = if input.rarely() {
-        FusionParameters::paper()
-    } else if input.is_set() {
-        ManyParameters::default().filter
-    } else {
-        FusionParameters::default()
+    let (number, parameters) = match input.below(8) {
+        0 => (1, FusionParameters::paper()),
+        1..4 => (2, ManyParameters::default().filter),
+        _ => (0, FusionParameters::default()),
     };
-    let new = Filter::new(&parameters).and_then(|filter| filter.to_state(&parameters));
-    let Ok(valid) = new else { return };
-    let state = forged(&valid, input.rest());
+    let state = forged(&BASES[number], input.rest());
     let Ok(mut filter) = Filter::from_state(&parameters, &state) else { return };
     for m in measured(LATER_NS).into_iter().flatten() {
         let _ = filter.step(&m);
@@ -218,11 +304,27 @@ pub fn state_filter(bytes: &[u8]) {
     let _ = filter.to_state(&parameters);
 }
 
+fn filters(parameters: FusionParameters) -> Vec<Vec<u8>> {
+    let to_state = |filter: &Filter| filter.to_state(&parameters);
+    states_of(Filter::new(&parameters), 4, to_state, |filter, stamp_ns| {
+        for m in measured(stamp_ns)? {
+            filter.step(&m);
+        }
+        Ok(())
+    })
+}
+
 pub fn state_many(bytes: &[u8]) {
+    static BASES: Bases = LazyLock::new(|| {
+        let new = ManyTargets::new(&ManyParameters::default());
+        states_of(new, 4, ManyTargets::to_state, |many, stamp_ns| {
+            let [lidar, radar] = measured(stamp_ns)?;
+            many.process(lidar.stamp_ns(), 0, &[lidar])?;
+            many.process(radar.stamp_ns(), 1, &[radar]).map(drop)
+        })
+    });
     let parameters = ManyParameters::default();
-    let new = ManyTargets::new(&parameters).and_then(|many| many.to_state());
-    let Ok(valid) = new else { return };
-    let made = ManyTargets::from_state(&parameters, &forged(&valid, bytes));
+    let made = ManyTargets::from_state(&parameters, &forged(&BASES, bytes));
     let Ok(mut many) = made else { return };
     let _ = many.tracks_at(LATER_NS);
     for step in 0..2 {
