@@ -105,7 +105,7 @@ class CirclesHealth:
         motion of the scanner tells it to 5 ms, and in paper mode. In best mode poses are moved on
         by an offset that is clearly not zero.
     stuck_poses : int
-        Scans with a pose that stayed the same while the scanner moved; see `CircleFrame.stuck_pose`.
+        Scans whose pose stayed the same while the scanner moved: `CircleFrame.stuck_pose`.
     """
 
     received: int = 0

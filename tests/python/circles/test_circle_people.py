@@ -81,6 +81,42 @@ def test_people_who_pass_each_other_closely_stay_two():
     assert {int(number) for rows in own for number in found.id[rows]} <= known
 
 
+def test_who_was_first_seen_beside_somebody_becomes_no_part_of_them():
+    """They walk side by side for 3 s, then cross each other's ways 0.3 m apart."""
+
+    def ways(time):
+        one = np.array([3.0, -3.0 + time])
+        aside = np.clip(0.9 - 0.8 * max(0.0, time - 5.0), -0.9, 0.9)
+        return one, one + np.array([aside, -0.3])
+
+    def things(time):
+        one, two = ways(time)
+        return [(*one, 0.17), *([(*two, 0.17)] if time > 2.0 else [])]
+
+    maps = run(things, seconds=7.4)
+    numbers = [
+        [maps[k].id[near(maps[k], way, 0.3)].tolist() for way in ways(k / RATE)] for k in (48, 73)
+    ]
+    assert [len(own) for two in numbers for own in two] == [1, 1, 1, 1]
+    assert numbers[0][0] != numbers[0][1]
+    assert sorted(numbers[0]) == sorted(numbers[1])  # alike, and one shape while they pass
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_what_stood_apart_stays_two_and_what_never_did_is_one(apart):
+    """A crate is pushed to 0.1 m beside a post, or stands there from the first scan on."""
+
+    def things(time):
+        away = max(0.0, 1.2 - 0.5 * max(0.0, time - 2.0)) if apart else 0.0
+        return [(3.0, 0.0, 0.15), (3.0, 0.5 + away, 0.25)]
+
+    maps = run(things, seconds=7.0)
+    both = maps[-1].id[near(maps[-1], (3.0, 0.3), 0.45)].tolist()
+    assert len(both) == (2 if apart else 1)
+    if apart:
+        assert both == maps[15].id[maps[15].radius < 0.5].tolist()
+
+
 @pytest.mark.parametrize("height", ["legs", "trunk"])
 def test_who_passes_a_post_leaves_it_its_number(height):
     """Less than the gap of one object is between both at 3 s."""

@@ -30,9 +30,7 @@ def run(*, std=0.01, late=0.0, where=turning, told=None, seconds=20.0, seed=4200
         time = scan / RATE
         ranges = oracle.cylinder_ranges(SCANNER.bearings(), where(time), POSTS)
         ranges = ranges + rng.normal(0, std, len(ranges))
-        frame = pipeline.process(
-            ranges.astype(np.float32), told(time), round(time * 1e9) + 10**9
-        )
+        frame = pipeline.process(ranges.astype(np.float32), told(time), round(time * 1e9) + 10**9)
         if time < 0.75 * seconds:
             continue
         for center, radius, P in zip(

@@ -40,8 +40,9 @@ const DEPTH: f64 = 1.5;
 const DOUBT: f64 = 1.0;
 /// Least half length [m].
 const LEAST: f64 = 0.03;
-/// Share of its half lengths by which the middle of a real body is off that of its box.
-const MIDDLE: f64 = 0.3;
+/// Share of its half lengths by which the middle of a real body is off that of its box: what counts as
+/// the middle of a vehicle is often near an axle.
+const MIDDLE: f64 = 0.4;
 /// Largest distance between the last ray on a body and the first that passes it [m].
 const GAP: f64 = 0.3;
 /// Speed from which it tells the heading [m/s], the share of it by which it may be wrong, and the

@@ -2,7 +2,8 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::measurement::{FREE, STAYED};
+use super::measurement::{FREE, Legs, STAYED};
+use super::person::Gait;
 use super::{FARTHEST, KNOWN, RoundBody};
 use crate::Error;
 use crate::circles::map::circle_measurement::{CircleMeasurement, Measures};
@@ -42,6 +43,17 @@ const ROUGHNESS: f64 = 0.1;
 const ROUGHEST: f64 = 0.01;
 
 impl RoundBody {
+    /// What tells a person from other bodies.
+    pub(super) fn gait(&self, legs: Legs) -> Gait {
+        let mean = self.mean();
+        Gait {
+            legs,
+            speed: if self.stands { 0.0 } else { libm::hypot(mean[2], mean[3]) },
+            radius: mean[4],
+            is_angular: self.outline.is_angular(),
+        }
+    }
+
     /// A measurement with the noise of this body.
     pub(super) fn noisy(&self, seen: &CircleMeasurement) -> CircleMeasurement {
         let mut seen = *seen;

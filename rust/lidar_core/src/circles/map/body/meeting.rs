@@ -3,10 +3,14 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::places::{are_alike, is_one};
-use super::{BodyMeasurement, FARTHEST, KNOWN, MET, PERSON, RoundBody};
+use super::{BESIDE_FOR, BodyMeasurement, FARTHEST, KNOWN, MET, PERSON, RoundBody};
 use crate::circles::map::element::exceeds;
 use crate::circles::map::rules::Rules;
 use nalgebra::Vector3;
+
+/// Ratio of radii, and a length [m], up to which a measurement is of a body that is near.
+const ALIKE: f64 = 2.0;
+const SLACK: f64 = 0.05;
 
 impl RoundBody {
     /// Bodies that were not measured but touch a measurement that none explains: a change of the
@@ -42,20 +46,55 @@ impl RoundBody {
         }
     }
 
-    /// True if one is a person who may pass the other closely: neither is a part of the other.
+    /// True if they surely are two, however close they come: people who pass each other or something
+    /// that stands, and what has stood beside each other.
     pub(super) fn passes(&self, other: &Self) -> bool {
-        self.is_somebody() && (other.is_somebody() || other.is_fixture())
-            || self.is_fixture() && other.is_somebody()
+        self.is_known() && other.is_known()
+    }
+
+    /// True if it surely is an object of its own.
+    fn is_known(&self) -> bool {
+        self.is_somebody() || self.is_fixture()
+    }
+
+    /// Give back their own measurements to bodies that surely are two: gaps between them come and go
+    /// with their fits.
+    pub(super) fn keep_apart(bodies: &[&Self], seen: &[BodyMeasurement], wholes: &mut [usize]) {
+        let owner = |number: usize| {
+            let z = &seen[number].circle.z;
+            let own = bodies.iter().enumerate().filter(|(_, body)| body.is_known());
+            let near = own.filter_map(|(row, body)| {
+                let place = body.place();
+                let is_of_size = place[2].max(z[2]) < ALIKE * place[2].min(z[2]) + SLACK;
+                let apart = body.apart(z);
+                (is_of_size && apart < place[2].max(SLACK)).then_some((apart, row))
+            });
+            near.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, row)| row)
+        };
+        for part in 0..wholes.len() {
+            let whole = wholes[part];
+            if whole != part
+                && owner(part).is_some_and(|own| owner(whole).is_some_and(|other| other != own))
+            {
+                wholes[part] = part;
+            }
+        }
     }
 
     /// True if it is a person, and surely no part of another one.
     pub(super) fn is_somebody(&self) -> bool {
-        self.is_like_a_person() && self.known >= MET && !self.is_beside
+        self.is_like_a_person() && self.is_its_own()
     }
 
     /// True if it is something that stands, and surely no part of a person.
     pub(super) fn is_fixture(&self) -> bool {
-        self.stands && !self.is_like_a_person() && self.known >= MET && !self.is_beside
+        self.stands && !self.is_like_a_person() && self.is_its_own()
+    }
+
+    /// True if it was measured for long enough to be no part of another: what was first seen beside a
+    /// person and is one of its parts becomes one with it before.
+    fn is_its_own(&self) -> bool {
+        self.known >= if self.is_beside { BESIDE_FOR } else { MET }
     }
 
     /// True if it was seen on two legs, or is most probably a person.

@@ -16,9 +16,9 @@ mod shown;
 
 use self::body_box::BodyBox;
 use self::look::Looks;
-use self::measurement::{BodyMeasurement, Legs};
+use self::measurement::BodyMeasurement;
 use self::outline::Outline;
-use self::person::{Gait, Person};
+use self::person::Person;
 use self::places::{are_alike, axes, is_one};
 use super::arrivals::BirthPlace;
 use super::circle_measurement::new_state;
@@ -57,8 +57,10 @@ const DEPARTS: u32 = 2;
 const PERSON: f64 = 0.5;
 /// Time for which both of two people were measured before they met [s].
 const MET: f64 = 1.0;
-/// Distance from a person within which something new may be a part of it [m].
+/// Distance from a person within which something new may be a part of it [m], and the time for which
+/// it was measured until it is none [s].
 const BESIDE: f64 = 1.0;
+const BESIDE_FOR: f64 = 2.0;
 
 /// A body: its circle, or the circle that represents it, and its outline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -120,17 +122,6 @@ impl RoundBody {
     /// Probability that the body is a person.
     pub(super) fn person(&self) -> f64 {
         self.person.probability()
-    }
-
-    /// What tells a person from other bodies.
-    fn gait(&self, legs: Legs) -> Gait {
-        let mean = self.mean();
-        Gait {
-            legs,
-            speed: if self.stands { 0.0 } else { libm::hypot(mean[2], mean[3]) },
-            radius: mean[4],
-            is_angular: self.outline.is_angular(),
-        }
     }
 
     /// True if the body is reported as standing.
@@ -195,12 +186,15 @@ impl State for RoundBody {
     ) -> (Vec<BodyMeasurement>, Vec<usize>) {
         let mut measurements = seen.to_vec();
         let mut wholes = places::wholes(seen, rules);
+        let bodies: Vec<&Self> = all.collect();
+        if rules.has_standing() {
+            Self::keep_apart(&bodies, seen, &mut wholes);
+        }
         for (part, &whole) in wholes.iter().enumerate().filter(|&(part, &whole)| part != whole) {
             let hull = measurements[whole].hull.zip(seen[part].hull);
             measurements[whole].hull = hull.map(|(whole, part)| whole.joined(&part));
         }
         if rules.has_standing() {
-            let bodies: Vec<&Self> = all.collect();
             legs::put_together(&bodies, &mut measurements, &mut wholes);
         }
         (measurements, wholes)

@@ -27,7 +27,7 @@ const SAMPLES: [usize; 2] = [20, 100];
 const KNOWN: f64 = 0.3;
 /// Largest distance behind its old place of a surface that moved away from the scanner [m].
 const RECEDED: f64 = 0.3;
-/// Usual distance above which a scan may be from another place than its pose says [m].
+/// Usual distance up to which a scan is from where its pose says [m].
 const OFF: f64 = 0.02;
 /// Most points of one object that are looked up.
 const MOST_POINTS: usize = 40;
@@ -77,10 +77,10 @@ impl EarlierViews<'_> {
     /// True if the pose is the same as that of an earlier scan, although the scanner moved.
     pub(in crate::circles::map) fn has_stuck_pose(&self) -> bool {
         let Some(now) = &self.now.view else { return false };
-        let is_off = |asked: &&Asked<'_>| asked.usual.is_some_and(|usual| usual > OFF);
-        let mut same = self.asked.iter().filter(|asked| asked.from.pose.is_same(&self.now.pose));
-        same.clone().any(|asked| is_off(&asked))
-            && same.any(|asked| slip::has_slipped(now, asked.view))
+        let is_off = |asked: &&Asked<'_>| {
+            asked.usual.is_none_or(|usual| usual > OFF) && asked.from.pose.is_same(&self.now.pose)
+        };
+        self.asked.iter().filter(is_off).any(|asked| slip::has_slipped(now, asked.view))
     }
 
     /// True if a surface was just before this point, and rays pass there now: it moved away.
