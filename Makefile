@@ -55,11 +55,11 @@ lint-python: ## Only ruff, mypy and stubtest.
 
 test: test-env ## Install what the tests need and run them all, on a wheel.
 	cargo test --locked
-	$(TEST_VENV)/bin/pytest -n 3 --dist loadgroup
+	$(TEST_VENV)/bin/pytest -n 3 --dist loadfile
 	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
 
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
-	$(TEST_VENV)/bin/pytest -n 2 --dist loadgroup -m nightly
+	$(TEST_VENV)/bin/pytest -n 2 --dist loadfile -m nightly
 
 # COUNT files, broken by SEED, each read in a child with 2 GiB and 20 s; those that end badly are
 # kept in target/hostile.

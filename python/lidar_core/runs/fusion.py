@@ -1,46 +1,23 @@
-"""Targets from the LiDAR and radar of a recording: one target, or many."""
+"""Targets from the LiDAR and radar of a recording: what `fuse` and `config fit` do."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from lidar_core.config import Config, checked
-from lidar_core.errors import ConfigError, InputError
-from lidar_core.fusion import (
-    BagOptions,
-    DetectionScan,
-    FusionConfig,
-    MeasurementLog,
-    Measurements,
-    MultiTargetConfig,
-    TableOptions,
-    read_bag,
-    read_measurements,
-)
-from lidar_core.fusion import (
-    fit_noise as fit_noise_of,
-)
-from lidar_core.fusion.plausibility import implausible, mistaken_for_noise
-from lidar_core.fusion.recordings.lists import list_reader
-from lidar_core.fusion.recordings.scans import TargetScans, scans_of
-from lidar_core.fusion.recordings.table import is_table
+from lidar_core.config import checked
+from lidar_core.errors import InputError
+from lidar_core.fusion import FusionConfig, MultiTargetConfig
 from lidar_core.io import Span
-from lidar_core.io.options import NS
 from lidar_core.run_folder import fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.recording import folder_to_write
 from lidar_core.runs.result import RunResult, draw
-from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
+from lidar_core.runs.settings import ConfigChoice, config_of_run
+from lidar_core.runs.targets.job import FuseJob, fitted, with_ways
 from lidar_core.runs.targets.many import ManyRun
-from lidar_core.runs.targets.one import TargetRun
-
-SETTLED = 10
-"""Measurements of every recording that a fit of noise leaves out, since the filter starts."""
-BAGS = (".bag", ".db3", ".mcap")
 
 
 @checked
@@ -141,11 +118,11 @@ def fuse(
         return Checkpoints(folder.path, checkpoint, inputs)
 
     ways = {"model": model, "method": method, "association": association}
-    job = _FuseJob(
+    job = FuseJob(
         source,
         config,
         {name: value for name, value in ways.items() if value is not None},
-        _given(
+        _given_values(
             columns=columns,
             topics=topics,
             time_unit=time_unit,
@@ -235,7 +212,7 @@ def fit_config(
     places = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     if not places:
         raise InputError("recordings: expected at least one, got none")
-    read = _given(
+    read = _given_values(
         columns=columns,
         topics=topics,
         time_unit=time_unit,
@@ -243,201 +220,12 @@ def fit_config(
         azimuth=azimuth,
         clock=clock,
     )
-    jobs = [_FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
+    jobs = [FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
-    chosen = _with(config, _given(model=model, method=method))
-    return _fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
+    chosen = with_ways(config, _given_values(model=model, method=method))
+    return fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
 
 
-@dataclass(frozen=True, slots=True)
-class _FuseJob:
-    """A recording of measurements, and how to fuse them."""
-
-    recording: Path
-    config: FusionConfig | MultiTargetConfig | ConfigChoice | None
-    ways: Mapping[str, str]
-    read: Mapping[str, Any]
-    span: Span
-    lag: float | None = None
-    force: bool = False
-    fit_noise: bool = False
-
-    def run(
-        self, checkpoints: Callable[[Mapping[str, Any]], Checkpoints], begin: Callable[[], None]
-    ) -> TargetRun | ManyRun:
-        """Read the recording, and filter or track; with many, `begin` comes before checkpoints."""
-        found, reading = self._found()
-        if isinstance(found, MeasurementLog):
-            return self._one(found, reading)
-        kept, chosen = self._many(found)
-        reading = {**reading, "span": self.span}
-        models = {"fusion_many": chosen, **reading}
-        decides = {name: one.model_dump(mode="json") for name, one in models.items()}
-        return ManyRun.of(
-            kept,
-            chosen,
-            reading,
-            source=found.source,
-            checkpoints=checkpoints(decides),
-            begin=begin,
-        )
-
-    def log(self) -> MeasurementLog:
-        """The measurements of one target, within the span.
-
-        Raises
-        ------
-        ConfigError
-            The recording holds many targets.
-        """
-        found, _ = self._found()
-        if not isinstance(found, MeasurementLog):
-            raise ConfigError(f"{self.recording}: many targets; noise is found from one")
-        return self._within(found)
-
-    def _found(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
-        """What the recording holds, and how it was read."""
-        recording = self.recording
-        reader = list_reader(recording)
-        if reader is not None:
-            self._check_read(f"{reader[0]} recordings", ())
-            return TargetScans(reader[1](recording), reader[0]), {}
-        if recording.is_dir() or recording.suffix.lower() in BAGS:
-            self._check_read("a ROS recording", ("topics",))
-            return self._bag()
-        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
-        tabular = is_table(recording)
-        self._check_read(*(("a table", of_tables) if tabular else ("L/R text", ())))
-        options = TableOptions.load(dict(self.read))
-        log, reading = read_measurements(recording, options), {"fusion_table": options}
-        if tabular and self._of_many:
-            return TargetScans(scans_of(log), log.format), reading
-        return log, reading
-
-    @property
-    def _of_many(self) -> bool:
-        """Whether many targets were asked for."""
-        return "association" in self.ways or isinstance(self.config, MultiTargetConfig)
-
-    def _bag(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
-        """One target, unless a message holds several or an association was asked for."""
-        options = BagOptions.load(dict(self.read))
-        scans, reading = read_bag(self.recording, options), {"fusion_bag": options}
-        if self._of_many or any(len(scan.measurements) > 1 for scan in scans):
-            return TargetScans(scans, "ROS"), reading
-        measurements = [m for scan in scans for m in scan.measurements]
-        return MeasurementLog(measurements, None, "ROS"), reading
-
-    def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
-        if self._of_many:
-            raise ConfigError(f"{self.recording}: one target; association is for many")
-        chosen = config_of_run(_with(self.config, self.ways), FusionConfig, "fusion")
-        kept = self._within(log)
-        if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
-            raise ConfigError(
-                f"{self.recording}: model ctrv-drone is for measurements without poses"
-                " of the platform, which are here; ctrv takes them in"
-            )
-        if self.fit_noise:
-            chosen = _fitted([(self.recording, kept)], chosen, force=self.force)
-        made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
-        doubt = implausible(made.log.measurements, chosen)
-        if doubt is not None and not self.force:
-            raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
-        return made if doubt is None else replace(made, implausible=str(doubt))
-
-    def _many(self, found: TargetScans) -> tuple[list[DetectionScan], MultiTargetConfig]:
-        """Scans within the span, and the configuration."""
-        choice = self.config
-        is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
-        of_one = self.lag is not None or self.fit_noise
-        if of_one or is_paper or isinstance(choice, FusionConfig):
-            told = "lag, fit_noise and mode paper are for one"
-            raise ConfigError(f"{self.recording}: many targets; {told}")
-        base = MultiTargetConfig.boats() if found.source == "Autoferry" else MultiTargetConfig()
-        if "model" in self.ways and "method" not in self.ways and base.target.method == "imm":
-            # Interacting models have models of their own: the one that was asked for would do
-            # nothing.
-            target = base.target.model_copy(update={"method": "ekf"})
-            base = base.model_copy(update={"target": target})
-        ways = {
-            name if name == "association" else f"target.{name}": value
-            for name, value in self.ways.items()
-        }
-        chosen = config_of_run(_with(choice, ways), MultiTargetConfig, "fusion_many", base=base)
-        kept = [found.scans[row] for row in self._kept([one.stamp_ns for one in found.scans])]
-        return kept, chosen
-
-    def _within(self, log: MeasurementLog) -> MeasurementLog:
-        return log.rows(self._kept([m.stamp_ns for m in log.measurements]))
-
-    def _kept(self, stamps: Sequence[int]) -> list[int]:
-        """Rows within the span, of those with these times.
-
-        Raises
-        ------
-        InputError
-            There are none.
-        """
-        first = min(stamps, default=0)
-        rows = [row for row, stamp in enumerate(stamps) if self.span.holds(stamp, first)]
-        if stamps and not rows:
-            end = (max(stamps) - first) / NS
-            raise InputError(
-                f"{self.recording}: no measurements {self.span}; they end at {end:g} s"
-            )
-        return rows
-
-    def _check_read(self, what: str, used: tuple[str, ...]) -> None:
-        """Refuse options of reading that would do nothing."""
-        for name in self.read:
-            if name not in used:
-                raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
-
-
-def _fitted(
-    logs: Sequence[tuple[Path, MeasurementLog]], config: FusionConfig, *, force: bool
-) -> FusionConfig:
-    """`config` with the noise of recordings.
-
-    Raises
-    ------
-    InputError
-        As `fit_config`.
-    """
-    ordered = [
-        (place, sorted(log.measurements, key=lambda one: one.stamp_ns)) for place, log in logs
-    ]
-    for place, measurements in ordered:
-        if len(measurements) <= SETTLED:
-            raise InputError(
-                f"{place}: expected more than {SETTLED} measurements to find noise from,"
-                f" got {len(measurements)}"
-            )
-    try:
-        fitted = fit_noise_of([Measurements(rows) for _, rows in ordered], config)
-    except InputError as error:
-        places = ", ".join(str(place) for place, _ in ordered)
-        raise InputError(f"{places}: {error}") from error
-    for place, measurements in () if force else ordered:
-        mistake = mistaken_for_noise(measurements, config, fitted)
-        if mistake is not None:
-            raise InputError(
-                f"{place}: noise would have to explain a mistake. The data shows: {mistake}."
-                " force=True goes on nevertheless"
-            )
-    return fitted
-
-
-def _given(**values: Any) -> dict[str, Any]:
+def _given_values(**values: Any) -> dict[str, Any]:
     """Values that are not None and not empty."""
     return {name: value for name, value in values.items() if value}
-
-
-def _with(config: Any, ways: Mapping[str, str]) -> Any:
-    """`config` with single values by their dotted names."""
-    values = tuple(f'{name}="{value}"' for name, value in ways.items())
-    if not isinstance(config, Config):
-        choice = config or ConfigChoice()
-        return ConfigChoice(choice.mode, choice.file, (*choice.values, *values))
-    return config.load(with_assignments(config.model_dump(), values)) if values else config

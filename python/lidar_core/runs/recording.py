@@ -15,7 +15,7 @@ from lidar_core.messages import PosedScan, ScanT
 from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints, Resumable
 from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult, draw, wants_mcap
-from lidar_core.runs.scan_source import ScanSource
+from lidar_core.runs.scans.source import ScanSource
 
 
 class ScanRun(Resumable, Protocol[ScanT]):

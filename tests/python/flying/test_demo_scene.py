@@ -15,9 +15,6 @@ MEAN_ERROR = 0.25  # [m]: the visible side of a sphere of 0.325 m lies about 0.2
 LOWEST_RECALL = 0.98
 
 
-pytestmark = pytest.mark.xdist_group("demo scene")
-
-
 SEEDS = range(2)
 LATER = [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 10)]
 scored = cache(score)

@@ -225,8 +225,8 @@ def two_items(monkeypatch):
 # Every item
 
 
-NIGHTLY = {"flying-real", "flying-situations", "circles-real"}
-"""Items that take minutes even in short."""
+NIGHTLY = {"flying-real", "flying-situations", "circles-real", "circles-table5"}
+"""Items that take minutes even in short; the tables of circles share one way of running."""
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ use super::filter::paper::{Paper, Reading};
 use super::model::Model;
 use super::models::motion::{NoiseForm, Prior};
 use super::models::platform::GyroUse;
+use super::parameters::{FusionParameters, Method, Strengths};
 use super::sensors::sensing::Sensing;
-use super::targets::any_filter::{FusionParameters, Method, Strengths};
 use super::targets::lifecycle::LifecycleRules;
 use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
 

@@ -26,11 +26,13 @@ mod defaults;
 pub mod filter;
 pub mod model;
 pub mod models;
+pub mod parameters;
 pub mod sensors;
 pub mod targets;
 
 pub use model::Model;
+pub use parameters::{FusionParameters, Method, Strengths};
 pub use sensors::measurement::{Measurement, Sensor};
-pub use targets::any_filter::{Filter, FusionParameters, Method, Strengths};
+pub use targets::any_filter::Filter;
 pub use targets::many::{Assigned, ManyParameters, ManyTargets, TargetAssociation, TrackState};
 pub use targets::record::{Record, run, run_batch, smooth};

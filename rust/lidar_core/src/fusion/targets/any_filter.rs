@@ -1,6 +1,5 @@
-//! One filter type for every model and method, and runs over whole recordings.
+//! One filter type for every model and method.
 
-use super::lifecycle::{LifecycleRules, Outcome};
 use super::phase::CvOf;
 use super::sensor_errors::SensorErrors;
 use super::target::{FilterStep, MeasurementResult, SavedTarget, Target};
@@ -13,86 +12,18 @@ use crate::fusion::filter::engine::{Engine, Innovation, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
 use crate::fusion::filter::paper::Paper;
 use crate::fusion::filter::sigma_points::Sigma;
-use crate::fusion::filter::smoother::{RunRow, smoothed};
 use crate::fusion::model::{ForMixable, ForMotion, MIXABLE, Model};
 use crate::fusion::models::cartesian::ConstantVelocity;
-use crate::fusion::models::motion::{Noise, NoiseForm, Prior, ProcessNoise};
+use crate::fusion::models::motion::{Noise, NoiseForm, ProcessNoise};
 use crate::fusion::models::platform::Platform;
 use crate::fusion::models::space::SpaceVelocity;
 use crate::fusion::models::state_conversion::StateConversion;
 use crate::fusion::models::world::{Plane, Space, World};
+use crate::fusion::parameters::{FusionParameters, Method, Strengths};
 use crate::fusion::sensors::measurement::Measurement;
-use crate::fusion::sensors::sensing::Sensing;
 use crate::fusion::sensors::sight::SeenMotion;
-use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use std::sync::Arc;
-
-/// Estimation method.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Method {
-    /// Linear: radar as a position, without its range rate. Models with a velocity vector only.
-    Linear,
-    /// Linearised at the mean.
-    Extended,
-    /// Unscented, in square-root form.
-    Sigma {
-        /// Square of the distance of the sigma points, in standard deviations; none: the number
-        /// of states plus 2, which keeps all weights positive.
-        spread: Option<f64>,
-        /// Compare the predicted points with the measurement, instead of new ones.
-        carries: bool,
-    },
-    /// Cubature: unscented without a central point.
-    Cubature,
-    /// Interacting multiple models, each an extended filter; the model of the parameters is
-    /// ignored.
-    Interacting {
-        /// Models that take part, as indices into [`MIXABLE`].
-        models: [bool; MIXABLE.len()],
-        /// Mean time for which a target follows one model [s].
-        sojourn: f64,
-        /// Share of the process noise that a second copy of each model but that of standing targets
-        /// has, for targets that move evenly; none: no such copies.
-        quiet: Option<f64>,
-    },
-}
-
-/// Strengths of process noise, in the units that `form` asks for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Strengths {
-    /// Time behaviour of the noise.
-    pub form: NoiseForm,
-    /// Strength of the acceleration.
-    pub acceleration: f64,
-    /// Strength of the jerk, for models with acceleration as a state.
-    pub jerk: f64,
-    /// Strength of the angular acceleration.
-    pub turn: f64,
-    /// Strength of the angular acceleration of the platform.
-    pub platform: f64,
-    /// Standard deviation of the acceleration while a target starts, constant over a step [m/s^2].
-    pub start: f64,
-}
-
-/// All parameters of a filter.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FusionParameters {
-    /// Motion model.
-    pub model: Model,
-    /// Estimation method.
-    pub method: Method,
-    /// Process noise.
-    pub strengths: Strengths,
-    /// Variances before the second measurement.
-    pub prior: Prior,
-    /// Sensor models.
-    pub sensing: Sensing,
-    /// Rules for the life of a target.
-    pub life: LifecycleRules,
-    /// Offset of the sensor from the platform's origin, axes of the platform [m].
-    pub lever: [f64; 3],
-}
 
 /// A filter of one target.
 pub struct Filter(Box<dyn Tracked>);
@@ -311,6 +242,16 @@ impl Filter {
         self.0.stamp_ns()
     }
 
+    /// Link of the state to the one at `stamp_ns`, for smoothing.
+    pub(super) fn link(&self, stamp_ns: i64) -> Option<Link> {
+        self.0.link(stamp_ns)
+    }
+
+    /// Factor by which the last step made the predicted covariance larger than its link says.
+    pub(super) fn looseness(&self) -> f64 {
+        self.0.looseness()
+    }
+
     /// Noise of the sensors as the measurements show it.
     #[must_use]
     pub fn errors(&self) -> SensorErrors {
@@ -331,71 +272,7 @@ impl Filter {
     }
 }
 
-/// Visit the steps of measurements that are in order, each state smoothed with the measurements up
-/// to `lag_ns` after it, or with all. Returns the noise of the sensors at the end.
-///
-/// # Errors
-/// Errors of [`Filter::new`], and an error for a model or method that cannot be smoothed.
-pub fn smooth_into(
-    parameters: &FusionParameters,
-    measurements: &[Measurement],
-    lag_ns: Option<i64>,
-    mut visit: impl FnMut(&FilterStep),
-) -> Result<SensorErrors, Error> {
-    let smooths = !matches!(parameters.model, Model::Paper(_));
-    require(smooths, "model", "one that can be smoothed", "\"paper\"")?;
-    let smooths = !matches!(parameters.method, Method::Interacting { .. });
-    require(smooths, "method", "one that can be smoothed", "\"imm\"")?;
-    let mut filter = Filter::new(&parameters.without_buffer())?;
-    let (mut rows, mut steps) = (Vec::new(), Vec::new());
-    for m in measurements {
-        cancel::check()?;
-        let link = filter.0.link(m.stamp_ns());
-        let before = filter.output();
-        let step = filter.step(m);
-        let link = match step.outcome {
-            Outcome::Started | Outcome::Restarted => None,
-            Outcome::Updated | Outcome::Gated | Outcome::PlatformMotion => {
-                let factor = filter.0.looseness();
-                link.zip(before).map(|(link, before)| link.loosened(&before, factor))
-            }
-            _ => link.zip(before).map(|(link, before)| link.standing(&before)),
-        };
-        rows.push(RunRow { stamp_ns: step.stamp_ns, output: step.output, link });
-        steps.push(step);
-    }
-    for (step, output) in steps.iter().zip(smoothed(&rows, lag_ns)) {
-        visit(&FilterStep { output, ..*step });
-    }
-    Ok(filter.errors())
-}
-
 impl FusionParameters {
-    /// Filter without a buffer, for measurements that come in order.
-    #[must_use]
-    pub fn without_buffer(&self) -> Self {
-        Self { life: LifecycleRules { buffer_ns: 0, ..self.life }, ..*self }
-    }
-
-    /// The same with process noise of `share` times the strength.
-    fn with_noise(&self, share: f64) -> Self {
-        let Strengths { acceleration, jerk, turn, .. } = self.strengths;
-        let [acceleration, jerk, turn] = [acceleration, jerk, turn].map(|noise| share * noise);
-        Self { strengths: Strengths { acceleration, jerk, turn, ..self.strengths }, ..*self }
-    }
-
-    /// True if targets are tracked in space, false in the plane.
-    #[must_use]
-    pub fn is_in_space(&self) -> bool {
-        match self.method {
-            Method::Interacting { models, .. } => {
-                let mut used = MIXABLE.iter().zip(models).filter(|(_, is_used)| *is_used);
-                used.any(|(model, _)| model.is_in_space())
-            }
-            _ => self.model.is_in_space(),
-        }
-    }
-
     /// The models to mix that `make` knows, and their quiet copies.
     fn modes<T>(&self, make: impl Fn(Model, ModeOf<'_>) -> Option<T>) -> Vec<T> {
         let Method::Interacting { models, quiet, .. } = self.method else { return Vec::new() };
@@ -495,22 +372,5 @@ impl<W: World> ForMixable<W> for ModeOf<'_> {
         motion: M,
     ) -> Self::Output {
         mode(self.0.single(motion))
-    }
-}
-
-/// Change of the bias of a gyro, in continuous time [rad/s^1.5]. Real ones change less; the rest lets
-/// a filter leave a wrong bias that it took from the first turn of a target.
-const GYRO_WALK: f64 = 0.008;
-
-impl Strengths {
-    fn of(&self, noise: Noise) -> f64 {
-        match noise {
-            Noise::Acceleration => self.acceleration,
-            Noise::Jerk => self.jerk,
-            Noise::Turn => self.turn,
-            Noise::Platform => self.platform,
-            Noise::Gyro => GYRO_WALK,
-            Noise::Absent => 0.0,
-        }
     }
 }

@@ -1,7 +1,6 @@
 //! Many targets: assignment of measurements to tracks, birth, confirmation and deletion of tracks,
 //! and late scans.
 
-use super::any_filter::FusionParameters;
 use super::lifecycle::LifecycleRules;
 pub use super::many_parameters::{
     ExistenceParameters, MAX_TARGETS, ManyParameters, TargetAssociation,
@@ -11,6 +10,7 @@ use super::track::{Births, NewNumbers};
 use super::tracks::{SavedTracks, Tracks, within};
 use crate::Error;
 use crate::error::require;
+use crate::fusion::parameters::FusionParameters;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::util::full_state::{impossible, opened, sealed};
 use serde::{Deserialize, Serialize};
@@ -269,9 +269,9 @@ impl ManyTargets {
 mod tests {
     use super::*;
     use crate::fusion::model::Model;
+    use crate::fusion::parameters::Strengths;
     use crate::fusion::sensors::measurement::Sensor;
     use crate::fusion::sensors::sensing::Sensing;
-    use crate::fusion::targets::any_filter::Strengths;
 
     fn parameters() -> Result<ManyParameters, Error> {
         let filter = FusionParameters {

@@ -1,6 +1,6 @@
 //! Parameters of a tracker of many targets.
 
-use super::any_filter::FusionParameters;
+use crate::fusion::parameters::FusionParameters;
 
 /// Largest number of tracks at a time, and of measurements in a scan.
 pub const MAX_TARGETS: usize = 2_000;

@@ -142,7 +142,7 @@ mod tests {
     use super::*;
     use crate::Error;
     use crate::fusion::model::{MIXABLE, Model};
-    use crate::fusion::targets::any_filter::{FusionParameters, Method};
+    use crate::fusion::parameters::{FusionParameters, Method};
     use crate::fusion::targets::lifecycle::{LifecycleRules, Outcome};
 
     const STEP_NS: i64 = 100_000_000;

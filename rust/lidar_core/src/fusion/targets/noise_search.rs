@@ -1,6 +1,6 @@
 //! Noise by maximum likelihood: what process and sensor noise make the measurements most likely.
 
-use super::any_filter::{Filter, FusionParameters, Method};
+use super::any_filter::Filter;
 use super::lifecycle::{LifecycleRules, Outcome};
 use super::record::in_order;
 use crate::Error;
@@ -8,6 +8,7 @@ use crate::error::require;
 use crate::estimation::minimise::{SimplexSearch, minimise};
 use crate::fusion::model::{MIXABLE, Model};
 use crate::fusion::models::motion::Noise;
+use crate::fusion::parameters::{FusionParameters, Method};
 use crate::fusion::sensors::measurement::{Measurement, PolarValues};
 use crate::util::cancel;
 

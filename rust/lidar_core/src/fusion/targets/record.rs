@@ -1,10 +1,15 @@
 //! Runs over whole recordings, one or many, as columns.
 
-use super::any_filter::{Filter, FusionParameters, smooth_into};
+use super::any_filter::Filter;
 use super::lifecycle::Outcome;
-use super::target::MeasurementResult;
+use super::sensor_errors::SensorErrors;
+use super::target::{FilterStep, MeasurementResult};
 use crate::Error;
+use crate::error::require;
 use crate::fusion::filter::engine::{Innovation, MAX_INNOVATION, Output};
+use crate::fusion::filter::smoother::{RunRow, smoothed};
+use crate::fusion::model::Model;
+use crate::fusion::parameters::{FusionParameters, Method};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::util::cancel;
 use rayon::ThreadPool;
@@ -161,4 +166,43 @@ pub fn in_order(measurements: &[Measurement]) -> Cow<'_, [Measurement]> {
     let mut sorted = measurements.to_vec();
     sorted.sort_by_key(Measurement::stamp_ns);
     Cow::Owned(sorted)
+}
+
+/// Visit the steps of measurements that are in order, each state smoothed with the measurements up
+/// to `lag_ns` after it, or with all. Returns the noise of the sensors at the end.
+///
+/// # Errors
+/// Errors of [`Filter::new`], and an error for a model or method that cannot be smoothed.
+fn smooth_into(
+    parameters: &FusionParameters,
+    measurements: &[Measurement],
+    lag_ns: Option<i64>,
+    mut visit: impl FnMut(&FilterStep),
+) -> Result<SensorErrors, Error> {
+    let smooths = !matches!(parameters.model, Model::Paper(_));
+    require(smooths, "model", "one that can be smoothed", "\"paper\"")?;
+    let smooths = !matches!(parameters.method, Method::Interacting { .. });
+    require(smooths, "method", "one that can be smoothed", "\"imm\"")?;
+    let mut filter = Filter::new(&parameters.without_buffer())?;
+    let (mut rows, mut steps) = (Vec::new(), Vec::new());
+    for m in measurements {
+        cancel::check()?;
+        let link = filter.link(m.stamp_ns());
+        let before = filter.output();
+        let step = filter.step(m);
+        let link = match step.outcome {
+            Outcome::Started | Outcome::Restarted => None,
+            Outcome::Updated | Outcome::Gated | Outcome::PlatformMotion => {
+                let factor = filter.looseness();
+                link.zip(before).map(|(link, before)| link.loosened(&before, factor))
+            }
+            _ => link.zip(before).map(|(link, before)| link.standing(&before)),
+        };
+        rows.push(RunRow { stamp_ns: step.stamp_ns, output: step.output, link });
+        steps.push(step);
+    }
+    for (step, output) in steps.iter().zip(smoothed(&rows, lag_ns)) {
+        visit(&FilterStep { output, ..*step });
+    }
+    Ok(filter.errors())
 }

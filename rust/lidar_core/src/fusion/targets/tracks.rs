@@ -1,6 +1,6 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
-use super::any_filter::{Filter, FusionParameters};
+use super::any_filter::Filter;
 use super::company::{Fellow, keep_company};
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
@@ -12,6 +12,7 @@ use super::track::{
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
 use crate::fusion::filter::engine::Innovation;
+use crate::fusion::parameters::FusionParameters;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::joint_association::probabilities;
 use crate::tracking::near::NearIndex;

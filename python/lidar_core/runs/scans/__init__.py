@@ -1,0 +1,1 @@
+"""Runs over scans: flying objects, circles; where the scans come from, and their times."""

@@ -1,0 +1,285 @@
+"""Circles in 2D scans: what a run keeps for its tables, trajectories and pictures."""
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.circles import CircleElements, CircleFrame, CirclePipeline, ShapeElements
+from lidar_core.io import (
+    McapWriter,
+    PosedScan,
+    write_circles_table,
+    write_circles_tum,
+    write_shapes_table,
+)
+from lidar_core.io.tables.circles import map_columns
+from lidar_core.io.tables.covariance import covariance_columns
+from lidar_core.messages import LaserScan
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.result import MCAP, Picture
+from lidar_core.runs.scans.times import ScanTimes
+from lidar_core.viz import CirclesView, animate_circles, draw_circles
+from lidar_core.viz.film import film_ending
+from lidar_core.viz.scan_log import log_circles
+
+MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
+FILM_FRAMES, FILM_RATE = 120, 10.0
+NOTED_OFFSET_S = 0.01  # of poses that a run is told about
+NOTED_RATIO = 1.5  # of the noise of ranges to the configured one
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Circles of one scan that went into the map: all that tables need of a frame."""
+
+    scanner: str
+    time_ns: NDArray[np.int64]
+    circles: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    n_hits: NDArray[np.int64]
+    is_fallback: NDArray[np.bool_]
+    element: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, frame: CircleFrame) -> Self:
+        in_map, circles = frame.element >= 0, frame.circles_world
+        return cls(
+            frame.scanner,
+            frame.time_ns[in_map],
+            circles.parameters[in_map],
+            circles.covariance[in_map],
+            circles.n_hits[in_map],
+            circles.is_fallback[in_map],
+            frame.element[in_map],
+        )
+
+
+class CirclesRun:
+    """Passes 2D scans to a pipeline and keeps what a summary, tables and pictures need.
+
+    Parameters
+    ----------
+    pipeline : CirclePipeline
+        Gets every scan.
+    film : bool
+        Whether a film is among the pictures.
+    allow_untrusted : bool
+        Of the pipeline that a checkpoint brings back.
+    """
+
+    KINDS: tuple[type, ...] = (_Found, CircleElements, ShapeElements)
+
+    def __init__(
+        self, pipeline: CirclePipeline, *, film: bool = False, allow_untrusted: bool = False
+    ) -> None:
+        self.pipeline = pipeline
+        self._allow_untrusted = allow_untrusted
+        self.frame_id = "world"
+        self.maps: list[CircleElements] = []
+        self.shapes: list[ShapeElements] = []
+        self._film = film
+        self._times = ScanTimes()
+        self._mcap: McapWriter | None = None
+        self._found: list[_Found] = []
+        self._sensor: list[NDArray[np.float64]] = []
+        self._points: list[NDArray[np.float64]] = []
+        self._last_points = np.empty((0, 2))
+        self._kept, self._stride = 0, 1
+        self._too_near = 0
+
+    @property
+    def n_received(self) -> int:
+        """Scans so far, rejected ones included."""
+        return self.pipeline.health().received
+
+    @property
+    def notes(self) -> list[str]:
+        """What the scans tell that the recording or the configuration has otherwise."""
+        health, told = self.pipeline.health(), self.pipeline.config.fit.range_std
+        offset, noise = health.pose_offset_s, health.range_std_estimated
+        notes = []
+        if offset is not None and abs(offset) >= NOTED_OFFSET_S:
+            when = "late" if offset > 0 else "early"
+            notes.append(
+                f"poses are {abs(offset) * 1e3:.0f} ms {when}: what stands turns with the scanner;"
+                " the map moves them on, check the clocks"
+            )
+        if noise is not None and not 1 / NOTED_RATIO < noise / told < NOTED_RATIO:
+            notes.append(
+                f"ranges have a standard deviation of {noise:.3f} m, not {told:g} m as in"
+                " fit.range_std; the map uses it"
+            )
+        return notes
+
+    @property
+    def element_ids(self) -> list[int]:
+        """Numbers of the elements that were reported."""
+        return sorted({number for state in self.maps for number in state.id.tolist()})
+
+    def take(self, item: PosedScan[LaserScan]) -> None:
+        """Process one scan."""
+        start = perf_counter()
+        frame = self.pipeline.process(item)
+        wall_ms = (perf_counter() - start) * 1e3
+        if frame.rejected is None:
+            self.keep(item, frame, wall_ms)
+
+    def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
+        """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
+        pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
+        self._last_points = _points_world(frame, pose)
+        self._too_near += int(frame.too_near.sum())
+        maps, found = (frame.map, frame.map_shapes), _Found.of(frame)
+        self._append(*maps, found, pose[:3, 3], self._last_points, wall_ms, frame.timing_ms)
+        if self._mcap is not None:
+            log_circles(self._mcap, item, frame, frame_id=self.frame_id)
+
+    def open_mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
+        """Open run.mcap for the results of the scans from here on."""
+        self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
+        return self._mcap
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        health = self.pipeline.health()
+        return {
+            "scans": {
+                "received": health.received,
+                "processed": health.processed,
+                "rejected": dict(health.reasons),
+            },
+            "circles": sum(len(item.element) for item in self._found),
+            "too_near": self._too_near,
+            "elements": len(self.element_ids),
+            "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
+            "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
+            "shapes_at_end": len(self.shapes[-1].id) if self.shapes else 0,
+            "ms_per_scan": self._times.ms_per_scan,
+            "range_std_estimated": health.range_std_estimated,
+            "pose_offset_s": health.pose_offset_s,
+        }
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables and trajectories; return their names."""
+        table = write_circles_table(
+            folder.path / "circles.parquet", self.maps, frame_id=self.frame_id
+        )
+        shapes = write_shapes_table(
+            folder.path / "shapes.parquet", self.shapes, frame_id=self.frame_id
+        )
+        whole = folder.write_table("map", map_columns(self.maps, self.frame_id))
+        found = folder.write_table("detections", self._detections())
+        timing = folder.write_table("timing", self._times.table())
+        write_circles_tum(folder.path / TRACKS_FOLDER, self.maps)
+        return [table.name, shapes.name, whole.name, found.name, timing.name, TRACKS_FOLDER]
+
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`, and the film where it is wanted."""
+        view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
+        picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
+        found: list[Picture] = [(picture, lambda: draw_circles(view, picture))]
+        if self._film:
+            found.append(
+                (film, lambda: animate_circles(view, film, frames=FILM_FRAMES, rate=FILM_RATE))
+            )
+        return found
+
+    def view(self, title: str, **more: Any) -> CirclesView:
+        """What pictures of the run show; `more` are further fields of `CirclesView`."""
+        counts = [len(item.element) for item in self._found]
+        return CirclesView(
+            title=title,
+            points=[*self._points[:-1], self._last_points] if self._points else [],
+            sensor=np.array(self._sensor).reshape(-1, 2),
+            stamp_ns=np.array([state.stamp_ns for state in self.maps], np.int64),
+            maps=self.maps,
+            shapes=self.shapes,
+            n_circles=np.array(counts, np.int64),
+            **more,
+        )
+
+    def checkpoint_state(self) -> dict[str, Any]:
+        """All state but the rows, for a checkpoint."""
+        last, near = self._last_points, self._too_near
+        return {"pipeline": self.pipeline.to_bytes(), "last_points": last, "too_near": near}
+
+    def rows(self, since: int) -> list[Any]:
+        """What the scans left that were kept since then."""
+        kept = (self.maps, self.shapes, self._found, self._times.places, self._points)
+        times = (self._times.wall_ms, self._times.stages_ms)
+        return [list(row) for row in zip(*(one[since:] for one in (*kept, *times)), strict=True)]
+
+    def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
+        """Take over the state of a run that was killed."""
+        content = kept["pipeline"]
+        self.pipeline = CirclePipeline.from_bytes(content, allow_untrusted=self._allow_untrusted)
+        self._last_points, self._too_near = kept["last_points"], kept["too_near"]
+        for row in rows:
+            self._append(*row)
+        self._thin_points()
+
+    def _append(
+        self,
+        elements: CircleElements,
+        shapes: ShapeElements,
+        found: _Found,
+        place: NDArray[np.float64],
+        points: NDArray[np.float64],
+        wall_ms: float,
+        timing_ms: Mapping[str, float],
+    ) -> None:
+        """Keep what tables and pictures need of a scan."""
+        self.maps.append(elements)
+        self.shapes.append(shapes)
+        self._found.append(found)
+        self._sensor.append(place[:2])
+        self._times.add(elements.stamp_ns, wall_ms, timing_ms, place)
+        is_kept = (len(self._points)) % self._stride == 0
+        self._points.append(points if is_kept else np.empty((0, 2)))
+        self._kept += len(self._points[-1])
+        while self._kept > MOST_POINTS:
+            self._stride *= 2
+            self._thin_points()
+
+    def _thin_points(self) -> None:
+        for number in range(len(self._points)):
+            if number % self._stride:
+                self._points[number] = np.empty((0, 2))
+        self._kept = sum(map(len, self._points))
+
+    def _detections(self) -> dict[str, Any]:
+        """Circles of all scans that went into the map, as columns; SI units, world frame."""
+        found = self._found
+        circles = np.concatenate([np.empty((0, 3)), *(item.circles for item in found)])
+        covariance = np.concatenate([np.empty((0, 3, 3)), *(item.covariance for item in found)])
+        counts = [len(item.element) for item in found]
+        stamps = np.array([state.stamp_ns for state in self.maps], np.int64)
+        no_rows = np.empty(0, np.int64)
+        names = ("x", "y", "radius")
+        return {
+            "t_ns": np.repeat(stamps, counts),
+            "time_ns": np.concatenate([no_rows, *(item.time_ns for item in found)]),
+            "sensor": [item.scanner for item in found for _ in item.element],
+            "frame_id": [self.frame_id] * sum(counts),
+            **{name: circles[:, axis] for axis, name in enumerate(names)},
+            "n_points": np.concatenate([no_rows, *(item.n_hits for item in found)]),
+            "is_fallback": np.concatenate(
+                [np.empty(0, np.bool_), *(item.is_fallback for item in found)]
+            ),
+            "element": np.concatenate([no_rows, *(item.element for item in found)]),
+            **covariance_columns(names, covariance),
+        }
+
+
+def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points of the level frame, seen from above, in the world."""
+    hit = np.isfinite(frame.ranges)
+    angles = frame.bearings[hit] + np.arctan2(pose[1, 0], pose[0, 0])
+    away = frame.ranges[hit, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points: NDArray[np.float64] = pose[:2, 3] + away
+    return points

@@ -1,0 +1,314 @@
+"""Flying objects in scans: what a run keeps for its tables, trajectories, map and picture."""
+
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_core.evaluation import Latency
+from lidar_core.flying import (
+    FlyingDetections,
+    FlyingFrame,
+    FlyingObjectDetector,
+    FlyingStatus,
+    Tracks,
+)
+from lidar_core.io import McapWriter, PosedScan, write_tracks_table, write_tum
+from lidar_core.io.tables.covariance import covariance_columns
+from lidar_core.messages import PointClass, Scan
+from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
+from lidar_core.runs.result import MCAP, Picture
+from lidar_core.runs.scans.times import ScanTimes
+from lidar_core.viz import FlyingView, draw_flying
+from lidar_core.viz.scan_log import log_flying
+
+CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN, PointClass.MOVING)
+"""Classes of points with information that the detector gives."""
+
+
+class FlyingRun:
+    """Passes scans to a detector and keeps what summary, tables, run.mcap and picture need.
+
+    Parameters
+    ----------
+    detector : FlyingObjectDetector
+        Gets every scan.
+    threads : int
+        Threads of the detector that a checkpoint brings back.
+    """
+
+    _KEPT = (
+        "gate_reason",
+        "gate_is_open",
+        "gate_opened_at",
+        "sky",
+        "rejected",
+        "_class_counts",
+        "_cloud",
+        "_last",
+    )
+    KINDS: tuple[type, ...] = (FlyingFrame, FlyingDetections, FlyingStatus, Tracks)
+
+    def __init__(self, detector: FlyingObjectDetector, *, threads: int = 1) -> None:
+        self.detector = detector
+        self._threads = threads
+        self.tracks: list[Tracks] = []
+        self.gate_reason = "no scan was processed"
+        self.gate_is_open = False
+        self.gate_opened_at: int | None = None
+        self.sky = "unknown"
+        self._shares: list[tuple[float, float]] = []
+        self.rejected: Counter[str] = Counter()
+        self.frame_id = "world"
+        self._class_counts = np.zeros(len(PointClass), np.int64)
+        self._times = ScanTimes()
+        self.frames: list[FlyingFrame] = []
+        self._sensors: list[str] = []
+        self._path: list[NDArray[np.float64]] = []
+        self._flying: list[NDArray[np.float64]] = []
+        self._cloud = np.empty((0, 3))
+        self._last: FlyingFrame | None = None
+        self._mcap: McapWriter | None = None
+
+    def take(self, item: PosedScan[Scan]) -> FlyingFrame:
+        """Process one scan, with everything the recording knows about it."""
+        start = perf_counter()
+        frame = self.detector.process(item)
+        if frame.rejected is not None:
+            self.rejected[frame.rejected] += 1
+        else:
+            self.keep(item, frame, (perf_counter() - start) * 1e3)
+        return frame
+
+    def open_mcap(self, folder: RunFolder) -> AbstractContextManager[Any]:
+        """Open run.mcap for the results of the scans from here on."""
+        self._mcap = McapWriter(folder.path / MCAP, tracks_frame=self.frame_id)
+        return self._mcap
+
+    def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
+        """The picture of a run on the recording `name`."""
+        view = self.view(f"{name}: {self.n_scans} scans, {len(self.track_ids)} tracks")
+        path = folder.path / "picture.png"
+        return [(path, lambda: draw_flying(view, path))]
+
+    def keep(self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float) -> None:
+        """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
+        poses = item.world_from_lidar.reshape(-1, 4, 4)
+        self._cloud = _points_in_world(item.scan, poses, item.pose_stamps_ns)
+        self._last = frame
+        status = frame.status
+        self.gate_reason, self.gate_is_open = status.reason, status.gate_open
+        if status.gate_open and self.gate_opened_at is None:
+            self.gate_opened_at = len(self.frames)
+        self.sky = status.sky if status.sky != "unknown" else self.sky
+        self._class_counts += np.bincount(frame.point_class, minlength=len(PointClass))
+        # Classes of every point of every scan would fill the memory on a long recording.
+        none, no_rows = frame.point_class[:0], frame.own_rows[:0]
+        flying = self._cloud[frame.point_class == PointClass.FLYING]
+        kept = replace(frame, point_class=none, own_rows=no_rows)
+        self._append(kept, item.scan.topic or item.scan.frame_id, poses[0, :3, 3], flying, wall_ms)
+        if self._mcap is not None:
+            log_flying(self._mcap, item, frame, frame_id=self.frame_id)
+
+    def _append(
+        self,
+        frame: FlyingFrame,
+        sensor: str,
+        place: NDArray[np.float64],
+        flying: NDArray[np.float64],
+        wall_ms: float,
+    ) -> None:
+        """Keep what tables and pictures need of a scan."""
+        self.frames.append(frame)
+        self.tracks.append(frame.tracks)
+        self._sensors.append(sensor)
+        self._path.append(place)
+        self._flying.append(flying)
+        self._shares.append((frame.status.sky_share, frame.status.own_body))
+        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, place)
+
+    def checkpoint_state(self) -> dict[str, Any]:
+        """All state but the rows, for a checkpoint."""
+        return {"detector": self.detector.to_bytes()} | {
+            name: getattr(self, name) for name in self._KEPT
+        }
+
+    def rows(self, since: int) -> list[Any]:
+        """What the scans left that were kept since then."""
+        lists = (self.frames, self._sensors, self._path, self._flying, self._times.wall_ms)
+        return [list(row) for row in zip(*(one[since:] for one in lists), strict=True)]
+
+    def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
+        """Take over the state of a run that was killed."""
+        content = kept["detector"]
+        self.detector = FlyingObjectDetector.from_bytes(content, threads=self._threads)
+        for name in self._KEPT:
+            setattr(self, name, kept[name])
+        for row in rows:
+            self._append(*row)
+
+    @property
+    def n_received(self) -> int:
+        """Scans so far, rejected ones included."""
+        return len(self.frames) + self.rejected.total()
+
+    @property
+    def notes(self) -> list[str]:
+        """That the map was full, if it was."""
+        forgotten = self.detector.health().n_voxels_forgotten
+        budget = self.detector.config.voxel_map.max_voxels
+        if not forgotten:
+            return []
+        return [
+            f"the map reached its budget of {budget:,} voxels and forgot {forgotten:,}, those"
+            f" farthest from the sensor first; set voxel_map.max_voxels={4 * budget} keeps more,"
+            " set forget_distance=METRES keeps less"
+        ]
+
+    @property
+    def n_scans(self) -> int:
+        """Scans that were processed or held."""
+        return len(self.frames)
+
+    @property
+    def burn_in_scans(self) -> int:
+        """Scans so far in which nothing was reported yet."""
+        return sum(frame.status.is_burn_in for frame in self.frames)
+
+    @property
+    def latency(self) -> Latency | None:
+        """Time per processed scan, in all and per stage [ms]; None without scans."""
+        return self._times.latency
+
+    @property
+    def class_shares(self) -> dict[str, float]:
+        """Share of each class among the points with information."""
+        counts = self._class_counts
+        total = max(1, int(counts[PointClass.BACKGROUND :].sum()))
+        return {kind.name.lower(): float(counts[kind] / total) for kind in CLASSES}
+
+    @property
+    def sky_share(self) -> float:
+        """Share of the sensor's rays that went into the sky, mean of all scans."""
+        return float(np.mean([sky for sky, _ in self._shares])) if self._shares else 0.0
+
+    @property
+    def own_body(self) -> float:
+        """Share of the sensor's rays that ended on the robot itself, in the last scan."""
+        return self._shares[-1][1] if self._shares else 0.0
+
+    @property
+    def flying(self) -> list[Tracks]:
+        """Tracks of kind FLYING, scan by scan."""
+        return [tracks.flying for tracks in self.tracks]
+
+    @property
+    def track_ids(self) -> list[int]:
+        """Numbers of the flying tracks that were reported."""
+        return sorted({number for one in self.flying for number in one.id.tolist()})
+
+    @property
+    def n_detections(self) -> int:
+        """Detections of all scans."""
+        return sum(len(frame.detections) for frame in self.frames)
+
+    def detections_table(self) -> dict[str, Any]:
+        """Detections as columns, one row per detection; SI units, world frame."""
+        frames, sensors = self.frames, self._sensors
+        counts = [len(frame.detections) for frame in frames]
+        found = [frame.detections for frame in frames]
+        position = np.concatenate([item.position for item in found] or [np.empty((0, 3))])
+        extent = np.concatenate([item.extent for item in found] or [np.empty((0, 3))])
+        covariance = np.concatenate([item.covariance for item in found] or [np.empty((0, 3, 3))])
+        stamps = np.array([frame.stamp_ns for frame in frames], np.int64)
+        table: dict[str, Any] = {
+            "t_ns": np.repeat(stamps, counts),
+            "time_ns": np.array([t for item in found for t in item.time_ns], np.int64),
+            "sensor": [s for s, count in zip(sensors, counts, strict=True) for _ in range(count)],
+            "frame_id": [self.frame_id] * sum(counts),
+        }
+        table |= {name: position[:, axis] for axis, name in enumerate("xyz")}
+        table |= {f"extent_{name}": extent[:, axis] for axis, name in enumerate("xyz")}
+        table["radius"] = np.array([r for item in found for r in item.radius], np.float64)
+        table["n_points"] = np.array([n for item in found for n in item.n_points], np.int64)
+        table["confidence"] = np.array([c for item in found for c in item.confidence], np.float64)
+        return table | covariance_columns("xyz", covariance)
+
+    def summary(self) -> dict[str, Any]:
+        """What the run gave, as plain values."""
+        health = self.detector.health()
+        return {
+            "scans": {
+                "received": health.received,
+                "processed": health.processed,
+                "held": health.held,
+                "rejected": dict(self.rejected),
+            },
+            "points": int(self._class_counts[PointClass.BACKGROUND :].sum()),
+            "class_shares": self.class_shares,
+            "gate": {
+                "open": self.gate_is_open,
+                "reason": self.gate_reason,
+                "opened_at_scan": self.gate_opened_at,
+                "burn_in_scans": self.burn_in_scans,
+            },
+            "sky": self.sky,
+            "sky_share": self.sky_share,
+            "own_body": self.own_body,
+            "detections": self.n_detections,
+            "tracks": len(self.track_ids),
+            "ms_per_scan": self._times.ms_per_scan,
+            "map": {
+                "observed_voxels": self.detector.n_observed,
+                "occupied_voxels": len(self.detector.occupied_points()),
+                "memory_bytes": self.detector.map_memory_bytes,
+            },
+        }
+
+    def write(self, folder: RunFolder) -> list[str]:
+        """Write tables, trajectories and map; return their names."""
+        tracks = write_tracks_table(
+            folder.path / "tracks.parquet", self.tracks, frame_id=self.frame_id
+        )
+        table = folder.write_table("detections", self.detections_table())
+        timing = folder.write_table("timing", self._times.table())
+        write_tum(folder.path / TRACKS_FOLDER, self.flying)
+        self.detector.save_map(folder.path / "map.lcvm")
+        return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]
+
+    def view(self, title: str, **more: Any) -> FlyingView:
+        """What a picture of the run shows; `more` are further fields of `FlyingView`."""
+        return FlyingView(
+            title=title,
+            cloud=self._cloud,
+            cloud_class=np.empty(0, np.uint8) if self._last is None else self._last.shown_class,
+            flying=np.concatenate([*self._flying, np.empty((0, 3))]),
+            occupied=self.detector.occupied_points(),
+            voxel_size=self.detector.config.voxel_map.voxel_size,
+            sensor=np.array(self._path).reshape(-1, 3),
+            stamp_ns=np.array([frame.stamp_ns for frame in self.frames], np.int64),
+            tracks=self.flying,
+            n_detections=np.array([len(frame.detections) for frame in self.frames], np.int64),
+            **more,
+        )
+
+
+def _points_in_world(
+    scan: Scan, poses: NDArray[np.float64], pose_stamps_ns: NDArray[np.int64] | None
+) -> NDArray[np.float64]:
+    """Points in the world, each by the last pose before it: near enough for a picture."""
+    points = scan.points.reshape(-1, 3).astype(np.float64)
+    if pose_stamps_ns is None or scan.point_time_ns is None:
+        return points @ poses[0, :3, :3].T + poses[0, :3, 3]
+    before = np.searchsorted(pose_stamps_ns, scan.point_time_ns.reshape(-1), side="right") - 1
+    before = np.clip(before, 0, len(poses) - 1)
+    placed = np.empty_like(points)
+    for number in np.unique(before):
+        rows = before == number
+        placed[rows] = points[rows] @ poses[number, :3, :3].T + poses[number, :3, 3]
+    return placed
