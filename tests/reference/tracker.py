@@ -23,7 +23,7 @@ H = np.hstack([EYE, np.zeros((3, 6))])
 UNSEEN_TIME, SIZE_TIME = 0.3, 2.0  # [s]
 MOVED, CLEARED = 0.5, 0.3  # [m]
 MERGE_SPEED = 1.0  # [m/s]
-LARGE, PART_GAP = 1.0, 0.35  # [m]
+LARGE, PART_GAP = 0.75, 0.5  # [m]
 LOITER_SHARE = 0.5  # of the way that a target may have flown, it is from where it was seen
 
 
@@ -324,7 +324,8 @@ class Tracker:
         whole = [np.flatnonzero(label == name) for name in dict.fromkeys(label)]
         found = []
         divided = [self.parts(cluster, points, after, tracks) for cluster in whole]
-        for rows in [part for parts in divided for part in parts]:
+        divided = [part for parts in divided for part in parts]
+        for rows in self.united(divided, points, after, tracks):
             own = points[rows]
             centroid, extent = own.mean(axis=0), np.ptp(own, axis=0)
             too_large = self.c.max_extent is not None and extent.max() > self.c.max_extent
@@ -370,6 +371,27 @@ class Tracker:
             return [rows]
         nearest = np.argmin([from_track(track) for track in owners], axis=0)
         return [rows[nearest == owner] for owner in np.unique(nearest)]
+
+    def united(self, parts, points, delays, tracks):
+        """Rows of clusters; those in the box of a large track, and nearest to it, as one."""
+        confirmed = [track for track in tracks if track.confirmed]
+        for track in [one for one in confirmed if one.size.max() >= LARGE]:
+            offset = points - track.r - delays[:, None] * track.x[3:6]
+
+            def is_own(rows, track=track, offset=offset):
+                mean = offset[rows].mean(axis=0)
+                apart = [np.linalg.norm(mean + track.r - other.r) for other in confirmed]
+                in_box = (np.abs(offset[rows]) <= track.size / 2 + PART_GAP).all()
+                return in_box and np.linalg.norm(mean) <= min(apart)
+
+            own = [rows for rows in parts if is_own(rows)]
+            rest = [rows for rows in parts if not is_own(rows)]
+            if self.c.max_extent is None or not own:
+                continue
+            whole = np.sort(np.concatenate(own))
+            if (np.ptp(offset[whole], axis=0) <= self.c.max_extent).all():
+                parts = [*rest, whole]
+        return parts
 
     def widened(self, R, extent, is_cut, track):
         """Covariance of a cluster of which a part may be hidden."""

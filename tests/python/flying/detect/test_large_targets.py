@@ -16,10 +16,11 @@ CRATE = sim.Box(size=(1.4, 1.4, 0.8))
 
 
 @cache
-def flown(shape, ways, times):
+def flown(shape, ways, times, sensor=(48, 30.0)):
     """Of every scan: distance of the nearest flying track, place [m]; flying tracks elsewhere."""
     motion = Waypoints(times=times, positions=ways)
-    sensor = lidar(48, 240, half_deg=30.0)
+    rows, half_deg = sensor
+    sensor = lidar(rows, 240, half_deg=half_deg)
     scene = yard(Target(shape=shape, motion=motion), scans=36, lidar=sensor)
     detector, away, places, others = FlyingObjectDetector(), [], [], 0
     for one in scans_of(scene):
@@ -42,6 +43,13 @@ def test_a_large_target_is_found_whether_it_flies_or_hovers_at_first():
     moved = np.linalg.norm(places - places[0], axis=1)
     assert (away[moved >= 2.5] < 0.3).mean() >= 0.9
     assert np.isinf(away[moved == 0]).all()
+    assert others == 0
+
+
+def test_a_crate_that_is_dragged_along_the_lower_edge_of_the_view_does_not_fly():
+    start, end = (6.0, -3.0, 0.41), (6.0, 5.0, 0.41)
+    away, _, others = flown(CRATE, (start, start, end), (0.0, 1.5, 3.5), sensor=(40, 22.0))
+    assert np.isinf(away).all()
     assert others == 0
 
 

@@ -47,7 +47,8 @@ pub(crate) fn detect<'c>(
     let ScanToDetect { scan, view, parameters, .. } = *input;
     let mut found = ScanDetections::default();
     let longest = parameters.classify.max_extent;
-    let united = UnitedClusters::of(&scan.points, clusters, classifications, longest);
+    let origin = scan.pose.translation;
+    let united = UnitedClusters::of(&scan.points, origin, clusters, classifications, longest);
     let mut centers = centers(input, united.iter(clusters)).into_iter();
     let is_flying = flying_rows(scan, united.iter(clusters));
     for (cluster, classification) in united.iter(clusters) {

@@ -1,18 +1,22 @@
 //! Parts of large targets.
 //!
 //! Where rays graze a wing, their ends lie further apart than the gap inside a cluster, and the tips of the
-//! wing are clusters of their own. One detection is of them all.
+//! wing are clusters of their own: from one row of rays to the next they lie half a metre further away. One
+//! detection is of them all.
 
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::wide;
-use crate::geometry::transform::{dot, norm};
+use crate::geometry::transform::{dot, minus, norm};
 
 /// A target with a longer side may fall into several clusters [m].
 const LARGE: f64 = 0.75;
 /// Parts of it are no further apart than this, from box to box [m].
 const GAP: f64 = 0.5;
+/// Or they are seen beside each other, at this angle [rad], and one of them is at most so much further away [m].
+const BESIDE: f64 = 0.02;
+const BEHIND: f64 = 1.0;
 
 /// Clusters with their classes, those of one large target as one.
 pub(crate) struct UnitedClusters<'c> {
@@ -22,10 +26,11 @@ pub(crate) struct UnitedClusters<'c> {
 }
 
 impl<'c> UnitedClusters<'c> {
-    /// Of the clusters of `points` with these numbers; those of another kind than flying stay as they
-    /// are. What is united is no longer than `longest` [m]; None unites nothing.
+    /// Of the clusters of `points`, seen from `origin`, with these numbers; those of another kind than flying
+    /// stay as they are. What is united is no longer than `longest` [m]; None unites nothing.
     pub(crate) fn of(
         points: &[[f32; 3]],
+        origin: [f64; 3],
         clusters: &Clusters,
         classifications: impl Iterator<Item = (usize, &'c Classification)>,
         longest: Option<f64>,
@@ -45,7 +50,7 @@ impl<'c> UnitedClusters<'c> {
             let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
                 *other != index
                     && (side(whole), *other) > (side(&part), index)
-                    && gap(whole, &part) <= GAP
+                    && (gap(whole, &part) <= GAP || are_beside(points, origin, whole, &part))
             };
             let whole = large
                 .iter()
@@ -107,6 +112,30 @@ fn gap(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
         (one.low[axis] - other.high[axis]).max(other.low[axis] - one.high[axis]).max(0.0)
     };
     norm([0, 1, 2].map(away))
+}
+
+/// Whether points of two clusters are seen beside each other from `origin`, one not far behind the other.
+fn are_beside(
+    points: &[[f32; 3]],
+    origin: [f64; 3],
+    one: &Cluster<'_>,
+    other: &Cluster<'_>,
+) -> bool {
+    if gap(one, other) > BEHIND {
+        return false;
+    }
+    let seen = |row: &u32| {
+        let way = minus(wide(points[*row as usize]), origin);
+        let range = norm(way).max(f64::MIN_POSITIVE);
+        (way.map(|part| part / range), range)
+    };
+    let others: Vec<([f64; 3], f64)> = other.members.iter().map(seen).collect();
+    one.members.iter().map(seen).any(|(way, range)| {
+        let is_near = |&(beside, further): &([f64; 3], f64)| {
+            (range - further).abs() <= BEHIND && norm(minus(way, beside)) <= BESIDE
+        };
+        others.iter().any(is_near)
+    })
 }
 
 /// Directions to the faces, edges and corners of a cube, one of every opposite pair: none is further than 28
@@ -191,7 +220,7 @@ mod tests {
         clusters.fill(points, &labels);
         let flying = Classification { class: PointClass::Flying, ..Classification::default() };
         let all = (0..if is_one { 2 } else { 3 }).map(|index| (index, &flying));
-        let united = UnitedClusters::of(points, &clusters, all, Some(2.5));
+        let united = UnitedClusters::of(points, [0.0; 3], &clusters, all, Some(2.5));
         united.iter(&clusters).map(|(cluster, _)| cluster.members.len()).collect()
     }
 
@@ -210,9 +239,31 @@ mod tests {
             clusters.fill(&points, &labels);
             let flying = Classification { class: PointClass::Flying, ..Classification::default() };
             let all = (0..2).map(|index| (index, &flying));
-            UnitedClusters::of(&points, &clusters, all, Some(2.3)).iter(&clusters).count() == 1
+            UnitedClusters::of(&points, [0.0; 3], &clusters, all, Some(2.3)).iter(&clusters).count()
+                == 1
         };
         assert!([0.0, 20.0, 45.0, 70.0, 90.0].into_iter().all(is_one));
+    }
+
+    #[test]
+    fn the_next_row_on_a_wing_is_a_part_of_it_and_what_is_seen_elsewhere_is_not() {
+        // A wing along the line of sight whose far tip is seen one row of rays above the rest.
+        let is_one = |aside: f32, along: f32| {
+            let wing = (0..11).map(|step| [7.0 + 0.08 * step as f32, 0.0, 1.0]);
+            let range = 7.8 + along;
+            let tip = (0..3).map(|step| [range, aside + 0.03 * step as f32, range * 1.1 / 7.8]);
+            let points: Vec<[f32; 3]> = wing.chain(tip).collect();
+            let labels: Vec<i32> = (0..points.len()).map(|row| i32::from(row > 10)).collect();
+            let mut clusters = Clusters::default();
+            clusters.fill(&points, &labels);
+            let flying = Classification { class: PointClass::Flying, ..Classification::default() };
+            let all = (0..2).map(|index| (index, &flying));
+            let united = UnitedClusters::of(&points, [0.0; 3], &clusters, all, Some(2.5));
+            united.iter(&clusters).count() == 1
+        };
+        assert!(is_one(0.0, 0.7));
+        assert!(!is_one(0.6, 0.7), "beside it");
+        assert!(!is_one(0.0, 1.3), "far behind it");
     }
 
     #[test]

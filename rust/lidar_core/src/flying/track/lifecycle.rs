@@ -10,9 +10,9 @@ use super::state::{PointTrack, UNNUMBERED};
 use nalgebra::Vector3;
 
 /// A target with a longer side may fall into several clusters: a fuselage between wings [m].
-const LARGE: f64 = 0.75;
+pub(super) const LARGE: f64 = 0.75;
 /// Parts of a large target are no further apart than this, from box to box [m].
-const PART_GAP: f64 = 0.5;
+pub(super) const PART_GAP: f64 = 0.5;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///

@@ -1,5 +1,7 @@
-//! One cluster of several targets: every point goes to the track it is nearest to.
+//! One cluster of several targets: every point goes to the track it is nearest to. And several clusters of
+//! one large target: they become one.
 
+use super::lifecycle::{LARGE, PART_GAP};
 use super::measurement::SearchRegion;
 use super::pairs::AlongX;
 use crate::estimation::kalman;
@@ -135,6 +137,52 @@ impl Division {
     }
 }
 
+/// Make the clusters one that lie in the box in which a confirmed track predicts a large target, as far as they
+/// are together no longer than `longest` [m] and nearer to no other track: a track that takes a tip of a wing for
+/// the wing leaps by half its length.
+pub(super) fn unite(
+    labels: &mut [i32],
+    points: &[[f32; 3]],
+    delays: &[f32],
+    regions: &[SearchRegion],
+    longest: f64,
+) {
+    let side = |region: &SearchRegion| region.size.into_iter().fold(0.0, f64::max);
+    let confirmed: Vec<&SearchRegion> = regions.iter().filter(|one| one.confirmed).collect();
+    for &region in confirmed.iter().filter(|region| side(region) >= LARGE) {
+        let count = labels.iter().max().map_or(0, |&last| last + 1);
+        let offset = |row: usize| {
+            let delay = delays.get(row).copied().map_or(0.0, f64::from);
+            Vector3::from(points[row].map(f64::from)) - region.position - region.velocity * delay
+        };
+        let is_own = |rows: &[usize]| {
+            let holds = |&row: &usize| {
+                let offset = offset(row);
+                (0..3).all(|axis| offset[axis].abs() <= 0.5 * region.size[axis] + PART_GAP)
+            };
+            let mean =
+                rows.iter().map(|&row| offset(row)).sum::<Vector3<f64>>() / rows.len() as f64;
+            let is_nearest = |other: &&SearchRegion| {
+                mean.norm() <= (mean + region.position - other.position).norm()
+            };
+            !rows.is_empty() && rows.iter().all(holds) && confirmed.iter().all(is_nearest)
+        };
+        let own: Vec<usize> =
+            rows_of(labels, count).into_iter().filter(|rows| is_own(rows)).flatten().collect();
+        let sides = Vector3::from_fn(|axis, _| {
+            let [low, high] = own.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |ends, &row| {
+                let at = offset(row)[axis];
+                [ends[0].min(at), ends[1].max(at)]
+            });
+            high - low
+        });
+        if let Some(&first) = own.first().filter(|_| sides.max() <= longest) {
+            let label = labels[first];
+            own.iter().for_each(|&row| labels[row] = label);
+        }
+    }
+}
+
 /// Rows of every cluster, by label.
 fn rows_of(labels: &[i32], count: i32) -> Vec<Vec<usize>> {
     let mut rows = vec![Vec::new(); usize::try_from(count).unwrap_or(0)];
@@ -191,6 +239,23 @@ mod tests {
         let two = [certain(), region(1.2, 0.1, true)];
         assert_eq!(divided(&two, Division { min_points: 3, ..DIVISION }), [0; 4]);
         assert_eq!(divided(&[], DIVISION), [0; 4]);
+    }
+
+    #[test]
+    fn parts_of_a_large_target_are_one_and_what_another_track_is_nearer_to_is_not() {
+        let wing = || SearchRegion { size: [2.0, 0.5, 0.3], ..region(0.0, 0.1, true) };
+        let united = |regions: &[SearchRegion], longest: f64| {
+            // A wing, its tip, and something beside it.
+            let points = [-1.0, -0.6, 0.9, 2.5].map(|x| [x, 0.0, 0.0]);
+            let mut labels = vec![0, 0, 1, 2];
+            unite(&mut labels, &points, &[], regions, longest);
+            labels
+        };
+        assert_eq!(united(&[wing()], 2.5), [0, 0, 0, 2]);
+        assert_eq!(united(&[wing()], 1.5), [0, 0, 1, 2], "too long");
+        assert_eq!(united(&[wing(), region(1.2, 0.1, true)], 2.5), [0, 0, 1, 2]);
+        assert_eq!(united(&[wing(), region(1.2, 0.1, false)], 2.5), [0, 0, 0, 2]);
+        assert_eq!(united(&[region(0.0, 0.1, true)], 2.5), [0, 0, 1, 2], "a small target");
     }
 
     #[test]

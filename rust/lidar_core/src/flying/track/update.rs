@@ -7,7 +7,7 @@ use super::measurement::{CloudScan, Measurement, SearchRegion};
 use super::motion::{position_block, seconds};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Association, Motion, TrackerParameters};
-use super::split::Division;
+use super::split::{Division, unite};
 use super::state::PointTrack;
 use super::visibility::occupancy::{ENOUGH_RAYS, Visibility};
 use super::visibility::select::{Ball, hits};
@@ -211,11 +211,14 @@ impl Updater {
         let points = scan.points_of(&chosen);
         let mut labeller = self.labellers.acquire();
         let mut labels = labeller.label(&points, &self.parameters.clustering)?.to_vec();
+        let delays: Vec<f32> = chosen.iter().map(|&row| scan.delay(row)).collect();
         if let Some(distance) = self.parameters.split_distance {
             let min_points = self.parameters.clustering.min_points;
             let division = Division { distance, gate: self.gate, min_points };
-            let delays: Vec<f32> = chosen.iter().map(|&row| scan.delay(row)).collect();
             division.divide(&mut labels, &points, &delays, regions);
+        }
+        if let Some(longest) = self.parameters.max_extent {
+            unite(&mut labels, &points, &delays, regions, longest);
         }
         let clusters = candidates(&chosen, &labels, scan, &self.parameters);
         let hiding = self.parameters.hiding;
