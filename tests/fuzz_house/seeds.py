@@ -143,9 +143,9 @@ def fresh(folder: Path) -> None:
     for target, contents in known.items():
         place = folder / "corpus" / target
         place.mkdir(parents=True, exist_ok=True)
-        if target.startswith("state_"):
-            contents += _single_numbers(CHOICES.get(target, b""))
-        fitting = [one for one in contents if len(one) <= LONGEST.get(target, USUAL)]
+        short = _single_numbers(CHOICES.get(target, b"")) if target.startswith("state_") else []
+        longest = LONGEST.get(target, USUAL)
+        fitting = [one for one in (*contents, *short) if len(one) <= longest]
         for number, content in enumerate(fitting):
             (place / f"fresh-{number}").write_bytes(content)
 
