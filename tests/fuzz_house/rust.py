@@ -18,7 +18,7 @@ LONGEST = {
     **dict.fromkeys(("state_tracker", "state_filter"), 3000),
     "state_detector": 12000,
 }
-"""Longest input [bytes], where it is not `USUAL`: a seed that is longer is cut, and says nothing."""
+"""Longest input [bytes], where it is not `USUAL`: a longer seed is cut, and says nothing."""
 USUAL = 1500
 MOST_FINDINGS = 3
 """Of one target in one run: the rest is most likely the same bug."""

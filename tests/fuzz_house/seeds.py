@@ -130,6 +130,12 @@ def _tracker_after_nothing() -> bytes:
     return _content(tracker._tracker.to_state())
 
 
+def _single_numbers(choice: bytes) -> list[bytes]:
+    """Inputs that put one number into a state, after nothing and after one step, at every place."""
+    kinds = (2, 5)
+    return [choice + bytes([kind, at, 0, 0, 7, 0, 0, 0]) for kind in kinds for at in range(24)]
+
+
 def fresh(folder: Path) -> None:
     """Write those of states and maps into the corpus of a run: of the layout that is built now."""
     known = states()
@@ -137,7 +143,9 @@ def fresh(folder: Path) -> None:
     for target, contents in known.items():
         place = folder / "corpus" / target
         place.mkdir(parents=True, exist_ok=True)
-        fitting = [one for one in contents if len(one) <= LONGEST.get(target, USUAL)]
+        short = _single_numbers(CHOICES.get(target, b"")) if target.startswith("state_") else []
+        longest = LONGEST.get(target, USUAL)
+        fitting = [one for one in (*contents, *short) if len(one) <= longest]
         for number, content in enumerate(fitting):
             (place / f"fresh-{number}").write_bytes(content)
 

@@ -75,7 +75,12 @@ fn any_map_parameters(input: &mut Input<'_>) -> MapParameters {
         skip: input.one_of(&[Skip::Nothing, Skip::Saturated]),
         ray_unit: input.one_of(&[RayUnit::Edges, RayUnit::Metres, RayUnit::Diagonals]),
         settles: input.is_set(),
-        bounds: input.maybe(|input| [input.f64s(), input.f64s()]),
+        bounds: match input.below(4) {
+            0 => Some([[-9.0; 3], [9.0; 3]]),
+            1 => Some([input.f64s(), input.f64s()]),
+            _ => None,
+        },
+        extra_thresholds: (0..input.below(5)).map(|more| -500.0 - more as f32).collect(),
         max_voxels: input.one_of(&[1 << 18, 1 << 12, 1 << 9, 1, 0]),
         max_range: input.one_of(&[8.0, 3.0, 1.0]),
         ..usual
@@ -243,7 +248,7 @@ pub fn rooms(bytes: &[u8]) {
     parameters.mismatch_share = Some(input.share());
     let Ok(mut detector) = FlyingObjectDetector::new(parameters, 1) else { return };
     let mut stamp_ns = 0;
-    for _ in 0..6 {
+    for _ in 0..8 {
         if input.is_empty() {
             break;
         }
@@ -268,12 +273,15 @@ pub fn rooms(bytes: &[u8]) {
     }
 }
 
-/// Walls, floor and ceiling around the sensor: as many returns as decide about a pose.
+/// Walls, floor and ceiling around the sensor, a return in every voxel: as many as decide about a
+/// pose, and close enough together to be background.
 fn room(input: &mut Input<'_>) -> Vec<[f32; 3]> {
-    let half = input.one_of(&[1.5, 2.5, 4.0, 4.0]);
-    let place = |cell: u8| (f32::from(cell) / 6.0 - 1.0) * half;
-    let cells = (0..12).flat_map(|u| (0..12).map(move |v| (place(u), place(v))));
-    let faces = cells.flat_map(|(u, v)| {
+    let cells = input.one_of(&[4_u8, 4, 9]);
+    let half = f32::from(cells) / 4.0;
+    let place = move |cell: u8| (f32::from(cell) + 0.5) / 4.0 - half;
+    let across = 0..2 * cells;
+    let both = across.clone().flat_map(|u| across.clone().map(move |v| (place(u), place(v))));
+    let faces = both.flat_map(|(u, v)| {
         let sides = [[half, u, v], [-half, u, v], [u, half, v]];
         sides.into_iter().chain([[u, -half, v], [u, v, half], [u, v, -half]])
     });

@@ -19,6 +19,8 @@ use std::sync::LazyLock;
 
 /// A later stamp than any sensible state has.
 const LATER_NS: i64 = 1 << 62;
+/// Returns of a target.
+const TARGET: [[f32; 3]; 3] = [[1.0, 2.0, 3.0], [1.1, 2.0, 3.0], [1.0, 2.1, 3.0]];
 /// Larger maps than these only cost time.
 const MOST_VOXELS: u64 = 1 << 20;
 
@@ -156,16 +158,16 @@ pub fn state_tracker(bytes: &[u8]) {
         let new = PointCloudTracker::new(TrackerParameters::default(), 1);
         states_of(new, 4, PointCloudTracker::to_state, |tracker, stamp_ns| {
             // The first scan is empty: its state is short, so that changes meet what decides.
-            let positions: &[_] = if stamp_ns == 0 { &[] } else { &[[1.0, 2.0, 3.0]] };
-            let seen = Detections { stamp_ns, positions, ..Detections::default() };
-            tracker.new_detections(&seen, &OccupiedPoints::new(&[], 1.0)).map(|_| ())
+            let points: &[_] = if stamp_ns == 0 { &[] } else { &TARGET };
+            let nothing = OccupiedPoints::new(&[], 1.0);
+            tracker.new_point_cloud(points, None, &nothing, None, stamp_ns).map(|_| ())
         })
     });
     let parameters = TrackerParameters::default();
     let made = PointCloudTracker::from_state(parameters, 1, &forged(&BASES, bytes));
     let Ok(mut tracker) = made else { return };
     let nothing = OccupiedPoints::new(&[], 1.0);
-    let points = [[1.0, 2.0, 3.0], [1.1, 2.0, 3.0], [1.0, 2.1, 3.0]];
+    let points = TARGET;
     let detections =
         Detections { stamp_ns: LATER_NS, positions: &[[1.0, 2.0, 3.0]], ..Detections::default() };
     let _ = tracker.tracks_at(LATER_NS);
