@@ -45,7 +45,7 @@ impl<'c> UnitedClusters<'c> {
             flying.iter().filter(|(_, one)| side(one) >= LARGE).copied().collect();
         let mut host: Vec<(usize, usize)> = Vec::new();
         // Of targets and the parts that they have got already.
-        let mut spans: Vec<(usize, Span)> = Vec::new();
+        let mut spans: Vec<(usize, TargetSpan)> = Vec::new();
         for &(index, part) in flying.iter().filter(|_| !large.is_empty()) {
             let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
                 *other != index
@@ -60,7 +60,10 @@ impl<'c> UnitedClusters<'c> {
             let top = top_of(&host, whole);
             let known = |number: usize| {
                 let found = spans.iter().find(|(other, _)| *other == number);
-                found.map_or_else(|| Span::of(points, &clusters.get(number)), |&(_, found)| found)
+                found.map_or_else(
+                    || TargetSpan::of(points, &clusters.get(number)),
+                    |&(_, found)| found,
+                )
             };
             let together = known(top).united(&known(index));
             if together.length() <= longest {
@@ -159,12 +162,12 @@ const WAYS: [[i8; 3]; 13] = [
 /// How far some points reach along each of [`WAYS`]. A box along the axes would be longer or shorter as the
 /// target turns.
 #[derive(Clone, Copy)]
-struct Span {
+struct TargetSpan {
     low: [f64; WAYS.len()],
     high: [f64; WAYS.len()],
 }
 
-impl Span {
+impl TargetSpan {
     fn of(points: &[[f32; 3]], cluster: &Cluster<'_>) -> Self {
         let mut span =
             Self { low: [f64::INFINITY; WAYS.len()], high: [f64::NEG_INFINITY; WAYS.len()] };
