@@ -174,13 +174,13 @@ def _may_be_none(model: type[BaseModel], name: str) -> bool:
 
 def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError:
     problems = (
-        f"{'.'.join(map(str, problem['loc'])) or model.__name__}: {_told(problem, model)}"
+        f"{'.'.join(map(str, problem['loc'])) or model.__name__}: {_problem_text(problem, model)}"
         for problem in error.errors()
     )
     return ConfigError("\n".join(problems))
 
 
-def _told(problem: Any, model: type[BaseModel]) -> str:
+def _problem_text(problem: Any, model: type[BaseModel]) -> str:
     """What is wrong; what was received, unless that is a whole table; a name that was meant."""
     text, received = str(problem["msg"]).removeprefix("Value error, "), problem["input"]
     place, fields = ".".join(map(str, problem["loc"])), _fields(model)
@@ -191,7 +191,7 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
             cure = "" if reason.startswith("write it as") else "; leave it out"
             return f"is no parameter any more: {reason}{cure}"
         case "extra_forbidden":
-            return f"no such parameter, got {_short(received)}{_meant(place, fields)}"
+            return f"no such parameter, got {_short(received)}{_did_you_mean(place, fields)}"
         case "value_error" if isinstance(received, dict):
             return text
         case "model_type":
@@ -209,7 +209,7 @@ def _told(problem: Any, model: type[BaseModel]) -> str:
     return f"{text}, got {_short(received)}"
 
 
-def _meant(place: str, paths: Iterable[str]) -> str:
+def _did_you_mean(place: str, paths: Iterable[str]) -> str:
     """The parameter that was meant: its name if it is of the same table, else its path."""
     table, _, name = place.rpartition(".")
     names = {path.rpartition(".")[2]: path for path in reversed(list(paths))}

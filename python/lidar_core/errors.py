@@ -61,7 +61,7 @@ def closest(name: str, known: Iterable[str]) -> str | None:
     return next(iter(get_close_matches(name, list(known), n=1)), None)
 
 
-def meant(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str]) -> str:
     """What to add to the refusal of a name that is none of `known`: the one that was meant."""
     near = closest(name, known)
     return "" if near is None else f"; did you mean {near}?"
@@ -70,4 +70,4 @@ def meant(name: str, known: Iterable[str]) -> str:
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """Text of that refusal; `what` the name is of."""
     names = list(known)
-    return f"{what}: expected one of {', '.join(names)}, got {name!r}{meant(name, names)}"
+    return f"{what}: expected one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"

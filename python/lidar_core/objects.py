@@ -1,4 +1,7 @@
-"""Objects at one time, one row each: tracks, detections, elements of maps, targets, the truth."""
+"""Objects at one time, one row each: tracks, detections, elements of maps, targets, the truth.
+
+Longer than other files: the family is one, and every field is described.
+"""
 
 from dataclasses import dataclass, fields
 from importlib import import_module

@@ -148,7 +148,7 @@ class Registry(Generic[PartT]):
             if self._is_own(part):
                 raise
             place = f"{self._what} {part.name!r} of {part.module or 'a notebook'}"
-            raise PluginError(f"{place}: {_told(error)}") from error
+            raise PluginError(f"{place}: {_cause_text(error)}") from error
 
     def _is_own(self, part: PartT) -> bool:
         # A part that is defined in a console or notebook may have no module.
@@ -210,14 +210,14 @@ def _root(part: Part) -> str:
     return (part.module or "").partition(".")[0]
 
 
-def _told(cause: BaseException) -> str:
+def _cause_text(cause: BaseException) -> str:
     return str(cause) if isinstance(cause, LidarCoreError) else f"{type(cause).__name__}: {cause}"
 
 
 def _plugin_error(entry: EntryPoint, cause: BaseException) -> PluginError:
     package = "unknown" if entry.dist is None else entry.dist.name
     error = PluginError(
-        f"plugin {entry.name!r} of the package {package!r}: {_told(cause)};"
+        f"plugin {entry.name!r} of the package {package!r}: {_cause_text(cause)};"
         f" update or uninstall {package}"
     )
     error.__cause__ = cause

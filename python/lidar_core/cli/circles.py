@@ -10,7 +10,7 @@ from lidar_core.cli.shared.common import (
     READ,
     WRITTEN,
     consoles,
-    given,
+    given_options,
     left_out,
     report,
     result_table,
@@ -63,7 +63,9 @@ def command(
             options.choice(),
             options.output,
             pose=options.poses(),
-            read=ReadOptions.load(given({**read, "stamps": stamps, "scan_rate": scan_rate})),
+            read=ReadOptions.load(
+                given_options({**read, "stamps": stamps, "scan_rate": scan_rate})
+            ),
             scans=scan,
             allow_untrusted=trust_model,
             mcap=options.mcap,

@@ -11,7 +11,7 @@ from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import (
     JsonFile,
     consoles,
-    given,
+    given_options,
     printing,
     shown_progress,
     write_json,
@@ -88,9 +88,9 @@ def command(
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: expected another file than the one to read")
-    values = options.given()
-    chosen = given({"topic": topic or None, "start": start or None, "end": end})
-    of_run, of_map = given({"class": class_name}), given({"resolution": resolution})
+    values = options.to_values()
+    chosen = given_options({"topic": topic or None, "start": start or None, "end": end})
+    of_run, of_map = given_options({"class": class_name}), given_options({"resolution": resolution})
     console, errors = consoles(json_file)
     if is_run(recording):
         _refuse(values | chosen | of_map, "the objects of a run")
@@ -181,7 +181,7 @@ def _write_cloud(
 
 
 def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
-    from lidar_core.errors import ConfigError, meant
+    from lidar_core.errors import ConfigError, did_you_mean
     from lidar_core.io.records import SCAN_KINDS
 
     known = [topic.name for topic in recording.topics() if topic.kind in SCAN_KINDS]
@@ -190,7 +190,7 @@ def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
             listed = ", ".join(known) or "none"
             raise ConfigError(
                 f"topic: no scans on {name!r} in {recording.path}; found {listed}"
-                f"{meant(name, known)}"
+                f"{did_you_mean(name, known)}"
             )
 
 

@@ -11,7 +11,7 @@ from lidar_core.cli.shared.common import (
     READ,
     Threads,
     consoles,
-    given,
+    given_options,
     left_out,
     map_rows,
     report,
@@ -76,7 +76,9 @@ def command(
             options.choice(),
             options.output,
             pose=options.poses(),
-            read=ReadOptions.load(given({**read, "stamps": stamps, "scan_rate": scan_rate})),
+            read=ReadOptions.load(
+                given_options({**read, "stamps": stamps, "scan_rate": scan_rate})
+            ),
             clouds=cloud,
             repeat=repeat,
             known_map=known_map,

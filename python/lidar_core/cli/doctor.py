@@ -120,7 +120,7 @@ def _print(report: dict[str, Any]) -> None:
     cpu, recordings = report["cpu"], report["recordings"]
     console.print(f"{cpu['architecture']}: {' '.join(cpu['features'])}", markup=False)
     console.print(f"vector unit of the core: {cpu['vector_unit']}", markup=False)
-    console.print(_told(recordings), markup=False, highlight=False, soft_wrap=True)
+    console.print(_recordings_text(recordings), markup=False, highlight=False, soft_wrap=True)
     console.print(f"core: {report['core']}", style=None if report["core"] == "works" else "red")
     table = Table("extra", "packages", "to install")
     table.add_row("-", _listed(report["packages"]), "")
@@ -130,7 +130,7 @@ def _print(report: dict[str, Any]) -> None:
     console.print(table)
 
 
-def _told(recordings: dict[str, Any]) -> str:
+def _recordings_text(recordings: dict[str, Any]) -> str:
     variable, folder = recordings["variable"], recordings["folder"]
     if folder is None:
         return f"{variable} is not set: items of reproduce that need recordings are left out"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar_core.cli.shared.common import JsonFile, given, report, result_table
+from lidar_core.cli.shared.common import JsonFile, given_options, report, result_table
 from lidar_core.cli.shared.measurement_options import (
     AngleUnit,
     Azimuths,
@@ -99,7 +99,7 @@ def command(
         angle_unit=angle_unit,
         azimuth=azimuths_of(azimuth),
         clock=clocks_of(clock),
-        span=Span.load(given({"start": start, "end": end})),
+        span=Span.load(given_options({"start": start, "end": end})),
         fit_noise=fit_noise,
         force=force,
         mcap=mcap,

@@ -49,7 +49,7 @@ def command(
     from lidar_core.io import ReadOptions, open_recording
     from lidar_core.runs.next_steps import next_steps
 
-    with open_recording(recording, ReadOptions.load(options.given())) as opened:
+    with open_recording(recording, ReadOptions.load(options.to_values())) as opened:
         info = opened.info()
         steps = [] if as_json else list(next_steps(opened, info))
     if as_json:

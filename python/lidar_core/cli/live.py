@@ -19,7 +19,7 @@ from lidar_core.cli.shared.common import (
     Threads,
     as_options,
     consoles,
-    given,
+    given_options,
     result_table,
     write_json,
 )
@@ -141,7 +141,7 @@ class LiveOptions(PipelineOptions):
         from lidar_core.io import ReadOptions
 
         told = {"point_time": self.point_time, "no_return": self.no_return}
-        return ReadOptions.load(given(told))
+        return ReadOptions.load(given_options(told))
 
 
 @with_options(LiveOptions)

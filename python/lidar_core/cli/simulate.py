@@ -6,8 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import JsonFile, consoles, given, shown_progress, write_json
-from lidar_core.errors import ConfigError, meant
+from lidar_core.cli.shared.common import (
+    JsonFile,
+    consoles,
+    given_options,
+    shown_progress,
+    write_json,
+)
+from lidar_core.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
     from lidar_core.sim import Scene
@@ -56,7 +62,7 @@ def command(
 ) -> None:
     """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
     if scene == OVERFLIGHT:
-        for name in given({"sensor": sensor, "threads": threads}):
+        for name in given_options({"sensor": sensor, "threads": threads}):
             raise ConfigError(f"--{name}: does not apply to overflight")
         _overfly(output, seed, scans, json=json)
         return
@@ -140,6 +146,6 @@ def scene_named(name: str, seed: int) -> "Scene":
         built_in = (*BUILT_IN, OVERFLIGHT)
         raise FileNotFoundError(
             f"{name}: no such scene file; built-in scenes are"
-            f" {', '.join(built_in)}{meant(name, built_in)}"
+            f" {', '.join(built_in)}{did_you_mean(name, built_in)}"
         )
     return Scene.read(name)

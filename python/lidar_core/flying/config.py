@@ -1,4 +1,7 @@
-"""Configuration of the flying-object detector: the only source of defaults and ranges."""
+"""Configuration of the flying-object detector: the only source of defaults and ranges.
+
+Longer than other files: every field carries its description, unit, range and source.
+"""
 
 from collections.abc import Mapping
 from typing import ClassVar, Literal, Self

@@ -1,4 +1,7 @@
-"""The flying-object detector: scans in, point classes, detections and tracks out."""
+"""The flying-object detector: scans in, point classes, detections and tracks out.
+
+Longer than other files: it is one class, and most of it describes what its methods take and give.
+"""
 
 from dataclasses import asdict, replace
 from os import PathLike

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from lidar_core.errors import FormatError, meant
+from lidar_core.errors import FormatError, did_you_mean
 from lidar_core.files import check_regular, check_regular_or_folder
 from lidar_core.io.chain import ChainedRecording
 from lidar_core.io.child.recording import ChildRecording
@@ -75,7 +75,7 @@ def open_recording(
     chosen = ReadOptions(**(given | values))
     place = Path(path)
     if not place.exists():
-        near = meant(place.name, _names_beside(place))
+        near = did_you_mean(place.name, _names_beside(place))
         raise FileNotFoundError(f"{place}: no such file or folder{near}")
     if chosen.metadata is not None:
         check_regular(chosen.metadata)

@@ -35,13 +35,13 @@ def matching(pattern: str) -> list[str]:
     return sorted(str(files.unstrip_protocol(one)) for one in found)
 
 
-def seen(address: str) -> list[tuple[str, int, str]]:
+def file_versions(address: str) -> list[tuple[str, int, str]]:
     """Name, size and version (or time) of a file, or of all files of a folder."""
     files, path = _opened(address)
     if files.isfile(path):
-        return [_told(address, files.info(path))]
+        return [_file_version(address, files.info(path))]
     found = files.find(path, detail=True)
-    return [_told(name, info) for name, info in sorted(found.items())]
+    return [_file_version(name, info) for name, info in sorted(found.items())]
 
 
 def fetched(address: str, folder: Path) -> Path:
@@ -143,6 +143,6 @@ def _name(path: str) -> str:
     return name
 
 
-def _told(name: str, info: dict[str, Any]) -> tuple[str, int, str]:
+def _file_version(name: str, info: dict[str, Any]) -> tuple[str, int, str]:
     version = next((info[key] for key in ("ETag", "etag", "mtime", "created") if key in info), "")
     return name, int(info.get("size") or 0), str(version)

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
 
-from lidar_core.errors import ConfigError, FormatError, meant
+from lidar_core.errors import ConfigError, FormatError, did_you_mean
 from lidar_core.io.records import Topic
 from lidar_core.messages import LaserScan, Scan
 
@@ -59,7 +59,7 @@ def scan_topics(
             option = " or ".join(word.option for word in words)
             raise ConfigError(
                 f"{option}: no topic {name!r} with {plural} in {recording.path};"
-                f" found {listed(known)}{meant(name, known)}"
+                f" found {listed(known)}{did_you_mean(name, known)}"
             )
     if not with_scans:
         found = listed(

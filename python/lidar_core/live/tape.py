@@ -63,8 +63,8 @@ class Tape:
         self._thread = Thread(target=self._write, daemon=True)
         self._thread.start()
 
-    def kept(self, record: Record) -> Record:
-        """Take in a record; the same record, whose messages are decoded only once."""
+    def keep(self, record: Record) -> Record:
+        """Take in a record; returns it with messages that are decoded only once."""
         shared = replace(record, decode=_Once(record))
         try:
             self._waiting.put_nowait(shared)

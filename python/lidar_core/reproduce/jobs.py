@@ -68,7 +68,7 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
     """
     parts: dict[str, Part] = {}
     for job in jobs:
-        kept = None if request.is_fresh else _kept(job, request.parts)
+        kept = None if request.is_fresh else _load_part(job, request.parts)
         if kept is not None:
             parts[job.name] = kept
             request.advance(job.scans)
@@ -137,7 +137,7 @@ def _finished(job: Job, part: Part, request: Request) -> Part:
     return part
 
 
-def _kept(job: Job, folder: Path | None) -> Part | None:
+def _load_part(job: Job, folder: Path | None) -> Part | None:
     """Return the part of an earlier run, if it is of this very job."""
     path = folder / f"{job.name}.npz" if folder is not None else None
     if path is None or not path.is_file():

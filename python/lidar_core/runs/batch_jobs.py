@@ -29,7 +29,7 @@ from lidar_core.batch.results import NOTE
 from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
-from lidar_core.io.remote import is_remote, joined, seen, stored_file, texts
+from lidar_core.io.remote import file_versions, is_remote, joined, stored_file, texts
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
 from lidar_core.runs.catalogue import EVENTS
@@ -110,13 +110,13 @@ def batch(
     made_jobs = jobs_of(config, file.parent)
     if not is_remote(target):
         work = Batch.of(Path(target), made_jobs, is_fresh=fresh)
-        return _done(work, config, file, executor, workers, on_progress, on_job)
+        return _run_jobs(work, config, file, executor, workers, on_progress, on_job)
     with tempfile.TemporaryDirectory(prefix="lidar-core-batch-") as folder:
         work = Batch.of(Path(folder), made_jobs, is_fresh=fresh, remote=target)
-        return _done(work, config, file, executor, workers, on_progress, on_job)
+        return _run_jobs(work, config, file, executor, workers, on_progress, on_job)
 
 
-def _done(
+def _run_jobs(
     work: "Batch",
     config: BatchConfig,
     file: Path,
@@ -326,13 +326,13 @@ def _key(job: BatchJob) -> str:
     files: dict[str, Any] = {}
     for part in dict.fromkeys(part for command in job.commands for part in command):
         if is_remote(part):
-            files[part] = seen(part)
+            files[part] = file_versions(part)
         elif os.path.exists(part):
-            files[part] = _seen(Path(part))
+            files[part] = _file_versions(Path(part))
     made_of = json.dumps([build_digest(), job.commands, files], sort_keys=True)
     return hashlib.sha256(made_of.encode()).hexdigest()
 
 
-def _seen(path: Path) -> list[tuple[str, int, int]]:
+def _file_versions(path: Path) -> list[tuple[str, int, int]]:
     found = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.is_file())
     return [(str(one), (at := one.stat()).st_size, at.st_mtime_ns) for one in found]

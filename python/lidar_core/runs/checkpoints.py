@@ -33,7 +33,7 @@ class Resumable(Protocol):
     def KINDS(self) -> tuple[type, ...]:  # noqa: N802
         """Classes of the objects in `kept` and `rows`."""
 
-    def kept(self) -> dict[str, Any]:
+    def checkpoint_state(self) -> dict[str, Any]:
         """All state but the rows, of limited size; whole states of the core as arrays of bytes."""
 
     def rows(self, since: int) -> list[Any]:
@@ -126,7 +126,9 @@ class Checkpoints:
             self._parts.append(zlib.crc32(part))
             self._n_rows += len(rows)
         inputs = json.dumps(self._named()).encode()
-        kept = packed({"done": done, "parts": self._parts, "run": run.kept()}, run.KINDS)
+        kept = packed(
+            {"done": done, "parts": self._parts, "run": run.checkpoint_state()}, run.KINDS
+        )
         _write(self.folder / CHECKPOINT, _LENGTH.pack(len(inputs)) + inputs + kept)
         self._last = monotonic()
 
@@ -140,11 +142,11 @@ class Checkpoints:
     def _named(self) -> dict[str, str]:
         """Every input in a form that can be compared and told."""
         return {"build": build_digest()[:12]} | {
-            name: _told(value) for name, value in self.inputs.items()
+            name: _value_text(value) for name, value in self.inputs.items()
         }
 
 
-def _told(value: Any) -> str:
+def _value_text(value: Any) -> str:
     text = json.dumps(value, sort_keys=True, default=str)
     return text if len(text) <= 60 else f"{text[:40]}... ({_digest(text)})"
 

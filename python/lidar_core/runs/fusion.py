@@ -122,7 +122,7 @@ def fuse(
         source,
         config,
         {name: value for name, value in ways.items() if value is not None},
-        _given(
+        _given_values(
             columns=columns,
             topics=topics,
             time_unit=time_unit,
@@ -212,7 +212,7 @@ def fit_config(
     places = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     if not places:
         raise InputError("recordings: expected at least one, got none")
-    read = _given(
+    read = _given_values(
         columns=columns,
         topics=topics,
         time_unit=time_unit,
@@ -222,10 +222,10 @@ def fit_config(
     )
     jobs = [FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
-    chosen = with_ways(config, _given(model=model, method=method))
+    chosen = with_ways(config, _given_values(model=model, method=method))
     return fitted(logs, config_of_run(chosen, FusionConfig, "fusion"), force=force)
 
 
-def _given(**values: Any) -> dict[str, Any]:
+def _given_values(**values: Any) -> dict[str, Any]:
     """Values that are not None and not empty."""
     return {name: value for name, value in values.items() if value}

@@ -63,12 +63,12 @@ def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
             for word in pair
             if command == "detect" or pair[0] != "--metadata"
         ]
-        yield _told(command, info.path, *choice, *own, *times, *poses) + remark
+        yield _command_line(command, info.path, *choice, *own, *times, *poses) + remark
     if any(topic.type.startswith(RADAR) for topic in info.topics):
-        yield _told("fuse", info.path)
+        yield _command_line("fuse", info.path)
 
 
-def _told(command: str, path: str, *options: str) -> str:
+def _command_line(command: str, path: str, *options: str) -> str:
     return shlex.join(["lidar-core", command, path, "-o", "run/", *options])
 
 

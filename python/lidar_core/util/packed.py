@@ -89,7 +89,7 @@ class _Reader:
         self._content = content
         self.place = 0
         self._read: dict[str, Callable[..., Any]] = {
-            "bytes": lambda length: self._taken(length).tobytes(),
+            "bytes": lambda length: self._next_bytes(length).tobytes(),
             "ndarray": self._array,
             "generic": lambda outline: self.value(outline)[()],
             "list": lambda *outlines: [self.value(one) for one in outlines],
@@ -118,10 +118,10 @@ class _Reader:
     def _array(self, dtype: str, shape: list[int]) -> NDArray[Any]:
         if dtype not in _DTYPES or not all(type(length) is int and length >= 0 for length in shape):
             raise ValueError(f"no such array: {dtype}, {shape}")
-        part = np.frombuffer(self._taken(prod(shape) * np.dtype(dtype).itemsize), dtype)
+        part = np.frombuffer(self._next_bytes(prod(shape) * np.dtype(dtype).itemsize), dtype)
         return part.reshape(shape).copy()
 
-    def _taken(self, length: int) -> memoryview:
+    def _next_bytes(self, length: int) -> memoryview:
         """The next bytes of the contents."""
         end = self.place + length
         if length < 0 or end > len(self._content):

@@ -267,11 +267,11 @@ def test_files_in_memory_are_listed_fetched_and_stored(tmp_path):
     memory.pipe({"/a/x.csv": b"1", "/a/b/y.csv": b"22", "/a/z.txt": b"3"})
     assert remote.matching("memory://a/*.csv") == ["memory:///a/x.csv"]
     assert len(remote.matching("memory://a/**/*.csv")) == 2
-    assert [size for _, size, _ in remote.seen("memory://a")] == [2, 1, 1]
-    before = remote.seen("memory://a/x.csv")
+    assert [size for _, size, _ in remote.file_versions("memory://a")] == [2, 1, 1]
+    before = remote.file_versions("memory://a/x.csv")
     time.sleep(0.01)
     memory.pipe("/a/x.csv", b"2")
-    assert remote.seen("memory://a/x.csv") != before
+    assert remote.file_versions("memory://a/x.csv") != before
     place = remote.fetched("memory://a", tmp_path)
     assert (place / "b" / "y.csv").read_bytes() == b"22"
     remote.stored(place, "memory://c", last=("x.csv",))

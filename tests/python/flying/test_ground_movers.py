@@ -11,7 +11,7 @@ from lidar_core import PointClass, VoxelMap, sim
 from lidar_core.errors import ConfigError
 from lidar_core.evaluation import score_static_map
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-from lidar_core.runs.scans.flying import _placed
+from lidar_core.runs.scans.flying import _points_in_world
 from lidar_core.sim import Body, Cylinder, Target, Waypoints
 from reference import static_map as reference
 
@@ -109,7 +109,9 @@ def test_a_copy_goes_on_to_the_same_points():
 
 def labelled(made, rows):
     """All points in the world, and whether each is of the target."""
-    clouds = [_placed(one.scan, one.poses.reshape(-1, 4, 4), one.pose_stamps_ns) for one in made]
+    clouds = [
+        _points_in_world(one.scan, one.poses.reshape(-1, 4, 4), one.pose_stamps_ns) for one in made
+    ]
     points, moved = np.concatenate(clouds), np.concatenate(rows)
     is_point = np.isfinite(points).all(axis=1)
     return points[is_point], moved[is_point]

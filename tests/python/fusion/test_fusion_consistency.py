@@ -16,7 +16,7 @@ from lidar_core.reproduce.fusion.consistency import (
     ensemble,
     values,
 )
-from lidar_core.reproduce.fusion.ensembles import SECONDS, STEPS, SWITCHING, drawn
+from lidar_core.reproduce.fusion.ensembles import SECONDS, STEPS, SWITCHING, draw_ensemble
 
 RUNS = 500
 GOAL = 0.85
@@ -51,7 +51,7 @@ def test_a_mixture_is_nearly_consistent_where_targets_start_and_end_turns():
 
 @pytest.mark.parametrize("model", [*METHODS, SWITCHING])
 def test_targets_move_by_their_speeds(model):
-    states = drawn(model, 20, np.random.default_rng(3)).states
+    states = draw_ensemble(model, 20, np.random.default_rng(3)).states
     if model == "ctrv-drone":
         return  # in the frame of a sensor that turns
     x, y, vx, vy = np.moveaxis(states[..., :4], -1, 0)

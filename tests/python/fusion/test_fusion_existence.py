@@ -11,7 +11,7 @@ from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion import FusionConfig, Measurement, MultiTargetConfig, MultiTargetTracker
 from lidar_core.reproduce.tracking.arena import Arena
 from lidar_core.reproduce.tracking.clutter import scored
-from lidar_core.reproduce.tracking.existence import ARENAS, Hypotheses, hypotheses, told
+from lidar_core.reproduce.tracking.existence import ARENAS, Hypotheses, config_with, hypotheses
 from lidar_core.reproduce.tracking.takeover import is_kept, outcomes
 from reference.fusion_company import is_reported
 from reference.fusion_existence import IntegratedTargets, joint_events
@@ -162,7 +162,7 @@ def crowds():
     return {
         name: Hypotheses.joined(
             [
-                hypotheses(arena, told(factor), np.random.default_rng([8900, number, run]))
+                hypotheses(arena, config_with(factor), np.random.default_rng([8900, number, run]))
                 for number, arena in enumerate(ARENAS.values())
                 for run in range(10)
             ]

@@ -218,7 +218,7 @@ def stamped(stamp_ns):
 
 def test_clocks_that_agree_are_left_alone():
     scan = stamped(BEGIN_NS)
-    assert SensorClock(Findings()).moved(scan, BEGIN_NS + 3_000_000) is scan
+    assert SensorClock(Findings()).to_local_clock(scan, BEGIN_NS + 3_000_000) is scan
 
 
 def test_another_clock_is_moved_by_the_fastest_way():
@@ -228,7 +228,7 @@ def test_another_clock_is_moved_by_the_fastest_way():
     for number, delay in enumerate(delays):
         scan = stamped(BEGIN_NS + number * 10**8)
         arrival = scan.stamp_ns + 100 + difference + delay * 10**6
-        moved = clock.moved(scan, arrival)
+        moved = clock.to_local_clock(scan, arrival)
         least = min(delays[: number + 1]) * 10**6
         assert moved.stamp_ns == scan.stamp_ns + difference + least
         assert moved.point_time_ns[1] - moved.stamp_ns == 100

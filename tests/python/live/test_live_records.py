@@ -58,7 +58,7 @@ def test_a_tape_keeps_every_message_and_decodes_it_once(tmp_path, ending):
 
     tape = Tape(path)
     kept = [
-        tape.kept(Record(CLOUDS, number, lambda number=number: decode(number)))
+        tape.keep(Record(CLOUDS, number, lambda number=number: decode(number)))
         for number in range(20)
     ]
     assert [record.decode()[0].stamp_ns for record in kept] == [n * 10**8 for n in range(20)]
@@ -83,7 +83,7 @@ tape = Tape(Path(sys.argv[1]))
 for number in range(200):
     points = np.full((1000, 3), number, dtype=np.float32) + np.random.rand(1000, 3)
     scan = Scan(number * 10**8, points.astype(np.float32), "lidar", topic="/cloud")
-    tape.kept(Record(Topic("/cloud", "", "scan"), number, lambda scan=scan: [scan]))
+    tape.keep(Record(Topic("/cloud", "", "scan"), number, lambda scan=scan: [scan]))
 while not tape._waiting.empty():
     pass
 os.kill(os.getpid(), signal.SIGKILL)
@@ -121,7 +121,7 @@ def test_a_killed_recording_keeps_all_but_its_end(tmp_path):
 
 def test_a_recording_that_ends_leaves_no_partial_file(tmp_path):
     tape = Tape(tmp_path / "a.mcap")
-    tape.kept(Record(CLOUDS, 0, lambda: [cloud(0)]))
+    tape.keep(Record(CLOUDS, 0, lambda: [cloud(0)]))
     tape.close()
     assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
 
@@ -131,7 +131,7 @@ def test_what_cannot_be_read_is_left_out_of_the_tape_and_told_to_the_loop(tmp_pa
         raise FormatError("broken")
 
     tape = Tape(tmp_path / "a.npz")
-    kept = [tape.kept(Record(CLOUDS, 0, decode)) for decode in (broken, lambda: [cloud(1)])]
+    kept = [tape.keep(Record(CLOUDS, 0, decode)) for decode in (broken, lambda: [cloud(1)])]
     for _ in range(2):
         with pytest.raises(FormatError, match="broken"):
             kept[0].decode()
@@ -149,7 +149,7 @@ def test_a_slow_disk_loses_records_and_does_not_wait(tmp_path, monkeypatch):
     monkeypatch.setattr(tape_module, "write_recording", slow)
     tape = Tape(tmp_path / "a.npz")
     for number in range(tape_module.MOST_WAITING + 30):
-        tape.kept(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
+        tape.keep(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
     assert tape.lost == 30
     gate.set()
     tape.close()
@@ -164,7 +164,7 @@ def test_a_tape_that_cannot_be_written_ends_with_the_reason(tmp_path, monkeypatc
     monkeypatch.setattr(tape_module, "write_recording", full)
     tape = Tape(tmp_path / "a.npz")
     for number in range(5):
-        tape.kept(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
+        tape.keep(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
     with pytest.raises(OSError, match="No space left"):
         tape.close()
 

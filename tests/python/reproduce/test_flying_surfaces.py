@@ -52,7 +52,7 @@ def test_flights_take_turns_in_sensor_motion_and_target():
 
 @pytest.mark.parametrize(("distance", "free"), [(3.0, 0), (7.0, 1), (30.0, 3)])
 def test_the_true_sky_and_lost_returns_are_counted(distance, free):
-    sky, *known, lost, cleared = Truth(world(), 0).known(0, FreeUpTo(distance))
+    sky, *known, lost, cleared = Truth(world(), 0).count_rays(0, FreeUpTo(distance))
     clear = sim.Simulator(world().idealised(), seed=0).scan(0)
     assert sky == clear.scan.no_return.sum()
     assert 0.2 < sky / PATTERN.columns / 4 < 0.6

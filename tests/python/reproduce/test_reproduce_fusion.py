@@ -24,8 +24,8 @@ from lidar_core.reproduce.fusion.laser_radar import (
     SAMPLE_1,
     Contender,
     Course,
+    add_noise,
     course,
-    drawn,
     draws_of,
     estimates,
     in_turn,
@@ -49,7 +49,7 @@ def circle(rows=400):
 
 def test_noise_has_its_power_in_the_plane_and_leaves_range_rates():
     of = circle(4000)
-    values = drawn(of, 0.2, np.random.default_rng(41))
+    values = add_noise(of, 0.2, np.random.default_rng(41))
     added = places(values, of.is_lidar) - places(of.values, of.is_lidar)
     np.testing.assert_allclose(added.std(axis=0), 0.2, rtol=0.05)
     np.testing.assert_array_equal(values[~of.is_lidar, 2], of.values[~of.is_lidar, 2])
@@ -65,7 +65,7 @@ def test_draws_hang_on_their_seed_number_and_level_alone():
 
 def test_a_position_and_a_range_rate_are_what_the_radar_said():
     of, std = circle(), 0.2
-    values = drawn(of, std, np.random.default_rng(42))
+    values = add_noise(of, std, np.random.default_rng(42))
     config = FusionConfig(acceleration_noise=0.3, turn_noise=0.3)
     found = [
         estimates(run(measurements(of, values, form, OURS, std), config), of, form)
@@ -164,7 +164,7 @@ def test_a_recording_that_is_not_there_is_named_with_the_cure(monkeypatch, tmp_p
 def test_what_a_moving_sensor_sees_moves_as_its_rates_say(rate, speed):
     of = circle()
     ride = Ride.of(of.truth.stamps_ns * 1e-9, rate, speed)
-    seen = ride.seen(of.truth)
+    seen = ride.relative(of.truth)
     read = ride.gyro(of.truth.stamps_ns * 1e-9)
     np.testing.assert_allclose(np.diff(ride.yaw) / 0.05, (read[1:] + read[:-1]) / 2, atol=1e-3)
     late = ride.gyro(of.truth.stamps_ns * 1e-9, 0.1, 0.05)

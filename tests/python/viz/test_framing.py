@@ -13,7 +13,7 @@ from repository import ROOT
 from lidar_core.viz import Playback, circles_picture, flying_picture, fusion_picture
 from lidar_core.viz import playback_picture as playback
 from lidar_core.viz.drawing.frame import window_around, window_over
-from lidar_core.viz.drawing.labels import NUMBER, placed
+from lidar_core.viz.drawing.labels import NUMBER, place_boxes
 from lidar_core.viz.drawing.marks import RING, WAY, round_length
 from lidar_core.viz.figure import write_figure
 
@@ -147,7 +147,7 @@ def test_the_map_fills_its_panel(drawn, case):
 def test_twenty_numbers_at_one_place_are_all_readable():
     panel = np.array([[0.0, 0.0], [700.0, 700.0]])
     sizes = [np.array([20.0, 16.0])] * 20
-    centres = placed([np.array([350.0, 350.0])] * 20, sizes, np.empty((0, 2)), panel)
+    centres = place_boxes([np.array([350.0, 350.0])] * 20, sizes, np.empty((0, 2)), panel)
     apart = np.abs(np.array(centres)[:, None] - np.array(centres)[None]) - [20, 16]
     free = (apart > 0).any(axis=2) | np.eye(20, dtype=bool)
     assert free.all()
@@ -157,9 +157,9 @@ def test_twenty_numbers_at_one_place_are_all_readable():
 def test_numbers_avoid_ways_and_the_border():
     way = np.column_stack([np.linspace(0, 200, 100), np.linspace(0, 200, 100)])
     panel = np.array([[0.0, 0.0], [200.0, 200.0]])
-    (centre,) = placed([np.array([100.0, 100.0])], [np.array([16.0, 16.0])], way, panel)
+    (centre,) = place_boxes([np.array([100.0, 100.0])], [np.array([16.0, 16.0])], way, panel)
     assert not (np.abs(way - centre) <= 8).all(axis=1).any()
-    (corner,) = placed([np.array([199.0, 199.0])], [np.array([16.0, 16.0])], way[:1], panel)
+    (corner,) = place_boxes([np.array([199.0, 199.0])], [np.array([16.0, 16.0])], way[:1], panel)
     assert (corner + 8 <= 200).all()
 
 

@@ -103,8 +103,8 @@ class CircleNetwork:
             return
         name = self.path.stem if self.path.parent == MODELS else self.path.name
         raise ConfigError(
-            f"{place}: the network {name} was trained for {_told(self._scanner)}, got"
-            f" {_told(scanner)}; use a fit, which works with any scanner, such as"
+            f"{place}: the network {name} was trained for {_scanner_text(self._scanner)}, got"
+            f" {_scanner_text(scanner)}; use a fit, which works with any scanner, such as"
             " set detector=taubin, or train the network for this scanner"
             " (lidar-core train circles)"
         )
@@ -117,8 +117,8 @@ class CircleNetwork:
             told = np.unique(np.degrees(steps).round(3))
             got = f"{told[0]:g}" if len(told) == 1 else f"{told[0]:g} to {told[-1]:g}"
             raise InputError(
-                f"bearings: {self.path.name} was trained for {_told(self._scanner)}, a step of"
-                f" {np.degrees(step):g} deg; got steps of {got} deg; use a fit, such as"
+                f"bearings: {self.path.name} was trained for {_scanner_text(self._scanner)}, a"
+                f" step of {np.degrees(step):g} deg; got steps of {got} deg; use a fit, such as"
                 ' detector "ml", or a network trained for this scanner'
             )
 
@@ -242,7 +242,7 @@ def _is_like(scanner: Scanner, known: Scanner) -> bool:
     )
 
 
-def _told(scanner: Scanner) -> str:
+def _scanner_text(scanner: Scanner) -> str:
     """Rays and range limits of a scanner, for somebody who has to compare two."""
     first, last = np.degrees(scanner.bearings()[[0, -1]])
     return (

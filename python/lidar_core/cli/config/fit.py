@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import Mode, OverwriteFile, given, result_table
+from lidar_core.cli.shared.common import Mode, OverwriteFile, given_options, result_table
 from lidar_core.cli.shared.measurement_options import (
     AngleUnit,
     Azimuths,
@@ -91,7 +91,7 @@ def command(
         angle_unit=angle_unit,
         azimuth=azimuths_of(azimuth),
         clock=clocks_of(clock),
-        span=Span.load(given({"start": start, "end": end})),
+        span=Span.load(given_options({"start": start, "end": end})),
         force=force,
     )
     text = commented_toml(fitted)

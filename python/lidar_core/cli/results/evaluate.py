@@ -10,7 +10,7 @@ from lidar_core.cli.shared.common import (
     JsonFile,
     as_options,
     consoles,
-    given,
+    given_options,
     result_table,
     write_json,
 )
@@ -77,7 +77,7 @@ def command(
     }
     prediction = read_prediction(predicted)
     of_run = {"burn_in_scans": prediction.burn_in_scans}
-    chosen = with_assignments(given(of_run), values) | given(options)
+    chosen = with_assignments(given_options(of_run), values) | given_options(options)
     config = EvaluationConfig.load(chosen)
     truth = read_truth(true, config=config, is_planar=prediction.is_planar)
     report = evaluate(

@@ -98,13 +98,19 @@ def _serve(played: "Playback", port: int, allow_origin: list[str]) -> None:
     if played.recording is None:
         raise FormatError(f"{played.folder}: no run.mcap; the extra viz makes runs write it")
 
-    def told(port: int) -> None:
+    def print_address(port: int) -> None:
         print(f"ws://127.0.0.1:{port}: open it in Foxglove; Ctrl-C ends", flush=True)
 
-    def refused(reason: str) -> None:
+    def print_refusal(reason: str) -> None:
         print(f"refused: {reason}", file=sys.stderr, flush=True)
 
-    serve_foxglove(played.recording, port=port, allowed=allowed, on_ready=told, on_refused=refused)
+    serve_foxglove(
+        played.recording,
+        port=port,
+        allowed=allowed,
+        on_ready=print_address,
+        on_refused=print_refusal,
+    )
 
 
 def _show_page(played: "Playback", port: int) -> None:

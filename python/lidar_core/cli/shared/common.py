@@ -335,7 +335,7 @@ def _bar(share: float) -> str:
     return mark * round(share * 20)
 
 
-def given(options: Mapping[str, Any]) -> dict[str, Any]:
+def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Those options that somebody gave."""
     return {name: value for name, value in options.items() if value not in (None, [])}
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 import typer
 
 from lidar_core.cli.shared import completion
-from lidar_core.cli.shared.common import READ, WRITTEN, JsonFile, Mode, given
+from lidar_core.cli.shared.common import READ, WRITTEN, JsonFile, Mode, given_options
 
 if TYPE_CHECKING:
     from lidar_core.io import PoseOptions
@@ -101,7 +101,7 @@ class PipelineOptions:
         from lidar_core.io import PoseOptions
 
         names = [name for name in PoseOptions.model_fields if hasattr(self, name)]
-        return PoseOptions.load(given({name: getattr(self, name) for name in names}))
+        return PoseOptions.load(given_options({name: getattr(self, name) for name in names}))
 
     def choice(self) -> "ConfigChoice":
         """Which configuration the pipeline gets."""
@@ -136,10 +136,10 @@ class DecodingOptions:
     scan_rate: ScanRate = None
     recover: Recover = False
 
-    def given(self) -> dict[str, Any]:
+    def to_values(self) -> dict[str, Any]:
         """Values that were given, as `ReadOptions` takes them."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
-        return given(values | {"recover": self.recover or None})
+        return given_options(values | {"recover": self.recover or None})
 
 
 def with_options(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import ConfigError, FormatError, InputError, PoseFrameWarning, meant
+from lidar_core.errors import ConfigError, FormatError, InputError, PoseFrameWarning, did_you_mean
 from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.options import NS, PoseOptions
 from lidar_core.io.poses.nameless import carrier_of
@@ -225,7 +225,7 @@ class PosedScans(Generic[ScanT]):
         if chosen is not None and chosen not in {topic.name for topic, _ in gathered}:
             raise ConfigError(
                 f"odom: no topic {chosen!r} with poses; found {listed(topics)}"
-                f"{meant(chosen, topics)}"
+                f"{did_you_mean(chosen, topics)}"
             )
         transforms = [item for item in gathered if item[0].type not in POSE_TYPES]
         if chosen is None:

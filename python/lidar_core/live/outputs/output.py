@@ -217,14 +217,14 @@ class RerunPageOutput(Output):
         self._blocks = self._log.stream.binary_stream()
         self._log.begin()
         self._log.follow()
-        self._feed = LiveFeed(self._taken(), max_bytes=PAGE_MEMORY_BYTES)
+        self._feed = LiveFeed(self._take_messages(), max_bytes=PAGE_MEMORY_BYTES)
         self._page = RerunPage(self._feed.blocks, port=port, option="rerun:web:")
         super().__init__(self._page.address)
 
     def publish(self, update: Update) -> None:
         """Show the scan and the objects."""
         self._log.log(update.moment())
-        self._feed.add(self._taken())
+        self._feed.add(self._take_messages())
 
     def close(self) -> None:
         """End the page's stream and its server."""
@@ -232,7 +232,7 @@ class RerunPageOutput(Output):
         self._page.close()
         self._log.close()
 
-    def _taken(self) -> bytes:
+    def _take_messages(self) -> bytes:
         """What was logged since the last call, as whole messages."""
         return bytes(self._blocks.read(flush=True) or b"")
 

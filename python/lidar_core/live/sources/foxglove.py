@@ -202,7 +202,7 @@ class FoxgloveSource(Source):
             for number in _items(message.get("channelIds")):
                 self._forget(number)
         elif kind == "status":
-            self._told(str(message.get("message", "")))
+            self._ask_again(str(message.get("message", "")))
 
     def _subscribe(self, numbers: Collection[int], link: Any) -> None:
         if numbers:
@@ -216,7 +216,7 @@ class FoxgloveSource(Source):
             self._told_of.pop(int(number), None)
             self._refused.discard(int(number))
 
-    def _told(self, reason: str) -> None:
+    def _ask_again(self, reason: str) -> None:
         """Ask again soon for a channel that the server does not know yet.
 
         foxglove-sdk tells of a new channel before it takes subscriptions to it: a quick client is

@@ -70,7 +70,7 @@ class Inbox:
     def put(self, record: Record) -> None:
         """Take in one record; returns at once."""
         time_ns = time.time_ns()
-        arrival = Arrival(record if self._tape is None else self._tape.kept(record), time_ns)
+        arrival = Arrival(record if self._tape is None else self._tape.keep(record), time_ns)
         topic = record.topic.name
         with self._changed:
             if record.topic.kind in SCAN_KINDS:

@@ -24,7 +24,7 @@ class SensorClock:
         self._findings = findings
         self._differences: deque[int] = deque(maxlen=KEPT)
 
-    def moved(self, scan: Scan, arrival_ns: int) -> Scan:
+    def to_local_clock(self, scan: Scan, arrival_ns: int) -> Scan:
         """The scan by the clock of this machine."""
         times = scan.point_time_ns
         newest = scan.stamp_ns if times is None or not times.size else int(times.max())

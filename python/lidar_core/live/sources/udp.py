@@ -119,5 +119,5 @@ class UdpSource(Source):
         if scan is None:
             return
         if self._clock is not None:
-            scan = self._clock.moved(scan, arrival_ns)
+            scan = self._clock.to_local_clock(scan, arrival_ns)
         inbox.put(Record(self._stream.topic, scan.stamp_ns, decoded(scan)))

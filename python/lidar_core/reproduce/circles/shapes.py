@@ -58,7 +58,7 @@ def shapes(*, seed: int, number: int, count: int) -> Part:
 
 def _taken_for(kind: int, rng: np.random.Generator, seed: int) -> int | None:
     """Draw a shape and say what it is taken for; None if the scan shows too little of it."""
-    body = _drawn(kind, rng)
+    body = _draw_shape(kind, rng)
     heading = rng.uniform(0, np.pi)
     distance, bearing = rng.uniform(1, 8), rng.uniform(-2.2, 2.2)
     place = (distance * np.cos(bearing), distance * np.sin(bearing), 0.0)
@@ -83,7 +83,7 @@ def _taken_for(kind: int, rng: np.random.Generator, seed: int) -> int | None:
     return int(found.kind[0]) if len(found) == 1 else -1
 
 
-def _drawn(kind: int, rng: np.random.Generator) -> Shape:
+def _draw_shape(kind: int, rng: np.random.Generator) -> Shape:
     if NAMES[kind] == "circle":
         return Cylinder(radius=rng.uniform(0.05, 0.6))
     if NAMES[kind] == "ellipse":

@@ -97,7 +97,7 @@ def flight(*, seed: int, number: int, scans: int, condition: str) -> Part:
         hits.append(np.where(is_before_sky, made.truth.hits, 0))
         seconds.append(made.scan.stamp_ns * 1e-9)
         if step in probes:
-            known.append(truth.known(step, detector))
+            known.append(truth.count_rays(step, detector))
     return kept.columns() | {
         "place": np.reshape(places, (scans, -1, 3)),
         "hits": np.reshape(hits, (scans, -1)).astype(np.int64),
@@ -169,7 +169,7 @@ class Truth:
             found.append(around.any() and is_sky[around].mean() >= BEFORE_SKY)
         return np.array(found, np.bool_)
 
-    def known(self, step: int, detector: FlyingObjectDetector) -> list[int]:
+    def count_rays(self, step: int, detector: FlyingObjectDetector) -> list[int]:
         """Count rays.
 
         Returns

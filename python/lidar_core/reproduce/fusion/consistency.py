@@ -16,7 +16,7 @@ from lidar_core.reproduce.fusion.ensembles import (
     SWITCHING,
     TRUE,
     Ensemble,
-    drawn,
+    draw_ensemble,
 )
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 
@@ -60,7 +60,7 @@ MIXTURE = config("ctrv", "imm").model_copy(
 def ensemble(model: str, runs: int, seed: int) -> Ensemble:
     """Targets of `model`, the same for all its filters."""
     number = [*METHODS, SWITCHING].index(model)
-    return drawn(model, runs, np.random.default_rng([20231121, seed, number]))
+    return draw_ensemble(model, runs, np.random.default_rng([20231121, seed, number]))
 
 
 def values(some: Ensemble, filters: FusionConfig, *, threads: int) -> Array:

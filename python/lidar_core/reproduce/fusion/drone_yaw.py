@@ -83,7 +83,7 @@ class Ride:
         """What a gyro reads at these times [s]: the turn rate then, or a while before [rad/s]."""
         return self.greatest * np.cos(np.pi / SWING * (seconds - delay)) + bias
 
-    def seen(self, truth: TargetTruth) -> TargetTruth:
+    def relative(self, truth: TargetTruth) -> TargetTruth:
         """Position in the sensor's frame, and velocity relative to it in the same axes."""
         ahead = np.stack([np.cos(self.yaw), np.sin(self.yaw)], axis=1)
         own = self.speed[:, None] * ahead
@@ -191,17 +191,17 @@ def _targets(
     truth = course(OBJ_POSE).truth
     seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     ride = Ride.of(seconds, *motion)
-    seen = ride.seen(truth)
+    seen = ride.relative(truth)
     targets = []
     for number in range(request.scans):
         rng = np.random.default_rng([20230702, request.seed, number, round(10 * sum(motion))])
         values = measured(seen, FIXED, rng)
         rates = ride.gyro(seconds, *faults) + GYRO_STD * rng.normal(size=len(seconds))
-        targets.append(_told(values, seen, ride.speed, rates))
+        targets.append(_measurements(values, seen, ride.speed, rates))
     return seen, targets
 
 
-def _told(
+def _measurements(
     values: NDArray[np.float64],
     seen: TargetTruth,
     speed: NDArray[np.float64],

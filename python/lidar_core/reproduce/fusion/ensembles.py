@@ -65,13 +65,13 @@ class Ensemble:
     rows: slice
 
 
-def drawn(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
+def draw_ensemble(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
     """Draw targets that move as `model` of `FusionConfig` says, or that start and end turns."""
-    states = _moved(model, _started(model, runs, rng), rng)
+    states = _simulate_states(model, _started(model, runs, rng), rng)
     stamps, names = np.arange(STEPS) * STEP_NS, np.where(_is_lidar(), "lidar", "radar")
     if model != "ctrv-drone":
         targets = [
-            Measurements.from_arrays(stamps, names, one) for one in _seen(model, states, rng)
+            Measurements.from_arrays(stamps, names, one) for one in _measure(model, states, rng)
         ]
         return Ensemble(states, targets, slice(None))
     seconds = np.arange(STEPS).astype(np.float64) * SECONDS
@@ -82,7 +82,7 @@ def drawn(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
     states[..., 3] -= ride.yaw
     values = np.zeros((runs, 2 * STEPS, 3))
     values[:, ::2, 0] = ride.gyro(seconds) + GYRO_STD * rng.normal(size=(runs, STEPS))
-    values[:, 1::2] = _seen(model, states, rng)
+    values[:, 1::2] = _measure(model, states, rng)
     both = np.stack([np.full(STEPS, "gyro"), names], axis=1).reshape(-1)
     targets = [Measurements.from_arrays(stamps.repeat(2), both, one) for one in values]
     return Ensemble(states, targets, slice(1, None, 2))
@@ -106,7 +106,7 @@ def _started(model: str, runs: int, rng: np.random.Generator) -> Array:
     )
 
 
-def _moved(model: str, state: Array, rng: np.random.Generator) -> Array:
+def _simulate_states(model: str, state: Array, rng: np.random.Generator) -> Array:
     """Every step of the ways from `state` (R, n)."""
     config = FusionConfig.load(TRUE)
     pushes, jerks = config.acceleration_noise, config.jerk_noise
@@ -166,7 +166,7 @@ def _polar(state: Array, half: float) -> Array:
     return after
 
 
-def _seen(model: str, states: Array, rng: np.random.Generator) -> Array:
+def _measure(model: str, states: Array, rng: np.random.Generator) -> Array:
     """Values of a measurement per step (R, STEPS, 3)."""
     x, y = states[..., 0], states[..., 1]
     vx, vy = states[..., 2], states[..., 3]

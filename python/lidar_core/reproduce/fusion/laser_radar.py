@@ -87,7 +87,7 @@ def places(values: NDArray[np.float64], is_lidar: NDArray[np.bool_]) -> NDArray[
     return np.where(is_lidar[:, None], values[:, :2], polar)
 
 
-def drawn(of: Course, std: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def add_noise(of: Course, std: float, rng: np.random.Generator) -> NDArray[np.float64]:
     """Values with white noise on x and y of every row; range rates stay what they are."""
     noisy = places(of.values, of.is_lidar) + std * rng.normal(size=(len(of.values), 2))
     values, radar = of.values.copy(), ~of.is_lidar
@@ -220,7 +220,7 @@ def draws_of(
     """Values with white noise of a power in dBW, `count` times; `first` numbers the first."""
     whole = round(1000 * (level + 100))
     return [
-        drawn(of, power_std(level), np.random.default_rng([20230630, seed, number, whole]))
+        add_noise(of, power_std(level), np.random.default_rng([20230630, seed, number, whole]))
         for number in range(first, first + count)
     ]
 

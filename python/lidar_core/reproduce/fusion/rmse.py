@@ -63,7 +63,7 @@ def _measure(request: Request) -> Measured:
     found = {mode: scored(some) for mode, some in modes.items()}
     request.advance(request.scans)
     return Measured(
-        (found, [*_lost(of, request), *_clean(of), *_anew(request)]),
+        (found, [*_lost_rows(of, request), *_clean(of), *_anew(request)]),
         drawn=(found,),
         scans=request.scans,
         note=f"White noise of {PAPER_LEVEL:g} dBW on x and y of sample-1, which is where the"
@@ -118,7 +118,7 @@ def _contenders() -> dict[str, dict[str, Contender]]:
     }
 
 
-def _lost(of: Course, request: Request) -> list[Row]:
+def _lost_rows(of: Course, request: Request) -> list[Row]:
     """Share of runs of best mode that are lost, over all levels."""
     each = max(1, round(request.scans / len(LEVELS)))
     lost = 0

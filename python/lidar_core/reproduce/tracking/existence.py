@@ -94,7 +94,7 @@ def hypotheses(arena: Arena, config: MultiTargetConfig, rng: np.random.Generator
     return Hypotheses(np.concatenate(existence), np.concatenate(is_true), len(numbers))
 
 
-def told(factor: float) -> MultiTargetConfig:
+def config_with(factor: float) -> MultiTargetConfig:
     """Default configuration with another probability of detection and clutter."""
     default = MultiTargetConfig()
     return MultiTargetConfig(
@@ -110,7 +110,7 @@ def _measure(request: Request) -> Measured:
             runs = [
                 hypotheses(
                     arena,
-                    told(factor),
+                    config_with(factor),
                     np.random.default_rng([20260605, request.seed, number, run]),
                 )
                 for run in range(request.scans)

@@ -57,7 +57,9 @@ def groups(count: int, seed: int) -> dict[str, Group]:
     """Targets that move as the filter's model says, and those on a recorded way."""
     found = {}
     for number, model in enumerate(("cv", "ctrv")):
-        some = ensembles.drawn(model, count, np.random.default_rng([20260601, seed, number]))
+        some = ensembles.draw_ensemble(
+            model, count, np.random.default_rng([20260601, seed, number])
+        )
         motion = {
             name: value
             for name, value in ensembles.TRUE.items()

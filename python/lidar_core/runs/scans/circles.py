@@ -210,7 +210,7 @@ class CirclesRun:
             **more,
         )
 
-    def kept(self) -> dict[str, Any]:
+    def checkpoint_state(self) -> dict[str, Any]:
         """All state but the rows, for a checkpoint."""
         last, near = self._last_points, self._too_near
         return {"pipeline": self.pipeline.to_bytes(), "last_points": last, "too_near": near}

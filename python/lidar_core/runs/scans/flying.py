@@ -99,7 +99,7 @@ class FlyingRun:
     def keep(self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float) -> None:
         """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
         poses = item.world_from_lidar.reshape(-1, 4, 4)
-        self._cloud = _placed(item.scan, poses, item.pose_stamps_ns)
+        self._cloud = _points_in_world(item.scan, poses, item.pose_stamps_ns)
         self._last = frame
         status = frame.status
         self.gate_reason, self.gate_is_open = status.reason, status.gate_open
@@ -132,7 +132,7 @@ class FlyingRun:
         self._shares.append((frame.status.sky_share, frame.status.own_body))
         self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, place)
 
-    def kept(self) -> dict[str, Any]:
+    def checkpoint_state(self) -> dict[str, Any]:
         """All state but the rows, for a checkpoint."""
         return {"detector": self.detector.to_bytes()} | {
             name: getattr(self, name) for name in self._KEPT
@@ -298,7 +298,7 @@ class FlyingRun:
         )
 
 
-def _placed(
+def _points_in_world(
     scan: Scan, poses: NDArray[np.float64], pose_stamps_ns: NDArray[np.int64] | None
 ) -> NDArray[np.float64]:
     """Points in the world, each by the last pose before it: near enough for a picture."""

@@ -151,13 +151,15 @@ class FuseJob:
             for name, value in self.ways.items()
         }
         chosen = config_of_run(with_ways(choice, ways), MultiTargetConfig, "fusion_many", base=base)
-        kept = [found.scans[row] for row in self._kept([one.stamp_ns for one in found.scans])]
+        kept = [
+            found.scans[row] for row in self._rows_in_span([one.stamp_ns for one in found.scans])
+        ]
         return kept, chosen
 
     def _within(self, log: MeasurementLog) -> MeasurementLog:
-        return log.rows(self._kept([m.stamp_ns for m in log.measurements]))
+        return log.rows(self._rows_in_span([m.stamp_ns for m in log.measurements]))
 
-    def _kept(self, stamps: Sequence[int]) -> list[int]:
+    def _rows_in_span(self, stamps: Sequence[int]) -> list[int]:
         """Rows within the span, of those with these times.
 
         Raises

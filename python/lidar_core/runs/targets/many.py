@@ -105,7 +105,7 @@ class ManyRun:
             checkpoints.take(made, number)
         return made
 
-    def kept(self) -> dict[str, Any]:
+    def checkpoint_state(self) -> dict[str, Any]:
         """All state but the rows, for a checkpoint."""
         (tracker,) = self.tracker
         return {"tracker": tracker.to_bytes()}

@@ -61,7 +61,7 @@ def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.fl
     lines = to_pixel(np.concatenate([np.empty((0, 2)), *rows]))
     sizes = [_size(one.text, axes.figure.dpi) for one in inside]
     anchors = [to_pixel(one.place) for one in inside]
-    centres = placed(anchors, sizes, lines, panel)
+    centres = place_boxes(anchors, sizes, lines, panel)
     per_pixel = 72 / axes.figure.dpi
     for one, anchor, centre in zip(inside, anchors, centres, strict=True):
         offset = (centre - anchor) * per_pixel
@@ -83,7 +83,7 @@ def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.fl
         )
 
 
-def placed(
+def place_boxes(
     anchors: Sequence[NDArray[np.float64]],
     sizes: Sequence[NDArray[np.float64]],
     lines: NDArray[np.float64],

@@ -139,11 +139,11 @@ class RealScan:
         along = self.directions @ (centre / distance).astype(np.float32)
         return np.flatnonzero(along >= cosine)
 
-    def seen(self, world: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_sensor(self, world: NDArray[np.float64]) -> NDArray[np.float64]:
         """Place in the sensor's frame."""
         return np.asarray(self.pose[:3, :3].T @ (world - self.pose[:3, 3]))
 
-    def met(self, body: SolidTarget, centre: NDArray[np.float64]) -> tuple[int, bool]:
+    def count_hits(self, body: SolidTarget, centre: NDArray[np.float64]) -> tuple[int, bool]:
         """Count the rays that hit a target, and report whether something hides it."""
         near = self.around(centre, body.radius)
         if (self.lengths[near] < np.linalg.norm(centre)).any():
@@ -189,7 +189,7 @@ def with_targets(
         bodies = []
         for column, (name, flight) in zip(columns, flights.items(), strict=True):
             places[number, column] = flight.at(scan.pose[:3, 3], scan.seconds)
-            bodies.append((solids[name], scan.seen(places[number, column])))
+            bodies.append((solids[name], scan.to_sensor(places[number, column])))
         changed, hits[number, columns] = inserted(scan, bodies, sequence.range_max, rng)
         made.append(replace(scan.item, scan=changed))
     return made, places, hits
@@ -302,14 +302,14 @@ def _is_free(
     flight: Flight, body: SolidTarget, scans: Sequence[RealScan], sequence: RealSequence
 ) -> bool:
     """Return whether rays hit the target in the scans and it is away from all returns."""
-    centres = [scan.seen(flight.at(scan.pose[:3, 3], scan.seconds)) for scan in scans]
+    centres = [scan.to_sensor(flight.at(scan.pose[:3, 3], scan.seconds)) for scan in scans]
     if not all(_is_in_view(centre, sequence) for centre in centres):
         return False
     if not all(_is_clear(scan, centre) for scan, centre in zip(scans, centres, strict=True)):
         return False
     needed, seen = SEEN_SHARE * len(scans), 0
     for number, (scan, centre) in enumerate(zip(scans, centres, strict=True)):
-        count, is_hidden = scan.met(body, centre)
+        count, is_hidden = scan.count_hits(body, centre)
         seen += count >= FEWEST
         if is_hidden or seen + len(scans) - number - 1 < needed:
             return False

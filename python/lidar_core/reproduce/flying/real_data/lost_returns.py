@@ -76,7 +76,7 @@ def _with_losses(scan: RealScan, patches: Sequence[Patch]) -> Scan:
     points = source.points.reshape(-1, 3)
     lost = np.zeros(len(points), np.bool_)
     for patch in patches:
-        centre = scan.seen(patch.place).astype(np.float32)
+        centre = scan.to_sensor(patch.place).astype(np.float32)
         rows = np.flatnonzero(np.linalg.norm(points - centre, axis=1) < patch.radius)
         slant = np.abs(scan.directions[rows] @ (scan.pose[:3, :3].T @ patch.normal))
         is_lost = slant < GRAZING

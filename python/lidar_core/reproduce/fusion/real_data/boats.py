@@ -100,7 +100,7 @@ def boat_rows(scenario: int, count: int, config: MultiTargetConfig) -> list[Row]
         ("existence, calibration error", "1"): existence_error(scans, held),
     }
     return [
-        Row(f"autoferry {scenario}/{what}", unit, best_mode=_known(value))
+        Row(f"autoferry {scenario}/{what}", unit, best_mode=_number_or_none(value))
         for (what, unit), value in values.items()
     ]
 
@@ -236,5 +236,5 @@ def _moves(
     return float(np.linalg.norm(late.mean(axis=0) - early.mean(axis=0))) > REACH
 
 
-def _known(value: float | None) -> float | None:
+def _number_or_none(value: float | None) -> float | None:
     return None if value is None or np.isnan(value) else float(value)

@@ -68,7 +68,7 @@ def ground(scan: DetectionScan) -> NDArray[np.float64]:
 
     Most objects stand: a fit to their range rates whose weights fall with the distance from it.
     """
-    sights, rates = _seen(scan)
+    sights, rates = _directions_and_rates(scan)
     velocity = np.array([np.median(rates) if len(rates) else 0.0, 0.0])
     for _ in range(ROUNDS if len(rates) > 2 else 0):
         weights = 1 / (1 + np.square((rates - sights @ velocity) / STANDS))
@@ -79,11 +79,11 @@ def ground(scan: DetectionScan) -> NDArray[np.float64]:
 
 def standing(scan: DetectionScan) -> NDArray[np.bool_]:
     """Measurements of a scan that are of something that stands."""
-    sights, rates = _seen(scan)
+    sights, rates = _directions_and_rates(scan)
     return np.asarray(np.abs(rates - sights @ ground(scan)) < STANDS)
 
 
-def _seen(scan: DetectionScan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _directions_and_rates(scan: DetectionScan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Directions (K, 2) and range rates (K,) of a scan."""
     values = np.array([m.values for m in scan.measurements]).reshape(-1, 3)
     return np.stack([np.cos(values[:, 1]), np.sin(values[:, 1])], axis=1), values[:, 2]

@@ -74,6 +74,13 @@ pub(crate) struct Classification {
     pub(crate) is_expected: bool,
 }
 
+impl Classification {
+    /// One that says nothing but the class.
+    pub(super) fn of(class: PointClass) -> Self {
+        Self { class, ..Self::default() }
+    }
+}
+
 /// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`:
 /// background, flying or unknown. The map stays as it is.
 ///
@@ -247,7 +254,7 @@ impl ClusterRules<'_> {
         group_extent: f64,
         radius: i32,
     ) -> Classification {
-        let unknown = || Classification { class: PointClass::Unknown, ..Classification::default() };
+        let unknown = || Classification::of(PointClass::Unknown);
         if cluster.members.len() < self.parameters.min_points
             || self.is_gated(cluster, group_extent)
         {

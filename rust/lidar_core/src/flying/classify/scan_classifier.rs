@@ -163,14 +163,16 @@ impl ScanClassifier {
             {
                 continue;
             }
-            let found = if class == PointClass::Unknown && may_fly(map, scan, &cluster) {
-                let is_apart = || !self.is_beside_background(points, &cluster, beside);
-                rules.in_free_shell(&cluster).filter(|_| is_apart())
+            if class != PointClass::Unknown {
+                self.classifications[index] = Classification::of(PointClass::Unknown);
+            } else if may_fly(map, scan, &cluster)
+                && let Some(found) = rules.in_free_shell(&cluster)
+                && !self.is_beside_background(points, &cluster, beside)
+            {
+                self.classifications[index] = found;
             } else {
-                None
-            };
-            let unknown = Classification { class: PointClass::Unknown, ..Default::default() };
-            self.classifications[index] = found.unwrap_or(unknown);
+                continue;
+            }
             is_changed = true;
         }
         if is_changed {
@@ -372,11 +374,9 @@ fn classify_clusters_of(
     for (classification, cluster) in classifications.iter_mut().zip(clusters.iter()) {
         let is_low = |height: f64| world_from_map.apply(cluster.low)[2] < height;
         if ground_height.is_some_and(is_low) {
-            *classification =
-                Classification { class: PointClass::Background, ..Classification::default() };
+            *classification = Classification::of(PointClass::Background);
         } else if classification.class == PointClass::Flying && !may_fly(map, scan, &cluster) {
-            *classification =
-                Classification { class: PointClass::Unknown, ..Classification::default() };
+            *classification = Classification::of(PointClass::Unknown);
         }
     }
     Ok(())

@@ -64,7 +64,7 @@ pub struct Paper {
 impl Paper {
     /// State after `dt` [s] by eqs 8 and 9, with the previous position added and the platform's
     /// term multiplied by the step.
-    fn moved(&self, s: &Vector6<f64>, dt: f64) -> Vector6<f64> {
+    fn propagate(&self, s: &Vector6<f64>, dt: f64) -> Vector6<f64> {
         let [x, y, v, theta, w, w_d] = s.data.0[0];
         let (sine, cosine) = libm::sincos(theta);
         let (sin_phi, cos_phi) = libm::sincos(self.elevation);
@@ -230,7 +230,7 @@ impl Engine for Paper {
 
     fn predict(&self, state: &mut Gaussian<6>, dt: f64, _: &Platform) {
         let Phi = self.matrix(&state.mean, dt);
-        let mean = if self.by_matrix { Phi * state.mean } else { self.moved(&state.mean, dt) };
+        let mean = if self.by_matrix { Phi * state.mean } else { self.propagate(&state.mean, dt) };
         let Q = self.noise(state.mean[3], dt);
         let covariance = Phi * state.covariance * Phi.transpose() + Q; // eq. 11
         *state = Gaussian { mean, covariance };
@@ -332,9 +332,9 @@ mod tests {
         let moving = Paper { speed: 2.0, elevation: 0.3, ..paper(false) };
         let (v_dx, v_dy) = (1.461363, 1.230889);
         let way = 0.764842 * 0.295520 * 0.05; // cos(theta) sin(phi) dt
-        assert!((moving.moved(&s, 0.05)[1] - (2.0 - v_dx * way)).abs() < 1e-6);
+        assert!((moving.propagate(&s, 0.05)[1] - (2.0 - v_dx * way)).abs() < 1e-6);
         let meant = Paper { fixed_straight_y: true, ..moving };
-        assert!((meant.moved(&s, 0.05)[1] - (2.0 - v_dy * way)).abs() < 1e-6);
+        assert!((meant.propagate(&s, 0.05)[1] - (2.0 - v_dy * way)).abs() < 1e-6);
     }
 
     #[test]

@@ -174,7 +174,7 @@ impl<const N: usize, M: SeenMotion<N>> Engine for Sigma<N, M> {
 
     fn predict(&self, state: &mut SigmaState<N>, dt: f64, platform: &Platform) {
         let (motion, before) = (&self.base.motion, state.rooted);
-        let moved = |s: &SVector<f64, N>| motion.moved(s, dt, platform);
+        let moved = |s: &SVector<f64, N>| motion.propagate(s, dt, platform);
         let (mean, mut triangle, shift) = transformed(&before, &self.rule, moved);
         let mut noise = Vec::new();
         let ends = [&before.mean, &moved(&before.mean)];

@@ -45,7 +45,7 @@ impl Motion<4> for ConstantVelocity {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Absent];
     const HEADING: Option<usize> = None;
 
-    fn moved(&self, s: &Vector4<f64>, dt: f64, _: &Platform) -> Vector4<f64> {
+    fn propagate(&self, s: &Vector4<f64>, dt: f64, _: &Platform) -> Vector4<f64> {
         Vector4::new(s[0] + s[2] * dt, s[1] + s[3] * dt, s[2], s[3])
     }
 
@@ -57,7 +57,7 @@ impl Motion<4> for ConstantVelocity {
     ) -> (Vector4<f64>, SMatrix<f64, 4, 4>) {
         let mut F = SMatrix::<f64, 4, 4>::identity();
         (F[(0, 2)], F[(1, 3)]) = (dt, dt);
-        (self.moved(s, dt, platform), F)
+        (self.propagate(s, dt, platform), F)
     }
 
     fn impulses(&self, _: &Vector4<f64>, dt: f64, _: &Platform) -> SMatrix<f64, 4, INPUTS> {
@@ -67,7 +67,7 @@ impl Motion<4> for ConstantVelocity {
         columns
     }
 
-    fn holds(&self, _: &Vector4<f64>, dt: f64) -> SMatrix<f64, 4, INPUTS> {
+    fn step_response(&self, _: &Vector4<f64>, dt: f64) -> SMatrix<f64, 4, INPUTS> {
         let mut columns = SMatrix::<f64, 4, INPUTS>::zeros();
         columns.set_column(0, &Vector4::new(0.5 * dt * dt, 0.0, dt, 0.0));
         columns.set_column(1, &Vector4::new(0.0, 0.5 * dt * dt, 0.0, dt));
@@ -90,7 +90,7 @@ impl Motion<6> for ConstantAcceleration {
     const NOISES: [Noise; INPUTS] = [Noise::Jerk, Noise::Jerk, Noise::Absent];
     const HEADING: Option<usize> = None;
 
-    fn moved(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> Vector6<f64> {
+    fn propagate(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> Vector6<f64> {
         self.transition(s, dt, platform).0
     }
 
@@ -118,7 +118,7 @@ impl Motion<6> for ConstantAcceleration {
         columns
     }
 
-    fn holds(&self, _: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
+    fn step_response(&self, _: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
         let mut columns = SMatrix::<f64, 6, INPUTS>::zeros();
         for axis in 0..2 {
             columns[(axis, axis)] = dt * dt * dt / 6.0;
@@ -148,7 +148,7 @@ impl Motion<5> for CoordinatedTurn {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Turn];
     const HEADING: Option<usize> = None;
 
-    fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
+    fn propagate(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
         let turn = Turn::<1>::new(s[4], dt);
         // Moments of the arc instead of division by w: they stay exact when the target flies
         // straight.
@@ -175,7 +175,7 @@ impl Motion<5> for CoordinatedTurn {
         let [along, aside] = turn.turned(1, v);
         let [vx, vy] = rotated([cosine, sine], v);
         F.set_column(4, &Vector5::new(-aside, along, -dt * vy, dt * vx, 1.0));
-        (self.moved(s, dt, platform), F)
+        (self.propagate(s, dt, platform), F)
     }
 
     fn impulses(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> SMatrix<f64, 5, INPUTS> {
@@ -184,7 +184,7 @@ impl Motion<5> for CoordinatedTurn {
         self.transition(s, dt, platform).1.fixed_columns::<3>(2).into_owned()
     }
 
-    fn holds(&self, _: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
+    fn step_response(&self, _: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
         let mut columns = SMatrix::<f64, 5, INPUTS>::zeros();
         columns.set_column(0, &Vector5::new(0.5 * dt * dt, 0.0, dt, 0.0, 0.0));
         columns.set_column(1, &Vector5::new(0.0, 0.5 * dt * dt, 0.0, dt, 0.0));

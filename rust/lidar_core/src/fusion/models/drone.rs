@@ -85,7 +85,7 @@ impl Columns {
 }
 
 /// Responses to acceleration and angular acceleration on a straight line, as in CTRV.
-fn holds<const N: usize>(s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS> {
+fn step_response<const N: usize>(s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS> {
     let [cosine, sine] = direction(s[3]);
     let half = 0.5 * dt * dt;
     let mut columns = SMatrix::<f64, N, INPUTS>::zeros();
@@ -110,7 +110,7 @@ impl Motion<5> for CtrvDrone {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
-    fn moved(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Vector5<f64> {
+    fn propagate(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Vector5<f64> {
         step(s, platform.rate, dt, platform).0
     }
 
@@ -132,12 +132,17 @@ impl Motion<5> for CtrvDrone {
         columns
     }
 
-    fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
-        holds(s, dt)
+    fn step_response(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
+        step_response(s, dt)
     }
 
     /// Response to the error of the gyro, which turns the frame.
-    fn told(&self, s: &Vector5<f64>, dt: f64, platform: &Platform) -> Option<Vector5<f64>> {
+    fn input_response(
+        &self,
+        s: &Vector5<f64>,
+        dt: f64,
+        platform: &Platform,
+    ) -> Option<Vector5<f64>> {
         // The error is constant over the step: one column, which correlates position and heading.
         let [x, y] = step(s, platform.rate, dt, platform).1.by_platform;
         Some(Vector5::new(x, y, 0.0, -dt, 0.0) * libm::sqrt(platform.rate_variance))
@@ -172,7 +177,7 @@ impl Motion<7> for CtrvDroneGyro {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Gyro];
     const HEADING: Option<usize> = Some(3);
 
-    fn moved(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> SVector<f64, 7> {
+    fn propagate(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> SVector<f64, 7> {
         let rate = Self::rate(s, platform).0;
         let after = step(&s.fixed_rows::<5>(0).into(), rate, dt, platform).0;
         after.push(s[5]).push(s[6])
@@ -205,13 +210,18 @@ impl Motion<7> for CtrvDroneGyro {
         SMatrix::from_columns(&[F.column(2), F.column(4), F.column(5)])
     }
 
-    fn holds(&self, s: &SVector<f64, 7>, dt: f64) -> SMatrix<f64, 7, INPUTS> {
-        let mut columns = holds(s, dt);
+    fn step_response(&self, s: &SVector<f64, 7>, dt: f64) -> SMatrix<f64, 7, INPUTS> {
+        let mut columns = step_response(s, dt);
         columns[(5, 2)] = dt;
         columns
     }
 
-    fn told(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> Option<SVector<f64, 7>> {
+    fn input_response(
+        &self,
+        s: &SVector<f64, 7>,
+        dt: f64,
+        platform: &Platform,
+    ) -> Option<SVector<f64, 7>> {
         let rate = Self::rate(s, platform).0;
         let [x, y] = step(&s.fixed_rows::<5>(0).into(), rate, dt, platform).1.by_platform;
         let column = SVector::from([x, y, 0.0, -dt, 0.0, 0.0, 0.0]);
@@ -245,7 +255,7 @@ impl Motion<6> for CtrvDroneRate {
     const HEADING: Option<usize> = Some(3);
     const PLATFORM_RATE: Option<usize> = Some(5);
 
-    fn moved(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> Vector6<f64> {
+    fn propagate(&self, s: &Vector6<f64>, dt: f64, platform: &Platform) -> Vector6<f64> {
         step(&s.fixed_rows::<5>(0).into(), s[5], dt, platform).0.push(s[5])
     }
 
@@ -266,8 +276,8 @@ impl Motion<6> for CtrvDroneRate {
         SMatrix::from_columns(&[F.column(2), F.column(4), F.column(5)])
     }
 
-    fn holds(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
-        let mut columns = holds(s, dt);
+    fn step_response(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
+        let mut columns = step_response(s, dt);
         columns[(5, 2)] = dt;
         columns
     }
@@ -319,14 +329,14 @@ mod tests {
     fn bias_and_delay_correct_the_rate() {
         let platform = Platform { rate: 1.0, slope: 0.4, ..Platform::still() };
         let s = Vector5::new(2.0, 0.5, 1.0, 0.3, 0.2);
-        let exact = CtrvDrone.moved(&s, 0.5, &platform);
-        let same = CtrvDroneGyro.moved(&s.push(0.0).push(0.0), 0.5, &platform);
+        let exact = CtrvDrone.propagate(&s, 0.5, &platform);
+        let same = CtrvDroneGyro.propagate(&s.push(0.0).push(0.0), 0.5, &platform);
         assert_eq!(same.fixed_rows::<5>(0), exact);
         let biased = Platform { rate: 1.0 + 0.1 - 0.4 * 0.05, ..platform.clone() };
-        let corrected = CtrvDroneGyro.moved(&s.push(0.1).push(0.05), 0.5, &biased);
+        let corrected = CtrvDroneGyro.propagate(&s.push(0.1).push(0.05), 0.5, &biased);
         assert!((corrected.fixed_rows::<5>(0) - exact).abs().max() < 1e-12);
-        let far = CtrvDroneGyro.moved(&s.push(9.0).push(9.0), 0.5, &platform);
-        let limit = CtrvDroneGyro.moved(&s.push(0.5).push(0.2), 0.5, &platform);
+        let far = CtrvDroneGyro.propagate(&s.push(9.0).push(9.0), 0.5, &platform);
+        let limit = CtrvDroneGyro.propagate(&s.push(0.5).push(0.2), 0.5, &platform);
         assert_eq!(far.fixed_rows::<5>(0), limit.fixed_rows::<5>(0), "both are bounded");
     }
 
@@ -334,7 +344,7 @@ mod tests {
     #[test]
     fn a_target_at_rest_goes_round_a_turning_sensor() {
         let platform = Platform { rate: 1.0, ..Platform::still() };
-        let after = CtrvDrone.moved(&Vector5::new(2.0, 0.0, 0.0, 0.0, 0.0), 0.5, &platform);
+        let after = CtrvDrone.propagate(&Vector5::new(2.0, 0.0, 0.0, 0.0, 0.0), 0.5, &platform);
         assert!((after[0] - 2.0 * 0.5_f64.cos()).abs() < 1e-12);
         assert!((after[1] + 2.0 * 0.5_f64.sin()).abs() < 1e-12);
     }

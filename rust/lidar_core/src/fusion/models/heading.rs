@@ -83,7 +83,7 @@ impl Motion<5> for Ctrv {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
-    fn moved(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
+    fn propagate(&self, s: &Vector5<f64>, dt: f64, _: &Platform) -> Vector5<f64> {
         let [A, B] = Turn::<1>::new(s[4], dt).turned(0, direction(s[3]));
         Vector5::new(s[0] + s[2] * A, s[1] + s[2] * B, s[2], s[3] + s[4] * dt, s[4])
     }
@@ -136,7 +136,7 @@ impl Motion<5> for Ctrv {
         }
     }
 
-    fn holds(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
+    fn step_response(&self, s: &Vector5<f64>, dt: f64) -> SMatrix<f64, 5, INPUTS> {
         let [cosine, sine] = direction(s[3]);
         // The path that the noise adds within a step is short, so its bend is neglected.
         let half = 0.5 * dt * dt;
@@ -166,7 +166,7 @@ impl Motion<6> for Ctra {
     const NOISES: [Noise; INPUTS] = [Noise::Jerk, Noise::Turn, Noise::Absent];
     const HEADING: Option<usize> = Some(3);
 
-    fn moved(&self, s: &Vector6<f64>, dt: f64, _: &Platform) -> Vector6<f64> {
+    fn propagate(&self, s: &Vector6<f64>, dt: f64, _: &Platform) -> Vector6<f64> {
         let (v, w, a) = (s[2], s[4], s[5]);
         let (turn, heading) = (Turn::<2>::new(w, dt), direction(s[3]));
         let ([A, B], [C, D]) = (turn.turned(0, heading), turn.turned(1, heading));
@@ -225,7 +225,7 @@ impl Motion<6> for Ctra {
         }
     }
 
-    fn holds(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
+    fn step_response(&self, s: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
         let [cosine, sine] = direction(s[3]);
         let (half, sixth) = (0.5 * dt * dt, dt * dt * dt / 6.0);
         let mut columns = SMatrix::<f64, 6, INPUTS>::zeros();

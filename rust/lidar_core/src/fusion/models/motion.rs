@@ -102,7 +102,7 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
     const PLATFORM_RATE: Option<usize> = None;
 
     /// State after `dt` [s].
-    fn moved(&self, s: &SVector<f64, N>, dt: f64, platform: &Platform) -> SVector<f64, N>;
+    fn propagate(&self, s: &SVector<f64, N>, dt: f64, platform: &Platform) -> SVector<f64, N>;
 
     /// State after `dt` [s], with its Jacobian.
     fn transition(
@@ -130,15 +130,15 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
     ) {
         for rest in rests {
             // Only the end of the step is known: moved backwards it gives the state at the impulse.
-            visit(&self.impulses(&self.moved(end, -rest, platform), rest, platform));
+            visit(&self.impulses(&self.propagate(end, -rest, platform), rest, platform));
         }
     }
 
     /// Response to each noise when it is constantly 1 for `dt` [s], on a straight line.
-    fn holds(&self, s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS>;
+    fn step_response(&self, s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS>;
 
     /// Response to the error of a given input, times its standard deviation.
-    fn told(
+    fn input_response(
         &self,
         _s: &SVector<f64, N>,
         _dt: f64,
@@ -225,7 +225,7 @@ impl ProcessNoise {
             }
         };
         match self.form {
-            NoiseForm::Discrete => visit_scaled(&motion.holds(s, dt), 1.0),
+            NoiseForm::Discrete => visit_scaled(&motion.step_response(s, dt), 1.0),
             NoiseForm::Continuous => {
                 // The three-point rule is exact up to degree five. Q of constant acceleration has
                 // degree four, so the linear models get their exact covariance.
@@ -238,7 +238,7 @@ impl ProcessNoise {
                 });
             }
         }
-        if let Some(column) = motion.told(s, dt, platform) {
+        if let Some(column) = motion.input_response(s, dt, platform) {
             visit(&column);
         }
     }
@@ -290,17 +290,17 @@ pub(crate) mod tests {
         platform: &Platform,
     ) {
         let (after, F) = motion.transition(s, dt, platform);
-        assert!((after - motion.moved(s, dt, platform)).abs().max() < 1e-12);
-        let expected = difference(s, |s| motion.moved(s, dt, platform));
+        assert!((after - motion.propagate(s, dt, platform)).abs().max() < 1e-12);
+        let expected = difference(s, |s| motion.propagate(s, dt, platform));
         assert!((F - expected).abs().max() < 1e-8, "F: {F} expected {expected}");
-        let half = motion.moved(s, 0.5 * dt, platform);
-        let again = motion.moved(&half, 0.5 * dt, platform);
+        let half = motion.propagate(s, 0.5 * dt, platform);
+        let again = motion.propagate(&half, 0.5 * dt, platform);
         assert!((again - after).abs().max() < 1e-12, "two half steps: {again} {after}");
         let rests = [0.0, 0.3 * dt, dt];
         let mut left = rests.iter();
         motion.responses(&after, rests, platform, |got| {
             let rest = left.next().copied().unwrap_or(f64::NAN);
-            let at = motion.moved(s, dt - rest, platform);
+            let at = motion.propagate(s, dt - rest, platform);
             let expected = motion.impulses(&at, rest, platform);
             assert!((got - expected).abs().max() < 1e-12, "{got} {expected}");
         });
@@ -329,20 +329,20 @@ pub(crate) mod tests {
     ) {
         let noise = ProcessNoise { form: NoiseForm::Continuous, strength: [0.7, 0.4, 0.2] };
         let mut Q = SMatrix::<f64, N, N>::zeros();
-        noise.add(motion, [s, &motion.moved(s, dt, platform)], dt, platform, &mut Q);
+        noise.add(motion, [s, &motion.propagate(s, dt, platform)], dt, platform, &mut Q);
         let mut expected = SMatrix::<f64, N, N>::zeros();
         let steps = 400;
         let h = dt / f64::from(steps);
         for step in 0..steps {
             let t = (f64::from(step) + 0.5) * h;
-            let at = motion.moved(s, t, platform);
+            let at = motion.propagate(s, t, platform);
             let columns = motion.impulses(&at, dt - t, platform);
             for (index, q) in noise.strength.iter().enumerate() {
                 let column = columns.column(index);
                 expected += column * column.transpose() * (q * q * h);
             }
         }
-        if let Some(column) = motion.told(s, dt, platform) {
+        if let Some(column) = motion.input_response(s, dt, platform) {
             expected += column * column.transpose();
         }
         let scale = expected.abs().max();

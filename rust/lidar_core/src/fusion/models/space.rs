@@ -45,7 +45,7 @@ fn integrated<const N: usize>(dt: f64) -> SMatrix<f64, N, N> {
 }
 
 /// Integral of the last three columns of that transition from 0 to `dt`.
-fn held<const N: usize>(dt: f64) -> SMatrix<f64, N, INPUTS> {
+fn input_integral<const N: usize>(dt: f64) -> SMatrix<f64, N, INPUTS> {
     SMatrix::from_fn(|row, axis| {
         if row % 3 != axis {
             return 0.0;
@@ -76,7 +76,7 @@ fn level(s: &SVector<f64, 7>) -> Vector5<f64> {
 }
 
 /// `part` in the rows and columns of `matrix` that are given.
-fn placed<const A: usize, const B: usize, const R: usize, const C: usize>(
+fn set_block<const A: usize, const B: usize, const R: usize, const C: usize>(
     matrix: &mut SMatrix<f64, A, B>,
     part: &SMatrix<f64, R, C>,
     rows: &[usize; R],
@@ -92,7 +92,7 @@ impl Motion<6> for SpaceVelocity {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration; INPUTS];
     const HEADING: Option<usize> = None;
 
-    fn moved(&self, s: &Vector6<f64>, dt: f64, _: &Platform) -> Vector6<f64> {
+    fn propagate(&self, s: &Vector6<f64>, dt: f64, _: &Platform) -> Vector6<f64> {
         integrated(dt) * s
     }
 
@@ -110,8 +110,8 @@ impl Motion<6> for SpaceVelocity {
         integrated::<6>(dt).fixed_columns::<INPUTS>(3).into_owned()
     }
 
-    fn holds(&self, _: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
-        held(dt)
+    fn step_response(&self, _: &Vector6<f64>, dt: f64) -> SMatrix<f64, 6, INPUTS> {
+        input_integral(dt)
     }
 
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<6> {
@@ -130,7 +130,7 @@ impl Motion<9> for SpaceAcceleration {
     const NOISES: [Noise; INPUTS] = [Noise::Jerk; INPUTS];
     const HEADING: Option<usize> = None;
 
-    fn moved(&self, s: &SVector<f64, 9>, dt: f64, _: &Platform) -> SVector<f64, 9> {
+    fn propagate(&self, s: &SVector<f64, 9>, dt: f64, _: &Platform) -> SVector<f64, 9> {
         integrated(dt) * s
     }
 
@@ -148,8 +148,8 @@ impl Motion<9> for SpaceAcceleration {
         integrated::<9>(dt).fixed_columns::<INPUTS>(6).into_owned()
     }
 
-    fn holds(&self, _: &SVector<f64, 9>, dt: f64) -> SMatrix<f64, 9, INPUTS> {
-        held(dt)
+    fn step_response(&self, _: &SVector<f64, 9>, dt: f64) -> SMatrix<f64, 9, INPUTS> {
+        input_integral(dt)
     }
 
     fn first(&self, first: &First, prior: &Prior) -> Gaussian<9> {
@@ -172,10 +172,10 @@ impl Motion<7> for ClimbingCtrv {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Turn, Noise::Acceleration];
     const HEADING: Option<usize> = Some(4);
 
-    fn moved(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> SVector<f64, 7> {
+    fn propagate(&self, s: &SVector<f64, 7>, dt: f64, platform: &Platform) -> SVector<f64, 7> {
         let mut after = *s;
-        let flat = Ctrv.moved(&level(s), dt, platform);
-        placed(&mut after, &flat, &LEVEL, &[0]);
+        let flat = Ctrv.propagate(&level(s), dt, platform);
+        set_block(&mut after, &flat, &LEVEL, &[0]);
         after[2] += s[6] * dt;
         after
     }
@@ -188,8 +188,8 @@ impl Motion<7> for ClimbingCtrv {
     ) -> (SVector<f64, 7>, SMatrix<f64, 7, 7>) {
         let (flat, part) = Ctrv.transition(&level(s), dt, platform);
         let (mut after, mut F) = (*s, SMatrix::<f64, 7, 7>::identity());
-        placed(&mut after, &flat, &LEVEL, &[0]);
-        placed(&mut F, &part, &LEVEL, &LEVEL);
+        set_block(&mut after, &flat, &LEVEL, &[0]);
+        set_block(&mut F, &part, &LEVEL, &LEVEL);
         after[2] += s[6] * dt;
         F[(2, 6)] = dt;
         (after, F)
@@ -202,15 +202,15 @@ impl Motion<7> for ClimbingCtrv {
         platform: &Platform,
     ) -> SMatrix<f64, 7, INPUTS> {
         let mut columns = SMatrix::zeros();
-        placed(&mut columns, &Ctrv.impulses(&level(s), dt, platform), &LEVEL, &[0, 1, 2]);
-        placed(&mut columns, &SMatrix::<f64, 2, 1>::new(dt, 1.0), &UP, &[2]);
+        set_block(&mut columns, &Ctrv.impulses(&level(s), dt, platform), &LEVEL, &[0, 1, 2]);
+        set_block(&mut columns, &SMatrix::<f64, 2, 1>::new(dt, 1.0), &UP, &[2]);
         columns
     }
 
-    fn holds(&self, s: &SVector<f64, 7>, dt: f64) -> SMatrix<f64, 7, INPUTS> {
+    fn step_response(&self, s: &SVector<f64, 7>, dt: f64) -> SMatrix<f64, 7, INPUTS> {
         let mut columns = SMatrix::zeros();
-        placed(&mut columns, &Ctrv.holds(&level(s), dt), &LEVEL, &[0, 1, 2]);
-        placed(&mut columns, &SMatrix::<f64, 2, 1>::new(0.5 * dt * dt, dt), &UP, &[2]);
+        set_block(&mut columns, &Ctrv.step_response(&level(s), dt), &LEVEL, &[0, 1, 2]);
+        set_block(&mut columns, &SMatrix::<f64, 2, 1>::new(0.5 * dt * dt, dt), &UP, &[2]);
         columns
     }
 
@@ -234,8 +234,8 @@ impl Motion<7> for ClimbingCtrv {
     fn after_velocity(&self, cv: &Gaussian<6>, prior: &Prior) -> Option<Gaussian<7>> {
         let ([speed, heading], slopes) = polar_velocity(cv.mean[3], cv.mean[4]);
         let mut J = SMatrix::<f64, 7, 6>::zeros();
-        placed(&mut J, &Matrix3::identity(), &[0, 1, 2], &[0, 1, 2]);
-        placed(&mut J, &slopes, &[3, 4], &[3, 4]);
+        set_block(&mut J, &Matrix3::identity(), &[0, 1, 2], &[0, 1, 2]);
+        set_block(&mut J, &slopes, &[3, 4], &[3, 4]);
         J[(6, 5)] = 1.0;
         let m = &cv.mean;
         let mean = SVector::from([m[0], m[1], m[2], speed, heading, 0.0, m[5]]);
@@ -299,8 +299,8 @@ impl StateConversion<7> for ClimbingCtrv {
     fn cartesian(&self, state: &Gaussian<7>, other: Option<&Gaussian<9>>) -> Gaussian<9> {
         let (flat, part) = spread_slopes(&level(&state.mean));
         let (mut mean, mut J) = (SVector::<f64, 9>::zeros(), SMatrix::<f64, 9, 7>::zeros());
-        placed(&mut mean, &flat, &LEVEL_WIDE, &[0]);
-        placed(&mut J, &part, &LEVEL_WIDE, &LEVEL);
+        set_block(&mut mean, &flat, &LEVEL_WIDE, &[0]);
+        set_block(&mut J, &part, &LEVEL_WIDE, &LEVEL);
         (mean[2], mean[5]) = (state.mean[2], state.mean[6]);
         (J[(2, 2)], J[(5, 6)]) = (1.0, 1.0);
         completed::<1>(through(&state.covariance, &J, mean), other)
@@ -311,8 +311,8 @@ impl StateConversion<7> for ClimbingCtrv {
         let flat = Vector6::from_fn(|k, _| m[LEVEL_WIDE[k]]);
         let (values, part) = along(&flat);
         let mut J = SMatrix::<f64, 7, 9>::zeros();
-        placed(&mut J, &Matrix3::identity(), &[0, 1, 2], &[0, 1, 2]);
-        placed(&mut J, &part.fixed_rows::<3>(0).into_owned(), &[3, 4, 5], &LEVEL_WIDE);
+        set_block(&mut J, &Matrix3::identity(), &[0, 1, 2], &[0, 1, 2]);
+        set_block(&mut J, &part.fixed_rows::<3>(0).into_owned(), &[3, 4, 5], &LEVEL_WIDE);
         J[(6, 5)] = 1.0;
         let mean = SVector::from([m[0], m[1], m[2], values[0], values[1], values[2], m[5]]);
         let state = through(&cartesian.covariance, &J, mean);
@@ -334,7 +334,7 @@ mod tests {
         assert!((J - expected).abs().max() < 1e-8, "velocity: {J} {expected}");
         // The velocity is how the position changes.
         let position = |dt| {
-            let after = motion.moved(s, dt, &Platform::still());
+            let after = motion.propagate(s, dt, &Platform::still());
             Vector3::new(after[0], after[1], after[2])
         };
         let change = (position(1e-5) - position(-1e-5)) / 2e-5;
@@ -361,8 +361,8 @@ mod tests {
                 (0..steps).map(|k| motion.impulses(&s, (f64::from(k) + 0.5) * h, &still) * h);
             let sum: SMatrix<f64, N, INPUTS> = impulses.sum();
             // The way that angular acceleration adds is neglected, as in the plane.
-            let mut difference = sum - motion.holds(&s, dt);
-            if motion.holds(&s, dt)[(0, 1)] == 0.0 {
+            let mut difference = sum - motion.step_response(&s, dt);
+            if motion.step_response(&s, dt)[(0, 1)] == 0.0 {
                 (difference[(0, 1)], difference[(1, 1)]) = (0.0, 0.0);
             }
             assert!(difference.abs().max() < 1e-6, "{difference}");
@@ -377,8 +377,8 @@ mod tests {
         let flat = Vector5::new(1.0, 2.0, 3.0, 2.5, 0.4);
         let s = SVector::from([1.0, 2.0, 7.0, 3.0, 2.5, 0.4, 0.0]);
         let still = Platform::still();
-        let after = ClimbingCtrv.moved(&s, 0.3, &still);
-        assert_eq!(level(&after), Ctrv.moved(&flat, 0.3, &still));
+        let after = ClimbingCtrv.propagate(&s, 0.3, &still);
+        assert_eq!(level(&after), Ctrv.propagate(&flat, 0.3, &still));
         assert_eq!((after[2], after[6]), (7.0, 0.0));
     }
 }

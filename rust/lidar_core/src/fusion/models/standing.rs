@@ -39,7 +39,7 @@ impl Motion<4> for StandingTarget {
     const NOISES: [Noise; INPUTS] = [Noise::Acceleration, Noise::Acceleration, Noise::Absent];
     const HEADING: Option<usize> = None;
 
-    fn moved(&self, s: &Vector4<f64>, _: f64, _: &Platform) -> Vector4<f64> {
+    fn propagate(&self, s: &Vector4<f64>, _: f64, _: &Platform) -> Vector4<f64> {
         Vector4::new(s[0], s[1], 0.0, 0.0)
     }
 
@@ -51,14 +51,14 @@ impl Motion<4> for StandingTarget {
     ) -> (Vector4<f64>, SMatrix<f64, 4, 4>) {
         let mut stays = SMatrix::<f64, 4, 4>::zeros();
         (stays[(0, 0)], stays[(1, 1)]) = (1.0, 1.0);
-        (self.moved(s, dt, platform), stays)
+        (self.propagate(s, dt, platform), stays)
     }
 
     fn impulses(&self, _: &Vector4<f64>, _: f64, _: &Platform) -> SMatrix<f64, 4, INPUTS> {
         shifts(REST)
     }
 
-    fn holds(&self, _: &Vector4<f64>, dt: f64) -> SMatrix<f64, 4, INPUTS> {
+    fn step_response(&self, _: &Vector4<f64>, dt: f64) -> SMatrix<f64, 4, INPUTS> {
         shifts(REST * dt)
     }
 

@@ -287,7 +287,8 @@ mod tests {
         let moving = Platform { rate: 0.8, velocity: [2.0, 1.0], lever, ..Platform::still() };
         let s = Vector5::new(4.0, -2.0, 2.0, 2.5, 0.3);
         let range = |dt| {
-            LineOfSight::new(&CtrvDrone, &CtrvDrone.moved(&s, dt, &moving), &moving, None).range()
+            LineOfSight::new(&CtrvDrone, &CtrvDrone.propagate(&s, dt, &moving), &moving, None)
+                .range()
         };
         let rate = (range(1e-5) - range(-1e-5)) / 2e-5;
         assert!((LineOfSight::new(&CtrvDrone, &s, &moving, None).polar()[2] - rate).abs() < 1e-8);

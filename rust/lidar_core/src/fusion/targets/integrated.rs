@@ -63,7 +63,7 @@ impl Tracks {
         let found = self.associated(space, candidates, &scanner);
         self.learn(space, candidates, &found);
         let measured = self.updated(space, candidates, &found, births, assigned);
-        self.born(space, &scanner, &found, &measured, births, assigned);
+        self.start_tracks(space, &scanner, &found, &measured, births, assigned);
         self.unite();
         self.judge_existence(space, &scanner[0]);
     }
@@ -104,7 +104,7 @@ impl Tracks {
             PredictedTrack { presence: belief.presence, detection, is_in_view }
         });
         let predicted: Vec<PredictedTrack> = predicted.collect();
-        let told = self.told(space, candidates, scanner);
+        let told = self.largest_clutter(space, candidates, scanner);
         let pairs = candidates.pairs.iter().zip(&candidates.innovations);
         let pairs = pairs.map(|(pair, innovation)| {
             let m = &scan.measurements[pair.column];
@@ -124,7 +124,7 @@ impl Tracks {
     ///
     /// After a long time between scans that gate is large. With a density for which false
     /// measurements are expected in it that nobody has seen, no second one would be of the target.
-    fn told(
+    fn largest_clutter(
         &self,
         space: &IntegratedScan<'_>,
         candidates: &Candidates,
@@ -256,7 +256,7 @@ impl Tracks {
     }
 
     /// A track for every measurement that may be of a new target.
-    fn born(
+    fn start_tracks(
         &mut self,
         space: &IntegratedScan<'_>,
         scanner: &[Surroundings; 2],
