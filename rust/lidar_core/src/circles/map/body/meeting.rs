@@ -71,12 +71,11 @@ impl RoundBody {
             });
             near.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, row)| row)
         };
-        for part in 0..wholes.len() {
-            let whole = wholes[part];
-            if whole != part
-                && owner(part).is_some_and(|own| owner(whole).is_some_and(|other| other != own))
-            {
-                wholes[part] = part;
+        for (part, whole) in wholes.iter_mut().enumerate().filter(|(part, whole)| **whole != *part)
+        {
+            let own = owner(part);
+            if own.is_some() && owner(*whole).is_some_and(|other| Some(other) != own) {
+                *whole = part;
             }
         }
     }

@@ -29,12 +29,12 @@ const DAMPING: f64 = 1e-3;
 
 /// Motion in the plane: a turn about the scanner, then a shift [m].
 #[derive(Clone, Copy, Debug, Default)]
-struct PlaneMotion {
+struct ScanSlip {
     shift: [f64; 2],
     turn: f64,
 }
 
-impl PlaneMotion {
+impl ScanSlip {
     fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = (libm::sin(self.turn), libm::cos(self.turn));
         [cos * x - sin * y + self.shift[0], sin * x + cos * y + self.shift[1]]
@@ -52,7 +52,7 @@ pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
     let share = |on: usize| on as f64 / samples.len() as f64;
     // Most scanners rest: half of the ends answer for all.
     let most = (BEFORE * samples.len() as f64) as usize;
-    if on_surface(&samples, then, PlaneMotion::default()).nth(most).is_some() {
+    if on_surface(&samples, then, ScanSlip::default()).nth(most).is_some() {
         return false;
     }
     let explained: Vec<[f64; 2]> =
@@ -66,7 +66,7 @@ pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
 fn on_surface<'a>(
     points: &'a [[f64; 2]],
     then: &'a SortedView,
-    motion: PlaneMotion,
+    motion: ScanSlip,
 ) -> impl Iterator<Item = &'a [f64; 2]> {
     points.iter().filter(move |point| {
         let found = beside(then, motion.apply(**point), ON);
@@ -84,8 +84,8 @@ fn beside(view: &SortedView, point: [f64; 2], reach: f64) -> Option<(f64, [f64; 
 /// again with nearer surfaces.
 ///
 /// Source: Chen & Medioni, "Object modelling by registration of multiple range images", 1992.
-fn between(points: &[[f64; 2]], then: &SortedView) -> PlaneMotion {
-    let mut motion = PlaneMotion::default();
+fn between(points: &[[f64; 2]], then: &SortedView) -> ScanSlip {
+    let mut motion = ScanSlip::default();
     let mut reach = REACH;
     for _ in 0..ROUNDS {
         let (mut A, mut b) = (Matrix3::identity() * DAMPING, Vector3::zeros());
