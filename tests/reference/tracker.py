@@ -389,7 +389,8 @@ class Tracker:
             if self.c.max_extent is None or not own:
                 continue
             whole = np.sort(np.concatenate(own))
-            if (np.ptp(offset[whole], axis=0) <= self.c.max_extent).all():
+            sides = [np.ptp(places[whole], axis=0) for places in (offset, points)]
+            if (np.stack(sides) <= self.c.max_extent).all():
                 parts = [*rest, whole]
         return parts
 

@@ -58,8 +58,8 @@ class CircleFrame:
         What the scan did to the map.
     stuck_pose : bool
         Whether the scanner moved since scans of up to 2 s before of which this one has the very
-        same pose: the source of the poses stopped, and what stands seems to move. Not in paper
-        mode.
+        same pose: the source of the poses stopped, and what stands seems to move. False also where
+        too much else moves to tell. Not in paper mode.
     timing_ms : dict
         Milliseconds per stage: prepare, segment, fit, map.
     rejected : str, optional
@@ -105,7 +105,7 @@ class CirclesHealth:
         motion of the scanner tells it to 5 ms, and in paper mode. In best mode poses are moved on
         by an offset that is clearly not zero.
     stuck_poses : int
-        Scans whose pose stayed the same while the scanner moved: `CircleFrame.stuck_pose`.
+        Scans with a `CircleFrame.stuck_pose`; more poses may be stuck.
     """
 
     received: int = 0

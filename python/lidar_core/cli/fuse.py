@@ -45,7 +45,10 @@ RECORDING = (
 )
 ASSOCIATION = "For many targets: integrated (JIPDA), nearest, or joint (JPDA)."
 LAG = "Smooth: use measurements up to this much later for every state \\[s]."
-FIT = "Find the noise of motion and sensors from the measurements first, as `config fit` does."
+FIT = (
+    "Find the noise of motion and sensors from the measurements first, and the model where none is"
+    " told, as `config fit` does."
+)
 FORCE = "Go on with measurements whose NIS is beyond reason."
 
 

@@ -47,8 +47,8 @@ def fit_noise(
     Returns
     -------
     FusionConfig
-        `config` with that noise. Where deviations of sensors were found, `sensor_noise` is
-        "configured": the filter does not look for them a second time.
+        `config` with that noise. Where deviations of sensors were found, and `config` was not made
+        with a `sensor_noise`, it is "configured": the filter does not look for them a second time.
 
     Raises
     ------
@@ -70,9 +70,12 @@ def fit_noise(
             f"least_range_rate_std: expected 0 to {MAX_STD} m/s, got {least_range_rate_std}"
         )
     settings = as_config(config, FusionConfig)
-    several = [settings] if config is not None else with_models(settings)
     return fit_likeliest(
-        measurements, several, sensors=sensors, least_range_rate_std=least_range_rate_std
+        measurements,
+        [settings] if config is not None else with_models(settings),
+        sensors=sensors,
+        least_range_rate_std=least_range_rate_std,
+        believes="sensor_noise" not in settings.model_fields_set,
     )
 
 
@@ -82,10 +85,25 @@ def fit_likeliest(
     *,
     sensors: bool = True,
     least_range_rate_std: float = 0.0,
+    believes: bool = True,
 ) -> FusionConfig:
-    """Fit each of several configurations, as `fit_noise`, and return the likeliest."""
-    targets = _targets(measurements)
-    found = (_fitted(targets, one, sensors, least_range_rate_std) for one in configs)
+    """Fit each of several configurations, as `fit_noise`, and return the likeliest.
+
+    `believes` makes `sensor_noise` "configured" where deviations of sensors were found.
+
+    Raises
+    ------
+    InputError
+        As `fit_noise`, if no configuration can be fitted.
+    """
+    targets, found, errors = _targets(measurements), [], []
+    for one in configs:
+        try:
+            found.append(_fitted(targets, one, sensors, least_range_rate_std, believes))
+        except InputError as error:
+            errors.append(error)
+    if not found:
+        raise errors[0]
     return max(found, key=lambda one: one[1])[0]
 
 
@@ -95,7 +113,11 @@ def with_models(config: FusionConfig) -> list[FusionConfig]:
 
 
 def _fitted(
-    targets: list[Measurements], settings: FusionConfig, sensors: bool, least_rate: float
+    targets: list[Measurements],
+    settings: FusionConfig,
+    sensors: bool,
+    least_rate: float,
+    believes: bool,
 ) -> tuple[FusionConfig, float]:
     """`settings` with the noise that makes measurements most likely, and how likely it does."""
     (acceleration, jerk, turn), lidar, radar, likelihood = _core.fusion_fit_noise(
@@ -113,7 +135,7 @@ def _fitted(
     if sensors:
         stds = {"lidar_std": tuple(lidar.tolist()), "radar_std": tuple(radar.tolist())}
         if any(stds[name] != getattr(settings, name) for name in stds):
-            found |= stds | {"sensor_noise": "configured"}
+            found |= stds | ({"sensor_noise": "configured"} if believes else {})
     return FusionConfig(**(settings.model_dump() | found)), likelihood
 
 

@@ -18,7 +18,8 @@ from lidar_core.runs.result import RunResult, draw, no_mcap_of
 from lidar_core.runs.settings import ConfigChoice, config_of_run
 from lidar_core.runs.targets.job import FuseJob, with_ways
 from lidar_core.runs.targets.many import ManyRun
-from lidar_core.runs.targets.noise import fitted, tells_model
+from lidar_core.runs.targets.noise import fitted, names_told, text_of_fit
+from lidar_core.runs.targets.one import TargetRun
 
 
 @checked
@@ -147,6 +148,8 @@ def fuse(
     folder.write_summary(summary)
     folder.write_note({"recording": fingerprint(source)}, run.configs)
     notes = [f"note: {run.doubt}"] if run.doubt else []
+    if fit_noise and isinstance(run, TargetRun):
+        notes.append(f"note: {text_of_fit(run.config, names_told(config, job.ways))}")
     lacks_mcap = no_mcap_of(run.stamps)
     if writes_mcap and (mcap or not lacks_mcap):
         files.append(run.write_mcap(folder))
@@ -229,7 +232,7 @@ def fit_config(
     logs = [(job.recording, job.log()) for job in jobs]
     ways = _given_values(model=model, method=method)
     chosen = config_of_run(with_ways(config, ways), FusionConfig, "fusion")
-    return fitted(logs, chosen, finds_model=not tells_model(config, ways), force=force)
+    return fitted(logs, chosen, told=names_told(config, ways), force=force)
 
 
 def _given_values(**values: Any) -> dict[str, Any]:

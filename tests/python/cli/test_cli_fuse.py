@@ -28,7 +28,7 @@ from lidar_core.fusion import (
 from lidar_core.fusion.states import STATES, dimensions, state_names, velocities
 from lidar_core.io.tables.columns import read_columns
 from lidar_core.runs.settings import ConfigChoice
-from lidar_core.runs.targets.noise import tells_model
+from lidar_core.runs.targets.noise import names_told
 from lidar_core.viz import Playback
 
 OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
@@ -410,18 +410,33 @@ def test_fuse_with_fit_noise_is_fuse_with_the_file_of_config_fit(tmp_path):
 @pytest.mark.parametrize(
     ("config", "ways", "told"),
     [
-        (None, {}, False),
-        (ConfigChoice(values=("fusion.lever_arm=[1.0, 0.0]",)), {}, False),
-        (ConfigChoice(values=('model="cv"',)), {}, True),
-        (ConfigChoice(values=('fusion.method = "imm"',)), {}, True),
-        (ConfigChoice(file="a.toml"), {}, True),
-        (ConfigChoice("paper"), {}, True),
-        (None, {"method": "ukf"}, True),
-        (FusionConfig(), {}, True),
+        (None, (), set()),
+        (ConfigChoice(values=("fusion.lever_arm=[1.0, 0.0]",)), (), {"lever_arm"}),
+        (ConfigChoice(values=('model="cv"',)), (), {"model"}),
+        (ConfigChoice(values=('fusion.method = "imm"',)), (), {"method"}),
+        (ConfigChoice(file="a.toml"), (), {"lever_arm"}),
+        (ConfigChoice("paper"), (), {"model"}),
+        (None, ("method",), {"method"}),
+        (FusionConfig(sensor_noise="estimated"), (), {"model", "sensor_noise"}),
     ],
 )
-def test_a_fit_finds_the_model_where_nobody_told_it(config, ways, told):
-    assert tells_model(config, ways) is told
+def test_a_fit_leaves_what_somebody_told(tmp_path, monkeypatch, config, ways, told):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text("lever_arm = [1.0, 0.0]\n")
+    assert names_told(config, ways) == told
+
+
+def test_a_fit_says_what_it_found_and_keeps_what_was_told(tmp_path):
+    place = noisy(tmp_path / "a.csv", 0.6, SEED)
+    free = lc.runs.fuse(place, None, tmp_path / "free", fit_noise=True, picture=False)
+    (note,) = [one for one in free.notes if "found" in one]
+    assert "the likelier one of ct and ctrv" in note
+    assert "sensor_noise configured" in note
+    chosen = ConfigChoice(values=('model="cv"', 'sensor_noise="estimated"'))
+    kept = lc.runs.fuse(place, chosen, tmp_path / "kept", fit_noise=True, picture=False)
+    (note,) = [one for one in kept.notes if "found" in one]
+    assert "likelier" not in note
+    assert "sensor_noise estimated" in note
 
 
 def test_config_fit_prints_with_a_dash_as_without_a_file(tmp_path, monkeypatch):
@@ -490,14 +505,14 @@ def lines_of(recordings):
     ids=["exchanged", "degrees", "mirrored"],
 )
 def test_a_fit_does_not_take_a_mistake_for_noise(recordings, tmp_path, change, shown):
-    """Also where the noise was told wrong, so that the NIS is beyond reason for two reasons."""
+    """Whether the model is told, or found."""
     words = [line.split() for line in lines_of(recordings) if line.strip()]
     place = tmp_path / "wrong.txt"
     place.write_text("\n".join("\t".join(change(one)) for one in words) + "\n")
     with pytest.raises(InputError, match=rf"mistake\. The data shows: .*{shown}"):
         lc.runs.fit_config(place, model="ct")
     with pytest.raises(InputError, match="mistake"):
-        lc.runs.fuse(place, None, tmp_path / "run", model="ct", fit_noise=True)
+        lc.runs.fuse(place, None, tmp_path / "run", fit_noise=True)
     assert not (tmp_path / "run").exists()
     assert lc.runs.fit_config(place, model="ct", force=True).lidar_std != FusionConfig().lidar_std
 

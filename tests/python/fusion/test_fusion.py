@@ -160,6 +160,8 @@ def test_noise_that_is_given_is_not_believed_more_after_a_fit():
     """The opposite error: sensors were not fitted, so the filter still looks for their noise."""
     seen, _ = walk(np.random.default_rng(7412), rows=120)
     assert fit_noise(seen, FusionConfig(), sensors=False).sensor_noise == "estimated"
+    told = FusionConfig(model="cv", sensor_noise="estimated")
+    assert fit_noise(seen, told).sensor_noise == "estimated"
 
 
 def test_range_rates_are_believed_no_more_than_asked_for():

@@ -31,6 +31,7 @@ RUST_FLOORS = (
     {"geometry", "estimation", "probability"},
     {"tracking"},
     {"circles", "flying", "fusion"},
+    {"state_layouts"},
 )
 PYTHON_FLOORS = (
     {"errors", "plugins", "files", "extras", "config", "arrays", "sensors", "messages"},

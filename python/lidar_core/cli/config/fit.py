@@ -112,7 +112,11 @@ def _rows(before: "FusionConfig", fitted: "FusionConfig") -> list["Row | None"]:
     """Values that the fit changed."""
     from lidar_core.util.rows import Row
 
-    rows: list[Row | None] = []
+    rows: list[Row | None] = [
+        Row(name, getattr(fitted, name), f"{getattr(before, name)} before")
+        for name in ("model", "sensor_noise")
+        if getattr(fitted, name) != getattr(before, name)
+    ]
     for name in ("acceleration_noise", "jerk_noise", "turn_noise", "lidar_std", "radar_std"):
         old, new = (_numbers(getattr(config, name)) for config in (before, fitted))
         if old == new:

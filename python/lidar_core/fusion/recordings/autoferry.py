@@ -61,7 +61,7 @@ class DetectionScan:
     sensor : ndarray, shape (2,)
         Where the scanner was [m].
     truth : mapping of int to ndarray, shape (2,)
-        Where the targets were [m]; those are left out of which that is not known.
+        Where the targets were [m]; targets whose place is not known are left out.
     """
 
     stamp_ns: int
@@ -203,14 +203,15 @@ def _long_steps(ways: Mapping[int, Way], scans: Sequence[DetectionScan]) -> str 
     """What to tell of times without true places, in which there are scans."""
     told = []
     seen = np.array([scan.stamp_ns for scan in scans], np.int64)
+    start = int(seen.min()) if seen.size else 0
     for number, (stamps, _) in sorted(ways.items()):
         for row in np.flatnonzero(np.diff(stamps) > LONGEST_STEP_NS).tolist():
             first, last = stamps[row : row + 2].tolist()
             count = int(((seen > first) & (seen < last)).sum())
             if count:
                 told.append(
-                    f"target {number} has no true place for {(last - first) / NS:.3g} s from"
-                    f" {first / NS:.1f} s on: it is in the truth of none of {count} scans there"
+                    f"target {number} has no true place for {(last - first) / NS:.3g} s,"
+                    f" {(first - start) / NS:.1f} s after the start: {count} scans are without it"
                 )
     return "; ".join(told[:3]) + (f"; and {len(told) - 3} more" if told[3:] else "") or None
 

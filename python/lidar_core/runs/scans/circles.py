@@ -112,8 +112,9 @@ class CirclesRun:
             )
         if health.stuck_poses >= NOTED_STUCK:
             notes.append(
-                f"{health.stuck_poses} scans have a pose that stays the same while the scanner"
-                " moves: the source of the poses stopped there, and what stands seems to move"
+                f"at least {health.stuck_poses} scans have a pose that stays the same while the"
+                " scanner moves: the source of the poses stopped there, and what stands seems to"
+                " move"
             )
         if noise is not None and not 1 / NOTED_RATIO < noise / told < NOTED_RATIO:
             notes.append(

@@ -26,7 +26,7 @@ from lidar_core.io.options import NS
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
 from lidar_core.runs.targets.many import ManyRun
-from lidar_core.runs.targets.noise import fitted, tells_model
+from lidar_core.runs.targets.noise import fitted, names_told
 from lidar_core.runs.targets.one import TargetRun
 
 BAGS = (".bag", ".db3", ".mcap")
@@ -122,9 +122,8 @@ class FuseJob:
                 " of the platform, which are here; ctrv takes them in"
             )
         if self.fit_noise:
-            finds_model = not tells_model(self.config, self.ways)
-            logs = [(self.recording, kept)]
-            chosen = fitted(logs, chosen, finds_model=finds_model, force=self.force)
+            told = names_told(self.config, self.ways)
+            chosen = fitted([(self.recording, kept)], chosen, told=told, force=self.force)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:

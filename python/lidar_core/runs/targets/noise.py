@@ -1,38 +1,65 @@
 """Noise of a run on one target that is found from its recordings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence, Set
 from pathlib import Path
+
+import numpy as np
 
 from lidar_core.errors import InputError
 from lidar_core.fusion import FusionConfig, MeasurementLog, Measurements, MultiTargetConfig
 from lidar_core.fusion.plausibility import mistaken_for_noise
-from lidar_core.fusion.tuning import fit_likeliest, with_models
-from lidar_core.runs.settings import ConfigChoice
+from lidar_core.fusion.tuning import MODELS, fit_likeliest, with_models
+from lidar_core.runs.settings import ConfigChoice, file_values
 
 SETTLED = 10
 """Measurements of every recording that a fit of noise leaves out, since the filter starts."""
 
 
-def tells_model(
-    config: FusionConfig | MultiTargetConfig | ConfigChoice | None, ways: Mapping[str, str]
-) -> bool:
-    """Whether somebody chose model or method, so that a fit does not."""
+def names_told(
+    config: FusionConfig | MultiTargetConfig | ConfigChoice | None, ways: Iterable[str]
+) -> frozenset[str]:
+    """Names of the values that somebody chose, so that a fit leaves them; `ways` are among them.
+
+    A configuration that was made in Python chooses its model, also that of the defaults.
+
+    Raises
+    ------
+    ConfigError
+        The file of a choice cannot be used.
+    """
     if not isinstance(config, ConfigChoice | None):
-        return True
+        return frozenset({"model", *config.model_fields_set, *ways})
     choice = config or ConfigChoice()
-    named = [value.partition("=")[0].rpartition(".")[2].strip() for value in choice.values]
-    is_told = not {"model", "method"}.isdisjoint((*named, *ways))
-    return is_told or choice.file is not None or choice.mode == "paper"
+    named = {value.partition("=")[0].rpartition(".")[2].strip() for value in choice.values}
+    in_file = () if choice.file is None else file_values(Path(choice.file), "fusion")
+    of_mode = ("model",) if choice.mode == "paper" else ()
+    return frozenset({*named, *in_file, *of_mode, *ways})
+
+
+def text_of_fit(config: FusionConfig, told: Set[str]) -> str:
+    """What a fit found, for the notes of a run."""
+    names = ["acceleration_noise", "turn_noise", "lidar_std", "radar_std"]
+    values = {name: np.atleast_1d(getattr(config, name)) for name in names}
+    noise = ", ".join(
+        f"{name} {' '.join(f'{one:.3g}' for one in numbers)}" for name, numbers in values.items()
+    )
+    likelier = f"model {config.model}, the likelier one of {' and '.join(MODELS)}; "
+    model = "" if _is_model_told(told) else likelier
+    return f"found: {model}{noise}; sensor_noise {config.sensor_noise}"
+
+
+def _is_model_told(told: Set[str]) -> bool:
+    return not {"model", "method"}.isdisjoint(told)
 
 
 def fitted(
     logs: Sequence[tuple[Path, MeasurementLog]],
     config: FusionConfig,
     *,
-    finds_model: bool,
+    told: Set[str],
     force: bool,
 ) -> FusionConfig:
-    """`config` with the noise of recordings, and the likelier model where none is told.
+    """`config` with the noise of recordings, and the likelier model unless it is among `told`.
 
     Raises
     ------
@@ -49,8 +76,11 @@ def fitted(
                 f" got {len(measurements)}"
             )
     try:
-        several = with_models(config) if finds_model else [config]
-        found = fit_likeliest([Measurements(rows) for _, rows in ordered], several)
+        found = fit_likeliest(
+            [Measurements(rows) for _, rows in ordered],
+            [config] if _is_model_told(told) else with_models(config),
+            believes="sensor_noise" not in told,
+        )
     except InputError as error:
         places = ", ".join(str(place) for place, _ in ordered)
         raise InputError(f"{places}: {error}") from error

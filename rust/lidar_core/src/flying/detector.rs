@@ -303,7 +303,7 @@ impl FlyingObjectDetector {
         }
         let distance = classify.close_distance;
         let map = &mut local.map;
-        let found = (&scan.points[..], classifier.clusters());
+        let found = (&scan.points[..], classifier.clusters(), classifier.classifications());
         let standing = static_points.take(found, gate, seed, distance, map, tracker);
         classifier.flying_in(&standing, &scan.points, map.lattice())
     }

@@ -25,7 +25,7 @@ pub(crate) enum Layout {
     Optional(Box<Layout>),
     List(Box<Layout>),
     Map(Box<[Layout; 2]>),
-    /// Parts without names.
+    /// Fields without names.
     Tuple(Vec<(&'static str, Layout)>),
     Fields(&'static str, Vec<(&'static str, Layout)>),
     Choice(&'static str, Vec<(&'static str, Layout)>),
@@ -222,7 +222,7 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Refused> {
         match self.0.or(|| Layout::List(Box::new(Layout::Unknown))) {
-            Layout::List(inner) => visitor.visit_seq(Elements(inner, ELEMENTS)),
+            Layout::List(inner) => visitor.visit_seq(ElementsAccess(inner, ELEMENTS)),
             _ => Err(Refused::custom("no list before")),
         }
     }
@@ -240,7 +240,7 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
         visitor: V,
     ) -> Result<V::Value, Refused> {
         let parts = self.0.or(|| Layout::Tuple(unknown(&vec![""; length]))).parts();
-        visitor.visit_seq(Parts(parts))
+        visitor.visit_seq(FieldsAccess(parts))
     }
 
     fn deserialize_tuple_struct<V: Visitor<'de>>(
@@ -258,7 +258,7 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Refused> {
-        visitor.visit_seq(Parts(self.0.or(|| Layout::Fields(name, unknown(fields))).parts()))
+        visitor.visit_seq(FieldsAccess(self.0.or(|| Layout::Fields(name, unknown(fields))).parts()))
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -267,7 +267,9 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
         variants: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Refused> {
-        visitor.visit_enum(Variants(self.0.or(|| Layout::Choice(name, unknown(variants))).parts()))
+        visitor.visit_enum(VariantsAccess(
+            self.0.or(|| Layout::Choice(name, unknown(variants))).parts(),
+        ))
     }
 
     fn is_human_readable(&self) -> bool {
@@ -275,9 +277,9 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
     }
 }
 
-struct Parts<'a>(&'a mut [(&'static str, Layout)]);
+struct FieldsAccess<'a>(&'a mut [(&'static str, Layout)]);
 
-impl<'de> SeqAccess<'de> for Parts<'_> {
+impl<'de> SeqAccess<'de> for FieldsAccess<'_> {
     type Error = Refused;
 
     fn next_element_seed<S: DeserializeSeed<'de>>(
@@ -293,9 +295,9 @@ impl<'de> SeqAccess<'de> for Parts<'_> {
 }
 
 /// An element that comes so many times more.
-struct Elements<'a>(&'a mut Layout, usize);
+struct ElementsAccess<'a>(&'a mut Layout, usize);
 
-impl<'de> SeqAccess<'de> for Elements<'_> {
+impl<'de> SeqAccess<'de> for ElementsAccess<'_> {
     type Error = Refused;
 
     fn next_element_seed<S: DeserializeSeed<'de>>(
@@ -331,28 +333,28 @@ impl<'de> MapAccess<'de> for Pairs<'_> {
     }
 }
 
-struct Variants<'a>(&'a mut [(&'static str, Layout)]);
+struct VariantsAccess<'a>(&'a mut [(&'static str, Layout)]);
 
-impl<'a, 'de> EnumAccess<'de> for Variants<'a> {
+impl<'a, 'de> EnumAccess<'de> for VariantsAccess<'a> {
     type Error = Refused;
-    type Variant = Variant<'a>;
+    type Variant = OneVariant<'a>;
 
     fn variant_seed<S: DeserializeSeed<'de>>(
         self,
         seed: S,
-    ) -> Result<(S::Value, Variant<'a>), Refused> {
+    ) -> Result<(S::Value, OneVariant<'a>), Refused> {
         let number = self.0.iter().position(|(_, one)| !one.is_known()).unwrap_or_default();
         let Some((_, place)) = self.0.get_mut(number) else {
             return Err(Refused::custom("an enumeration without variants"));
         };
         let index = serde::de::value::U32Deserializer::<Refused>::new(number as u32);
-        Ok((seed.deserialize(index)?, Variant(place)))
+        Ok((seed.deserialize(index)?, OneVariant(place)))
     }
 }
 
-struct Variant<'a>(&'a mut Layout);
+struct OneVariant<'a>(&'a mut Layout);
 
-impl<'de> VariantAccess<'de> for Variant<'_> {
+impl<'de> VariantAccess<'de> for OneVariant<'_> {
     type Error = Refused;
 
     fn unit_variant(self) -> Result<(), Refused> {
@@ -378,6 +380,6 @@ impl<'de> VariantAccess<'de> for Variant<'_> {
         visitor: V,
     ) -> Result<V::Value, Refused> {
         let parts = self.0.or(|| Layout::Fields("", unknown(fields))).parts();
-        visitor.visit_seq(Parts(parts))
+        visitor.visit_seq(FieldsAccess(parts))
     }
 }

@@ -742,5 +742,6 @@ except OSError as error:
 def test_a_full_disk_is_named_and_leaves_no_mcap(tmp_path):
     command = [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.mcap")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.startswith(f"{tmp_path / 'a.mcap'}: cannot be written: ")
+    assert "cannot be written: " in done.stdout
+    assert str(tmp_path / "a.mcap") in done.stdout
     assert not list(tmp_path.iterdir())

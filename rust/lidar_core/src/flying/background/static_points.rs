@@ -2,9 +2,11 @@
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;
-use crate::flying::classify::clusters::Clusters;
+use crate::flying::classify::classifier::Classification;
+use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
+use crate::flying::point_class::PointClass;
 use crate::flying::reporting_gate::ReportingGate;
 use crate::flying::track::PointCloudTracker;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
@@ -70,7 +72,7 @@ impl StaticPoints {
     /// it, in ascending order. Other scans give none, and those after the burn-in change nothing.
     pub(crate) fn take(
         &mut self,
-        (points, clusters): (&[[f32; 3]], &Clusters),
+        (points, clusters, classifications): (&[[f32; 3]], &Clusters, &[Classification]),
         gate: ReportingGate,
         seed: &SeedParameters,
         distance: f64,
@@ -88,7 +90,10 @@ impl StaticPoints {
         }
         let moving = tracker.moved_by(seed.standing_track_distance);
         let mut standing = self.voxels(BurnIn::standing(seed, of), seed.standing_shift, of, map);
-        let moved = self.of_moving_clusters(points, clusters, of, map);
+        // What the background explains is joined in one search and not in another: it says nothing here.
+        let apart = classifications.iter().map(|found| found.class != PointClass::Background);
+        let apart = apart.enumerate().filter(|&(_, is_apart)| is_apart);
+        let moved = self.of_moving(points, apart.map(|(index, _)| clusters.get(index)), of, map);
         standing.retain(|voxel| moved.binary_search(voxel).is_err());
         standing.retain(|&voxel| {
             let center = lattice.center(voxel);
@@ -141,18 +146,15 @@ impl StaticPoints {
 
     /// Voxels of the clusters of the last scan which move, and those that these have left behind, in ascending
     /// order: many of their voxels have come.
-    fn of_moving_clusters(
+    fn of_moving<'a>(
         &self,
         points: &[[f32; 3]],
-        clusters: &Clusters,
+        clusters: impl Iterator<Item = Cluster<'a>>,
         of: u32,
         map: &VoxelMap,
     ) -> Vec<Voxel> {
         let mut found = Vec::new();
-        for cluster in (0..clusters.len())
-            .filter(|&index| !clusters.is_joined(index))
-            .map(|index| clusters.get(index))
-        {
+        for cluster in clusters {
             let voxel =
                 |row: &u32| floor(map.lattice().scaled(wide(points[*row as usize]))).map(Place);
             let mut own: Vec<Place> = cluster.members.iter().filter_map(voxel).collect();
@@ -173,7 +175,7 @@ impl StaticPoints {
 
     /// The voxels `own` of what moves in scan `of`, and those that it has left behind: beside each other, and the
     /// further back, the earlier left. No ray may have passed through them since, as where only the sky is behind
-    /// them; so nothing but what moves tells that they are empty.
+    /// them; so only the motion of the target shows that they are empty.
     fn trail(&self, own: &[Place], of: u32) -> Vec<Voxel> {
         let mut trail: Vec<(Voxel, u32)> = own.iter().map(|place| (place.0, of)).collect();
         let mut met: HashSet<Place, BuildHasherDefault<KeyHasher>> = own.iter().copied().collect();

@@ -169,14 +169,14 @@ pub(super) fn unite(
         };
         let own: Vec<usize> =
             rows_of(labels, count).into_iter().filter(|rows| is_own(rows)).flatten().collect();
-        let sides = Vector3::from_fn(|axis, _| {
-            let [low, high] = own.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |ends, &row| {
-                let at = offset(row)[axis];
-                [ends[0].min(at), ends[1].max(at)]
-            });
-            high - low
-        });
-        if let Some(&first) = own.first().filter(|_| sides.max() <= longest) {
+        // Also as the scan has them: what is longer there is no measurement of any track.
+        let is_short = |place: &dyn Fn(usize) -> Vector3<f64>| {
+            let ends = own.iter().map(|&row| (place(row), place(row)));
+            ends.reduce(|one, other| (one.0.inf(&other.0), one.1.sup(&other.1)))
+                .is_some_and(|(low, high)| (high - low).max() <= longest)
+        };
+        let as_scanned = |row: usize| Vector3::from(points[row].map(f64::from));
+        if let Some(&first) = own.first().filter(|_| is_short(&offset) && is_short(&as_scanned)) {
             let label = labels[first];
             own.iter().for_each(|&row| labels[row] = label);
         }
@@ -256,6 +256,20 @@ mod tests {
         assert_eq!(united(&[wing(), region(1.2, 0.1, true)], 2.5), [0, 0, 1, 2]);
         assert_eq!(united(&[wing(), region(1.2, 0.1, false)], 2.5), [0, 0, 0, 2]);
         assert_eq!(united(&[region(0.0, 0.1, true)], 2.5), [0, 0, 1, 2], "a small target");
+    }
+
+    #[test]
+    fn what_a_fast_target_is_drawn_out_to_by_the_scan_stays_parts() {
+        let velocity = Vector3::new(10.0, 0.0, 0.0);
+        let wing = SearchRegion { size: [2.0, 0.5, 0.3], velocity, ..region(0.0, 0.1, true) };
+        let united = |longest: f64| {
+            let mut labels = vec![0, 0, 1];
+            let points = [[-1.0, 0.0, 0.0], [-0.6, 0.0, 0.0], [1.9, 0.0, 0.0]];
+            unite(&mut labels, &points, &[0.0, 0.0, 0.1], std::slice::from_ref(&wing), longest);
+            labels
+        };
+        assert_eq!(united(3.0), [0, 0, 0]);
+        assert_eq!(united(2.5), [0, 0, 1]); // 1.9 m long, and 2.9 m in the scan
     }
 
     #[test]

@@ -169,7 +169,7 @@ impl PointTrack {
         motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), &model)
     }
 
-    /// The state at `stamp_ns` with all that is not known of the place of the centre.
+    /// The state at `stamp_ns`, with all uncertainty of the place of the centre.
     pub(super) fn told_at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
         let mut state = self.at(stamp_ns, model);
         let side = self.longest_side();

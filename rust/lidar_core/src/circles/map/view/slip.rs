@@ -1,7 +1,7 @@
 //! Whether the scanner moved between two scans of which the poses say that it did not.
 //!
 //! Where poses come from a source that stopped, they stay the same, and all that stands moves with
-//! the scanner. One motion then explains both scans; no number of things that move do that.
+//! the scanner. One motion then explains both scans; things that move do not.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -50,7 +50,7 @@ pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
         return false;
     }
     let share = |on: usize| on as f64 / samples.len() as f64;
-    // Most scanners rest: half of the ends answer for all.
+    // Usually the scanner rests: half of the ends show it, and the others are not looked at.
     let most = (BEFORE * samples.len() as f64) as usize;
     if on_surface(&samples, then, ScanSlip::default()).nth(most).is_some() {
         return false;

@@ -42,8 +42,8 @@ const FEWEST_ABOVE: usize = 4;
 /// Rays below a target pass it by this share of the gap between rays. Those of its own lowest row do not:
 /// a row is a cone, and so a curve in the plane of the target.
 const BELOW_GAPS: f64 = 0.5;
-/// They do so below the middle of it, this share of its width: rays beside what stands on the ground pass to the
-/// ground behind it.
+/// Only rays below the middle of its width, this share of it, count: rays beside what stands on the ground pass to
+/// the ground behind it.
 const MIDDLE: f64 = 0.5;
 /// Smallest radius to start with [m].
 const LEAST_RADIUS: f64 = 0.05;
