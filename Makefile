@@ -55,7 +55,7 @@ lint-python: ## Only ruff, mypy and stubtest.
 
 test: test-env ## Install what the tests need and run them all, on a wheel.
 	cargo test --locked
-	$(TEST_VENV)/bin/pytest -n 3 --dist loadfile
+	$(TEST_VENV)/bin/pytest -n 4 --dist loadfile
 	$(TEST_VENV)/bin/pytest --doctest-modules --pyargs lidar_core
 
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.

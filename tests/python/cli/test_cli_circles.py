@@ -394,7 +394,16 @@ REAL = {
 }
 
 
-@pytest.mark.parametrize(("name", "arguments"), REAL.items())
+LONG = "radish/mit-csail.clf.bz2"
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        pytest.param(*one, marks=[pytest.mark.nightly] if one[0] == LONG else [])
+        for one in REAL.items()
+    ],
+)
 def test_real_recordings_are_mapped(recordings, tmp_path, name, arguments):
     result = result_of(recordings / "2d" / name, "-o", tmp_path / "run", "--no-mcap", *arguments)
     scans = result["scans"]

@@ -225,8 +225,8 @@ def two_items(monkeypatch):
 # Every item
 
 
-NIGHTLY = {"flying-real", "flying-situations", "circles-real", "circles-table5"}
-"""Items that take minutes even in short; the tables of circles share one way of running."""
+NIGHTLY = {"flying-real", "flying-situations", "circles-real", "circles-table5", "circles-fig8"}
+"""Items that take minutes even in short; table 5 and figure 8 run as table 4 and figure 7 do."""
 
 
 @pytest.mark.parametrize(

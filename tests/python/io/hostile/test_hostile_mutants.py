@@ -50,7 +50,7 @@ def test_every_way_to_end_badly_is_found(kind):
 
 
 def test_broken_files_of_every_format_end_in_typed_errors():
-    status, told = hostile("-m", "hostile", "--count", "60", "--seed", "7", "--generated-only")
+    status, told = hostile("-m", "hostile", "--count", "40", "--seed", "7", "--generated-only")
     assert status == 0, told
     assert "0 untyped, 0 abort, 0 hang, 0 memory" in told
 
