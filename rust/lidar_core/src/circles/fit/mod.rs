@@ -8,6 +8,7 @@ mod mode;
 pub mod network_window;
 pub(super) mod posterior;
 mod row;
+pub(super) mod whole;
 
 #[cfg(test)]
 mod tests;

@@ -14,13 +14,14 @@ mod solve;
 mod tests;
 
 use self::ellipse::Ellipse;
-use super::fit::arc::{Arc, Hit};
+use super::fit::arc::Arc;
 use super::fit::circle::{Circle, CircleEstimate};
 use super::fit::likelihood::Likelihood;
 use super::fit::posterior::Posterior;
+use super::fit::whole::{whole, width};
 use super::fit::{FitMethod, FitParameters, estimate};
 use super::preprocess::polar_scan::PolarScan;
-use super::segment::segments::Segments;
+use super::segment::segments::{Segments, Side};
 use crate::Error;
 use crate::util::cancel;
 use serde::{Deserialize, Serialize};
@@ -150,20 +151,25 @@ impl ShapeFitter {
         for number in 0..segments.len() {
             cancel::check()?;
             self.arc.read((scan, wraps), segments, number, &self.parameters)?;
-            let (circle, shape) = self.shape_of_arc();
+            let is_free = segments.sides.get(number) == Some(&[Side::Free; 2]);
+            let (circle, shape) = self.shape_of_arc(is_free);
             circles.push(circle);
             shapes.push(shape);
         }
         Ok(())
     }
 
-    fn shape_of_arc(&mut self) -> (CircleEstimate, ShapeEstimate) {
+    /// Circle and shape of the arc; `is_free` if both its sides are seen.
+    fn shape_of_arc(&mut self, is_free: bool) -> (CircleEstimate, ShapeEstimate) {
         let (arc, std) = (&self.arc, self.parameters.range_std);
         let likelihood = Likelihood { arc, parameters: &self.parameters };
         let estimated = self.posterior.of(&likelihood);
         let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
         let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
-        let circle = estimate(arc, &self.parameters, estimated);
+        let usual = (estimate(arc, &self.parameters, estimated), misfit);
+        let larger = Some(()).filter(|()| is_free && arc.n_hits >= LEAST_HITS);
+        let larger = larger.and_then(|()| whole(arc, &self.parameters, &mut self.posterior));
+        let (circle, misfit) = larger.unwrap_or(usual);
         let round = place::circle(arc, circle, misfit);
         if arc.n_hits < LEAST_HITS {
             return (circle, round);
@@ -182,7 +188,7 @@ impl ShapeFitter {
             best = (corner.misfit + 5.0 * price, Some(found));
         }
         let ellipse = Ellipse { arc };
-        if self.width() <= 2.0 * self.parameters.radius[1]
+        if width(arc) <= 2.0 * self.parameters.radius[1]
             && (best.1.is_some() || ellipse.gain(&circle.circle, std) > LEAST_GAIN * price)
             && let Some(found) = ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1])
             && found.misfit + 5.0 * price < best.0
@@ -190,15 +196,5 @@ impl ShapeFitter {
             best = (found.misfit + 5.0 * price, Some(place::ellipse(&ellipse, &found)));
         }
         (circle, best.1.unwrap_or(round))
-    }
-
-    /// Length from the first hit to the last one [m].
-    fn width(&self) -> f64 {
-        let (Some(first), Some(last)) = (self.arc.hits.first(), self.arc.hits.last()) else {
-            return 0.0;
-        };
-        let at = |hit: &Hit| [hit.range * hit.cosine, hit.range * hit.sine];
-        let ([x, y], [to_x, to_y]) = (at(first), at(last));
-        libm::hypot(to_x - x, to_y - y)
     }
 }
