@@ -1,9 +1,9 @@
-//! Circles larger than `FitParameters::radius` allows, of which both sides are seen.
+//! Circles larger than `FitParameters::radius` allows, of which a side is seen.
 //!
 //! A part of a large circle looks like a piece of a wall, so that the largest radius bounds every
-//! circle whose sides may be hidden. Where free space begins on both sides of an arc, its tangents
-//! are known: between them a circle of radius r at the distance d bulges by r (1 - r / d), and a wall
-//! does not.
+//! circle whose sides may be hidden. Where free space begins beside an arc, its tangent is known: a
+//! circle recedes there until rays graze it, and a wall ends. Both tangents leave nothing but the
+//! distance to fit; with one of them, the arc itself must tell the radius.
 
 use super::arc::{Arc, Hit};
 use super::circle::CircleEstimate;
@@ -11,35 +11,48 @@ use super::likelihood::Likelihood;
 use super::posterior::Posterior;
 use super::{FitParameters, algebraic, estimate};
 
-/// Largest radius of a circle that is seen from side to side, in largest radii of any other.
-pub(in crate::circles) const WHOLE: f64 = 3.0;
+/// Largest radius of a circle of which a side is seen, in largest radii of any other.
+const WHOLE: f64 = 3.0;
 /// Share of the largest radius above which a circle may be limited by it.
 const LIMITED: f64 = 0.8;
-
-/// Largest mean square distance of the hits from such a circle, in variances of a range: between two
-/// known tangents nothing but the distance is left to fit.
+/// Largest mean square distance of the hits from such a circle, in variances of a range.
 const MISFIT: f64 = 4.0;
+/// Largest standard deviation of its radius, as a share of it.
+const KNOWN: f64 = 0.05;
 
-/// Circle of an arc on whose both sides space is free, and its misfit; None if it is not larger than
-/// usual, or none explains the rays.
+impl FitParameters {
+    /// The same for a circle of which a side is seen.
+    pub(in crate::circles) fn of_whole(&self) -> Self {
+        let [least, most] = self.radius;
+        Self { radius: [least, WHOLE * most], ..*self }
+    }
+
+    /// True if the hits of an arc may show a circle that is too large for these parameters.
+    ///
+    /// Most wide arcs are walls: the algebraic circle rules them out in one loop over the hits.
+    pub(in crate::circles) fn is_exceeded(&self, arc: &Arc) -> bool {
+        let most = self.radius[1];
+        if width(arc) <= most {
+            return false;
+        }
+        let ([.., radius], _) = algebraic::fit(arc, &self.of_whole());
+        (LIMITED * most..WHOLE * most).contains(&radius)
+    }
+}
+
+/// Circle of an arc that was read with the parameters [`FitParameters::of_whole`], and its misfit;
+/// None if no such circle explains the rays, or if they leave its radius open.
 pub(in crate::circles) fn whole(
     arc: &Arc,
-    parameters: &FitParameters,
+    wide: &FitParameters,
     posterior: &mut Posterior,
 ) -> Option<(CircleEstimate, f64)> {
-    let [least, most] = parameters.radius;
-    if width(arc) <= most {
-        return None;
-    }
-    let wide = FitParameters { radius: [least, WHOLE * most], ..*parameters };
-    // Most wide arcs are walls: the algebraic circle rules them out in one loop over the hits.
-    let ([.., radius], _) = algebraic::fit(arc, &wide);
-    if !(LIMITED * most..WHOLE * most).contains(&radius) {
-        return None;
-    }
-    let found = posterior.of(&Likelihood { arc, parameters: &wide })?;
+    let found = posterior.of(&Likelihood { arc, parameters: wide })?;
     let misfit = -2.0 * posterior.log_likelihood()?;
-    (misfit < MISFIT * arc.n_hits as f64).then(|| (estimate(arc, &wide, Some(found)), misfit))
+    let circle = estimate(arc, wide, Some(found));
+    let (radius, variance) = (circle.circle.radius, circle.covariance[2][2]);
+    let is_known = variance < KNOWN * KNOWN * radius * radius;
+    (is_known && misfit < MISFIT * arc.n_hits as f64).then_some((circle, misfit))
 }
 
 /// Length from the first hit to the last one [m].

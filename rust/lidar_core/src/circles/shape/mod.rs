@@ -151,25 +151,48 @@ impl ShapeFitter {
         for number in 0..segments.len() {
             cancel::check()?;
             self.arc.read((scan, wraps), segments, number, &self.parameters)?;
-            let is_free = segments.sides.get(number) == Some(&[Side::Free; 2]);
-            let (circle, shape) = self.shape_of_arc(is_free);
+            let larger = self.larger((scan, wraps), segments, number)?;
+            let (circle, shape) = self.shape_of_arc(larger);
             circles.push(circle);
             shapes.push(shape);
         }
         Ok(())
     }
 
-    /// Circle and shape of the arc; `is_free` if both its sides are seen.
-    fn shape_of_arc(&mut self, is_free: bool) -> (CircleEstimate, ShapeEstimate) {
+    /// Circle of the arc and its misfit, if it is larger than usual and a side of it is seen.
+    fn larger(
+        &mut self,
+        scan: (&PolarScan, bool),
+        segments: &Segments,
+        number: usize,
+    ) -> Result<Option<(CircleEstimate, f64)>, Error> {
+        let is_seen = segments.sides.get(number).is_some_and(|sides| sides.contains(&Side::Free));
+        if !is_seen || self.arc.n_hits < LEAST_HITS || !self.parameters.is_exceeded(&self.arc) {
+            return Ok(None);
+        }
+        let wide = self.parameters.of_whole();
+        // A hidden side may be farther away.
+        self.arc.read(scan, segments, number, &wide)?;
+        let found = whole(&self.arc, &wide, &mut self.posterior);
+        if found.is_none() {
+            self.arc.read(scan, segments, number, &self.parameters)?;
+        }
+        Ok(found)
+    }
+
+    /// Circle and shape of the arc; `larger` is its circle, if that is larger than usual, and its
+    /// misfit.
+    fn shape_of_arc(
+        &mut self,
+        larger: Option<(CircleEstimate, f64)>,
+    ) -> (CircleEstimate, ShapeEstimate) {
         let (arc, std) = (&self.arc, self.parameters.range_std);
-        let likelihood = Likelihood { arc, parameters: &self.parameters };
-        let estimated = self.posterior.of(&likelihood);
-        let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
-        let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
-        let usual = (estimate(arc, &self.parameters, estimated), misfit);
-        let larger = Some(()).filter(|()| is_free && arc.n_hits >= LEAST_HITS);
-        let larger = larger.and_then(|()| whole(arc, &self.parameters, &mut self.posterior));
-        let (circle, misfit) = larger.unwrap_or(usual);
+        let (circle, misfit) = larger.unwrap_or_else(|| {
+            let estimated = self.posterior.of(&Likelihood { arc, parameters: &self.parameters });
+            let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
+            let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
+            (estimate(arc, &self.parameters, estimated), misfit)
+        });
         let round = place::circle(arc, circle, misfit);
         if arc.n_hits < LEAST_HITS {
             return (circle, round);

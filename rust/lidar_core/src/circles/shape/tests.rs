@@ -98,6 +98,30 @@ fn a_large_circle_is_one_where_both_its_sides_are_seen() -> Result<(), Error> {
 }
 
 #[test]
+fn of_a_large_circle_one_side_is_enough_if_the_arc_tells_its_radius() -> Result<(), Error> {
+    let (range, half) = ahead(1.7);
+    // Its left 0.7, and no more of it than to its middle.
+    for (cut, is_known) in [(0.4, true), (-0.8, false)] {
+        let last = (cut * f64::from(half)) as i32;
+        let bearings: Vec<f64> =
+            (-120..=last).map(|step| f64::from(step) * 0.25_f64.to_radians()).collect();
+        let seen = (120 - half) as usize..bearings.len();
+        let at = |(step, &bearing): (usize, &f64)| {
+            if seen.contains(&step) { range(bearing) } else { f64::INFINITY }
+        };
+        let rays: Vec<u32> = seen.clone().map(|ray| ray as u32).collect();
+        let scan = PolarScan { ranges: bearings.iter().enumerate().map(at).collect(), bearings };
+        let (starts, sides) = (vec![0, rays.len()], vec![[Side::Free, Side::FieldEdge]]);
+        let segments = Segments { labels: vec![], rays, starts, sides };
+        let mut shapes = Vec::new();
+        ShapeFitter::new(FitParameters::default())?.fit(&scan, &segments, &mut shapes)?;
+        let radius = shapes[0].circle().map_or(0.0, |circle| circle.radius);
+        assert_eq!((radius - 1.7).abs() < 0.05, is_known, "{:?}", shapes[0]);
+    }
+    Ok(())
+}
+
+#[test]
 fn a_free_standing_wall_is_no_large_circle_even_if_it_is_bent() -> Result<(), Error> {
     for (half, bulge) in [(20, 0.0), (60, 0.0), (100, 0.0), (60, 0.05), (100, 0.1), (60, 0.16)] {
         // An arc of less than 0.9 rad, not one from tangent to tangent.

@@ -82,3 +82,91 @@ impl Outline {
         Some(CircleMeasurement { z, R, delay: seen.circle.delay })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::measurement::Legs;
+    use super::super::outline::OutlineMeasurement;
+    use super::*;
+    use crate::Error;
+    use crate::circles::map::rules::Rules;
+    use crate::circles::map::{CircleMapParameters, ElementFilter};
+    use nalgebra::{SMatrix, SVector};
+
+    /// A body at (3, 0) with its longer half length of 0.2 m under this bearing, seen from the origin.
+    fn known(kind: ShapeKind, heading: f64) -> Result<Outline, Error> {
+        let parameters = CircleMapParameters::default();
+        let ElementFilter::Independent(independent) = parameters.filter else {
+            return Err(Error::NotPositiveDefinite { matrix: "none" });
+        };
+        let rules = Rules::new(independent, parameters.gate_probability, parameters.initial_speed)?;
+        Ok(Outline::new(Some(&outline(kind, heading, [0.2, 0.1])), false, &rules))
+    }
+
+    fn outline(kind: ShapeKind, heading: f64, half: [f64; 2]) -> OutlineMeasurement {
+        OutlineMeasurement {
+            kind,
+            z: SVector::from([3.0, 0.0, heading, half[0], half[1]]),
+            R: SMatrix::identity() * 1e-4,
+            delay: 0.0,
+            is_large: false,
+        }
+    }
+
+    /// A face whose middle is at (x, 0), as the circle behind it.
+    fn face(x: f64, half: f64) -> BodyMeasurement {
+        BodyMeasurement {
+            circle: CircleMeasurement {
+                z: Vector3::new(x + BEHIND * half, 0.0, half),
+                R: Matrix3::identity() * 1e-3,
+                delay: 0.0,
+            },
+            round: None,
+            outline: None,
+            is_face: true,
+            time_ns: 0,
+            sight: [1.0, 0.0],
+            look: None,
+            hull: None,
+            trace: None,
+            legs: Legs::None,
+        }
+    }
+
+    #[test]
+    fn the_centre_is_as_far_behind_a_face_as_is_known() -> Result<(), Error> {
+        for (heading, depth, half) in [(0.05, 0.2, 0.1), (FRAC_PI_2, 0.1, 0.2)] {
+            let known = known(ShapeKind::Rectangle, heading)?;
+            let found = known.behind(&face(2.5, half)).map(|found| found.z);
+            let off = found.map(|z| (z - Vector3::new(2.5 + depth, 0.0, 0.15)).abs().max());
+            assert!(off.is_some_and(|off| off < 0.01), "{found:?}");
+            // Bent by noise, it looks like a flat ellipse.
+            let mut bent = face(2.5, half);
+            bent.circle.z[0] = 2.5 + 0.02;
+            bent.is_face = false;
+            bent.outline = Some(outline(ShapeKind::Ellipse, FRAC_PI_2, [half, 0.02]));
+            let found = known.behind(&bent).map(|found| found.z[0]);
+            assert!(found.is_some_and(|x| (x - 2.5 - depth).abs() < 0.01), "{found:?}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn another_face_and_what_is_no_box_tell_no_depth() -> Result<(), Error> {
+        let rectangle = known(ShapeKind::Rectangle, 0.0)?;
+        assert!(rectangle.behind(&face(2.5, 0.3)).is_none());
+        assert!(known(ShapeKind::Ellipse, 0.0)?.behind(&face(2.5, 0.1)).is_none());
+        let mut both = face(2.5, 0.1);
+        both.is_face = false;
+        for seen in [None, Some(outline(ShapeKind::Rectangle, 0.0, [0.2, 0.1]))] {
+            both.outline = seen;
+            assert!(rectangle.behind(&both).is_none());
+        }
+        // An ellipse that is deep, or seen from its end, shows more than a face.
+        for (heading, short) in [(FRAC_PI_2, 0.07), (0.0, 0.02)] {
+            both.outline = Some(outline(ShapeKind::Ellipse, heading, [0.1, short]));
+            assert!(rectangle.behind(&both).is_none());
+        }
+        Ok(())
+    }
+}

@@ -13,9 +13,10 @@ const SAMPLES: usize = 100;
 const FEWEST: usize = 30;
 /// Distance from the surface of the earlier scan within which an end lies on it [m].
 const ON: f64 = 0.05;
-/// Shares of the ends on it: at most where they are, and at least after the motion.
+/// Shares of the ends on it: at most where they are, and at least after the motion. The others may be
+/// people and vehicles, which go their own ways.
 const BEFORE: f64 = 0.5;
-const AFTER: f64 = 0.85;
+const AFTER: f64 = 0.7;
 /// Least gap between two surfaces [m], and the least number of surfaces that are explained: two things
 /// may move side by side.
 const GAP: f64 = 0.5;
