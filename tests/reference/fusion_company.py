@@ -52,4 +52,5 @@ def keep_company(config, stamp, tracks):
 
 def is_reported(track):
     """Whether a track is confirmed and not left out."""
-    return track["confirmed"] and not (track.get("part", False) or track.get("stands", False))
+    is_left_out = track.get("part", False) or track.get("stands", False)
+    return track["confirmed"] and not is_left_out and track.get("credible", True)

@@ -8,6 +8,7 @@ Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994.
 
 import numpy as np
 
+from reference.fusion_clutter import measure_spread
 from reference.fusion_company import keep_company
 from reference.fusion_many import gaussian_step
 
@@ -182,6 +183,7 @@ class IntegratedTargets:
         self.unite()
         self.judge(scanner, largest)
         keep_company(self.config, self.stamp, self.tracks)
+        measure_spread(self.config, self.tracks, places)
         return numbers
 
     def age(self):

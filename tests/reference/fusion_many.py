@@ -4,6 +4,7 @@ from itertools import permutations, product
 
 import numpy as np
 
+from reference.fusion_clutter import measure_spread, standing_density, weigh
 from reference.fusion_company import keep_company
 
 
@@ -36,6 +37,7 @@ class ManyTargets:
     def __init__(self, config, *, gate):
         self.config, self.gate = config, gate
         self.tracks, self.next_id, self.stamp = [], 0, None
+        self.past, self.standing = {}, []
 
     def process(self, stamp, places, source):
         target = self.config.target
@@ -49,6 +51,7 @@ class ManyTargets:
             track["stamp"] = stamp
             if source in track["sources"]:
                 track["history"].append(0)
+        self.take_in(stamp, places, source)
         for confirmed in (True, False):
             self.associate(
                 [t for t in self.tracks if t["confirmed"] is confirmed],
@@ -62,6 +65,7 @@ class ManyTargets:
             self.judge(track)
         self.tracks = [track for track in self.tracks if self.stays(track, stamp)]
         keep_company(self.config, stamp, self.tracks)
+        measure_spread(self.config, self.tracks, places)
         for column, place in enumerate(places):
             near = any(np.hypot(*(at - place)) < self.config.birth_distance for at in measured)
             if numbers[column] >= 0 or near:
@@ -84,6 +88,16 @@ class ManyTargets:
             numbers[column] = self.next_id
             self.next_id += 1
         return numbers
+
+    def take_in(self, stamp, places, source):
+        """Density of what stands at every place, from what was seen before."""
+        past = self.past.setdefault(source, [])
+        half = np.sqrt(np.prod(self.config.target.lidar_std))
+        self.standing = [
+            standing_density(past, stamp, place, half) if self.config.report_speed > 0 else 0.0
+            for place in places
+        ]
+        past.append((stamp, places))
 
     def associate(self, tracks, stamp, places, source, numbers):
         noise = np.diag(np.square(self.config.target.lidar_std))
@@ -144,7 +158,8 @@ class JointTargets(ManyTargets):
                 nis = self.distance(track, places[column], noise)
                 if nis <= self.gate:
                     density = np.exp(-nis / 2) / np.sqrt(np.linalg.det(2 * np.pi * spread))
-                    inside[column] = config.detection_probability * density / config.clutter[0]
+                    clutter = max(config.clutter[0], self.standing[column])
+                    inside[column] = config.detection_probability * density / clutter
             options.append({-1: 1 - config.detection_probability, **inside})
         weights = np.zeros((len(tracks), len(places)))
         total = 0.0
@@ -168,6 +183,8 @@ class JointTargets(ManyTargets):
                 self.absorb(track, shares, places, noise)
             if shares.sum() > 0.5:
                 self.see(track, stamp, source)
+                if config.report_speed > 0:
+                    weigh(track, list(inside.values())[1:], 1 - config.detection_probability)
 
     def absorb(self, track, shares, places, noise):
         spread = track["cov"][:2, :2] + noise

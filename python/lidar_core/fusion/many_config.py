@@ -74,14 +74,16 @@ class MultiTargetConfig(Config):
         description="No track starts nearer than this to one that the same scan measured: parts"
         " of an object are no objects. A track that goes along ahead or astern of one with more"
         " measurements, up to 1.5 times as far along and 0.6 times across, is a part of it and not"
-        " reported [m].",
+        " reported. Half of the spread of measurements within it is added to the covariance of"
+        " reported positions [m].",
     )
     report_speed: float = Field(
         0.0,
         ge=0,
         le=1e3,
         description="A track is not reported while the mean of its speed over the last 15 s is"
-        " below this: for clutter that stands, where targets do not; 0: all are [m/s].",
+        " below this: for clutter that stands, where targets do not. Places that return again and"
+        " again for more than 10 s then count as clutter; 0: nothing of this [m/s].",
     )
 
     association: Literal["integrated", "nearest", "joint"] = Field(

@@ -7,4 +7,6 @@ pub mod joint_association;
 pub mod kind;
 pub mod near;
 pub mod sensor_noise;
+pub mod spread;
+pub mod standing_clutter;
 pub mod surroundings;

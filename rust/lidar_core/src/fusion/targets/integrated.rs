@@ -113,6 +113,7 @@ impl Tracks {
             let clutter = prior.clutter.min(told[kind(m)][axes - 1]);
             let prior = ScannerPrior { clutter, ..prior };
             let density = scanner[kind(m)].clutter(&prior, axes);
+            let density = density.max(space.standing[pair.column]);
             let log_ratio = -0.5 * (innovation.nis + spread(innovation)) - libm::log(density);
             GatedPair { track: pair.row, measurement: pair.column, log_ratio }
         });

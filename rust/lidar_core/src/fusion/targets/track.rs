@@ -7,6 +7,7 @@ use crate::estimation::assignment::Pair;
 use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::tracking::existence::Presence;
+use crate::tracking::spread::MeasuredSpread;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -86,6 +87,13 @@ pub(super) struct Candidates {
     pub(super) innovations: Vec<Innovation>,
 }
 
+/// Score of a new track: one of twenty is of a target.
+const NEW_SCORE: f64 = -2.94;
+/// Score from which on a track is credible, until it falls below 0: twenty times as likely as none.
+const CREDIBLE: f64 = 2.94;
+/// Largest score: a long past does not outweigh what is measured now.
+const LARGEST_SCORE: f64 = 6.9;
+
 /// A measurement of a scan: stamp [ns], scanner and index.
 pub type Sighting = (i64, u8, usize);
 
@@ -127,11 +135,44 @@ impl Default for Belief {
     }
 }
 
+/// How much better a target explains the measurements of a track than clutter at their places does.
+///
+/// # Source
+/// Sittler's track score: Blackman & Popoli, "Design and Analysis of Modern Tracking Systems",
+/// 1999, sec. 6.2; of measurements alone, since counts and ages say what misses mean.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct TrackScore {
+    /// Logarithm of the odds of a target.
+    log_odds: f64,
+    /// False once clutter explains the measurements as well.
+    pub(super) is_credible: bool,
+}
+
+impl Default for TrackScore {
+    fn default() -> Self {
+        Self { log_odds: NEW_SCORE, is_credible: true }
+    }
+}
+
+impl TrackScore {
+    /// Take in a scan that measured the track. `odds` are how much likelier its measurements are of a
+    /// target than that the target was missed and they are clutter; it is measured with probability
+    /// `detection`. Other tracks do not count: two on one target are both of a target.
+    pub(super) fn weigh(&mut self, odds: f64, detection: f64) {
+        let log_ratio = libm::log((1.0 - detection) * (1.0 + odds));
+        self.log_odds = (self.log_odds + log_ratio).min(LARGEST_SCORE);
+        let least = if self.is_credible { 0.0 } else { CREDIBLE };
+        self.is_credible = self.log_odds >= least;
+    }
+}
+
 /// A scan, and how it is processed.
 pub(super) struct IntegratedScan<'a> {
     pub parameters: &'a ManyParameters,
     pub existence: &'a ExistenceParameters,
     pub scan: &'a Scan,
+    /// Density of clutter that stands where each measurement is [1/m^2].
+    pub standing: &'a [f64],
 }
 
 /// A track with its filter, or with the saved form of that.
@@ -150,6 +191,9 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) confirmed: bool,
     pub(super) belief: Belief,
     pub(super) way: RecentPath,
+    pub(super) score: TrackScore,
+    /// Of the measurements near it; none where targets are points.
+    pub(super) spread: MeasuredSpread,
 }
 
 impl Births {
@@ -193,6 +237,8 @@ impl<F> TargetTrack<F> {
             confirmed: self.confirmed,
             belief: self.belief,
             way: self.way.clone(),
+            score: self.score,
+            spread: self.spread,
         }
     }
 }
@@ -211,6 +257,8 @@ impl TargetTrack {
             confirmed: false,
             belief: Belief::default(),
             way: RecentPath::default(),
+            score: TrackScore::default(),
+            spread: MeasuredSpread::default(),
         }
     }
 
@@ -235,6 +283,20 @@ impl TargetTrack {
         if weighted.iter().map(|(weight, _)| weight).sum::<f64>() > 0.5 {
             self.see(scan);
         }
+    }
+
+    /// True unless the track stands, is a part of another one, or clutter explains it.
+    pub(super) fn is_reported(&self) -> bool {
+        self.confirmed && !self.way.is_left_out() && self.score.is_credible
+    }
+
+    /// State at `stamp_ns`; where targets have an extent, the place of which is uncertain by it.
+    pub(super) fn reported_at(&self, stamp_ns: i64) -> Option<Output> {
+        let mut output = self.filter.output_at(stamp_ns)?;
+        for (row, spread) in output.covariance.iter_mut().zip(self.spread.covariance()) {
+            row.iter_mut().zip(spread).for_each(|(value, more)| *value += more);
+        }
+        Some(output)
     }
 
     /// Number of recent scans that measured the track, and number of recent scans that count.

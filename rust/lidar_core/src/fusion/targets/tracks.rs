@@ -14,8 +14,10 @@ use crate::estimation::assignment::{Pair, assign};
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::parameters::FusionParameters;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::fusion::sensors::observation::Observation;
 use crate::tracking::joint_association::probabilities;
-use crate::tracking::near::NearIndex;
+use crate::tracking::near::{NearIndex, Rectangle};
+use crate::tracking::standing_clutter::StandingClutter;
 use crate::tracking::surroundings::{Population, Surroundings};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
@@ -38,6 +40,7 @@ pub struct SavedTracks {
     all: Vec<TargetTrack<SavedTarget>>,
     scanners: BTreeMap<u8, [Surroundings; 2]>,
     population: Population,
+    standing: BTreeMap<u8, StandingClutter>,
 }
 
 /// All tracks at one time.
@@ -50,17 +53,19 @@ pub struct Tracks {
     pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
     /// How long targets stay.
     pub(super) population: Population,
+    /// What stands, by scanner; nothing where targets may stand.
+    standing: BTreeMap<u8, StandingClutter>,
 }
 
 impl TargetAssociation {
     /// Cost of a track and a measurement with this innovation.
-    fn cost(&self, m: &Measurement, innovation: &Innovation) -> f64 {
+    fn cost(&self, m: &Measurement, innovation: &Innovation, standing: f64) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
         match self {
             Self::Nearest | Self::Integrated(_) => distance,
             Self::Joint { detection, clutter } => {
                 let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
-                let density = clutter[usize::from(m.sensor() == Sensor::Radar)];
+                let density = clutter[usize::from(m.sensor() == Sensor::Radar)].max(standing);
                 0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
             }
         }
@@ -78,21 +83,26 @@ impl Tracks {
             all: Vec::new(),
             scanners: BTreeMap::new(),
             population: Population::default(),
+            standing: BTreeMap::new(),
         })
     }
 
     /// The tracks, of which none stay here.
     #[must_use]
     pub fn moved_out(&mut self) -> Self {
-        let (all, scanners) = (std::mem::take(&mut self.all), self.scanners.clone());
-        Self { unseen: self.unseen.clone(), all, scanners, population: self.population }
+        Self { all: std::mem::take(&mut self.all), ..self.clone() }
     }
 
     /// State that changes with scans.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &TargetTrack| track.with_filter(track.filter.saved());
-        let (all, scanners) = (self.all.iter().map(one).collect(), self.scanners.clone());
-        SavedTracks { unseen: self.unseen.saved(), all, scanners, population: self.population }
+        SavedTracks {
+            unseen: self.unseen.saved(),
+            all: self.all.iter().map(one).collect(),
+            scanners: self.scanners.clone(),
+            population: self.population,
+            standing: self.standing.clone(),
+        }
     }
 
     /// Saved tracks, with filters of the parameters of `self`.
@@ -113,6 +123,7 @@ impl Tracks {
             all,
             scanners: saved.scanners.clone(),
             population: saved.population,
+            standing: saved.standing.clone(),
         })
     }
 
@@ -132,9 +143,9 @@ impl Tracks {
     #[must_use]
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
-            let output = track.filter.output_at(stamp_ns)?;
+            let output = track.reported_at(stamp_ns)?;
             let TargetTrack { id, born_ns, seen_ns, hits, belief, .. } = *track;
-            let confirmed = track.confirmed && !track.way.is_left_out();
+            let confirmed = track.is_reported();
             let existence = Some(belief.presence.existence).filter(|p| !p.is_nan());
             Some(TrackState { id, output, born_ns, seen_ns, hits, confirmed, existence })
         });
@@ -172,23 +183,30 @@ impl Tracks {
         let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
         work.predictions += foreseen.sum::<u64>();
         let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
+        let has_places = parameters.birth_distance > 0.0 || parameters.report_speed > 0.0;
+        let places = if has_places { self.places_of(parameters, scan) } else { Vec::new() };
+        let standing = self.standing_clutter(parameters, scan, &places);
         if let TargetAssociation::Integrated(existence) = &parameters.association {
-            let candidates = self.candidates(parameters, scan, &index, |_| true, &assigned, work);
-            let space = IntegratedScan { parameters, existence, scan };
+            let seen = (scan, standing.as_slice());
+            let candidates = self.candidates(parameters, seen, &index, |_| true, &assigned, work);
+            let space = IntegratedScan { parameters, existence, scan, standing: &standing };
             self.integrate(&space, &candidates, births, &mut assigned);
             self.keep_company(parameters, stamp_ns);
+            self.learn_places(parameters, scan, &places);
             within("tracks", self.all.len())?;
             return Ok(assigned);
         }
         for confirmed in [true, false] {
             let wanted = |track: &TargetTrack| track.confirmed == confirmed;
-            let candidates = self.candidates(parameters, scan, &index, wanted, &assigned, work);
+            let seen = (scan, standing.as_slice());
+            let candidates = self.candidates(parameters, seen, &index, wanted, &assigned, work);
             self.associate(parameters, scan, &candidates, &mut assigned)?;
         }
         let measured = self.measured_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
         self.all.retain(|track| track.stays(stamp_ns, parameters));
         self.keep_company(parameters, stamp_ns);
+        self.learn_places(parameters, scan, &places);
         self.start(parameters, scan, &measured, births, &mut assigned);
         within("tracks", self.all.len())?;
         Ok(assigned)
@@ -207,8 +225,8 @@ impl Tracks {
         candidates: &Candidates,
         assigned: &mut [Assigned],
     ) -> Result<(), Error> {
-        if let TargetAssociation::Joint { .. } = parameters.association {
-            self.associate_jointly(scan, assigned, candidates);
+        if let TargetAssociation::Joint { detection, .. } = parameters.association {
+            self.associate_jointly(scan, assigned, candidates, detection);
             return Ok(());
         }
         let Candidates { pairs, innovations } = candidates;
@@ -228,7 +246,7 @@ impl Tracks {
     fn candidates(
         &mut self,
         parameters: &ManyParameters,
-        scan: &Scan,
+        (scan, standing): (&Scan, &[f64]),
         index: &ScanIndex,
         wanted: impl Fn(&TargetTrack) -> bool,
         assigned: &[Assigned],
@@ -246,7 +264,7 @@ impl Tracks {
                 if is_another_target(track, m) {
                     continue;
                 }
-                let cost = parameters.association.cost(m, &innovation);
+                let cost = parameters.association.cost(m, &innovation, standing[*column]);
                 if cost.is_finite() {
                     found.pairs.push(Pair { row, column: *column, cost });
                     found.innovations.push(innovation);
@@ -263,14 +281,17 @@ impl Tracks {
         scan: &Scan,
         assigned: &mut [Assigned],
         candidates: &Candidates,
+        detection: f64,
     ) {
         let Candidates { pairs, innovations } = candidates;
         let weights = probabilities(self.all.len(), scan.measurements.len(), pairs);
         let mut of_track = vec![Vec::new(); self.all.len()];
         let mut of_any = vec![(0.0, 0.0, Assigned::default()); assigned.len()]; // sum, largest
-        for ((Pair { row, column, .. }, innovation), weight) in
+        let mut odds = vec![0.0; self.all.len()];
+        for ((Pair { row, column, cost }, innovation), weight) in
             pairs.iter().zip(innovations).zip(weights)
         {
+            odds[*row] += libm::exp(-cost);
             of_track[*row].push((weight, scan.measurements[*column]));
             let (sum, most, best) = &mut of_any[*column];
             *sum += weight;
@@ -284,8 +305,94 @@ impl Tracks {
                 *given = best;
             }
         }
-        for (track, weighted) in self.all.iter_mut().zip(of_track) {
+        let has_clutter = !self.standing.is_empty();
+        for ((track, weighted), odds) in self.all.iter_mut().zip(of_track).zip(odds) {
+            let hits = track.hits;
             track.absorb(scan, &weighted);
+            if track.hits > hits && has_clutter {
+                track.score.weigh(odds, detection);
+            }
+        }
+    }
+
+    /// Where the measurements of a scan lie in the world, and half the width of their spread [m]; None
+    /// for those that are no positions.
+    fn places_of(&self, parameters: &ManyParameters, scan: &Scan) -> Vec<Option<([f64; 2], f64)>> {
+        let place = |m: &Measurement| {
+            let observed = parameters.filter.sensing.observation(m, 0.0)?;
+            let Observation::Position { R, .. } = observed else { return None };
+            let output = self.unseen.clone().step(m).output?;
+            let half = libm::sqrt(libm::sqrt(R.determinant().max(0.0)));
+            let place = [output.mean[0], output.mean[1]];
+            place.iter().all(|value| value.is_finite()).then_some((place, half))
+        };
+        scan.measurements.iter().map(place).collect()
+    }
+
+    /// Density of clutter that stands where each measurement is [1/m^2]: zero where targets may stand,
+    /// and for measurements that are no positions.
+    fn standing_clutter(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        places: &[Option<([f64; 2], f64)>],
+    ) -> Vec<f64> {
+        if parameters.report_speed <= 0.0 {
+            return vec![0.0; scan.measurements.len()];
+        }
+        let known: Vec<([f64; 2], f64)> = places.iter().flatten().copied().collect();
+        let own = self.standing.entry(scan.source).or_default();
+        let mut densities = own.densities(scan.stamp_ns, &known).into_iter();
+        let of = |(m, place): (&Measurement, &Option<_>)| {
+            let density = place.and_then(|_: ([f64; 2], f64)| densities.next()).unwrap_or(0.0);
+            // Densities of a radar's ranges, bearings and range rates are others.
+            if m.sensor() == Sensor::Lidar { density } else { 0.0 }
+        };
+        scan.measurements.iter().zip(places).map(of).collect()
+    }
+
+    /// Keep the places of a scan for those to come, and let tracks learn their extent.
+    fn learn_places(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        places: &[Option<([f64; 2], f64)>],
+    ) {
+        if parameters.birth_distance > 0.0 {
+            self.measure_spread(parameters.birth_distance, scan.stamp_ns, places);
+        }
+        if let Some(own) = self.standing.get_mut(&scan.source) {
+            own.take(scan.stamp_ns, places.iter().flatten().map(|(place, _)| *place));
+        }
+    }
+
+    /// Let every reported track know how far the measurements around it lie from it: those that are
+    /// nearest to it, and not further than `reach`.
+    fn measure_spread(&mut self, reach: f64, stamp_ns: i64, places: &[Option<([f64; 2], f64)>]) {
+        let reported = self.all.iter().enumerate().filter(|(_, track)| track.is_reported());
+        let outputs = reported.filter_map(|(row, track)| {
+            let output = track.filter.output_at(stamp_ns)?;
+            Some(([output.mean[0], output.mean[1]], row))
+        });
+        let tracks: Vec<([f64; 2], usize)> =
+            outputs.filter(|(at, _)| at.iter().all(|value| value.is_finite())).collect();
+        let index = NearIndex::new(
+            tracks.iter().enumerate().map(|(number, (at, _))| (*at, number)).collect(),
+        );
+        let (mut near, mut offsets) = (Vec::new(), vec![Vec::new(); tracks.len()]);
+        for (place, _) in places.iter().flatten() {
+            near.clear();
+            index.collect(&Rectangle::around(*place, [reach; 2]), &mut near);
+            let away = |number: usize| [0, 1].map(|axis| place[axis] - tracks[number].0[axis]);
+            let distance = |number: usize| libm::hypot(away(number)[0], away(number)[1]);
+            near.sort_unstable();
+            let nearest = near.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+            if let Some(number) = nearest.filter(|number| distance(*number) < reach) {
+                offsets[number].push(away(number));
+            }
+        }
+        for ((_, row), offsets) in tracks.iter().zip(offsets) {
+            self.all[*row].spread.take(&offsets);
         }
     }
 

@@ -1,0 +1,76 @@
+//! How far the measurements of one target lie apart: what a place within it is uncertain by.
+
+use serde::{Deserialize, Serialize};
+
+/// Number of scans with measurements after which one counts 1/e.
+const MEMORY: f64 = 40.0;
+/// Share of the spread by which a place within the target is uncertain: of a body that is measured
+/// evenly it would be all, of one measured at its two ends only a third.
+const SHARE: f64 = 0.5;
+
+/// Spread of the measurements around a target's place.
+///
+/// # Source
+/// The scatter of a random matrix: Koch, "Bayesian approach to extended object and cluster tracking
+/// using random matrices", 2008; here noise is part of the spread, since sensors do not say how
+/// much of it is of the body.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredSpread {
+    /// Mean of xx, xy and yy [m^2].
+    mean: [f64; 3],
+    scans: f64,
+}
+
+impl MeasuredSpread {
+    /// Take in the measurements of a scan, relative to the place of the target [m].
+    pub fn take(&mut self, offsets: &[[f64; 2]]) {
+        if offsets.is_empty() {
+            return;
+        }
+        self.scans = (self.scans + 1.0).min(MEMORY);
+        let of = |product: fn(&[f64; 2]) -> f64| {
+            offsets.iter().map(product).sum::<f64>() / offsets.len() as f64
+        };
+        let now = [of(|[x, _]| x * x), of(|[x, y]| x * y), of(|[_, y]| y * y)];
+        for (mean, now) in self.mean.iter_mut().zip(now) {
+            *mean += (now - *mean) / self.scans;
+        }
+    }
+
+    /// Covariance of a place within the target, by which its distance from the middle of what is
+    /// measured is uncertain [m^2].
+    #[must_use]
+    pub fn covariance(&self) -> [[f64; 2]; 2] {
+        let [xx, xy, yy] = self.mean.map(|value| SHARE * value);
+        [[xx, xy], [xy, yy]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ship of 20 m along x: the middle of a body is uncertain by half of the spread.
+    #[test]
+    fn a_long_body_is_uncertain_along_its_length() {
+        let mut ship = MeasuredSpread::default();
+        for k in 0..400 {
+            ship.take(&[[10.0 * (2.0 * (f64::from(k) * 0.618_034 % 1.0) - 1.0), 0.5]]);
+        }
+        let [[xx, xy], [_, yy]] = ship.covariance();
+        assert!((xx / (0.5 * 100.0 / 3.0) - 1.0).abs() < 0.1, "{xx}");
+        assert!(xy.abs() < 0.5 && (yy - 0.125).abs() < 1e-9);
+    }
+
+    /// The opposite: what is measured at one place is uncertain by nothing more, also after a time
+    /// in which it was not.
+    #[test]
+    fn a_point_has_no_spread() {
+        let mut point = MeasuredSpread::default();
+        point.take(&[]);
+        assert_eq!(point, MeasuredSpread::default());
+        point.take(&[[4.0, -4.0]]);
+        (0..400).for_each(|_| point.take(&[[0.0, 0.0]]));
+        assert!(point.covariance()[0][0] < 1e-3);
+    }
+}

@@ -1,0 +1,54 @@
+"""Oracle of clutter that stands, of the score of tracks, and of the spread of measurements."""
+
+import numpy as np
+
+from reference.fusion_company import is_reported
+
+OLDER_NS, PRIOR = 10_000_000_000, 10
+NEW, CREDIBLE, LARGEST = -2.94, 2.94, 6.9
+MEMORY, SHARE = 40, 0.5
+
+
+def standing_density(past, stamp, place, half):
+    """Density of clutter at a place: `past` has the time and the places of every scan."""
+    old = [places for at, places in past if at <= stamp - OLDER_NS]
+    inside = [
+        (number, seen)
+        for number, places in enumerate(old)
+        for seen in places
+        if np.all(np.abs(seen - place) <= half)
+    ]
+    if not inside:
+        return 0.0
+    return len(inside) / ((PRIOR + len(old) - inside[0][0]) * (2 * half) ** 2)
+
+
+def weigh(track, options, missed):
+    """Score a track that was measured: `options` are its measurements over clutter."""
+    score = track.get("score", NEW) + np.log(missed + sum(options))
+    track["score"] = min(score, LARGEST)
+    track["credible"] = track["score"] >= (0.0 if track.get("credible", True) else CREDIBLE)
+
+
+def measure_spread(config, tracks, places):
+    """Mean of the squares of what lies near each reported track."""
+    reported = sorted((one for one in tracks if is_reported(one)), key=lambda one: one["id"])
+    offsets = [[] for _ in reported]
+    for place in places:
+        away = [np.hypot(*(place - one["mean"][:2])) for one in reported]
+        if away and min(away) < config.birth_distance:
+            nearest = int(np.argmin(away))
+            offsets[nearest].append(place - reported[nearest]["mean"][:2])
+    for track, own in zip(reported, offsets, strict=True):
+        if own:
+            count = min(track.get("spread_scans", 0) + 1, MEMORY)
+            now = np.mean([np.outer(one, one) for one in own], axis=0)
+            before = track.get("spread", np.zeros((2, 2)))
+            track["spread"], track["spread_scans"] = before + (now - before) / count, count
+
+
+def reported_covariance(track):
+    """Covariance of the state, and of a place within the target."""
+    covariance = track["cov"].copy()
+    covariance[:2, :2] += SHARE * track.get("spread", np.zeros((2, 2)))
+    return covariance
