@@ -41,6 +41,7 @@ CONFIG = lc.fusion.FusionConfig.load(
         "start_rows": 1,
         "gate_probability": None,
         "loss_ratio": None,
+        "sensor_noise": "configured",
         "buffer_time": 0.0,
         "initial_position": 0.5**0.5,
         "initial_speed": 5.0,

@@ -72,18 +72,26 @@ def of_meshes(yardstick: Path, scans: list[int]) -> Part:
     return turns.part(yardstick=meshes.YARDSTICK, ours=meshes.OURS)
 
 
+def printed_by(command: list[str | Path]) -> str:
+    """What a script prints; its errors are seen."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{Path(command[3]).name} failed")
+    return done.stdout.strip()
+
+
 def of_filters(yardstick: Path, scans: list[int]) -> Part:
     """Filters, by a script of their own."""
     rounds = ["--rounds", str(len(scans)), "--figures", FIGURES / "filters.json"]
     command = [sys.executable, "-W", "ignore", HERE / "fusion.py", *rounds]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip(), {}
+    return printed_by(command), {}
 
 
 def of_tracking(yardstick: Path, scans: list[int]) -> Part:
     """Targets among clutter, by a script of their own."""
     command = [sys.executable, "-W", "ignore", HERE / "tracking.py"]
     command += ["--figures", FIGURES / "tracking.json"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip(), {}
+    return printed_by(command), {}
 
 
 def of_border(yardstick: Path, scans: list[int]) -> Part:

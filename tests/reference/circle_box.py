@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from reference.circle_map import IndependentMap
+from reference.circle_map import IndependentMap, mixture
 
 TURN, LENGTHS = 0.05, 1e-5  # [rad^2/s], [m^2/s]
 FACING, CORNER, UNSEEN = 0.02, 0.04, 100.0  # standard deviations of sides [m]
@@ -145,12 +145,7 @@ class Box:
             self.x, self.P, self.mu = [m for m, _ in mixed], [c for _, c in mixed], after
 
     def combined(self):
-        x = sum(m * x for m, x in zip(self.mu, self.x, strict=True))
-        P = sum(
-            m * (P + np.outer(mode - x, mode - x))
-            for m, mode, P in zip(self.mu, self.x, self.P, strict=True)
-        )
-        return x, P
+        return mixture(self.mu, self.x, self.P)
 
     def turn(self):
         """Heading from the velocity, once that is known."""

@@ -279,15 +279,20 @@ class Element:
         return x, self.widened(P)
 
     def combined(self):
-        x = sum(m * x for m, x in zip(self.mu, self.x, strict=True))
-        P = sum(
-            m * (P + np.outer(mode - x, mode - x))
-            for m, mode, P in zip(self.mu, self.x, self.P, strict=True)
-        )
-        return x, P
+        return mixture(self.mu, self.x, self.P)
 
     def visible(self):
         return self.seen not in ("occluded", "out of view")
+
+
+def mixture(mu, means, covariances):
+    """Mean and covariance of a mixture of Gaussians with the weights mu."""
+    x = sum(m * mode for m, mode in zip(mu, means, strict=True))
+    P = sum(
+        m * (P + np.outer(mode - x, mode - x))
+        for m, mode, P in zip(mu, means, covariances, strict=True)
+    )
+    return x, P
 
 
 class IndependentMap:

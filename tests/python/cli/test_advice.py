@@ -119,7 +119,14 @@ def with_map(place, folder):
     )
 
 
-@pytest.mark.parametrize("place", PLACES, ids=str)
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param(place, marks=pytest.mark.nightly) if number % 3 else place
+        for number, place in enumerate(PLACES)
+    ],
+    ids=str,
+)
 def test_what_is_told_about_a_real_place_works(place, tmp_path):
     follow(RECORDINGS / place, tmp_path)
 

@@ -176,7 +176,7 @@ def test_range_rates_are_believed_no_more_than_asked_for():
 
 @pytest.mark.parametrize("model", ["cv", "ca", "ct", "ctrv", "ctra"])
 def test_every_model_agrees_with_the_oracle(model):
-    seen, _ = walk(np.random.default_rng(3), rows=120)
+    seen, _ = walk(np.random.default_rng(3), rows=60)
     config = FusionConfig(model=model, start_rows=1, **OPEN)
     result = run(seen, config)
     strengths = {"a": config.acceleration_noise, "j": config.jerk_noise, "t": config.turn_noise}

@@ -82,6 +82,34 @@ impl Below {
     }
 }
 
+/// Rows of points by their voxels, which ascend.
+struct PointsByVoxel {
+    voxels: Vec<Voxel>,
+    rows: Vec<u32>,
+    /// Place in `rows` of the first of every voxel, and the number of all.
+    starts: Vec<usize>,
+}
+
+impl PointsByVoxel {
+    /// Of pairs in ascending order.
+    fn of(pairs: &[(Voxel, u32)]) -> Self {
+        let (mut voxels, mut starts) = (Vec::new(), Vec::new());
+        for (at, (voxel, _)) in pairs.iter().enumerate() {
+            if voxels.last() != Some(voxel) {
+                voxels.push(*voxel);
+                starts.push(at);
+            }
+        }
+        starts.push(pairs.len());
+        Self { voxels, rows: pairs.iter().map(|&(_, row)| row).collect(), starts }
+    }
+
+    /// Rows of the points in the voxel at a place.
+    fn rows(&self, at: usize) -> &[u32] {
+        &self.rows[self.starts[at]..self.starts[at + 1]]
+    }
+}
+
 /// Stage that finds the points of movers in one scan after another.
 #[derive(Default)]
 pub(crate) struct GroundMovers {
@@ -108,17 +136,18 @@ impl GroundMovers {
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
-        let (voxels, rows) = self.in_free_space(points, class, map, &mut space);
+        let found = self.in_free_space(points, class, map, &mut space);
+        let voxels = &found.voxels;
         let known = &self.entered;
         let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
         let mut entered = Vec::new();
         let open: Vec<bool> =
             voxels.iter().map(|&voxel| space.is_open(voxel, is_entered)).collect();
-        let chosen = with_beside(&voxels, &open, FEWEST_OPEN);
+        let chosen = with_beside(voxels, &open, FEWEST_OPEN);
         let movers: Vec<usize> = (0..voxels.len()).filter(|&at| chosen[at]).collect();
         let places: Vec<Voxel> = movers.iter().map(|&at| voxels[at]).collect();
         for part in parts(&places) {
-            let n_points: usize = part.iter().map(|&at| rows[movers[at]].len()).sum();
+            let n_points: usize = part.iter().map(|&at| found.rows(movers[at]).len()).sum();
             if n_points < FEWEST_POINTS {
                 continue;
             }
@@ -127,10 +156,10 @@ impl GroundMovers {
             let is_in_air = below.iter().all(|&one| one == Below::Free);
             let is_over_unseen = !is_in_air && !below.contains(&Below::Occupied);
             for &at in &part {
-                let found = if is_in_air { &mut self.in_air } else { &mut self.rows };
-                found.extend(&rows[movers[at]]);
+                let moving = if is_in_air { &mut self.in_air } else { &mut self.rows };
+                moving.extend(found.rows(movers[at]));
                 if is_over_unseen {
-                    self.over_unseen.extend(&rows[movers[at]]);
+                    self.over_unseen.extend(found.rows(movers[at]));
                 }
             }
             entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
@@ -184,15 +213,14 @@ impl GroundMovers {
         &self.over_unseen
     }
 
-    /// Voxels with points that are not known to fly and that are free, or were before something entered them, in
-    /// ascending order, and the rows of the points in each.
+    /// Points that are not known to fly, in voxels that are free, or were before something entered them.
     fn in_free_space(
         &self,
         points: &[[f32; 3]],
         class: &[PointClass],
         map: &VoxelMap,
         space: &mut FreeSpace<'_>,
-    ) -> (Vec<Voxel>, Vec<Vec<u32>>) {
+    ) -> PointsByVoxel {
         let lattice = map.lattice();
         let mut found: Vec<(Voxel, u32)> = Vec::new();
         // Points beside each other in a scan are mostly in one voxel.
@@ -212,15 +240,7 @@ impl GroundMovers {
             }
         }
         found.sort_unstable();
-        let (mut voxels, mut rows): (Vec<Voxel>, Vec<Vec<u32>>) = Default::default();
-        for (voxel, row) in found {
-            if voxels.last() != Some(&voxel) {
-                voxels.push(voxel);
-                rows.push(Vec::new());
-            }
-            rows.last_mut().into_iter().for_each(|rows| rows.push(row));
-        }
-        (voxels, rows)
+        PointsByVoxel::of(&found)
     }
 
     /// Add the points of something that a track of a ground mover follows.

@@ -1,6 +1,7 @@
 //! updateTrack of Algorithm 2: prediction, association with clusters, correction.
 
 use super::belief::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
+use super::buffer::Buffer;
 use super::candidates::candidates;
 use super::cluster_assignment::ClusterAssignment;
 use super::measurement::{CloudScan, Measurement, SearchRegion};
@@ -9,7 +10,7 @@ use super::pairs::AlongX;
 use super::parameters::{Ageing, Association, Motion, TrackerParameters};
 use super::split::{Division, unite};
 use super::state::PointTrack;
-use super::visibility::occupancy::{ENOUGH_RAYS, Visibility};
+use super::visibility::occupancy::{ENOUGH_RAYS, Occupancy, Visibility};
 use super::visibility::select::{Ball, hits};
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
@@ -101,6 +102,32 @@ impl Updater {
             }
         }
         Ok(outcome)
+    }
+
+    /// Bring hypotheses to the present, over the buffered clouds newer than they are.
+    ///
+    /// # Source
+    /// Vrba et al., Algorithm 2, lines 22-25.
+    pub(super) fn replay(
+        &self,
+        mut hypotheses: Vec<PointTrack>,
+        stamp_ns: i64,
+        buffer: &Buffer,
+        occupied: &dyn Occupancy,
+    ) -> Result<Vec<PointTrack>, Error> {
+        for cloud in buffer.newer_than(stamp_ns) {
+            let scan = CloudScan {
+                points: &cloud.points,
+                delays: cloud.delays.as_deref(),
+                stamp_ns: cloud.stamp_ns,
+                occupied,
+                visibility: None,
+            };
+            self.update(&mut hypotheses, &scan)?;
+        }
+        let radius = &self.parameters.radius;
+        hypotheses.retain(|hypothesis| hypothesis.radius(radius) <= radius.max);
+        Ok(hypotheses)
     }
 
     /// The bounded uncertainty radius: see [`Ageing`].

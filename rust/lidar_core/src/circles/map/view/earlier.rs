@@ -3,6 +3,7 @@
 //! Source: the idea of Wang, Thorpe & Thrun, "Online simultaneous localization and mapping with
 //! detection and tracking of moving objects", ICRA 2003: what moves is where space was free.
 
+use super::piece::SurfacePiece;
 use super::slip;
 use super::surface::Met;
 use super::viewpoint::Viewpoint;
@@ -103,11 +104,12 @@ impl EarlierViews<'_> {
 fn usual(now: &Viewpoint, then: &Viewpoint, view: &SortedView) -> Option<f64> {
     let seen = now.view.as_ref()?;
     let every = seen.len().div_ceil(SAMPLES[1]).max(1);
-    let off = |point: &Option<[f64; 2]>| {
-        let place = then.pose.level(now.pose.world_point((*point)?), 0.0).center;
+    let off = |piece: &Option<SurfacePiece>| {
+        let end = now.pose.world_point(piece.as_ref()?.end);
+        let place = then.pose.level(end, 0.0).center;
         view.distance(place).filter(|off| *off < KNOWN)
     };
-    let mut distances: Vec<f64> = seen.ends().iter().step_by(every).filter_map(off).collect();
+    let mut distances: Vec<f64> = seen.pieces().iter().step_by(every).filter_map(off).collect();
     if distances.len() < SAMPLES[0] {
         return None;
     }

@@ -2,6 +2,7 @@
 
 pub(super) mod earlier;
 pub(super) mod level_pose;
+mod piece;
 mod slip;
 pub(super) mod surface;
 pub(super) mod viewpoint;

@@ -43,7 +43,7 @@ impl ScanSlip {
 
 /// True if the scanner moved from one scan to the next, both in the frame of one pose.
 pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
-    let ends: Vec<[f64; 2]> = now.ends().iter().copied().flatten().collect();
+    let ends: Vec<[f64; 2]> = now.pieces().iter().flatten().map(|piece| piece.end).collect();
     let every = ends.len().div_ceil(SAMPLES).max(1);
     let samples: Vec<[f64; 2]> = ends.into_iter().step_by(every).collect();
     if samples.len() < FEWEST {

@@ -4,9 +4,6 @@ use super::visibility::SortedView;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Largest gap between the ends of neighbouring rays that met one surface [m].
-const JOINED: f64 = 0.3;
-
 /// Answer of a scan to the question if something was at a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::circles::map) enum Met {
@@ -82,43 +79,21 @@ impl SortedView {
     }
 
     /// The same of the surfaces that the rays of a range met.
-    ///
-    /// Between two rays that met one surface it is straight. Beside another one, a surface reaches
-    /// across half of the gap between the rays.
     fn nearest(&self, point: [f64; 2], rays: Range<usize>) -> Option<(f64, [f64; 2])> {
-        let ends = self.ends();
-        let mut least: Option<(f64, [f64; 2])> = None;
-        for number in rays {
-            let Some(end) = ends[number] else { continue };
-            let alone = |side: f64| {
-                let (bearing, range) = self.ray(number);
-                let reach = 0.5 * range * self.step();
-                let aside = [-reach * libm::sin(bearing), reach * libm::cos(bearing)];
-                [end[0] + side * aside[0], end[1] + side * aside[1]]
-            };
-            for (neighbour, side) in [(number.checked_sub(1), -1.0), (Some(number + 1), 1.0)] {
-                let joined = neighbour
-                    .and_then(|one| ends.get(one).copied().flatten())
-                    .filter(|one| libm::hypot(end[0] - one[0], end[1] - one[1]) < JOINED)
-                    .unwrap_or_else(|| alone(side));
-                let way = from_stretch(point, [end, joined]);
-                let distance = libm::hypot(way[0], way[1]);
-                if least.is_none_or(|(known, _)| distance < known) {
-                    least = Some((distance, way));
+        let first = rays.start;
+        let pieces = self.pieces().get(rays)?;
+        let (mut least, mut nearest) = (f64::INFINITY, None);
+        for (number, piece) in (first..).zip(pieces) {
+            let Some(piece) = piece else { continue };
+            for [x, y] in piece.ways_to(point, number > first) {
+                let square = x * x + y * y;
+                if square < least {
+                    (least, nearest) = (square, Some([x, y]));
                 }
             }
         }
-        least
+        nearest.map(|way| (libm::hypot(way[0], way[1]), way))
     }
-}
-
-/// Way from the nearest point of a stretch of a line to a point [m].
-fn from_stretch([x, y]: [f64; 2], [from, to]: [[f64; 2]; 2]) -> [f64; 2] {
-    let [along_x, along_y] = [to[0] - from[0], to[1] - from[1]];
-    let square = along_x * along_x + along_y * along_y;
-    let share = ((x - from[0]) * along_x + (y - from[1]) * along_y) / square.max(f64::MIN_POSITIVE);
-    let share = share.clamp(0.0, 1.0);
-    [x - from[0] - share * along_x, y - from[1] - share * along_y]
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Visibility of a place in a scan: seen through, occupied, or hidden.
 
+use super::piece::SurfacePiece;
 use crate::Error;
 use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
@@ -44,9 +45,9 @@ pub struct SortedView {
     ranges: Vec<f64>,
     range_min: f64,
     range_max: f64,
-    /// Where the rays ended [m], from the first question on: later scans ask many.
+    /// What the rays met, from the first question on: later scans ask many.
     #[serde(skip)]
-    ends: OnceLock<Vec<Option<[f64; 2]>>>,
+    pieces: OnceLock<Vec<Option<SurfacePiece>>>,
 }
 
 impl ScanWithLimits<'_> {
@@ -71,7 +72,7 @@ impl ScanWithLimits<'_> {
         }
         let (bearings, ranges) = ascending(bearings, ranges);
         let [range_min, range_max] = [self.range_min, self.range_max];
-        Ok(SortedView { bearings, ranges, range_min, range_max, ends: OnceLock::new() })
+        Ok(SortedView { bearings, ranges, range_min, range_max, pieces: OnceLock::new() })
     }
 }
 
@@ -131,16 +132,9 @@ impl SortedView {
         (last - first) / (self.bearings.len().max(2) - 1) as f64
     }
 
-    /// Places where the rays ended; None without return.
-    pub(super) fn ends(&self) -> &[Option<[f64; 2]>] {
-        self.ends.get_or_init(|| {
-            let rays = self.bearings.iter().zip(&self.ranges);
-            rays.map(|(&bearing, &range)| {
-                let end = || [range * libm::cos(bearing), range * libm::sin(bearing)];
-                range.is_finite().then(end)
-            })
-            .collect()
-        })
+    /// Surfaces that the rays met; None without return.
+    pub(super) fn pieces(&self) -> &[Option<SurfacePiece>] {
+        self.pieces.get_or_init(|| SurfacePiece::all(&self.bearings, &self.ranges, self.step()))
     }
 
     /// Rays up to an angle `half` beside a bearing.

@@ -1,8 +1,8 @@
 //! Tracks that begin with two detections of a fast target: its speed comes from the data.
 
-use super::belief::existence::Sight;
-use super::motion::{Matrix9, position_block, seconds};
-use super::state::PointTrack;
+use super::super::belief::existence::Sight;
+use super::super::motion::{Matrix9, position_block, seconds};
+use super::super::state::PointTrack;
 use nalgebra::Vector3;
 
 /// Speeds of targets that two detections begin a track of; slower ones stay in the gate of the first
