@@ -239,7 +239,7 @@ class Detector:
                     "n_points": len(own),
                     "confidence": clearance(self.map, own) * sure * (label not in only_tracked),
                     "delay": delays[labels == label].astype(float).mean(),
-                    "shape": (radius, *self.outline),
+                    "shape": (radius, *self.outline, False),
                 }
             )
         return found

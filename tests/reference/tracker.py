@@ -58,6 +58,9 @@ MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
 KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
 BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
 NOT_FREE_AT_FIRST = (0.7, 0.08, 1.5, 1.0, 0.08)
+OVER_UNSEEN = (0.4, 0.03, 1.5, 1.0, 0.03)
+STEADY, AGILE, EXPECTED, KNOWN_SHARE = 1.0, 4.0, 3.0, 0.95  # [m/s^2], [m/s^2], [m/s^2], no unit
+AGILE_SHARES, APART, MOST_AGILITY = np.array([0.5, 0.5, 0.02, 0.5, 0.5]), 0.5, 8.0
 MOST_SHAPES, SHAPE_NOISE = 20, 0.4
 SORTS = {
     "flying": [(0.5, (-1.6, 0.35), (-0.7, 0.5)), (0.5, (-0.7, 0.6), (-0.7, 0.5))],
@@ -157,9 +160,11 @@ class Track:
     points: np.ndarray = None  # of its last cluster
     seen_kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
     known_below: bool = False
+    agility: float = 0.0
     radius: MeanLog = field(default_factory=MeanLog)
     filled: MeanLog = field(default_factory=MeanLog)
-    shape: tuple = None  # radius, filled share, whether free below; of its first detection
+    # radius, filled share, whether free below, whether over unseen space; of its first detection
+    shape: tuple = None
     shape_before: tuple = None
 
     @property
@@ -177,16 +182,33 @@ class Track:
             for sorts in (SORTS["flying"], SORTS["clutter"])
         )
         other = (flying + clutter) / 2
-        return weighed(self.seen_kinds, (other, flying, other, other, clutter))
+        after = weighed(self.seen_kinds, (other, flying, other, other, clutter))
+        return weighed(after, 1 - AGILE_SHARES + AGILE_SHARES * np.exp(self.agility))
+
+    def feel(self, seconds):
+        """Enter its acceleration: likelihood of the measured part if it manoeuvres, over if not."""
+        ratio = 0.0
+        for value, variance in zip(self.x[6:], np.diag(self.P)[6:], strict=True):
+            if 0 < variance < KNOWN_SHARE * EXPECTED**2:
+                measured = 1 / (1 / variance - 1 / EXPECTED**2)
+                place, spread = value * measured / variance, np.hypot
+                agile = norm.logpdf(place, 0, spread(np.sqrt(measured), AGILE))
+                ratio += agile - norm.logpdf(place, 0, spread(np.sqrt(measured), STEADY))
+        self.agility += np.clip(seconds / APART, 0, 1) * ratio
+        self.agility = np.clip(self.agility, -MOST_AGILITY, MOST_AGILITY)
 
     def measure(self, shape):
         """Enter the shape of a detection."""
         if shape is None:
             return
-        radius, filled, is_free_below = shape
+        radius, filled, is_free_below, is_over_unseen = shape
         self.radius.add(radius)
         self.filled.add(filled)
-        if is_free_below is not None:
+        if is_over_unseen and not is_free_below:
+            if not self.known_below:
+                self.seen_kinds = weighed(self.seen_kinds, OVER_UNSEEN)
+            self.known_below = True
+        elif is_free_below is not None:
             is_first = not (is_free_below or self.known_below)
             shares = NOT_FREE_AT_FIRST if is_first else BELOW[is_free_below]
             self.seen_kinds = weighed(self.seen_kinds, shares)
@@ -725,6 +747,7 @@ class Tracker:
                 track.take(IS_FAST)
             return
         track.there, track.hidden = track.later(stamp)
+        since = (stamp - track.believed) * 1e-9
         track.believed = max(stamp, track.believed)
         sight, nis = shown or track.sight, track.nis
         track.sight, track.nis = "unseen", None
@@ -743,6 +766,7 @@ class Tracker:
                 track.take((near, near, near, 1))
         if shown:
             track.measure(shape)
+            track.feel(since)
 
     def merge(self):
         if self.c.merge_distance is None:
@@ -788,6 +812,7 @@ class Tracker:
                 has_moved=best.has_moved,
                 seen_kinds=best.seen_kinds,
                 known_below=best.known_below,
+                agility=best.agility,
                 radius=best.radius,
                 filled=best.filled,
             )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import reference.circles_front as oracle
+from lidar_core import sim
 from lidar_core.circles import CircleMapConfig, CirclePipeline, CirclesConfig, FitConfig, Scanner
 from lidar_core.runs.scans.circles import CirclesRun
 
@@ -98,16 +99,39 @@ def test_right_poses_are_not_stuck(where):
     assert pipeline.health().stuck_poses == 0
 
 
-def test_a_scanner_at_rest_among_people_is_not_stuck():
+@pytest.mark.parametrize("count", [4, 9])
+def test_a_scanner_at_rest_among_people_is_not_stuck(count):
     rng = np.random.default_rng(4250)
     pipeline = CirclePipeline(CirclesConfig(scanner=SCANNER))
-    ways = rng.uniform(-1, 1, (4, 2))
+    ways = rng.uniform(-1, 1, (count, 2))
+    start = POSTS
+    if count > len(POSTS):
+        bearings, away = np.linspace(-2.0, 2.0, count), rng.uniform(1.5, 5.0, count)
+        sizes = rng.uniform(0.15, 0.3, count)
+        start = np.c_[away * np.cos(bearings), away * np.sin(bearings), sizes]
     for scan in range(60):
-        people = POSTS + np.c_[ways * scan / RATE, np.zeros(4)]
+        people = start + np.c_[ways * scan / RATE, np.zeros(count)]
         ranges = oracle.cylinder_ranges(SCANNER.bearings(), np.eye(4), people)
         ranges = ranges + rng.normal(0, 0.01, len(ranges))
         pipeline.process(ranges.astype(np.float32), np.eye(4), scan * 50_000_000)
     assert pipeline.health().stuck_poses == 0
+
+
+def test_poses_that_stop_are_told_where_a_part_of_the_room_moves():
+    """Posts go their own ways before walls and other posts."""
+    scene = sim.circle_scenes.several(1000, walls=True, sensor="swinging", scans=110)
+    pipeline, stopped = CirclePipeline(), 80
+    for number, sweep in enumerate(sim.sweeps(scene, seed=1000)):
+        if number < stopped:
+            assert pipeline.health().stuck_poses == 0
+            poses = sweep.poses
+        elif number == stopped:
+            poses = np.repeat(sweep.poses[:1], len(sweep.poses), axis=0)
+        scan = sweep.scan
+        times = scan.stamp_ns + scan.time_increment_ns * np.arange(len(scan.ranges))
+        stamps = {"ray_time_ns": times, "pose_stamps_ns": sweep.pose_stamps_ns}
+        pipeline.process(scan.ranges, poses, scan.stamp_ns, **stamps)
+    assert pipeline.health().stuck_poses >= 8
 
 
 def test_paper_mode_estimates_nothing():

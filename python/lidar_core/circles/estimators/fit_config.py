@@ -38,7 +38,13 @@ class FitConfig(Config):
         " wider by it on both sides [rad].",
     )
     min_radius: float = Field(0.02, gt=0, le=20, description="Smallest radius [m].")
-    max_radius: float = Field(1.0, gt=0, le=50, description="Largest radius [m].")
+    max_radius: float = Field(
+        1.0,
+        gt=0,
+        le=50,
+        description="Largest radius [m]. Where shapes are distinguished, a circle of which a side"
+        " is seen may be three times as large.",
+    )
     usual_radius: float = Field(
         0.5,
         gt=0,

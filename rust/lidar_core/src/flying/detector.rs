@@ -220,7 +220,7 @@ impl FlyingObjectDetector {
                 let [cluster_ms, classify_ms] = classifier.classify(&input, clock)?;
                 if parameters.tells_movers() {
                     movers.find(&scan.points, classifier.class(), &local.map, stamp_ns);
-                    classifier.lift(&input, movers.in_air());
+                    classifier.lift(&input, movers.in_air(), movers.over_unseen());
                 }
                 Ok::<_, Error>([cluster_ms, classify_ms + clock.lap()])
             })

@@ -8,6 +8,7 @@ mod mode;
 pub mod network_window;
 pub(super) mod posterior;
 mod row;
+pub(super) mod whole;
 
 #[cfg(test)]
 mod tests;
@@ -52,7 +53,7 @@ pub struct FitParameters {
     pub range_std: f64,
     /// Half the beam width within which a circle returns it [rad].
     pub beam_half_width: f64,
-    /// Smallest and largest radius [m].
+    /// Smallest and largest radius [m]; shapes of segments have larger ones, see `whole`.
     pub radius: [f64; 2],
     /// Radius up to which all circles are equally likely; larger ones are rarer [m].
     pub usual_radius: f64,

@@ -14,13 +14,14 @@ mod solve;
 mod tests;
 
 use self::ellipse::Ellipse;
-use super::fit::arc::{Arc, Hit};
+use super::fit::arc::Arc;
 use super::fit::circle::{Circle, CircleEstimate};
 use super::fit::likelihood::Likelihood;
 use super::fit::posterior::Posterior;
+use super::fit::whole::{whole, width};
 use super::fit::{FitMethod, FitParameters, estimate};
 use super::preprocess::polar_scan::PolarScan;
-use super::segment::segments::Segments;
+use super::segment::segments::{Segments, Side};
 use crate::Error;
 use crate::util::cancel;
 use serde::{Deserialize, Serialize};
@@ -150,20 +151,48 @@ impl ShapeFitter {
         for number in 0..segments.len() {
             cancel::check()?;
             self.arc.read((scan, wraps), segments, number, &self.parameters)?;
-            let (circle, shape) = self.shape_of_arc();
+            let larger = self.larger((scan, wraps), segments, number)?;
+            let (circle, shape) = self.shape_of_arc(larger);
             circles.push(circle);
             shapes.push(shape);
         }
         Ok(())
     }
 
-    fn shape_of_arc(&mut self) -> (CircleEstimate, ShapeEstimate) {
+    /// Circle of the arc and its misfit, if it is larger than usual and a side of it is seen.
+    fn larger(
+        &mut self,
+        scan: (&PolarScan, bool),
+        segments: &Segments,
+        number: usize,
+    ) -> Result<Option<(CircleEstimate, f64)>, Error> {
+        let is_seen = segments.sides.get(number).is_some_and(|sides| sides.contains(&Side::Free));
+        if !is_seen || self.arc.n_hits < LEAST_HITS || !self.parameters.is_exceeded(&self.arc) {
+            return Ok(None);
+        }
+        let wide = self.parameters.of_whole();
+        // A hidden side may be farther away.
+        self.arc.read(scan, segments, number, &wide)?;
+        let found = whole(&self.arc, &wide, &mut self.posterior);
+        if found.is_none() {
+            self.arc.read(scan, segments, number, &self.parameters)?;
+        }
+        Ok(found)
+    }
+
+    /// Circle and shape of the arc; `larger` is its circle, if that is larger than usual, and its
+    /// misfit.
+    fn shape_of_arc(
+        &mut self,
+        larger: Option<(CircleEstimate, f64)>,
+    ) -> (CircleEstimate, ShapeEstimate) {
         let (arc, std) = (&self.arc, self.parameters.range_std);
-        let likelihood = Likelihood { arc, parameters: &self.parameters };
-        let estimated = self.posterior.of(&likelihood);
-        let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
-        let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
-        let circle = estimate(arc, &self.parameters, estimated);
+        let (circle, misfit) = larger.unwrap_or_else(|| {
+            let estimated = self.posterior.of(&Likelihood { arc, parameters: &self.parameters });
+            let log_likelihood = self.posterior.log_likelihood().filter(|_| estimated.is_some());
+            let misfit = log_likelihood.map_or(f64::INFINITY, |log| -2.0 * log);
+            (estimate(arc, &self.parameters, estimated), misfit)
+        });
         let round = place::circle(arc, circle, misfit);
         if arc.n_hits < LEAST_HITS {
             return (circle, round);
@@ -182,7 +211,7 @@ impl ShapeFitter {
             best = (corner.misfit + 5.0 * price, Some(found));
         }
         let ellipse = Ellipse { arc };
-        if self.width() <= 2.0 * self.parameters.radius[1]
+        if width(arc) <= 2.0 * self.parameters.radius[1]
             && (best.1.is_some() || ellipse.gain(&circle.circle, std) > LEAST_GAIN * price)
             && let Some(found) = ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1])
             && found.misfit + 5.0 * price < best.0
@@ -190,15 +219,5 @@ impl ShapeFitter {
             best = (found.misfit + 5.0 * price, Some(place::ellipse(&ellipse, &found)));
         }
         (circle, best.1.unwrap_or(round))
-    }
-
-    /// Length from the first hit to the last one [m].
-    fn width(&self) -> f64 {
-        let (Some(first), Some(last)) = (self.arc.hits.first(), self.arc.hits.last()) else {
-            return 0.0;
-        };
-        let at = |hit: &Hit| [hit.range * hit.cosine, hit.range * hit.sine];
-        let ([x, y], [to_x, to_y]) = (at(first), at(last));
-        libm::hypot(to_x - x, to_y - y)
     }
 }

@@ -72,6 +72,8 @@ pub(crate) struct Classification {
     pub(crate) clearance: f64,
     /// A track has predicted it beside structure.
     pub(crate) is_expected: bool,
+    /// It has moved into free space, and what is below it was never seen: it may stand on something.
+    pub(crate) is_over_unseen: bool,
 }
 
 impl Classification {
@@ -316,7 +318,7 @@ impl ClusterRules<'_> {
             class: PointClass::Flying,
             explored,
             clearance,
-            is_expected: false,
+            ..Classification::default()
         })
     }
 

@@ -142,9 +142,10 @@ impl ScanClassifier {
     /// Classify again the clusters of which most points, in the ascending `rows`, are of what moves in the
     /// air, with nothing close below. Of background nothing but its own points of earlier scans explains
     /// these: they are unknown. What is unknown since a way leads from it into space that was never
-    /// observed, such as that behind a table, flies if free space is around it.
-    pub(crate) fn lift(&mut self, input: &ScanToClassify<'_>, rows: &[u32]) {
-        if rows.is_empty() {
+    /// observed, such as that behind a table, flies if free space is around it. So does what moves above such
+    /// space, given by the ascending rows `over_unseen`; it may stand on something.
+    pub(crate) fn lift(&mut self, input: &ScanToClassify<'_>, rows: &[u32], over_unseen: &[u32]) {
+        if rows.is_empty() && over_unseen.is_empty() {
             return;
         }
         let (map, scan, p) = (&input.local.map, input.scan, &input.parameters.classify);
@@ -155,12 +156,19 @@ impl ScanClassifier {
         let mut is_changed = false;
         for index in 0..self.classifications.len() {
             let (cluster, class) = (self.clusters.get(index), self.classifications[index].class);
-            let of_it = |row: &&u32| rows.binary_search(row).is_ok();
+            let is_of = |rows: &[u32]| {
+                let of_it = |row: &&u32| rows.binary_search(row).is_ok();
+                2 * cluster.members.iter().filter(of_it).count() > cluster.members.len()
+            };
             if class == PointClass::Flying
                 || self.clusters.is_joined(index)
                 || cluster.diagonal() > limit
-                || 2 * cluster.members.iter().filter(of_it).count() <= cluster.members.len()
             {
+                continue;
+            }
+            let is_in_air = is_of(rows);
+            let is_over_unseen = !is_in_air && class == PointClass::Unknown && is_of(over_unseen);
+            if !is_in_air && !is_over_unseen {
                 continue;
             }
             if class != PointClass::Unknown {
@@ -169,7 +177,7 @@ impl ScanClassifier {
                 && let Some(found) = rules.in_free_shell(&cluster)
                 && !self.is_beside_background(points, &cluster, beside)
             {
-                self.classifications[index] = found;
+                self.classifications[index] = Classification { is_over_unseen, ..found };
             } else {
                 continue;
             }

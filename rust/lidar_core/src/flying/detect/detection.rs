@@ -37,6 +37,8 @@ pub struct Detection {
     pub filled_share: f64,
     /// Whether rays pass below it; None if nothing tells.
     pub is_free_below: Option<bool>,
+    /// True if it has moved to where what is below it was never seen: it may stand on something.
+    pub is_over_unseen: bool,
 }
 
 /// A known flying object that is not to be reported.
@@ -84,6 +86,7 @@ impl Detection {
             is_among_surfaces: false,
             filled_share: f64::NAN,
             is_free_below: None,
+            is_over_unseen: classification.is_over_unseen,
         }
     }
 
@@ -102,8 +105,8 @@ impl Detection {
     /// Size and filling; a radius is that of a centre, which knows what the rays beside it did not
     /// meet.
     pub(crate) fn shape(&self) -> TargetShape {
-        let Self { radius, filled_share, is_free_below, .. } = *self;
-        TargetShape { radius, filled_share, is_free_below }
+        let Self { radius, filled_share, is_free_below, is_over_unseen, .. } = *self;
+        TargetShape { radius, filled_share, is_free_below, is_over_unseen }
     }
 
     /// Detection in another frame.

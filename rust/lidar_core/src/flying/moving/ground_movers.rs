@@ -118,6 +118,8 @@ pub(crate) struct GroundMovers {
     rows: Vec<u32>,
     /// Rows of the points of what moves in the air.
     in_air: Vec<u32>,
+    /// Rows of those points of movers of which nothing tells whether they stand on anything.
+    over_unseen: Vec<u32>,
 }
 
 impl GroundMovers {
@@ -152,9 +154,13 @@ impl GroundMovers {
             let mut below = |&at: &usize| Below::of(&mut cursor, places[at], steps, is_entered);
             let below: Vec<Below> = part.iter().map(&mut below).collect();
             let is_in_air = below.iter().all(|&one| one == Below::Free);
+            let is_over_unseen = !is_in_air && !below.contains(&Below::Occupied);
             for &at in &part {
                 let moving = if is_in_air { &mut self.in_air } else { &mut self.rows };
                 moving.extend(found.rows(movers[at]));
+                if is_over_unseen {
+                    self.over_unseen.extend(found.rows(movers[at]));
+                }
             }
             entered.extend(part.iter().map(|&at| (Place(places[at]), is_in_air)));
         }
@@ -164,6 +170,7 @@ impl GroundMovers {
             (stay.last_ns, stay.is_in_air) = (stamp_ns, is_in_air);
         }
         self.in_air.sort_unstable();
+        self.over_unseen.sort_unstable();
     }
 
     /// Rows of the points beside what moved in the air in the newest of the scans before.
@@ -198,6 +205,12 @@ impl GroundMovers {
     /// Rows of the points of what moves in the air in the newest scan, ascending.
     pub(crate) fn in_air(&self) -> &[u32] {
         &self.in_air
+    }
+
+    /// Rows of the points of movers with nothing occupied close below, of which a part was never seen, such
+    /// as the space behind a table: they may fly or stand on something. Ascending.
+    pub(crate) fn over_unseen(&self) -> &[u32] {
+        &self.over_unseen
     }
 
     /// Points that are not known to fly, in voxels that are free, or were before something entered them.
@@ -244,6 +257,7 @@ impl GroundMovers {
     pub(crate) fn skip(&mut self) {
         self.rows.clear();
         self.in_air.clear();
+        self.over_unseen.clear();
     }
 
     /// Forget everything.
@@ -279,12 +293,18 @@ mod tests {
 
     /// Free space with occupied voxels in it.
     fn map(occupied: &[Voxel]) -> Result<VoxelMap, Error> {
+        map_above(-6, occupied)
+    }
+
+    /// The same, of which nothing below a height was ever seen.
+    fn map_above(low: i32, occupied: &[Voxel]) -> Result<VoxelMap, Error> {
         let mut map = VoxelMap::new(parameters())?;
         let lattice = *map.lattice();
         let center = |voxel| lattice.center(voxel).map(|value: f64| value as f32);
         let (from, n) = (-6, 13);
         let voxel = |at: i32| [from + at % n, from + at / n % n, from + at / (n * n)];
-        map.pull(&(0..n * n * n).map(|at| center(voxel(at))).collect::<Vec<_>>(), -1000.0, 20.0)?;
+        let seen = (0..n * n * n).map(voxel).filter(|voxel| voxel[2] >= low);
+        map.pull(&seen.map(center).collect::<Vec<_>>(), -1000.0, 20.0)?;
         map.set_occupied(&occupied.iter().map(|&voxel| center(voxel)).collect::<Vec<_>>())?;
         Ok(map)
     }
@@ -307,6 +327,19 @@ mod tests {
         let left = map(&[[1, 1, 0]])?;
         assert_eq!(found(&mut movers, &left, 2), [18, 0]);
         assert_eq!(found(&mut GroundMovers::default(), &left, 2), [0, 18]);
+        Ok(())
+    }
+
+    #[test]
+    fn what_is_over_unseen_space_may_fly() -> Result<(), Error> {
+        let over_unseen = |map: &VoxelMap| {
+            let mut movers = GroundMovers::default();
+            let all = found(&mut movers, map, 0);
+            (all, movers.over_unseen().len())
+        };
+        assert_eq!(over_unseen(&map_above(0, &[])?), ([0, 18], 18));
+        assert_eq!(over_unseen(&map_above(0, &[[1, 1, -1]])?), ([0, 18], 0));
+        assert_eq!(over_unseen(&map(&[])?), ([18, 0], 0));
         Ok(())
     }
 

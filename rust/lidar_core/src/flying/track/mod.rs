@@ -292,10 +292,17 @@ impl PointCloudTracker {
     }
 
     /// Positions of all tracks, unconfirmed ones included, that are further than `distance` [m]
-    /// from where they began, and half the diagonals of their boxes [m].
+    /// from where they began, and of confirmed ones of kind Flying that surely have a speed: a target on a
+    /// small circle never gets far. Also half the diagonals of their boxes [m].
     #[must_use]
     pub fn moved_by(&self, distance: f64) -> Vec<([f64; 3], f64)> {
-        let moved = |track: &&PointTrack| (track.position() - track.born_at).norm() > distance;
+        let flies = |track: &PointTrack| {
+            let kind = self.kinds(track).map(|kinds| kinds.kind());
+            track.confirmed && kind == Some(TrackKind::Flying) && track.has_speed()
+        };
+        let moved = |track: &&PointTrack| {
+            (track.position() - track.born_at).norm() > distance || flies(track)
+        };
         let half = |track: &PointTrack| 0.5 * Vector3::from(track.extent).norm();
         let all = self.tracks.iter().filter(moved);
         all.map(|track| (track.position().into(), half(track))).collect()

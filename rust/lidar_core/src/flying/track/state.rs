@@ -5,7 +5,7 @@ use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9, seconds};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use crate::Error;
-use crate::estimation::kalman::{Gaussian, Linearised, update};
+use crate::estimation::kalman::{self, Gaussian, Linearised, update};
 use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +17,10 @@ const AROUND_KEPT: f64 = 0.8;
 /// target, in full from the second length on, and none up to the first [m].
 const SHAPE_SHARE: f64 = 0.03;
 const LARGE: [f64; 2] = [0.9, 1.3];
+
+/// Squared Mahalanobis distance of a velocity from none that errors reach once in 10,000 times (three degrees
+/// of freedom).
+const HAS_SPEED: f64 = 21.1;
 
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
@@ -126,6 +130,13 @@ impl PointTrack {
 
     pub(super) fn velocity(&self) -> Vector3<f64> {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
+    }
+
+    /// Whether its velocity differs from none by more than the error of its estimate.
+    pub(super) fn has_speed(&self) -> bool {
+        let covariance = self.estimate.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        kalman::mahalanobis(&self.velocity(), &covariance)
+            .is_ok_and(|distance| distance.squared >= HAS_SPEED)
     }
 
     /// Longest usual side of its box [m].

@@ -486,3 +486,38 @@ fn scans_do_not_remove_what_the_shape_of_a_large_target_hides() -> Result<(), Er
     }
     Ok(())
 }
+
+/// Whether the track of a target counts as moved that flies 1.4 m/s on a circle of a radius [m], or hovers in
+/// its middle, found 0.02 m off.
+fn counts_as_moved(radius: f64, offset: f64) -> Result<bool, Error> {
+    let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
+    for scan in 0..10_i64 {
+        let (angle, error) = (0.14 / radius * scan as f64, 0.02 * libm::sin(2.5 * scan as f64));
+        let [x, y] = [libm::cos(angle), libm::sin(angle)].map(|part| offset * part + error);
+        tracker.new_point_cloud(
+            &[[x as f32, y as f32, 0.0]],
+            None,
+            &free(),
+            None,
+            scan * STEP_NS,
+        )?;
+        let covariance =
+            [0, 1, 2].map(|row| [0, 1, 2].map(|at| if row == at { 4e-4 } else { 0.0 }));
+        let found = Detections {
+            stamp_ns: scan * STEP_NS,
+            positions: &[[x, y, 0.0]],
+            covariance: Some(&[covariance]),
+            confidence: Some(&[0.9]),
+            ..Detections::default()
+        };
+        tracker.new_detections(&found, &free())?;
+    }
+    Ok(!tracker.moved_by(0.5).is_empty())
+}
+
+#[test]
+fn a_target_on_a_small_circle_moves_and_one_that_hovers_does_not() -> Result<(), Error> {
+    assert!(counts_as_moved(0.2, 0.2)?);
+    assert!(!counts_as_moved(0.2, 0.0)?);
+    Ok(())
+}

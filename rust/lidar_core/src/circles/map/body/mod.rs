@@ -3,6 +3,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 mod body_box;
+mod face;
 pub(super) mod hull;
 mod legs;
 pub(super) mod look;
@@ -214,14 +215,15 @@ impl State for RoundBody {
     }
 
     fn correct(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
-        if seen.is_face {
+        let face = self.outline.behind(seen).filter(|_| rules.has_standing());
+        if seen.is_face || face.is_some() {
             self.outline.doubted(true);
         } else {
             self.outline.correct(seen.outline.as_ref(), rules)?;
         }
         self.surround(seen, rules)?;
         // One scan may take a circle for something else, of which it hardly knows the centre.
-        let mut used = seen.circle;
+        let mut used = face.unwrap_or(seen.circle);
         if let Some(round) = seen.round.filter(|_| self.outline.is_round())
             && self.circle.cost(&self.noisy(&round), rules.gate())?.is_some()
         {

@@ -13,13 +13,14 @@ const SAMPLES: usize = 100;
 const FEWEST: usize = 30;
 /// Distance from the surface of the earlier scan within which an end lies on it [m].
 const ON: f64 = 0.05;
-/// Shares of the ends on it: at most where they are, and at least after the motion.
+/// Share of the ends on it above which the scanner rests.
 const BEFORE: f64 = 0.5;
-const AFTER: f64 = 0.85;
-/// Least gap between two surfaces [m], and the least number of surfaces that are explained: two things
-/// may move side by side.
+/// Least gap between two surfaces [m].
 const GAP: f64 = 0.5;
-const SURFACES: usize = 3;
+/// Numbers of surfaces that the motion explains, and the least share of the ends on them: two things may
+/// move side by side, but the more surfaces agree, the less is it chance. The other ends may be people
+/// and vehicles, which go their own ways.
+const AFTER: [(usize, f64); 2] = [(3, 0.85), (6, 0.7)];
 /// Farthest that a surface is looked for [m]; the search ends that much nearer in every round.
 const REACH: f64 = 0.6;
 const ROUNDS: usize = 12;
@@ -59,7 +60,7 @@ pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
         on_surface(&samples, then, between(&samples, then)).copied().collect();
     let apart = |pair: &&[[f64; 2]]| libm::hypot(pair[0][0] - pair[1][0], pair[0][1] - pair[1][1]);
     let gaps = explained.windows(2).filter(|pair| apart(pair) > GAP).count();
-    share(explained.len()) >= AFTER && gaps + 1 >= SURFACES
+    AFTER.iter().any(|&(surfaces, least)| gaps + 1 >= surfaces && share(explained.len()) >= least)
 }
 
 /// Points that lie on a surface of a scan after a motion.

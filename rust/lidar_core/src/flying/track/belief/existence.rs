@@ -175,8 +175,14 @@ impl TrackBelief {
             self.kinds.see_joined();
         }
         if let Some(shape) = evidence.shape {
-            self.kinds.measure(shape);
+            self.kinds.measure(shape, evidence.is_led);
         }
+    }
+
+    /// Enter the acceleration of the track along every axis [m/s^2] and its variance, `seconds` after the
+    /// last one.
+    pub(super) fn take_acceleration(&mut self, accelerations: [[f64; 2]; 3], seconds: f64) {
+        self.kinds.feel(accelerations, seconds);
     }
 
     pub(super) fn take(&mut self, [target, hidden, standing, fleeting]: CauseLikelihoods) {

@@ -24,6 +24,24 @@ const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
 /// The same of the first look at it: what comes into view like this nearly always walks or drives in over
 /// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
 const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.7, 0.08, 1.5, 1.0, 0.08];
+/// Of what has moved to where nothing below it was ever seen: behind a table, a car or a wall most things that
+/// move are people. What hides the space below hides it in every scan, so it counts once.
+const OVER_UNSEEN: [f64; KINDS] = [0.4, 0.03, 1.5, 1.0, 0.03];
+
+/// Standard deviations of the acceleration of what moves steadily, and of what manoeuvres [m/s^2].
+const STEADY: f64 = 1.0;
+const AGILE: f64 = 4.0;
+/// Shares of the kinds that manoeuvre all the time: people and vehicles hardly ever do. What stands has no
+/// acceleration but that of errors, which tell nothing.
+const AGILE_SHARES: [f64; KINDS] = [0.5, 0.5, 0.02, 0.5, 0.5];
+/// Accelerations that a track estimates in less than this are of the same scans [s].
+const APART: f64 = 0.5;
+/// Standard deviation of the acceleration that a track expects before it was measured [m/s^2]; with more
+/// than this share of its variance left, it is not measured.
+const EXPECTED: f64 = 3.0;
+const KNOWN_SHARE: f64 = 0.95;
+/// Largest amount of that logarithm: evidence of a past that is long ago must not outweigh all that follows.
+const MOST_AGILITY: f64 = 8.0;
 
 /// What a detection shows of a target itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,6 +52,8 @@ pub struct TargetShape {
     pub filled_share: f64,
     /// Whether rays pass below it; None if nothing tells.
     pub is_free_below: Option<bool>,
+    /// Whether it has moved to where what is below it was never seen.
+    pub is_over_unseen: bool,
 }
 
 /// Mean and standard deviation of the natural logarithm of a value.
@@ -96,13 +116,19 @@ pub(in crate::flying::track) struct Kinds {
     filled: MeanLog,
     /// Whether a look has told if rays pass below it.
     is_known_below: bool,
+    /// Whether the newest look that told anything found it above space that was never seen.
+    is_over_unseen: bool,
+    /// Logarithm of how many times likelier its accelerations are if it manoeuvres than if it does not.
+    agility: f64,
 }
 
 impl Kinds {
     /// Of a new track.
     pub(in crate::flying::track) fn new() -> Self {
         let (radius, filled) = (MeanLog::default(), MeanLog::default());
-        Self { seen: KindBelief::prior(SHARES), radius, filled, is_known_below: false }
+        let seen = KindBelief::prior(SHARES);
+        let (is_known_below, is_over_unseen) = (false, false);
+        Self { seen, radius, filled, is_known_below, is_over_unseen, agility: 0.0 }
     }
 
     /// Enter how likely something that moves, and something that stands, makes what was seen.
@@ -115,18 +141,45 @@ impl Kinds {
         self.seen = self.seen.weighed(JOINED);
     }
 
-    /// Enter the shape of a detection.
-    pub(super) fn measure(&mut self, shape: TargetShape) {
+    /// Enter the shape of a detection. That no ray passes below one that only the track leads, over space that
+    /// was never seen, says nothing more.
+    pub(super) fn measure(&mut self, shape: TargetShape, is_led: bool) {
         self.radius.add(shape.radius);
         self.filled.add(shape.filled_share);
-        if let Some(is_free) = shape.is_free_below {
+        if shape.is_over_unseen && shape.is_free_below != Some(true) {
+            if !self.is_known_below {
+                self.seen = self.seen.weighed(OVER_UNSEEN);
+            }
+            (self.is_known_below, self.is_over_unseen) = (true, true);
+        } else if let Some(is_free) = shape.is_free_below
+            && !(is_led && self.is_over_unseen && !is_free)
+        {
             self.seen = self.seen.weighed(match (is_free, self.is_known_below) {
                 (true, _) => FREE_BELOW,
                 (false, true) => NOT_FREE_BELOW,
                 (false, false) => NOT_FREE_AT_FIRST,
             });
-            self.is_known_below = true;
+            (self.is_known_below, self.is_over_unseen) = (true, false);
         }
+    }
+
+    /// Enter the acceleration of a track along every axis and its variance, `seconds` after the last one.
+    ///
+    /// What the track expected of it is taken off first: only what the scans say counts.
+    pub(super) fn feel(&mut self, accelerations: [[f64; 2]; 3], seconds: f64) {
+        let prior = EXPECTED * EXPECTED;
+        let log_ratio = |[mean, variance]: [f64; 2]| {
+            if !(variance > 0.0 && variance < KNOWN_SHARE * prior) {
+                return 0.0; // nothing was measured yet
+            }
+            let measured = 1.0 / (1.0 / variance - 1.0 / prior);
+            let value = mean * measured / variance;
+            let [steady, agile] = [STEADY, AGILE].map(|std| measured + std * std);
+            0.5 * (value * value * (1.0 / steady - 1.0 / agile) - libm::log(agile / steady))
+        };
+        let weight = (seconds / APART).clamp(0.0, 1.0);
+        self.agility += weight * accelerations.map(log_ratio).iter().sum::<f64>();
+        self.agility = self.agility.clamp(-MOST_AGILITY, MOST_AGILITY);
     }
 
     /// Probabilities of the kinds.
@@ -140,7 +193,9 @@ impl Kinds {
         let (flying, clutter) = (density(&FLYING), density(&CLUTTER));
         // Nothing is said of the sizes of the others: as if they were of either of the two.
         let other = 0.5 * (flying + clutter);
-        self.seen.weighed([other, flying, other, other, clutter])
+        let times = libm::exp(self.agility);
+        let moves = AGILE_SHARES.map(|share| 1.0 - share + share * times);
+        self.seen.weighed([other, flying, other, other, clutter]).weighed(moves)
     }
 }
 
@@ -152,7 +207,9 @@ mod tests {
     fn kind(shapes: &[(f64, f64)]) -> TrackKind {
         let mut kinds = Kinds::new();
         for &(radius, filled_share) in shapes {
-            kinds.measure(TargetShape { radius, filled_share, is_free_below: None });
+            let shape =
+                TargetShape { radius, filled_share, is_free_below: None, is_over_unseen: false };
+            kinds.measure(shape, false);
         }
         kinds.belief().kind()
     }
@@ -177,24 +234,86 @@ mod tests {
 
     #[test]
     fn what_touches_the_ground_does_not_fly() {
-        let person = TargetShape { radius: 0.4, filled_share: 0.7, is_free_below: Some(false) };
+        let person = TargetShape {
+            radius: 0.4,
+            filled_share: 0.7,
+            is_free_below: Some(false),
+            is_over_unseen: false,
+        };
         let drone = TargetShape { is_free_below: Some(true), ..person };
         let mut kinds = Kinds::new();
         for _ in 0..2 {
-            kinds.measure(person);
+            kinds.measure(person, false);
             assert_ne!(kinds.belief().kind(), TrackKind::Flying); // from the first look on
         }
         // What has come in over the lower edge of the view flies once all of it is seen.
         let mut kinds_of_drone = kinds;
-        (0..4).for_each(|_| kinds_of_drone.measure(drone));
+        (0..4).for_each(|_| kinds_of_drone.measure(drone, false));
         assert_eq!(kinds_of_drone.belief().kind(), TrackKind::Flying);
-        (0..4).for_each(|_| kinds.measure(person));
+        (0..4).for_each(|_| kinds.measure(person, false));
         assert_eq!(kinds.belief().kind(), TrackKind::Ground);
         // What was seen in the air for long flies on where the view ends below it.
         let mut kinds = Kinds::new();
-        (0..20).for_each(|_| kinds.measure(drone));
-        (0..5).for_each(|_| kinds.measure(person));
+        (0..20).for_each(|_| kinds.measure(drone, false));
+        (0..5).for_each(|_| kinds.measure(person, false));
         assert_eq!(kinds.belief().kind(), TrackKind::Flying);
+    }
+
+    /// Kinds of what moves above space that was never seen, with an acceleration, for so many scans.
+    fn over_unseen(acceleration: [f64; 3], scans: usize) -> Kinds {
+        let shape = TargetShape {
+            radius: 0.35,
+            filled_share: 0.8,
+            is_free_below: Some(false),
+            is_over_unseen: true,
+        };
+        let mut kinds = Kinds::new();
+        for _ in 0..scans {
+            kinds.measure(shape, false);
+            kinds.see(0.33, 0.02);
+            kinds.feel(acceleration.map(|value| [value, 2.0]), 0.1);
+        }
+        kinds
+    }
+
+    #[test]
+    fn what_manoeuvres_above_unseen_space_flies_and_what_walks_there_does_not() {
+        for walks in [[0.0; 3], [1.0, -1.0, 0.0], [2.0, 0.0, 0.5]] {
+            for scans in [1, 2, 5, 50] {
+                let kind = over_unseen(walks, scans).belief().kind();
+                assert_ne!(kind, TrackKind::Flying, "{walks:?} {scans}");
+            }
+            assert_eq!(over_unseen(walks, 50).belief().kind(), TrackKind::Ground);
+        }
+        assert_ne!(over_unseen([5.0, 4.0, 0.5], 1).belief().kind(), TrackKind::Flying);
+        assert_eq!(over_unseen([5.0, 4.0, 0.5], 10).belief().kind(), TrackKind::Flying);
+        // Once rays pass below it, it needs not manoeuvre; what stands on the ground may, for a while.
+        let mut kinds = over_unseen([0.0; 3], 5);
+        let seen = |is_free| TargetShape {
+            radius: 0.35,
+            filled_share: 0.8,
+            is_free_below: Some(is_free),
+            is_over_unseen: false,
+        };
+        (0..5).for_each(|_| kinds.measure(seen(true), false));
+        assert_eq!(kinds.belief().kind(), TrackKind::Flying);
+        let mut kinds = over_unseen([5.0, 4.0, 0.5], 10);
+        (0..5).for_each(|_| kinds.measure(seen(false), false));
+        assert_eq!(kinds.belief().kind(), TrackKind::Ground);
+    }
+
+    #[test]
+    fn accelerations_that_were_not_measured_tell_nothing() {
+        let mut kinds = Kinds::new();
+        for unknown in [[0.0, 9.0], [5.0, 8.9], [5.0, 0.0], [5.0, f64::NAN]] {
+            kinds.feel([unknown; 3], 0.1);
+            assert_eq!(kinds.agility, 0.0, "{unknown:?}");
+        }
+        // Two short steps are one long one.
+        let mut other = kinds;
+        kinds.feel([[4.0, 1.0]; 3], 0.2);
+        (0..2).for_each(|_| other.feel([[4.0, 1.0]; 3], 0.1));
+        assert!((kinds.agility - other.agility).abs() < 1e-12 && kinds.agility > 0.0);
     }
 
     #[test]

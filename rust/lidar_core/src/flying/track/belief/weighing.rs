@@ -1,7 +1,7 @@
 //! What detections tell of the existence of the targets of tracks.
 
 use super::super::measurement::Evidence;
-use super::super::motion::position_block;
+use super::super::motion::{position_block, seconds};
 use super::super::state::PointTrack;
 use super::existence::{CauseLikelihoods, ExpectedClutter, MOVED, Sight, TrackBelief};
 use crate::tracking::existence::Presence;
@@ -71,6 +71,9 @@ pub(in crate::flying::track) fn weigh(
     }
     if let Some(evidence) = evidence {
         belief.take_shape(evidence);
+        let state = &track.estimate;
+        let axis = |at: usize| [state.mean[6 + at], state.covariance[(6 + at, 6 + at)]];
+        belief.take_acceleration([0, 1, 2].map(axis), seconds(track.belief.stamp_ns, stamp_ns));
     }
     track.belief = belief;
 }
