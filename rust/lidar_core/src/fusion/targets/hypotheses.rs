@@ -11,6 +11,12 @@ use std::f64::consts::TAU;
 const MOST_PAIRS: usize = 20_000;
 /// ... but this many.
 const LEAST_PAIRS: usize = 8;
+/// Share of the measurements of targets which come back from hiding that are not believed: those
+/// furthest from where the target was expected.
+const FOREIGN: f64 = 0.02;
+/// The same, below which it is not looked at: of targets that hardly were hidden.
+const CERTAINLY_OWN: f64 = 1e-3;
+
 /// A pair of one track.
 #[derive(Clone, Copy)]
 pub(super) struct OwnPair {
@@ -137,4 +143,13 @@ impl TargetTrack {
 /// Twice the logarithm of the volume over which a predicted measurement spreads.
 pub(super) fn spread(innovation: &Innovation) -> f64 {
     innovation.log_determinant + innovation.count as f64 * libm::log(TAU)
+}
+
+/// True for a measurement that hardly any target would give where it comes back from hiding.
+///
+/// That hardly any other target appears does not count here: a number that goes over to another
+/// target is worse than a new number.
+pub(super) fn is_another_target(track: &mut TargetTrack, m: &Measurement) -> bool {
+    let least = FOREIGN * track.belief.presence.hidden_share();
+    least > CERTAINLY_OWN && track.filter.tail(m) < least
 }

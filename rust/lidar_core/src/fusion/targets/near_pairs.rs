@@ -7,11 +7,50 @@ use crate::fusion::sensors::measurement::{Measurement, PolarValues, Sensor};
 use crate::fusion::sensors::observation::Observation;
 use crate::fusion::sensors::sensing::Sensing;
 use crate::tracking::near::{NearIndex, Rectangle};
+use crate::tracking::standing_clutter::StandingClutter;
 use std::f64::consts::{PI, TAU};
 
 /// Slack of a window, relative and in metres or radians: rounding must not cut off a measurement at
 /// the edge of a gate.
 const SLACK: f64 = 1e-9;
+
+/// Place of a measurement in the world, and half the width of its spread [m]; None for what is no
+/// position.
+pub(super) type Placed = Option<([f64; 2], f64)>;
+
+/// Where measurements lie; `unseen` is a filter without a target that knows the platform.
+pub(super) fn places_of(
+    unseen: &Filter,
+    sensing: &Sensing,
+    measurements: &[Measurement],
+) -> Vec<Placed> {
+    let place = |m: &Measurement| {
+        let observed = sensing.observation(m, 0.0)?;
+        let Observation::Position { R, .. } = observed else { return None };
+        let output = unseen.clone().step(m).output?;
+        let half = libm::sqrt(libm::sqrt(R.determinant().max(0.0)));
+        let place = [output.mean[0], output.mean[1]];
+        place.iter().all(|value| value.is_finite()).then_some((place, half))
+    };
+    measurements.iter().map(place).collect()
+}
+
+/// Density of clutter that stands where each measurement is [1/m^2]; zero for those that are no
+/// positions, and for a radar's ranges, bearings and range rates, whose densities are others.
+pub(super) fn clutter_at(
+    standing: &StandingClutter,
+    stamp_ns: i64,
+    measurements: &[Measurement],
+    places: &[Placed],
+) -> Vec<f64> {
+    let known: Vec<([f64; 2], f64)> = places.iter().flatten().copied().collect();
+    let mut densities = standing.densities(stamp_ns, &known).into_iter();
+    let of = |(m, place): (&Measurement, &Placed)| {
+        let density = place.and_then(|_| densities.next()).unwrap_or(0.0);
+        if m.sensor() == Sensor::Lidar { density } else { 0.0 }
+    };
+    measurements.iter().zip(places).map(of).collect()
+}
 
 /// Measurements of targets in a scan, by place.
 pub struct ScanIndex {

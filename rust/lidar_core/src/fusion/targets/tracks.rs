@@ -1,22 +1,20 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::any_filter::Filter;
-use super::company::{Fellow, keep_company};
+use super::company::{Fellow, keep_company, measure_spread};
+use super::hypotheses::is_another_target;
 use super::lifecycle::Outcome;
 use super::many_parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
-use super::near_pairs::ScanIndex;
+use super::near_pairs::{Placed, ScanIndex, clutter_at, places_of};
 use super::target::SavedTarget;
 use super::track::{
     Assigned, Births, Candidates, IntegratedScan, Scan, TargetTrack, TrackState, TrackingWork,
 };
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
-use crate::fusion::filter::engine::Innovation;
 use crate::fusion::parameters::FusionParameters;
-use crate::fusion::sensors::measurement::{Measurement, Sensor};
-use crate::fusion::sensors::observation::Observation;
 use crate::tracking::joint_association::probabilities;
-use crate::tracking::near::{NearIndex, Rectangle};
+use crate::tracking::near::NearIndex;
 use crate::tracking::standing_clutter::StandingClutter;
 use crate::tracking::surroundings::{Population, Surroundings};
 use serde::{Deserialize, Serialize};
@@ -26,12 +24,6 @@ use std::collections::BTreeMap;
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
 /// pair, so that as many tracks as possible get one.
 const UNASSIGNED: f64 = 1e6;
-
-/// Share of the measurements of targets which come back from hiding that are not believed: those
-/// furthest from where the target was expected.
-const FOREIGN: f64 = 0.02;
-/// The same, below which it is not looked at: of targets that hardly were hidden.
-const CERTAINLY_OWN: f64 = 1e-3;
 
 /// Saved form of all tracks.
 #[derive(Serialize, Deserialize)]
@@ -55,21 +47,6 @@ pub struct Tracks {
     pub(super) population: Population,
     /// What stands, by scanner; nothing where targets may stand.
     standing: BTreeMap<u8, StandingClutter>,
-}
-
-impl TargetAssociation {
-    /// Cost of a track and a measurement with this innovation.
-    fn cost(&self, m: &Measurement, innovation: &Innovation, standing: f64) -> f64 {
-        let distance = innovation.nis + innovation.log_determinant;
-        match self {
-            Self::Nearest | Self::Integrated(_) => distance,
-            Self::Joint { detection, clutter } => {
-                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
-                let density = clutter[usize::from(m.sensor() == Sensor::Radar)].max(standing);
-                0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
-            }
-        }
-    }
 }
 
 impl Tracks {
@@ -184,7 +161,11 @@ impl Tracks {
         work.predictions += foreseen.sum::<u64>();
         let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
         let has_places = parameters.birth_distance > 0.0 || parameters.report_speed > 0.0;
-        let places = if has_places { self.places_of(parameters, scan) } else { Vec::new() };
+        let places = if has_places {
+            places_of(&self.unseen, &parameters.filter.sensing, &scan.measurements)
+        } else {
+            Vec::new()
+        };
         let standing = self.standing_clutter(parameters, scan, &places);
         if let TargetAssociation::Integrated(existence) = &parameters.association {
             let seen = (scan, standing.as_slice());
@@ -315,84 +296,33 @@ impl Tracks {
         }
     }
 
-    /// Where the measurements of a scan lie in the world, and half the width of their spread [m]; None
-    /// for those that are no positions.
-    fn places_of(&self, parameters: &ManyParameters, scan: &Scan) -> Vec<Option<([f64; 2], f64)>> {
-        let place = |m: &Measurement| {
-            let observed = parameters.filter.sensing.observation(m, 0.0)?;
-            let Observation::Position { R, .. } = observed else { return None };
-            let output = self.unseen.clone().step(m).output?;
-            let half = libm::sqrt(libm::sqrt(R.determinant().max(0.0)));
-            let place = [output.mean[0], output.mean[1]];
-            place.iter().all(|value| value.is_finite()).then_some((place, half))
-        };
-        scan.measurements.iter().map(place).collect()
-    }
-
-    /// Density of clutter that stands where each measurement is [1/m^2]: zero where targets may stand,
-    /// and for measurements that are no positions.
+    /// Density of clutter that stands where each measurement is: zero where targets may stand.
     fn standing_clutter(
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        places: &[Option<([f64; 2], f64)>],
+        places: &[Placed],
     ) -> Vec<f64> {
         if parameters.report_speed <= 0.0 {
             return vec![0.0; scan.measurements.len()];
         }
-        let known: Vec<([f64; 2], f64)> = places.iter().flatten().copied().collect();
         let own = self.standing.entry(scan.source).or_default();
-        let mut densities = own.densities(scan.stamp_ns, &known).into_iter();
-        let of = |(m, place): (&Measurement, &Option<_>)| {
-            let density = place.and_then(|_: ([f64; 2], f64)| densities.next()).unwrap_or(0.0);
-            // Densities of a radar's ranges, bearings and range rates are others.
-            if m.sensor() == Sensor::Lidar { density } else { 0.0 }
-        };
-        scan.measurements.iter().zip(places).map(of).collect()
+        clutter_at(own, scan.stamp_ns, &scan.measurements, places)
     }
 
-    /// Keep the places of a scan for those to come, and let tracks learn their extent.
-    fn learn_places(
-        &mut self,
-        parameters: &ManyParameters,
-        scan: &Scan,
-        places: &[Option<([f64; 2], f64)>],
-    ) {
+    /// Keep the places of a scan for those to come, and let reported tracks learn their extent.
+    fn learn_places(&mut self, parameters: &ManyParameters, scan: &Scan, places: &[Placed]) {
+        let places: Vec<[f64; 2]> = places.iter().flatten().map(|(place, _)| *place).collect();
         if parameters.birth_distance > 0.0 {
-            self.measure_spread(parameters.birth_distance, scan.stamp_ns, places);
+            let reported = self.all.iter_mut().filter(|track| track.is_reported());
+            let tracks = reported.filter_map(|track| {
+                let output = track.filter.output_at(scan.stamp_ns)?;
+                Some(([output.mean[0], output.mean[1]], &mut track.spread))
+            });
+            measure_spread(tracks.collect(), parameters.birth_distance, &places);
         }
         if let Some(own) = self.standing.get_mut(&scan.source) {
-            own.take(scan.stamp_ns, places.iter().flatten().map(|(place, _)| *place));
-        }
-    }
-
-    /// Let every reported track know how far the measurements around it lie from it: those that are
-    /// nearest to it, and not further than `reach`.
-    fn measure_spread(&mut self, reach: f64, stamp_ns: i64, places: &[Option<([f64; 2], f64)>]) {
-        let reported = self.all.iter().enumerate().filter(|(_, track)| track.is_reported());
-        let outputs = reported.filter_map(|(row, track)| {
-            let output = track.filter.output_at(stamp_ns)?;
-            Some(([output.mean[0], output.mean[1]], row))
-        });
-        let tracks: Vec<([f64; 2], usize)> =
-            outputs.filter(|(at, _)| at.iter().all(|value| value.is_finite())).collect();
-        let index = NearIndex::new(
-            tracks.iter().enumerate().map(|(number, (at, _))| (*at, number)).collect(),
-        );
-        let (mut near, mut offsets) = (Vec::new(), vec![Vec::new(); tracks.len()]);
-        for (place, _) in places.iter().flatten() {
-            near.clear();
-            index.collect(&Rectangle::around(*place, [reach; 2]), &mut near);
-            let away = |number: usize| [0, 1].map(|axis| place[axis] - tracks[number].0[axis]);
-            let distance = |number: usize| libm::hypot(away(number)[0], away(number)[1]);
-            near.sort_unstable();
-            let nearest = near.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
-            if let Some(number) = nearest.filter(|number| distance(*number) < reach) {
-                offsets[number].push(away(number));
-            }
-        }
-        for ((_, row), offsets) in tracks.iter().zip(offsets) {
-            self.all[*row].spread.take(&offsets);
+            own.take(scan.stamp_ns, places.into_iter());
         }
     }
 
@@ -450,15 +380,6 @@ impl Tracks {
             self.all.push(track);
         }
     }
-}
-
-/// True for a measurement that hardly any target would give where it comes back from hiding.
-///
-/// That hardly any other target appears does not count here: a number that goes over to another
-/// target is worse than a new number.
-fn is_another_target(track: &mut TargetTrack, m: &Measurement) -> bool {
-    let least = FOREIGN * track.belief.presence.hidden_share();
-    least > CERTAINLY_OWN && track.filter.tail(m) < least
 }
 
 /// # Errors
