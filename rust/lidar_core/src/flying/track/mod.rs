@@ -13,11 +13,11 @@ mod full_state;
 mod lifecycle;
 mod measurement;
 mod motion;
+mod output;
 mod pairs;
 mod parameters;
 mod split;
 mod state;
-mod track;
 mod update;
 mod visibility;
 
@@ -27,12 +27,12 @@ mod tests;
 pub use belief::kinds::TargetShape;
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
+pub(crate) use output::ExpectedTarget;
+pub use output::{Stats, Track};
 pub use parameters::{
     Ageing, Association, Confirmation, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging,
     Motion, NoiseForm, Radius, RadiusForm, TrackerParameters,
 };
-pub(crate) use track::ExpectedTarget;
-pub use track::{Stats, Track};
 pub use visibility::occupancy::{ENOUGH_RAYS, Occupancy, OccupiedPoints, Visibility};
 pub use visibility::view::CloudView;
 
