@@ -487,13 +487,13 @@ fn scans_do_not_remove_what_the_shape_of_a_large_target_hides() -> Result<(), Er
     Ok(())
 }
 
-/// Whether the track of a target counts as moved that flies 1.4 m/s on a circle of a radius [m], or hovers in
-/// its middle, found 0.02 m off.
-fn counts_as_moved(radius: f64, offset: f64) -> Result<bool, Error> {
+/// Whether the track of a target counts as moved that flies one round on a circle of a radius [m] and is back
+/// at its start; errors are up to 0.02 m.
+fn counts_as_moved(radius: f64) -> Result<bool, Error> {
     let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
     for scan in 0..10_i64 {
-        let (angle, error) = (0.14 / radius * scan as f64, 0.02 * libm::sin(2.5 * scan as f64));
-        let [x, y] = [libm::cos(angle), libm::sin(angle)].map(|part| offset * part + error);
+        let (angle, error) = (0.7 * scan as f64, 0.02 * libm::sin(2.5 * scan as f64));
+        let [x, y] = [libm::cos(angle), libm::sin(angle)].map(|part| radius * part + error);
         tracker.new_point_cloud(
             &[[x as f32, y as f32, 0.0]],
             None,
@@ -517,7 +517,7 @@ fn counts_as_moved(radius: f64, offset: f64) -> Result<bool, Error> {
 
 #[test]
 fn a_target_on_a_small_circle_moves_and_one_that_hovers_does_not() -> Result<(), Error> {
-    assert!(counts_as_moved(0.2, 0.2)?);
-    assert!(!counts_as_moved(0.2, 0.0)?);
+    assert!(counts_as_moved(0.28)?);
+    assert!(!counts_as_moved(0.0)?);
     Ok(())
 }
