@@ -5,6 +5,7 @@ import numpy as np
 from reference.fusion_company import is_reported
 
 OLDER_NS, PRIOR = 10_000_000_000, 10
+KEPT_NS, MOST_SCANS, MOST_PLACES = 60_000_000_000, 300, 4096
 NEW, CREDIBLE, LARGEST = -2.94, 2.94, 6.9
 MEMORY, SHARE = 40, 0.5
 
@@ -21,6 +22,14 @@ def standing_density(past, stamp, place, half):
     if not inside:
         return 0.0
     return len(inside) / ((PRIOR + len(old) - inside[0][0]) * (2 * half) ** 2)
+
+
+def keep(past, stamp, places):
+    """Add a scan to the past of its scanner, unless the last one is too near in time."""
+    most = np.clip(MOST_PLACES // max(len(places), 1), 1, MOST_SCANS)
+    if not past or stamp - past[-1][0] >= KEPT_NS // most:
+        past.append((stamp, places))
+        del past[:-MOST_SCANS]
 
 
 def weigh(track, options, missed):

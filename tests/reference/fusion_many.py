@@ -4,7 +4,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from reference.fusion_clutter import measure_spread, standing_density, weigh
+from reference.fusion_clutter import keep, measure_spread, standing_density, weigh
 from reference.fusion_company import keep_company
 
 
@@ -97,7 +97,7 @@ class ManyTargets:
             standing_density(past, stamp, place, half) if self.config.report_speed > 0 else 0.0
             for place in places
         ]
-        past.append((stamp, places))
+        keep(past, stamp, places)
 
     def associate(self, tracks, stamp, places, source, numbers):
         noise = np.diag(np.square(self.config.target.lidar_std))

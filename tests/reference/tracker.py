@@ -59,7 +59,7 @@ KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
 BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
 NOT_FREE_AT_FIRST = (0.7, 0.08, 1.5, 1.0, 0.08)
 OVER_UNSEEN = (0.4, 0.03, 1.5, 1.0, 0.03)
-STEADY, AGILE, EXPECTED, KNOWN_SHARE = 1.0, 4.0, 3.0, 0.95  # [m/s^2], [m/s^2], [m/s^2], no unit
+STEADY, AGILE, KNOWN_SHARE = 1.0, 4.0, 0.95  # [m/s^2], [m/s^2], no unit
 AGILE_SHARES, APART, MOST_AGILITY = np.array([0.5, 0.5, 0.02, 0.5, 0.5]), 0.5, 8.0
 MOST_SHAPES, SHAPE_NOISE = 20, 0.4
 SORTS = {
@@ -185,12 +185,12 @@ class Track:
         after = weighed(self.seen_kinds, (other, flying, other, other, clutter))
         return weighed(after, 1 - AGILE_SHARES + AGILE_SHARES * np.exp(self.agility))
 
-    def feel(self, seconds):
+    def feel(self, expected, seconds):
         """Enter its acceleration: likelihood of the measured part if it manoeuvres, over if not."""
         ratio = 0.0
         for value, variance in zip(self.x[6:], np.diag(self.P)[6:], strict=True):
-            if 0 < variance < KNOWN_SHARE * EXPECTED**2:
-                measured = 1 / (1 / variance - 1 / EXPECTED**2)
+            if 0 < variance < KNOWN_SHARE * expected**2:
+                measured = 1 / (1 / variance - 1 / expected**2)
                 place, spread = value * measured / variance, np.hypot
                 agile = norm.logpdf(place, 0, spread(np.sqrt(measured), AGILE))
                 ratio += agile - norm.logpdf(place, 0, spread(np.sqrt(measured), STEADY))
@@ -766,7 +766,7 @@ class Tracker:
                 track.take((near, near, near, 1))
         if shown:
             track.measure(shape)
-            track.feel(since)
+            track.feel(self.c.initial_std[2], since)
 
     def merge(self):
         if self.c.merge_distance is None:

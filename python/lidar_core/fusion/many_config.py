@@ -74,8 +74,8 @@ class MultiTargetConfig(Config):
         description="No track starts nearer than this to one that the same scan measured: parts"
         " of an object are no objects. A track that goes along ahead or astern of one with more"
         " measurements, up to 1.5 times as far along and 0.6 times across, is a part of it and not"
-        " reported. Half of the spread of measurements within it is added to the covariance of"
-        " reported positions [m].",
+        " reported. Half of the spread of the measurements within this distance of a track is"
+        " added to the covariance of its reported position [m].",
     )
     report_speed: float = Field(
         0.0,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flying_scenes import YARD, drone, feed, lidar, scans_of, yard
 
-from lidar_core import PointClass, VoxelMap, sim
+from lidar_core import PointClass, TrackKind, VoxelMap, sim
 from lidar_core.errors import ConfigError
 from lidar_core.evaluation import score_static_map
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
@@ -71,6 +71,44 @@ def test_what_stands_does_not_move():
     frames = [feed(detector, one) for one in made]
     assert not any((frame.point_class == MOVING).any() for frame in frames)
     assert sum((frame.point_class == PointClass.FLYING).sum() for frame in frames) > 100
+
+
+def behind_a_screen(*, turns):
+    """Kinds of the track, and classes of the points, of a ball that rises behind a screen.
+
+    The space below it is hidden in every scan. It then flies on a circle of 0.5 m at 2 m/s, or
+    straight on as a person walks.
+    """
+    times = np.arange(0, 5.0, 0.05)
+    since = np.maximum(times - 1.8, 0.0)
+    rise = 2.0 + 1.9 * np.minimum(times / 1.8, 1.0)
+    along, aside = (np.cos(4 * since), np.sin(4 * since)) if turns else (1 + 0 * since, 2 * since)
+    places = np.c_[6.0 + 0.5 * along, 0.5 * aside, rise]
+    target = Target(
+        shape=sim.Sphere(radius=0.325),
+        motion=Waypoints(times=tuple(times), positions=tuple(map(tuple, places))),
+    )
+    screen = Body(shape=sim.Box(size=(0.2, 10.0, 3.3)), position=(3.0, 0.0, 1.65))
+    sensor = lidar(64, columns=720, half_deg=30.0)
+    made = scans_of(yard(target, scans=40, bodies=(*YARD, screen), lidar=sensor))
+    detector, kinds, classes = FlyingObjectDetector(FlyingConfig()), [], []
+    for one in made:
+        frame = feed(detector, one)
+        kinds.append([TrackKind(kind) for kind in frame.tracks.kind])
+        own = frame.point_class[one.label.reshape(-1) == len(YARD) + 1]
+        classes.append({PointClass(value) for value in own})
+    return kinds, classes
+
+
+def test_what_manoeuvres_above_hidden_space_flies_and_what_goes_straight_on_does_not():
+    kinds, classes = behind_a_screen(turns=True)
+    assert all(one == [TrackKind.FLYING] for one in kinds[28:])
+    assert all(one == {PointClass.FLYING} for one in classes[28:])
+    kinds, classes = behind_a_screen(turns=False)
+    seen = [kind for one in kinds for kind in one]
+    assert TrackKind.GROUND in seen
+    assert TrackKind.FLYING not in seen
+    assert PointClass.FLYING not in set().union(*classes[22:])
 
 
 def test_a_walker_who_stands_for_long_is_background():

@@ -99,6 +99,19 @@ def test_a_jetty_is_clutter_and_a_boat_that_passes_it_is_none():
     assert all(len(one.id) == 1 for one in told[95:])
 
 
+@pytest.mark.parametrize("others", [0, 240])
+def test_posts_are_clutter_however_much_else_the_scanner_sees(others):
+    """Returns that jump between two posts give their track a speed; only their place tells."""
+    rng = np.random.default_rng(9150)
+    far = np.c_[np.full(others, 500.0), 3.0 * np.arange(others)]
+    scans = [np.vstack([posts(rng), far]) for _ in range(160)]
+    shares = []
+    for speed in (SMALL.report_speed, 0.0):
+        told = reported(SMALL.model_copy(update={"report_speed": speed}), scans, std=0.4)
+        shares.append(np.mean([len(near(one, [5.5, 2.0], reach=5.0)) > 0 for one in told[80:]]))
+    assert shares[0] < 0.1 < 0.5 < shares[1]
+
+
 @pytest.mark.parametrize(("length", "speed"), [(36.0, 2.0), (18.0, 1.0)])
 def test_a_ship_is_no_clutter_though_its_own_measurements_are_near(length, speed):
     """The opposite: its returns, anywhere on it, cover a place for 18 s."""

@@ -340,6 +340,7 @@ impl FlyingObjectDetector {
             ScanToClassify { scan, local, background_extent, parameters, expected, in_air, pool };
         let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
         add_followed(&input, &local.map, classifier, &mut found, &followed.rows);
+        movers.leave_flying(classifier.class());
         for index in followed.on_ground.iter().filter_map(|&row| classifier.cluster_of(row)) {
             movers.add(classifier.clusters().get(index).members);
         }

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 /// Number of scans with measurements after which one counts 1/e.
 const MEMORY: f64 = 40.0;
 /// Share of the spread by which a place within the target is uncertain: of a body that is measured
-/// evenly it would be all, of one measured at its two ends only a third.
+/// evenly it would be all, of one measured at its two ends only a third. Half was chosen on the six
+/// scenarios of Autoferry that `lidar-core reproduce fusion-real` scores.
 const SHARE: f64 = 0.5;
 
 /// Spread of the measurements around a target's place.

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 const OLDER_NS: i64 = 10_000_000_000;
 /// Scans without a measurement with which every place begins.
 const PRIOR: f64 = 10.0;
-/// Number of scans of a scanner that are kept.
+/// Scans of so long are kept [ns], the more apart the more measurements they have.
+const KEPT_NS: i64 = 60_000_000_000;
+/// Largest numbers of scans and of measurements of a scanner that are kept.
 const MOST_SCANS: usize = 300;
-/// Number of measurements of a scanner that are kept.
 const MOST_PLACES: usize = 4096;
 
 /// The last measurements of a scanner.
@@ -23,11 +24,17 @@ pub struct StandingClutter {
 
 impl StandingClutter {
     /// Take in the places of a scan that is not older than the last one; those that are not finite
-    /// are left out.
+    /// are left out. Scans that come too often for the numbers that are kept are passed over.
     pub fn take(&mut self, stamp_ns: i64, places: impl Iterator<Item = [f64; 2]>) {
-        self.scans.push(stamp_ns);
         let finite = places.filter(|place| place.iter().all(|value| value.is_finite()));
-        self.places.extend(finite.map(|place| (stamp_ns, place)));
+        let found: Vec<(i64, [f64; 2])> = finite.map(|place| (stamp_ns, place)).collect();
+        let most = (MOST_PLACES / found.len().max(1)).clamp(1, MOST_SCANS);
+        let apart = KEPT_NS / most as i64;
+        if self.scans.last().is_some_and(|&last| stamp_ns.saturating_sub(last) < apart) {
+            return;
+        }
+        self.scans.push(stamp_ns);
+        self.places.extend(found);
         self.scans.drain(..self.scans.len().saturating_sub(MOST_SCANS));
         let forgotten = self.scans[0];
         let by_age = self.places.partition_point(|(stamp, _)| *stamp < forgotten);
@@ -100,6 +107,18 @@ mod tests {
         let gone = seen(|k| (k < 50).then_some([5.0, 1.0]));
         let stays = seen(|_| Some([5.0, 1.0]));
         assert!(at(&gone, [5.0, 1.0]) < 0.6 * at(&stays, [5.0, 1.0]));
+    }
+
+    /// Thirty scans a second of 250 measurements each: what is kept still reaches back by more than 10 s.
+    #[test]
+    fn a_busy_scanner_learns_as_well() {
+        let mut busy = StandingClutter::default();
+        for k in 0..3000 {
+            let far = (0..250).map(|y| [500.0, f64::from(y)]);
+            busy.take(k * SECOND / 30, far.chain([[5.0, 1.0]]));
+        }
+        assert!(at(&busy, [5.0, 1.0]) > 0.4 / 16.0);
+        assert_eq!(at(&busy, [50.0, 1.0]), 0.0);
     }
 
     #[test]

@@ -53,7 +53,8 @@ pub struct FitParameters {
     pub range_std: f64,
     /// Half the beam width within which a circle returns it [rad].
     pub beam_half_width: f64,
-    /// Smallest and largest radius [m]; shapes of segments have larger ones, see `whole`.
+    /// Smallest and largest radius [m]. With `Expected`, a circle beside which free space begins may be three
+    /// times as large.
     pub radius: [f64; 2],
     /// Radius up to which all circles are equally likely; larger ones are rarer [m].
     pub usual_radius: f64,

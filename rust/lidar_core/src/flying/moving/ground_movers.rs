@@ -243,6 +243,11 @@ impl GroundMovers {
         PointsByVoxel::of(&found)
     }
 
+    /// Leave out points that turned out to fly.
+    pub(crate) fn leave_flying(&mut self, class: &[PointClass]) {
+        self.rows.retain(|&row| class.get(row as usize) != Some(&PointClass::Flying));
+    }
+
     /// Add the points of something that a track of a ground mover follows.
     pub(crate) fn add(&mut self, rows: &[u32]) {
         self.rows.extend(rows);

@@ -68,7 +68,8 @@ pub(super) fn confirm(
             }
             Confirmation::Existence { report } => {
                 if index < set.known {
-                    weigh(track, evidence, set.around, set.stamp_ns);
+                    let std = parameters.initial_std[2];
+                    weigh(track, evidence, set.around, std, set.stamp_ns);
                 } else {
                     track.belief = born(set.around, track, set.stamp_ns);
                 }

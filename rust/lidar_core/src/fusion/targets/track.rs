@@ -290,7 +290,7 @@ impl TargetTrack {
         self.confirmed && !self.way.is_left_out() && self.score.is_credible
     }
 
-    /// State at `stamp_ns`; where targets have an extent, the place of which is uncertain by it.
+    /// State at `stamp_ns`. Where targets have an extent, it is part of the covariance of the position.
     pub(super) fn reported_at(&self, stamp_ns: i64) -> Option<Output> {
         let mut output = self.filter.output_at(stamp_ns)?;
         for (row, spread) in output.covariance.iter_mut().zip(self.spread.covariance()) {

@@ -14,8 +14,8 @@ use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use std::f64::consts::FRAC_PI_2;
 
-/// Depth of the middle behind a face of which nothing else is known, in half widths: as in
-/// `ShapeParameters`.
+/// Depth of the middle behind a face of which nothing else is known, in half widths: where the choice of
+/// circles and shapes (`selection.rs`) has put it.
 const BEHIND: f64 = 0.5;
 /// Ratio of half lengths below which an ellipse may be a face, and the least sine of the angle between
 /// its longer axis and the sight then.

@@ -180,9 +180,14 @@ impl TrackBelief {
     }
 
     /// Enter the acceleration of the track along every axis [m/s^2] and its variance, `seconds` after the
-    /// last one.
-    pub(super) fn take_acceleration(&mut self, accelerations: [[f64; 2]; 3], seconds: f64) {
-        self.kinds.feel(accelerations, seconds);
+    /// last one; `expected` is the standard deviation that a new track has.
+    pub(super) fn take_acceleration(
+        &mut self,
+        accelerations: [[f64; 2]; 3],
+        expected: f64,
+        seconds: f64,
+    ) {
+        self.kinds.feel(accelerations, expected, seconds);
     }
 
     pub(super) fn take(&mut self, [target, hidden, standing, fleeting]: CauseLikelihoods) {

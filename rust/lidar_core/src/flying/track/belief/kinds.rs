@@ -34,13 +34,12 @@ const AGILE: f64 = 4.0;
 /// Shares of the kinds that manoeuvre all the time: people and vehicles hardly ever do. What stands has no
 /// acceleration but that of errors, which tell nothing.
 const AGILE_SHARES: [f64; KINDS] = [0.5, 0.5, 0.02, 0.5, 0.5];
-/// Accelerations that a track estimates in less than this are of the same scans [s].
+/// Estimates of an acceleration that lie closer together follow mostly from the same measurements: they
+/// count in proportion to the time between them [s].
 const APART: f64 = 0.5;
-/// Standard deviation of the acceleration that a track expects before it was measured [m/s^2]; with more
-/// than this share of its variance left, it is not measured.
-const EXPECTED: f64 = 3.0;
+/// With more than this share of the variance left that a new track has, an acceleration is not measured.
 const KNOWN_SHARE: f64 = 0.95;
-/// Largest amount of that logarithm: evidence of a past that is long ago must not outweigh all that follows.
+/// Largest amount of `Kinds::agility`: what is long past must not outweigh all that follows.
 const MOST_AGILITY: f64 = 8.0;
 
 /// What a detection shows of a target itself.
@@ -165,9 +164,10 @@ impl Kinds {
 
     /// Enter the acceleration of a track along every axis and its variance, `seconds` after the last one.
     ///
-    /// What the track expected of it is taken off first: only what the scans say counts.
-    pub(super) fn feel(&mut self, accelerations: [[f64; 2]; 3], seconds: f64) {
-        let prior = EXPECTED * EXPECTED;
+    /// What a new track expects of it, with the standard deviation `expected`, is taken off first: only
+    /// what the scans say counts.
+    pub(super) fn feel(&mut self, accelerations: [[f64; 2]; 3], expected: f64, seconds: f64) {
+        let prior = expected * expected;
         let log_ratio = |[mean, variance]: [f64; 2]| {
             if !(variance > 0.0 && variance < KNOWN_SHARE * prior) {
                 return 0.0; // nothing was measured yet
@@ -271,7 +271,7 @@ mod tests {
         for _ in 0..scans {
             kinds.measure(shape, false);
             kinds.see(0.33, 0.02);
-            kinds.feel(acceleration.map(|value| [value, 2.0]), 0.1);
+            kinds.feel(acceleration.map(|value| [value, 2.0]), 3.0, 0.1);
         }
         kinds
     }
@@ -306,13 +306,15 @@ mod tests {
     fn accelerations_that_were_not_measured_tell_nothing() {
         let mut kinds = Kinds::new();
         for unknown in [[0.0, 9.0], [5.0, 8.9], [5.0, 0.0], [5.0, f64::NAN]] {
-            kinds.feel([unknown; 3], 0.1);
+            kinds.feel([unknown; 3], 3.0, 0.1);
             assert_eq!(kinds.agility, 0.0, "{unknown:?}");
         }
+        kinds.feel([[0.0, 1.0]; 3], 1.0, 0.1); // as much as a track with another prior begins with
+        assert_eq!(kinds.agility, 0.0);
         // Two short steps are one long one.
         let mut other = kinds;
-        kinds.feel([[4.0, 1.0]; 3], 0.2);
-        (0..2).for_each(|_| other.feel([[4.0, 1.0]; 3], 0.1));
+        kinds.feel([[4.0, 1.0]; 3], 3.0, 0.2);
+        (0..2).for_each(|_| other.feel([[4.0, 1.0]; 3], 3.0, 0.1));
         assert!((kinds.agility - other.agility).abs() < 1e-12 && kinds.agility > 0.0);
     }
 

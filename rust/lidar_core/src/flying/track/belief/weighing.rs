@@ -44,11 +44,13 @@ pub(in crate::flying::track) fn born(
     belief
 }
 
-/// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that.
+/// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that. A new track
+/// expects accelerations of the standard deviation `acceleration_std` [m/s^2].
 pub(in crate::flying::track) fn weigh(
     track: &mut PointTrack,
     evidence: Option<Evidence>,
     around: ExpectedClutter,
+    acceleration_std: f64,
     stamp_ns: i64,
 ) {
     let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
@@ -73,7 +75,8 @@ pub(in crate::flying::track) fn weigh(
         belief.take_shape(evidence);
         let state = &track.estimate;
         let axis = |at: usize| [state.mean[6 + at], state.covariance[(6 + at, 6 + at)]];
-        belief.take_acceleration([0, 1, 2].map(axis), seconds(track.belief.stamp_ns, stamp_ns));
+        let since = seconds(track.belief.stamp_ns, stamp_ns);
+        belief.take_acceleration([0, 1, 2].map(axis), acceleration_std, since);
     }
     track.belief = belief;
 }
