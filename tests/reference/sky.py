@@ -188,9 +188,9 @@ class SkyOracle:
         is_sample = rows % max(len(points) // 4096, 1) == 0
         is_sample[0] = True
         ranges, heights = length[is_sample], turned[is_sample, 2]
-        before = self.evidence
+        before, has_returned = self.evidence, np.isfinite(self.surface)
         expected = self._expect(hits, turn, stamp_ns)
-        is_lost = _lost(before, hits, cell_of(all_found), expected, turn)
+        is_lost = _lost(has_returned & (before < 1), hits, cell_of(all_found), expected, turn)
         self.evidence[is_lost] = (before + np.minimum(expected, F32(0.25)))[is_lost]
         self._remember(hits, nearest, stamp_ns)
         limit = self._limits(stamp_ns)
@@ -328,11 +328,11 @@ class SkyOracle:
         return along[met[0]] - self.voxel_size if len(met) else reach
 
 
-def _lost(evidence, hits, returned, expected, turn):
+def _lost(returned_lately, hits, returned, expected, turn):
     """Cells of three columns or more beside each other that gave six cells lately, and now none."""
     returns = np.bincount(COLUMN[returned], minlength=COLUMNS) > 0
     column = COLUMN[cell_of(CENTERS @ turn)]
-    gave = np.bincount(column[(expected > 0) & (evidence < 1.0)], minlength=COLUMNS)
+    gave = np.bincount(column[(expected > 0) & returned_lately], minlength=COLUMNS)
     is_lost = np.zeros(COLUMNS, bool)
     for first in np.flatnonzero(returns):
         run = []

@@ -34,7 +34,8 @@ impl SkyObservation {
         };
         let mut returned = [0; COLUMNS];
         for cell in (0..CELLS).filter(|&cell| self.expected[cell] > 0.0) {
-            returned[column(cell)] += usize::from(sky.evidence[cell] < LATELY);
+            let has_returned = sky.surface[cell].is_finite();
+            returned[column(cell)] += usize::from(has_returned && sky.evidence[cell] < LATELY);
         }
         let mut is_lost = [false; COLUMNS];
         let mut run: Vec<usize> = Vec::new();
