@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills memory nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight memory nightly wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -87,6 +87,14 @@ fuzz: ## Fuzz every target in turn, guided by coverage: MINUTES=n, EVIDENCE=1.
 KILLS ?= 300
 kills: ## Kill commands that write at any time, and look at what they leave: KILLS=n.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.kills --count $(KILLS)
+
+signals: ## Press Ctrl-C in calls of two million points.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.signals
+
+# Some two hours of one core; KM=5 takes a tenth.
+KM ?= 50
+flight: ## Fly straight on with a map of 200 MB: KM=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.flight --km $(KM)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory
