@@ -84,7 +84,7 @@ def _table(values: Any, place: tuple[int | str, ...]) -> dict[str, Any]:
     """The table at a place; the kind by which a table was chosen is no part of the way."""
     table = values
     for part in place:
-        if isinstance(table, list) or part in table:
+        if isinstance(part, int) or part in table:  # a number is of a list
             table = table[part]
     found: dict[str, Any] = table
     return found
