@@ -273,7 +273,7 @@ impl PointCloudTracker {
                 has_stood: false,
             }
         };
-        let standing = self.standing.iter().filter_map(|target| target.expected_at(stamp_ns));
+        let standing = standing::expected_at(&self.standing, stamp_ns);
         self.tracks.iter().filter(is_known).map(target).chain(standing).collect()
     }
 

@@ -34,7 +34,7 @@ const REACH: f64 = 0.5;
 const LEFT: f64 = 0.25;
 /// In the first scans in which it moves it goes at most this far [m]: after that, nothing of the map is near it.
 const STARTS: f64 = 0.5;
-/// Larger things show new sides without moving [m] ...
+/// Larger things show new sides without moving, as do those of which parts this near to each other are known [m] ...
 const SMALL: f64 = 1.0;
 /// ... and the map does not hold all of a thing from the beginning [s].
 const SETTLED: f64 = 0.3;
@@ -82,17 +82,15 @@ impl UnmovedTarget {
         0.5 * Vector3::from(self.extent).norm() + MARGIN
     }
 
-    /// Where it is looked for at `stamp_ns` if it moves: near its own place, which the map takes for structure.
-    pub(in crate::flying::track) fn expected_at(&self, stamp_ns: i64) -> Option<ExpectedTarget> {
-        let is_settled = seconds(self.born_ns, stamp_ns) >= SETTLED;
-        let is_small = self.extent.iter().all(|&side| side <= SMALL);
-        (is_settled && is_small).then(|| ExpectedTarget {
+    /// Where it is looked for if it moves.
+    fn expected(&self) -> ExpectedTarget {
+        ExpectedTarget {
             position: self.position.into(),
             velocity: [0.0; 3],
             half: self.extent.map(|side| 0.5 * side + STARTS),
             size: self.extent,
             has_stood: true,
-        })
+        }
     }
 
     /// As a track at `stamp_ns`, reported if `is_recent` says so of the time when it was seen.
@@ -145,6 +143,22 @@ impl UnmovedTarget {
         let std = (covariance.trace() / 3.0).max(0.0).sqrt();
         (track.position() - self.position).norm() >= LEFT + 2.0 * std
     }
+}
+
+/// What stands and may move at `stamp_ns`: near its own place, which the map takes for structure.
+pub(in crate::flying::track) fn expected_at(
+    standing: &[UnmovedTarget],
+    stamp_ns: i64,
+) -> impl Iterator<Item = ExpectedTarget> {
+    let may_move = move |target: &&UnmovedTarget| {
+        let is_part_of = |other: &UnmovedTarget| {
+            other.id != target.id && (other.position - target.position).norm() <= SMALL
+        };
+        seconds(target.born_ns, stamp_ns) >= SETTLED
+            && target.extent.iter().all(|&side| side <= SMALL)
+            && !standing.iter().any(is_part_of)
+    };
+    standing.iter().filter(may_move).map(UnmovedTarget::expected)
 }
 
 /// Look for what stands in a scan. What has gone is removed; the numbers of these.
