@@ -195,6 +195,7 @@ _TargetArrays: TypeAlias = tuple[
     NDArray[np.int64],
     NDArray[np.bool_],
     NDArray[np.float64],
+    tuple[NDArray[np.uint8], NDArray[np.float64]],
 ]
 
 def fusion_run(config: object, measurements: Measurements) -> _RunArrays: ...

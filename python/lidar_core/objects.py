@@ -373,6 +373,16 @@ class TargetTracks(ObjectTable):
         Whether the track is reported.
     existence : ndarray, shape (T,)
         Probability that there is a target; NaN for associations that do not estimate it.
+    kind : ndarray, shape (T,), uint8
+        A `TrackKind`: the one that is more probable than all others together, UNKNOWN if there is
+        none. STATIC stands for some 10 s, and what has moved for two minutes; CLUTTER are
+        false measurements. What moves is FLYING if it climbs steeper than roads do, in space. Else
+        nothing tells FLYING from GROUND: it is UNKNOWN, as are all by the model "ctrv-drone",
+        whose frame moves.
+    kind_probability : ndarray, shape (T, 5)
+        Probability of every `TrackKind`, by number; of what is not told apart equal ones. That of
+        CLUTTER is what the association says, as of the last measurement; with "nearest" it does
+        not.
     """
 
     stamp_ns: int
@@ -385,6 +395,8 @@ class TargetTracks(ObjectTable):
     hits: NDArray[np.int64]
     confirmed: NDArray[np.bool_]
     existence: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    kind_probability: NDArray[np.float64]
 
     @property
     def position(self) -> NDArray[np.float64]:

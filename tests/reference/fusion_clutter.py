@@ -32,10 +32,12 @@ def keep(past, stamp, places):
         del past[:-MOST_SCANS]
 
 
-def weigh(track, options, missed):
+def weigh(track, options, missed, *, decides):
     """Score a track that was measured: `options` are its measurements over clutter."""
     score = track.get("score", NEW) + np.log(missed + sum(options))
     track["score"] = min(score, LARGEST)
+    if not decides:
+        return
     track["credible"] = track["score"] >= (0.0 if track.get("credible", True) else CREDIBLE)
 
 

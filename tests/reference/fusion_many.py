@@ -4,8 +4,9 @@ from itertools import permutations, product
 
 import numpy as np
 
-from reference.fusion_clutter import keep, measure_spread, standing_density, weigh
+from reference.fusion_clutter import NEW, keep, measure_spread, standing_density, weigh
 from reference.fusion_company import keep_company
+from reference.fusion_kinds import probabilities, see
 
 
 def gaussian_step(mean, covariance, dt, density):
@@ -87,7 +88,21 @@ class ManyTargets:
             self.tracks.append(track)
             numbers[column] = self.next_id
             self.next_id += 1
+        for track in self.tracks:
+            own = [at for at, number in zip(places, numbers, strict=True) if number == track["id"]]
+            if track["seen"] == stamp:
+                track["clutter"] = self.clutter(track)
+            if own and track["seen"] == stamp:
+                told = [*np.square(target.lidar_std), 0.0]
+                see(track, stamp, [*np.mean(own, axis=0), 0.0], told, target.initial_speed)
         return numbers
+
+    def clutter(self, track):
+        """Probability that the measurements of a track are clutter; None: nothing tells."""
+
+    def kinds(self, track):
+        """Probabilities of the kinds of a track."""
+        return probabilities(track, track["clutter"])
 
     def take_in(self, stamp, places, source):
         """Density of what stands at every place, from what was seen before."""
@@ -183,8 +198,11 @@ class JointTargets(ManyTargets):
                 self.absorb(track, shares, places, noise)
             if shares.sum() > 0.5:
                 self.see(track, stamp, source)
-                if config.report_speed > 0:
-                    weigh(track, list(inside.values())[1:], 1 - config.detection_probability)
+                missed = 1 - config.detection_probability
+                weigh(track, list(inside.values())[1:], missed, decides=config.report_speed > 0)
+
+    def clutter(self, track):
+        return 1 / (1 + np.exp(track.get("score", NEW)))
 
     def absorb(self, track, shares, places, noise):
         spread = track["cov"][:2, :2] + noise

@@ -173,7 +173,7 @@ class MultiTargetTracker(FullState):
         """
         stamp = as_stamp(stamp_ns)
         arrays = self._tracker.tracks_at(stamp)
-        ids, states, covariances, born, seen, hits, is_sure, existence = arrays
+        ids, states, covariances, born, seen, hits, is_sure, existence, kinds = arrays
         if not len(ids):
             width = len(state_names(self.config.target))
             states, covariances = np.empty((0, width)), np.empty((0, width, width))
@@ -189,4 +189,6 @@ class MultiTargetTracker(FullState):
             hits=hits[rows],
             confirmed=is_sure[rows],
             existence=existence[rows],
+            kind=kinds[0][rows],
+            kind_probability=kinds[1][rows],
         )

@@ -292,3 +292,67 @@ def test_transforms_of_other_frames_turn_nothing(tmp_path):
     ]
     scans = read_bag(stored(tmp_path, 2, "mcap", messages))
     assert scans[1].measurements[0].values[1] == pytest.approx(np.arctan2(4, 3))
+
+
+class Camera(Radar):
+    """Makes objects of a camera, in one of the releases of its messages."""
+
+    def __init__(self, version, release="zed_msgs"):
+        super().__init__(version)
+        self.release = release
+
+    def objects(self, stamp_ns, items):
+        """From (place, upper triangle of its covariance, state of the track or None)."""
+        corner = {
+            name: self.types[f"zed_msgs/msg/Keypoint{name}"](np.zeros(size, kind))
+            for name, size, kind in (("2Di", 2, "u4"), ("2Df", 2, "f4"), ("3D", 3, "f4"))
+        }
+        box = {
+            name: self.types[f"zed_msgs/msg/BoundingBox{name}"]([corner[name]] * count)
+            for name, count in (("2Di", 4), ("2Df", 4), ("3D", 8))
+        }
+        legs = [
+            self.types[f"zed_msgs/msg/Skeleton{name}"]([corner[point]] * 70)
+            for name, point in (("2D", "2Df"), ("3D", "3D"))
+        ]
+        short, long = np.zeros(3, np.float32), np.zeros(70, np.float32)
+        made = []
+        for place, upper, state in items:
+            values = ["Person", 1, "", 80.0, np.array(place, np.float32)]
+            values += [np.array(upper, np.float32), short, state is not None, state or 0, 0]
+            values += [box["2Di"], box["3D"], short, False, 0, box["2Df"], box["3D"], short, *legs]
+            more = [long] if self.release != "zed_msgs" else []
+            made.append(self.types[f"{self.release}/msg/Object"](*values, *more))
+        kind = self.types[f"{self.release}/msg/ObjectsStamped"]
+        return kind(self.header(stamp_ns, "camera"), made)
+
+
+@pytest.mark.parametrize(
+    ("version", "storage", "package", "release"),
+    [
+        (1, "bag", "zed_interfaces", "zed_msgs"),
+        (2, "sqlite3", "zed_interfaces", "zed_msgs"),
+        (2, "mcap", "zed_msgs", "zed_msgs"),
+        (2, "mcap", "zed_msgs", "zed_msgs_70"),
+    ],
+)
+def test_objects_of_a_camera_are_places(release, version, storage, package, tmp_path, monkeypatch):
+    """Of both names of the package, of both releases; what is not seen is left out."""
+    ros, upper = Camera(version, release), [0.04, 0.01, 0, 0.09, 0, 0.25]
+    items = [([3, 1, 0.5], upper, None), ([5, -2, 0], [0] * 6, 1), ([7, 0, 0], upper, 2)]
+    items += [([np.nan, 0, 0], upper, 1), ([9, 0, 0], upper, 0)]
+    message, kind = ros.objects(5, items), f"{package}/msg/ObjectsStamped"
+    form = "ros1" if version == 1 else "cdr"
+    raw = getattr(ros.store, f"serialize_{form}")(message, message.__msgtype__)
+    monkeypatch.setattr(ros.store, f"serialize_{form}", lambda *_: raw)
+    object.__setattr__(message, "__msgtype__", kind)
+    fields = ros.store.fielddefs[f"{release}/msg/ObjectsStamped"]
+    monkeypatch.setitem(ros.store.fielddefs, kind, fields)
+    path = tmp_path / ("run.bag" if storage == "bag" else "run")
+    ros.write(path, [("/objects", 5, message)], storage)
+    monkeypatch.undo()
+    (scan,) = read_bag(path)
+    first, second = scan.measurements
+    assert (first.sensor, first.values.tolist()) == ("lidar", [3.0, 1.0])
+    np.testing.assert_allclose(first.covariance, [[0.04, 0.01], [0.01, 0.09]], rtol=FLOAT32)
+    assert (second.values.tolist(), second.covariance) == ([5.0, -2.0], None)

@@ -88,6 +88,8 @@ def test_the_tracker_agrees_with_the_oracle(association, seed):
             np.testing.assert_allclose(tracks.states[row], track["mean"], atol=ORACLE)
             expected = reported_covariance(track)
             np.testing.assert_allclose(tracks.covariances[row], expected, atol=ORACLE)
+            found = tracks.kind_probability[row]
+            np.testing.assert_allclose(found, oracle.kinds(track), atol=ORACLE)
 
 
 @pytest.mark.parametrize("model", ["cv", "ctrv", "ctra"])
@@ -343,6 +345,8 @@ def held(folder, scans, places_of):
                 *np.zeros((3, count), np.int64),
                 np.ones(count, bool),
                 np.ones(count),
+                np.zeros(count, np.uint8),
+                np.full((count, 5), 0.2),
             )
         )
     return read, tracks

@@ -23,19 +23,20 @@ from lidar_core.io.messages.ros import (
     ros_name,
     stamp_of,
 )
-from lidar_core.io.messages.ros_types import RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE
+from lidar_core.io.messages.ros_types import OBJECTS_TYPES, RADAR_SCAN_TYPE, RADAR_TRACKS_TYPE
 from lidar_core.io.opening import open_recording
 from lidar_core.io.records import Topic
 
 KINDS = frozenset({"measurement", "pose"})
 TYPES: dict[SensorName, tuple[str, ...]] = {
-    "lidar": (POINT_TYPE, *POSE_TYPES[1:]),
+    "lidar": (POINT_TYPE, *OBJECTS_TYPES, *POSE_TYPES[1:]),
     "radar": (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE),
     "gyro": (IMU_TYPE,),
     "pose": POSE_TYPES,
 }
 """What each sensor may speak; poses without a twist may be a LiDAR's positions, if named so."""
-BY_ITSELF: dict[SensorName, tuple[str, ...]] = {**TYPES, "lidar": (POINT_TYPE,)}
+BY_ITSELF: dict[SensorName, tuple[str, ...]] = {**TYPES, "lidar": (POINT_TYPE, *OBJECTS_TYPES)}
+SEEN = 1  # state of an object that is seen; of others the place is a guess
 STEEPEST = 1e-3  # least cosine of the elevation of a radar's return
 
 Found: TypeAlias = list[Measurement]
@@ -49,8 +50,9 @@ class BagOptions(Config):
     topics: dict[SensorName, tuple[str, ...]] = Field(
         {},
         description="Topics of `lidar`, `radar`, `gyro` or `pose` (no unit); of sensors that are"
-        " not named, those whose type says so: PointStamped; RadarTracks and RadarScan; Imu; and"
-        " Odometry, PoseStamped or PoseWithCovarianceStamped, if it is one topic.",
+        " not named, those whose type says so: PointStamped and ObjectsStamped; RadarTracks and"
+        " RadarScan; Imu; and Odometry, PoseStamped or PoseWithCovarianceStamped, if it is one"
+        " topic.",
     )
     doppler: Literal["receding", "approaching"] = Field(
         "receding",
@@ -87,7 +89,9 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
     A radar's track gives range, bearing and range rate of its position and velocity, which are
     relative to the radar, with their covariance, if it has one. Such tracks are filtered already:
     their errors hang together over time, and the covariances of what follows are too small.
-    Elevated returns are levelled, as if target and radar kept their heights.
+    Elevated returns are levelled, as if target and radar kept their heights. Objects of a camera
+    are positions like those of a LiDAR, with their covariance, if they have one; they are filtered,
+    too. Those that the camera tracks and does not see at the moment are left out.
     """
     chosen, place = as_config(options, BagOptions), Path(path)
     with open_recording(place) as recording:
@@ -151,6 +155,8 @@ def _read(
             found = _pose(stamp, message, place)
         elif sensor == "gyro":
             found = _turn_rate(stamp, message, turn)
+        elif sensor == "lidar" and hasattr(message, "objects"):
+            found = _objects(stamp, message, turn)
         elif sensor == "lidar":
             found = _positions(stamp, message, place, turn)
         elif hasattr(message, "tracks"):
@@ -169,6 +175,18 @@ def _tracks(stamp: int, message: Any, turn: Turn) -> Found:
         ]
         found.append(radar_of_track(stamp, p[:2], v[:2], *spreads))
     return [one for one in found if one is not None]
+
+
+def _objects(stamp: int, message: Any, turn: Turn) -> Found:
+    found = []
+    for item in message.objects:
+        at = np.array(item.position, np.float64)
+        is_seen = not item.tracking_available or item.tracking_state == SEEN
+        if is_seen and np.isfinite(at).all():
+            at = at if turn is None else turn @ at
+            known = definite(_planar(item.position_covariance, turn))
+            found.append(Measurement(stamp, "lidar", at[:2], known))
+    return found
 
 
 def _axes(vector: Any, turn: Turn) -> NDArray[np.float64]:

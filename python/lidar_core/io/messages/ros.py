@@ -17,8 +17,10 @@ from lidar_core.io.messages.cloud import ROS_TYPES, CloudDecoder, Field, Layout,
 from lidar_core.io.messages.laser import LaserDecoder, ros_laser_scan
 from lidar_core.io.messages.livox import LIVOX_TYPES, livox_cloud
 from lidar_core.io.messages.ros_types import (
+    OBJECTS_TYPES,
     RADAR_SCAN_TYPE,
     RADAR_TRACKS_TYPE,
+    RELEASES,
     VELODYNE_TYPE,
     ros_store,
 )
@@ -40,7 +42,7 @@ POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
 POINT_TYPE, IMU_TYPE = "geometry_msgs/msg/PointStamped", "sensor_msgs/msg/Imu"
-MEASUREMENT_TYPES = (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE, POINT_TYPE, IMU_TYPE)
+MEASUREMENT_TYPES = (RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE, POINT_TYPE, IMU_TYPE, *OBJECTS_TYPES)
 """Of targets and of the platform's motion: `lidar_core.fusion.read_bag`."""
 
 
@@ -120,8 +122,15 @@ class RosDecoder:
     def message(self, type_name: str, raw: bytes, place: str) -> Any:
         """One message as its type says; errors as of `decode`."""
         plain = self._plain(raw, place)
+        *others, last = RELEASES.get(type_name, (type_name,))
+        for other in others:
+            try:
+                with reading(place):
+                    return self._parse(plain, other)
+            except FormatError:
+                continue  # of another release: what follows its fields would be left over
         with reading(place):
-            return self._parse(plain, type_name)
+            return self._parse(plain, last)
 
     def _plain(self, raw: bytes, place: str) -> bytes:
         """A message as ROS serialised it; `ros2 bag record` can compress each one."""

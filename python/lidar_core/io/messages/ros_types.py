@@ -17,6 +17,10 @@ COSTMAP_TYPES = {
 }
 """By the version of ROS: the package was renamed."""
 RADAR_TRACKS_TYPE, RADAR_SCAN_TYPE = "radar_msgs/msg/RadarTracks", "radar_msgs/msg/RadarScan"
+OBJECTS_TYPES = ("zed_msgs/msg/ObjectsStamped", "zed_interfaces/msg/ObjectsStamped")
+"""Of a camera's driver, whose package was renamed."""
+RELEASES = dict.fromkeys(OBJECTS_TYPES, (OBJECTS_TYPES[0], "zed_msgs_70/msg/ObjectsStamped"))
+"""By type, those whose definitions are tried in turn: releases of a package differ."""
 VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
 OUSTER_TYPES = (
     "ouster_msgs/msg/PacketMsg",
@@ -34,7 +38,33 @@ _RADAR_TRACK = (
     "float32[6] position_covariance\nfloat32[6] velocity_covariance\n"
     "float32[6] acceleration_covariance\nfloat32[6] size_covariance"
 )
+_OBJECT = (
+    "string label\nint16 label_id\nstring sublabel\nfloat32 confidence\nfloat32[3] position\n"
+    "float32[6] position_covariance\nfloat32[3] velocity\nbool tracking_available\n"
+    "int8 tracking_state\nint8 action_state\n{0}/BoundingBox2Di bounding_box_2d\n"
+    "{0}/BoundingBox3D bounding_box_3d\nfloat32[3] dimensions_3d\nbool skeleton_available\n"
+    "int8 body_format\n{0}/BoundingBox2Df head_bounding_box_2d\n"
+    "{0}/BoundingBox3D head_bounding_box_3d\nfloat32[3] head_position\n"
+    "{0}/Skeleton2D skeleton_2d\n{0}/Skeleton3D skeleton_3d"
+)
+_OBJECTS = {
+    "Keypoint2Di": "uint32[2] kp",
+    "Keypoint2Df": "float32[2] kp",
+    "Keypoint3D": "float32[3] kp",
+    "BoundingBox2Di": "{0}/Keypoint2Di[4] corners",
+    "BoundingBox2Df": "{0}/Keypoint2Df[4] corners",
+    "BoundingBox3D": "{0}/Keypoint3D[8] corners",
+    "Skeleton2D": "{0}/Keypoint2Df[70] keypoints",
+    "Skeleton3D": "{0}/Keypoint3D[70] keypoints",
+    "Object": _OBJECT,
+    "ObjectsStamped": "std_msgs/Header header\n{0}/Object[] objects",
+}
 _BOTH = {
+    **{f"zed_msgs/msg/{name}": text.format("zed_msgs") for name, text in _OBJECTS.items()},
+    "zed_msgs_70/msg/Object": f"{_OBJECT}\nfloat32[70] skeleton_keypoint_confidence".format(
+        "zed_msgs"
+    ),
+    RELEASES[OBJECTS_TYPES[0]][1]: _OBJECTS["ObjectsStamped"].format("zed_msgs_70"),
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
     "velodyne_msgs/msg/VelodynePacket": "time stamp\nuint8[1206] data",

@@ -25,7 +25,8 @@ from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import state_names
 from lidar_core.io.tables.covariance import covariance_columns
-from lidar_core.io.tables.tracks import write_trajectories
+from lidar_core.io.tables.tracks import KIND_PROBABILITIES, write_trajectories
+from lidar_core.messages import TrackKind
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.result import Picture
@@ -169,6 +170,7 @@ class ManyRun:
             "states": list(state_names(self.config.target)),
             "nis": nis_summary(self.nis()),
             "tracks": len({number for state in self.tracks for number in state.id.tolist()}),
+            "kinds": self._last_kinds(),
             "targets": {str(number): _plain(asdict(item)) for number, item in coverage.items()},
             "gospa": mean_gospa(scans, tracks, cutoff=CUTOFF) or None,
             "gospa_empty": empty_gospa(scans, cutoff=CUTOFF) or None,
@@ -184,7 +186,7 @@ class ManyRun:
         names = state_names(self.config.target)
         table = planar_table("track_id", stamps, states[:, :2], velocity, numbers)
         existence = [np.empty(0), *(state.existence for state in self.tracks)]
-        table |= {"existence": np.concatenate(existence)}
+        table |= {"existence": np.concatenate(existence), **self._kinds()}
         files = [
             folder.write_table("tracks", table | covariance_columns("xy", covariances)),
             folder.write_table(
@@ -219,6 +221,23 @@ class ManyRun:
             ((state.stamp_ns, state.id, in_plane(state.position)) for state in self.tracks),
         )
         return [*(file.name for file in files), TRACKS_FOLDER]
+
+    def _last_kinds(self) -> dict[str, int]:
+        """Number of tracks of each kind, as they were reported last."""
+        last = {
+            number: kind
+            for state in self.tracks
+            for number, kind in zip(state.id.tolist(), state.kind.tolist(), strict=True)
+        }
+        counts = Counter(last.values())
+        return {kind.name.lower(): counts[kind] for kind in TrackKind if counts[kind]}
+
+    def _kinds(self) -> dict[str, Any]:
+        """Columns of the kinds of the tracks, one row per track and scan."""
+        kinds = [kind for state in self.tracks for kind in state.kind.tolist()]
+        likely = [np.empty((0, len(TrackKind))), *(state.kind_probability for state in self.tracks)]
+        columns = zip(KIND_PROBABILITIES, np.concatenate(likely).T, strict=True)
+        return {"kind": [TrackKind(kind).name.lower() for kind in kinds], **dict(columns)}
 
     def _stacked(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         size = len(state_names(self.config.target))

@@ -10,7 +10,7 @@ use super::models::platform::GyroUse;
 use super::parameters::{FusionParameters, Method, Strengths};
 use super::sensors::sensing::Sensing;
 use super::targets::lifecycle::LifecycleRules;
-use super::targets::many_parameters::{ExistenceParameters, ManyParameters, TargetAssociation};
+use super::targets::many::{ExistenceParameters, ManyParameters, TargetAssociation};
 
 /// Probability of the gate for a true measurement.
 const GATE_PROBABILITY: f64 = 0.9999;

@@ -85,6 +85,13 @@ impl FusionParameters {
         Self { strengths: Strengths { acceleration, jerk, turn, ..self.strengths }, ..*self }
     }
 
+    /// True if states are in the frame of a sensor that may move, and not in the world.
+    #[must_use]
+    pub fn is_seen_from_sensor(&self) -> bool {
+        let is_mixed = matches!(self.method, Method::Interacting { .. });
+        !is_mixed && matches!(self.model, Model::CtrvDrone | Model::Paper(_))
+    }
+
     /// True if targets are tracked in space, false in the plane.
     #[must_use]
     pub fn is_in_space(&self) -> bool {

@@ -6,6 +6,7 @@ pub mod extent;
 pub mod joint_association;
 pub mod kind;
 pub mod near;
+pub mod place_trend;
 pub mod sensor_noise;
 pub mod spread;
 pub mod standing_clutter;

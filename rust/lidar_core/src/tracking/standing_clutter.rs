@@ -13,33 +13,105 @@ const KEPT_NS: i64 = 60_000_000_000;
 const MOST_SCANS: usize = 300;
 const MOST_PLACES: usize = 4096;
 
-/// The last measurements of a scanner.
+/// What a scanner has measured, kept once for all states of a tracker that know parts of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StandingClutter {
+pub struct PlaceLog {
     /// Times of scans [ns], in order.
     scans: Vec<i64>,
     /// Times and places [m] of measurements, in the order of their times.
     places: Vec<(i64, [f64; 2])>,
+    /// Numbers of scans and of places that were dropped before these.
+    dropped: [u64; 2],
+}
+
+/// Part of a [`PlaceLog`] that one state of a tracker knows: its last measurements.
+///
+/// States of different times share what they have in common. So a tracker that keeps many of them, for
+/// scans that come late, needs no more room than the measurements themselves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StandingClutter {
+    /// Numbers of the first scan and of the one after the last, counted from the first ever.
+    scans: [u64; 2],
+    /// The same of places.
+    places: [u64; 2],
+}
+
+impl PlaceLog {
+    /// Drop what is older than `oldest`, the oldest state that is still kept.
+    pub fn forget(&mut self, oldest: &StandingClutter) {
+        drop_front(&mut self.scans, &mut self.dropped[0], oldest.scans[0]);
+        drop_front(&mut self.places, &mut self.dropped[1], oldest.places[0]);
+    }
+
+    /// Number of places that are kept.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// True if no place is kept.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+}
+
+/// Drop the values before number `first`, the first one here being number `dropped`. Only if these are at
+/// least half: so each value is moved once or twice.
+fn drop_front<T>(values: &mut Vec<T>, dropped: &mut u64, first: u64) {
+    let count = first.saturating_sub(*dropped);
+    if 2 * count >= values.len() as u64 {
+        values.drain(..values.len().min(count as usize));
+        *dropped += count;
+    }
+}
+
+/// The values with these numbers, of which the first one is number `dropped`.
+fn window<T>(values: &[T], dropped: u64, [first, end]: [u64; 2]) -> &[T] {
+    let place = |number: u64| number.saturating_sub(dropped) as usize;
+    values.get(place(first)..place(end)).unwrap_or_default()
 }
 
 impl StandingClutter {
+    /// True for a part of this log.
+    #[must_use]
+    pub fn is_of(&self, log: &PlaceLog) -> bool {
+        let is_inside = |[first, end]: [u64; 2], dropped: u64, count: usize| {
+            dropped <= first && first <= end && end <= dropped.saturating_add(count as u64)
+        };
+        is_inside(self.scans, log.dropped[0], log.scans.len())
+            && is_inside(self.places, log.dropped[1], log.places.len())
+    }
+
     /// Take in the places of a scan that is not older than the last one; those that are not finite
-    /// are left out. Scans that come too often for the numbers that are kept are passed over.
-    pub fn take(&mut self, stamp_ns: i64, places: impl Iterator<Item = [f64; 2]>) {
+    /// are left out. Scans that come too often for the numbers that are kept are passed over. What
+    /// later states had added to the log is dropped.
+    pub fn take(
+        &mut self,
+        log: &mut PlaceLog,
+        stamp_ns: i64,
+        places: impl Iterator<Item = [f64; 2]>,
+    ) {
         let finite = places.filter(|place| place.iter().all(|value| value.is_finite()));
         let found: Vec<(i64, [f64; 2])> = finite.map(|place| (stamp_ns, place)).collect();
         let most = (MOST_PLACES / found.len().max(1)).clamp(1, MOST_SCANS);
         let apart = KEPT_NS / most as i64;
-        if self.scans.last().is_some_and(|&last| stamp_ns.saturating_sub(last) < apart) {
+        let last = window(&log.scans, log.dropped[0], self.scans).last();
+        if last.is_some_and(|last| stamp_ns.saturating_sub(*last) < apart) {
             return;
         }
-        self.scans.push(stamp_ns);
-        self.places.extend(found);
-        self.scans.drain(..self.scans.len().saturating_sub(MOST_SCANS));
-        let forgotten = self.scans[0];
-        let by_age = self.places.partition_point(|(stamp, _)| *stamp < forgotten);
-        let by_number = self.places.len().saturating_sub(MOST_PLACES);
-        self.places.drain(..by_age.max(by_number));
+        log.scans.truncate((self.scans[1] - log.dropped[0]) as usize);
+        log.places.truncate((self.places[1] - log.dropped[1]) as usize);
+        log.scans.push(stamp_ns);
+        log.places.extend(found);
+        self.scans[1] = log.dropped[0] + log.scans.len() as u64;
+        self.places[1] = log.dropped[1] + log.places.len() as u64;
+        self.scans[0] = self.scans[0].max(self.scans[1].saturating_sub(MOST_SCANS as u64));
+        let forgotten = window(&log.scans, log.dropped[0], self.scans)[0];
+        let places = window(&log.places, log.dropped[1], self.places);
+        let by_age = places.partition_point(|(stamp, _)| *stamp < forgotten);
+        let by_number = places.len().saturating_sub(MOST_PLACES);
+        self.places[0] += by_age.max(by_number) as u64;
     }
 
     /// Density of clutter [1/m^2] at each place, for a scan at `stamp_ns`; `places` come with half
@@ -48,17 +120,19 @@ impl StandingClutter {
     /// The mean of a gamma distribution: measurements in the window over the scans since the first
     /// of them, [`PRIOR`] more, and the area.
     #[must_use]
-    pub fn densities(&self, stamp_ns: i64, places: &[([f64; 2], f64)]) -> Vec<f64> {
+    pub fn densities(&self, log: &PlaceLog, stamp_ns: i64, places: &[([f64; 2], f64)]) -> Vec<f64> {
         let until = stamp_ns.saturating_sub(OLDER_NS);
-        let old = &self.places[..self.places.partition_point(|(stamp, _)| *stamp <= until)];
+        let all = window(&log.places, log.dropped[1], self.places);
+        let old = &all[..all.partition_point(|(stamp, _)| *stamp <= until)];
         let index = NearIndex::new(old.iter().map(|(_, place)| *place).zip(0..).collect());
-        let scans = self.scans.partition_point(|stamp| *stamp <= until);
+        let looks = window(&log.scans, log.dropped[0], self.scans);
+        let scans = looks.partition_point(|stamp| *stamp <= until);
         let mut near = Vec::new();
         let density = |(at, half): &([f64; 2], f64)| {
             near.clear();
             index.collect(&Rectangle::around(*at, [*half; 2]), &mut near);
             let Some(first) = near.iter().map(|number| old[*number].0).min() else { return 0.0 };
-            let since = scans - self.scans.partition_point(|stamp| *stamp < first);
+            let since = scans - looks.partition_point(|stamp| *stamp < first);
             near.len() as f64 / ((PRIOR + since as f64) * 4.0 * half * half)
         };
         places.iter().map(density).collect()
@@ -71,13 +145,31 @@ mod tests {
 
     const SECOND: i64 = 1_000_000_000;
 
-    fn seen(place_of: impl Fn(i64) -> Option<[f64; 2]>) -> StandingClutter {
-        let mut seen = StandingClutter::default();
+    /// A state, and the log of which it knows a part.
+    #[derive(Clone, Default)]
+    struct Seen {
+        state: StandingClutter,
+        log: PlaceLog,
+    }
+
+    impl Seen {
+        fn take(&mut self, stamp_ns: i64, places: impl Iterator<Item = [f64; 2]>) {
+            self.state.take(&mut self.log, stamp_ns, places);
+            assert!(self.state.is_of(&self.log));
+        }
+
+        fn densities(&self, stamp_ns: i64, places: &[([f64; 2], f64)]) -> Vec<f64> {
+            self.state.densities(&self.log, stamp_ns, places)
+        }
+    }
+
+    fn seen(place_of: impl Fn(i64) -> Option<[f64; 2]>) -> Seen {
+        let mut seen = Seen::default();
         (0..100).for_each(|k| seen.take(k * SECOND, place_of(k).into_iter()));
         seen
     }
 
-    fn at(seen: &StandingClutter, place: [f64; 2]) -> f64 {
+    fn at(seen: &Seen, place: [f64; 2]) -> f64 {
         seen.densities(100 * SECOND, &[(place, 2.0)])[0]
     }
 
@@ -87,7 +179,7 @@ mod tests {
         let jetty = seen(|k| (k % 3 < 2).then_some([5.0, 1.0 + 0.01 * k as f64]));
         assert!((at(&jetty, [5.5, 1.5]) - 61.0 / (101.0 * 16.0)).abs() < 1e-12);
         assert_eq!(at(&jetty, [7.5, 1.5]), 0.0);
-        assert_eq!(StandingClutter::default().densities(0, &[([0.0; 2], 1.0)]), [0.0]);
+        assert_eq!(Seen::default().densities(0, &[([0.0; 2], 1.0)]), [0.0]);
     }
 
     /// The opposite: a boat does not become clutter of its own, nor does a ship that has just
@@ -112,7 +204,7 @@ mod tests {
     /// Thirty scans a second of 250 measurements each: what is kept still reaches back by more than 10 s.
     #[test]
     fn a_busy_scanner_learns_as_well() {
-        let mut busy = StandingClutter::default();
+        let mut busy = Seen::default();
         for k in 0..3000 {
             let far = (0..250).map(|y| [500.0, f64::from(y)]);
             busy.take(k * SECOND / 30, far.chain([[5.0, 1.0]]));
@@ -123,12 +215,43 @@ mod tests {
 
     #[test]
     fn memory_is_bounded() {
-        let mut seen = StandingClutter::default();
+        let mut seen = Seen::default();
         for k in 0..1000 {
             seen.take(k * SECOND, (0..100).map(|y| [0.0, f64::from(y)]));
+            seen.log.forget(&seen.state);
         }
-        assert!(seen.scans.len() == MOST_SCANS && seen.places.len() <= MOST_PLACES);
+        let (scans, places) = (seen.log.scans.len(), seen.log.places.len());
+        assert!(scans <= 2 * MOST_SCANS && places <= 2 * MOST_PLACES + 100, "{scans} {places}");
+        let [first, end] = seen.state.places;
+        assert!((end - first) as usize <= MOST_PLACES && seen.state.is_of(&seen.log));
         seen.take(1000 * SECOND, [[f64::NAN, 0.0]].into_iter());
-        assert!(seen.places.iter().all(|(_, place)| place[0] == 0.0));
+        assert!(seen.log.places.iter().all(|(_, place)| place[0] == 0.0));
+    }
+
+    /// States of many times know the same places, and each finds what it found in its time.
+    #[test]
+    fn states_of_all_times_share_one_log() {
+        let place = |k: i64| [(k % 7) as f64, 0.1 * k as f64];
+        let density = |seen: &Seen, k: i64| seen.densities(k * SECOND, &[(place(k), 2.0)])[0];
+        let (mut seen, mut kept) = (Seen::default(), Vec::new());
+        for k in 0..700 {
+            kept.push((seen.state, density(&seen, k)));
+            seen.take(k * SECOND, [place(k), [3.0, 3.0]].into_iter());
+        }
+        for (k, (state, expected)) in kept.iter().enumerate() {
+            let then = Seen { state: *state, log: seen.log.clone() };
+            assert_eq!(density(&then, k as i64), *expected);
+        }
+        assert_eq!(seen.log.len(), 1400);
+        // Going on from an earlier state gives what it would have given without the later ones.
+        let mut again = Seen { state: kept[200].0, log: seen.log.clone() };
+        (200..700).for_each(|k| again.take(k * SECOND, [place(k), [3.0, 3.0]].into_iter()));
+        assert!(again.state == seen.state && again.log == seen.log);
+        // What no state knows any more goes; the others stay as they are.
+        seen.log.forget(&kept[699].0);
+        let then = Seen { state: kept[699].0, log: seen.log.clone() };
+        assert!(seen.log.len() < 1400 && then.state.is_of(&seen.log));
+        assert_eq!(density(&then, 699), kept[699].1);
+        assert!(!kept[1].0.is_of(&seen.log));
     }
 }

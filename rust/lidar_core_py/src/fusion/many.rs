@@ -5,6 +5,7 @@ use crate::errors::BorderError;
 use crate::fusion::config::FusionConfig;
 use crate::fusion::filter::{PyMeasurements, cut};
 use crate::guard::{Guarded, detached};
+use crate::kinds::{KindArrays, kind_arrays};
 use lidar_core::Error;
 use lidar_core::fusion::targets::many::{ExistenceParameters, MAX_SOURCES, TrackingWork};
 use lidar_core::fusion::targets::record::padded;
@@ -63,7 +64,7 @@ type ScanArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
 /// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed,
-/// probabilities of existence.
+/// probabilities of existence, kinds.
 type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray2<f64>>,
@@ -73,6 +74,7 @@ type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<f64>>,
+    KindArrays<'py>,
 );
 
 #[pymethods]
@@ -169,5 +171,6 @@ fn track_arrays<'py>(
             .map(|track| track.existence.unwrap_or(f64::NAN))
             .collect::<Vec<f64>>()
             .into_pyarray(py),
+        kind_arrays(py, tracks.iter().map(|track| (track.kind, track.kind_probability)))?,
     ))
 }

@@ -42,6 +42,7 @@ trait Tracked: Send + Sync {
     fn link(&self, stamp_ns: i64) -> Option<Link>;
     fn looseness(&self) -> f64;
     fn expect_speed(&mut self, variance: f64);
+    fn sight(&self, m: &Measurement) -> Option<[[f64; 3]; 2]>;
     fn errors(&self) -> SensorErrors;
     fn boxed(&self) -> Box<dyn Tracked>;
     fn saved(&self) -> SavedTarget;
@@ -95,6 +96,10 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Tracked for Target
 
     fn expect_speed(&mut self, variance: f64) {
         Target::expect_speed(self, variance);
+    }
+
+    fn sight(&self, m: &Measurement) -> Option<[[f64; 3]; 2]> {
+        Target::sight(self, m)
     }
 
     fn errors(&self) -> SensorErrors {
@@ -234,6 +239,12 @@ impl Filter {
     /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
     pub(super) fn expect_speed(&mut self, variance: f64) {
         self.0.expect_speed(variance);
+    }
+
+    /// Position that a measurement alone tells, and the variances along its axes, in the frame of the state
+    /// [m], [m^2]; None for one that tells no position.
+    pub(super) fn sight(&self, m: &Measurement) -> Option<[[f64; 3]; 2]> {
+        self.0.sight(m)
     }
 
     /// Time of the state [ns]; the smallest integer before the first measurement.

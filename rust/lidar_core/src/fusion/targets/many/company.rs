@@ -2,7 +2,6 @@
 //! astern, as parts of one long object do.
 
 use crate::tracking::near::{NearIndex, Rectangle};
-use crate::tracking::spread::MeasuredSpread;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 
@@ -114,32 +113,6 @@ pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64
         };
         path.is_part = is_along && path.together > PATIENCE;
         leads[number] = !is_along;
-    }
-}
-
-/// Let tracks, each at its place, learn how far the measurements around them lie from it: of every
-/// measurement the nearest track, if it is nearer than `reach`.
-pub(super) fn measure_spread(
-    mut tracks: Vec<([f64; 2], &mut MeasuredSpread)>,
-    reach: f64,
-    places: &[[f64; 2]],
-) {
-    tracks.retain(|(at, _)| at.iter().all(|value| value.is_finite()));
-    let index = NearIndex::new(tracks.iter().map(|(at, _)| *at).zip(0..).collect());
-    let (mut near, mut offsets) = (Vec::new(), vec![Vec::new(); tracks.len()]);
-    for place in places {
-        near.clear();
-        index.collect(&Rectangle::around(*place, [reach; 2]), &mut near);
-        let away = |number: usize| [0, 1].map(|axis| place[axis] - tracks[number].0[axis]);
-        let distance = |number: usize| libm::hypot(away(number)[0], away(number)[1]);
-        let nearer = |a: &usize, b: &usize| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b));
-        let nearest = near.iter().copied().min_by(nearer);
-        if let Some(number) = nearest.filter(|number| distance(*number) < reach) {
-            offsets[number].push(away(number));
-        }
-    }
-    for ((_, spread), offsets) in tracks.iter_mut().zip(offsets) {
-        spread.take(&offsets);
     }
 }
 

@@ -1,13 +1,17 @@
 //! A track, what scans do to it, and the scan itself.
 
-use super::any_filter::Filter;
 use super::company::RecentPath;
-use super::many_parameters::{ExistenceParameters, ManyParameters};
+use super::kinds::TargetKinds;
+use super::parameters::{ExistenceParameters, ManyParameters};
+use super::score::TrackScore;
 use crate::estimation::assignment::Pair;
 use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::Measurement;
+use crate::fusion::targets::any_filter::Filter;
 use crate::tracking::existence::Presence;
+use crate::tracking::kind::{KINDS, TrackKind};
 use crate::tracking::spread::MeasuredSpread;
+use crate::tracking::standing_clutter::PlaceLog;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -50,6 +54,14 @@ pub struct Births {
     pub ids: NewNumbers,
 }
 
+/// What tracks of all times have in common, while a scan is processed.
+pub(super) struct Shared<'a> {
+    pub(super) births: &'a mut Births,
+    pub(super) work: &'a mut TrackingWork,
+    /// What every scanner has measured, for densities of clutter that stands.
+    pub(super) places: &'a mut BTreeMap<u8, PlaceLog>,
+}
+
 /// A track at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackState {
@@ -67,6 +79,10 @@ pub struct TrackState {
     pub confirmed: bool,
     /// Probability that there is a target; None where the association does not estimate it.
     pub existence: Option<f64>,
+    /// What the track follows.
+    pub kind: TrackKind,
+    /// Probability of every kind, in the order of `TrackKind::ALL`.
+    pub kind_probability: [f64; KINDS],
 }
 
 /// What scans have cost so far.
@@ -86,13 +102,6 @@ pub(super) struct Candidates {
     pub(super) pairs: Vec<Pair>,
     pub(super) innovations: Vec<Innovation>,
 }
-
-/// Score of a new track: one of twenty is of a target.
-const NEW_SCORE: f64 = -2.94;
-/// Score from which on a track is credible, until it falls below 0: twenty times as likely as none.
-const CREDIBLE: f64 = 2.94;
-/// Largest score: a long past does not outweigh what is measured now.
-const LARGEST_SCORE: f64 = 6.9;
 
 /// A measurement of a scan: stamp [ns], scanner and index.
 pub type Sighting = (i64, u8, usize);
@@ -135,37 +144,6 @@ impl Default for Belief {
     }
 }
 
-/// How much better a target explains the measurements of a track than clutter at their places does.
-///
-/// # Source
-/// Sittler's track score: Blackman & Popoli, "Design and Analysis of Modern Tracking Systems",
-/// 1999, sec. 6.2; of measurements alone, since counts and ages say what misses mean.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct TrackScore {
-    /// Logarithm of the odds of a target.
-    log_odds: f64,
-    /// False once clutter explains the measurements as well.
-    pub(super) is_credible: bool,
-}
-
-impl Default for TrackScore {
-    fn default() -> Self {
-        Self { log_odds: NEW_SCORE, is_credible: true }
-    }
-}
-
-impl TrackScore {
-    /// Take in a scan that measured the track. `odds` are how much likelier its measurements are of a
-    /// target than that the target was missed and they are clutter; it is measured with probability
-    /// `detection`. Other tracks do not count: two on one target are both of a target.
-    pub(super) fn weigh(&mut self, odds: f64, detection: f64) {
-        let log_ratio = libm::log((1.0 - detection) * (1.0 + odds));
-        self.log_odds = (self.log_odds + log_ratio).min(LARGEST_SCORE);
-        let least = if self.is_credible { 0.0 } else { CREDIBLE };
-        self.is_credible = self.log_odds >= least;
-    }
-}
-
 /// A scan, and how it is processed.
 pub(super) struct IntegratedScan<'a> {
     pub parameters: &'a ManyParameters,
@@ -194,6 +172,7 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) score: TrackScore,
     /// Of the measurements near it; none where targets are points.
     pub(super) spread: MeasuredSpread,
+    pub(super) kinds: TargetKinds,
 }
 
 impl Births {
@@ -239,6 +218,7 @@ impl<F> TargetTrack<F> {
             way: self.way.clone(),
             score: self.score,
             spread: self.spread,
+            kinds: self.kinds.clone(),
         }
     }
 }
@@ -259,6 +239,7 @@ impl TargetTrack {
             way: RecentPath::default(),
             score: TrackScore::default(),
             spread: MeasuredSpread::default(),
+            kinds: TargetKinds::default(),
         }
     }
 

@@ -1,13 +1,13 @@
 //! Measurements of a scan that may be within the gate of a track, without a look at the others.
 
-use super::any_filter::Filter;
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::models::turn::{direction, wrapped};
 use crate::fusion::sensors::measurement::{Measurement, PolarValues, Sensor};
 use crate::fusion::sensors::observation::Observation;
 use crate::fusion::sensors::sensing::Sensing;
+use crate::fusion::targets::any_filter::Filter;
 use crate::tracking::near::{NearIndex, Rectangle};
-use crate::tracking::standing_clutter::StandingClutter;
+use crate::tracking::standing_clutter::{PlaceLog, StandingClutter};
 use std::f64::consts::{PI, TAU};
 
 /// Slack of a window, relative and in metres or radians: rounding must not cut off a measurement at
@@ -38,13 +38,13 @@ pub(super) fn places_of(
 /// Density of clutter that stands where each measurement is [1/m^2]; zero for those that are no
 /// positions, and for a radar's ranges, bearings and range rates, whose densities are others.
 pub(super) fn clutter_at(
-    standing: &StandingClutter,
+    (standing, log): (&StandingClutter, &PlaceLog),
     stamp_ns: i64,
     measurements: &[Measurement],
     places: &[Placed],
 ) -> Vec<f64> {
     let known: Vec<([f64; 2], f64)> = places.iter().flatten().copied().collect();
-    let mut densities = standing.densities(stamp_ns, &known).into_iter();
+    let mut densities = standing.densities(log, stamp_ns, &known).into_iter();
     let of = |(m, place): (&Measurement, &Placed)| {
         let density = place.and_then(|_| densities.next()).unwrap_or(0.0);
         if m.sensor() == Sensor::Lidar { density } else { 0.0 }

@@ -1,8 +1,6 @@
 //! Parameters of a tracker of many targets.
 
-use crate::fusion::filter::engine::Innovation;
 use crate::fusion::parameters::FusionParameters;
-use crate::fusion::sensors::measurement::{Measurement, Sensor};
 
 /// Largest number of tracks at a time, and of measurements in a scan.
 pub const MAX_TARGETS: usize = 2_000;
@@ -58,19 +56,4 @@ pub struct ExistenceParameters {
     pub clutter: [f64; 2],
     /// Probability of existence from which on a track is reported.
     pub report: f64,
-}
-
-impl TargetAssociation {
-    /// Cost of a track and a measurement with this innovation.
-    pub(super) fn cost(&self, m: &Measurement, innovation: &Innovation, standing: f64) -> f64 {
-        let distance = innovation.nis + innovation.log_determinant;
-        match self {
-            Self::Nearest | Self::Integrated(_) => distance,
-            Self::Joint { detection, clutter } => {
-                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
-                let density = clutter[usize::from(m.sensor() == Sensor::Radar)].max(standing);
-                0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
-            }
-        }
-    }
 }

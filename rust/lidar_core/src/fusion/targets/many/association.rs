@@ -1,0 +1,137 @@
+//! Which measurements are of which tracks, by counts of hits: global nearest neighbours, and joint
+//! probabilities.
+
+use super::hypotheses::is_another_target;
+use super::near_pairs::ScanIndex;
+use super::parameters::{ManyParameters, TargetAssociation};
+use super::track::{Assigned, Candidates, Scan, TargetTrack, TrackingWork};
+use super::tracks::Tracks;
+use crate::Error;
+use crate::estimation::assignment::{Pair, assign};
+use crate::fusion::filter::engine::Innovation;
+use crate::fusion::sensors::measurement::{Measurement, Sensor};
+use crate::tracking::joint_association::probabilities;
+
+/// Cost of a track without a measurement although one is in its gate. It is far above that of any
+/// pair, so that as many tracks as possible get one.
+const UNASSIGNED: f64 = 1e6;
+
+impl TargetAssociation {
+    /// Cost of a track and a measurement with this innovation.
+    pub(super) fn cost(&self, m: &Measurement, innovation: &Innovation, standing: f64) -> f64 {
+        let distance = innovation.nis + innovation.log_determinant;
+        match self {
+            Self::Nearest | Self::Integrated(_) => distance,
+            Self::Joint { detection, clutter } => {
+                let constant = innovation.count as f64 * libm::log(std::f64::consts::TAU);
+                let density = clutter[usize::from(m.sensor() == Sensor::Radar)].max(standing);
+                0.5 * (distance + constant) + libm::log(density * (1.0 - detection) / detection)
+            }
+        }
+    }
+}
+
+impl Tracks {
+    /// Assign measurements to tracks. The global nearest neighbour uses the likelihood of the
+    /// innovations.
+    ///
+    /// # Source
+    /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    /// 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999, sec. 6.4.
+    pub(super) fn associate(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        candidates: &Candidates,
+        assigned: &mut [Assigned],
+    ) -> Result<(), Error> {
+        if let TargetAssociation::Joint { detection, .. } = parameters.association {
+            self.associate_jointly(scan, assigned, candidates, detection);
+            return Ok(());
+        }
+        let Candidates { pairs, innovations } = candidates;
+        let column_of = assign(self.all.len(), scan.measurements.len(), pairs, UNASSIGNED)?;
+        for (Pair { row, column, .. }, innovation) in pairs.iter().zip(innovations) {
+            if column_of[*row] == Some(*column) {
+                let track = &mut self.all[*row];
+                track.filter.take(&scan.measurements[*column]);
+                track.see(scan);
+                assigned[*column] = Assigned { id: Some(track.id), innovation: Some(*innovation) };
+            }
+        }
+        Ok(())
+    }
+
+    /// The `wanted` tracks with those measurements in their gates that have no track yet.
+    pub(super) fn candidates(
+        &mut self,
+        parameters: &ManyParameters,
+        (scan, standing): (&Scan, &[f64]),
+        index: &ScanIndex,
+        wanted: impl Fn(&TargetTrack) -> bool,
+        assigned: &[Assigned],
+        work: &mut TrackingWork,
+    ) -> Candidates {
+        let (mut found, mut near) = (Candidates::default(), Vec::new());
+        let rows = self.all.iter_mut().enumerate();
+        for (row, track) in rows.filter(|(_, track)| wanted(track)) {
+            index.near(&mut track.filter, &parameters.filter.life.gate, &mut near);
+            near.retain(|column| assigned[*column].id.is_none());
+            work.pairs += near.len() as u64;
+            for column in &near {
+                let m = &scan.measurements[*column];
+                let Some(innovation) = track.filter.score(m) else { continue };
+                if is_another_target(track, m) {
+                    continue;
+                }
+                let cost = parameters.association.cost(m, &innovation, standing[*column]);
+                if cost.is_finite() {
+                    found.pairs.push(Pair { row, column: *column, cost });
+                    found.innovations.push(innovation);
+                }
+            }
+        }
+        found
+    }
+
+    /// Joint probabilistic data association of measurements without a track. A measurement that
+    /// more likely comes from some track than from none is assigned to the most likely one.
+    fn associate_jointly(
+        &mut self,
+        scan: &Scan,
+        assigned: &mut [Assigned],
+        candidates: &Candidates,
+        detection: f64,
+    ) {
+        let Candidates { pairs, innovations } = candidates;
+        let weights = probabilities(self.all.len(), scan.measurements.len(), pairs);
+        let mut of_track = vec![Vec::new(); self.all.len()];
+        let mut of_any = vec![(0.0, 0.0, Assigned::default()); assigned.len()]; // sum, largest
+        let mut odds = vec![0.0; self.all.len()];
+        for ((Pair { row, column, cost }, innovation), weight) in
+            pairs.iter().zip(innovations).zip(weights)
+        {
+            odds[*row] += libm::exp(-cost);
+            of_track[*row].push((weight, scan.measurements[*column]));
+            let (sum, most, best) = &mut of_any[*column];
+            *sum += weight;
+            if weight > *most {
+                let innovation = Some(*innovation);
+                (*most, *best) = (weight, Assigned { id: Some(self.all[*row].id), innovation });
+            }
+        }
+        for (given, (sum, _, best)) in assigned.iter_mut().zip(of_any) {
+            if sum > 0.5 {
+                *given = best;
+            }
+        }
+        let has_clutter = !self.standing.is_empty();
+        for ((track, weighted), odds) in self.all.iter_mut().zip(of_track).zip(odds) {
+            let hits = track.hits;
+            track.absorb(scan, &weighted);
+            if track.hits > hits {
+                track.score.weigh(odds, detection, has_clutter);
+            }
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! What a track follows: something that stands, something that moves or flies, or clutter.
+//!
+//! A line through the places that were measured tells whether they move, and by how much that is certain:
+//! their own scatter says so, not what is told of sensors. In space it also tells what climbs. Whether they
+//! are of a target at all is what the association has weighed.
+
+use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
+use crate::tracking::place_trend::{PlaceTrend, Slope};
+use serde::{Deserialize, Serialize};
+
+/// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`: nothing is known of them.
+const SHARES: [f64; KINDS] = [0.02, 0.3, 0.3, 0.33, 0.05];
+/// Standard deviation of the velocity of what stands [m/s]: poses of the platform drift.
+const WANDERS: f64 = 0.05;
+/// Standard deviations of the velocity of what moves, over that of new targets: few are as fast as they may be.
+const SPEEDS: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
+/// Share of the time for which what moves rests, and for how long it does [s]: what rests so long counts once.
+const RESTS: f64 = 0.3;
+const REST: f64 = 10.0;
+/// Most that the places which are kept say together, as a logarithm of odds: a wrong one may be among them.
+const MOST: f64 = 5.0;
+/// Probability from which on it stands as surely as anything: what has stood for an hour may start, too.
+const STANDS: f64 = 0.95;
+/// Standard deviations of the rate of climb of what flies [m/s], of what stands or is on level ground [m/s], and
+/// of slopes.
+const CLIMBS: f64 = 1.0;
+const LEVEL: f64 = 0.1;
+const SLOPES: f64 = 0.1;
+/// Share of the time for which what flies neither climbs nor sinks.
+const CRUISES: f64 = 0.5;
+
+/// What is known of the kind of a target.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct TargetKinds {
+    /// From motion alone.
+    seen: KindBelief,
+    trend: PlaceTrend,
+    /// Probability that its last measurements are clutter; None where the association does not tell.
+    clutter: Option<f64>,
+}
+
+impl Default for TargetKinds {
+    /// Nothing was measured.
+    fn default() -> Self {
+        let seen = KindBelief::prior(SHARES);
+        Self { seen, trend: PlaceTrend::default(), clutter: None }
+    }
+}
+
+impl TargetKinds {
+    /// Take in a place and the variances along its axes that its sensor is told to have [m^2]; `speed` is the
+    /// variance of the speed of new targets [m^2/s^2].
+    pub(super) fn see(
+        &mut self,
+        stamp_ns: i64,
+        (place, told): ([f64; 3], [f64; 3]),
+        speed: f64,
+        is_in_space: bool,
+    ) {
+        let dt = self.trend.take(stamp_ns, place, told);
+        // Of one time: one sight of the target.
+        if dt <= 0.0 {
+            return;
+        }
+        let [Some(x), Some(y)] = [0, 1].map(|axis| self.trend.slope(axis)) else { return };
+        let weight = 1.0 / self.trend.count() as f64;
+        let density = |variance: f64| x.log_density(variance) + y.log_density(variance);
+        let moves = SPEEDS.map(|share| density(share * share * speed));
+        let ratio = log_mean(moves) - density(WANDERS * WANDERS);
+        let moves = log_sum([libm::log(1.0 - RESTS) + ratio, libm::log(RESTS)]);
+        // What says that it stands says so also of what rests for a while.
+        let moves = if moves > 0.0 {
+            weight * moves.min(MOST)
+        } else if self.seen.probability(TrackKind::Static) < STANDS {
+            weight.min(dt / REST) * moves
+        } else {
+            0.0
+        };
+        self.weigh(moves, [1.0, 1.0, 0.0, 1.0]);
+        if let Some(climb) = self.trend.slope(2).filter(|_| is_in_space) {
+            let flies = weight * climbing(&climb, libm::hypot(x.velocity, y.velocity));
+            self.weigh(flies, [1.0, 0.0, 0.0, 0.0]);
+        }
+    }
+
+    /// Weigh a logarithm of odds: all of it for these kinds, from FLYING to CLUTTER, and half of it for what is
+    /// none of them.
+    fn weigh(&mut self, log_odds: f64, [flying, ground, stands, clutter]: [f64; KINDS - 1]) {
+        let shares = [0.5, flying, ground, stands, clutter];
+        self.seen = self.seen.weighed(shares.map(|share| libm::exp(share * log_odds)));
+    }
+
+    /// Take in how probable it is that what was measured is clutter. Of a target that is gone the last
+    /// measurement counts: misses do not make clutter of it.
+    pub(super) fn tell_clutter(&mut self, probability: Option<f64>) {
+        self.clutter = probability;
+    }
+
+    /// Probabilities of the kinds.
+    pub(super) fn belief(&self) -> KindBelief {
+        let Some(clutter) = self.clutter else { return self.seen };
+        let own = self.seen.probability(TrackKind::Clutter);
+        // As much of it as that, in place of what motion alone says.
+        let mut shares = self.seen.probabilities().map(|kind| kind * (1.0 - clutter) / (1.0 - own));
+        shares[usize::from(u8::from(TrackKind::Clutter))] = clutter;
+        KindBelief::prior(shares)
+    }
+}
+
+/// How much likelier, as a logarithm from 0 to [`MOST`], what flies climbs like this than what drives with such a
+/// horizontal speed [m/s]. That it does not says nothing: what flies level stays as it is for long.
+fn climbing(climb: &Slope, speed: f64) -> f64 {
+    let slope = SLOPES * speed;
+    let level = LEVEL * LEVEL + slope * slope;
+    let ratio = climb.log_density(level + CLIMBS * CLIMBS) - climb.log_density(level);
+    log_sum([libm::log(1.0 - CRUISES) + ratio, libm::log(CRUISES)]).clamp(0.0, MOST)
+}
+
+/// Logarithm of the sum of exponentials.
+fn log_sum<const N: usize>(values: [f64; N]) -> f64 {
+    let largest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    largest + libm::log(values.iter().map(|value| libm::exp(value - largest)).sum())
+}
+
+/// Logarithm of the mean of exponentials.
+fn log_mean<const N: usize>(values: [f64; N]) -> f64 {
+    log_sum(values) - libm::log(N as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TOLD: [f64; 3] = [0.01; 3];
+
+    /// Seen ten times a second for so many scans, at places by time [s], with errors up to 0.1 m.
+    fn followed(place: impl Fn(f64) -> [f64; 3], scans: u32, is_in_space: bool) -> TargetKinds {
+        let mut kinds = TargetKinds::default();
+        for k in 0..scans {
+            let error = |n: u32| 0.2 * (f64::from(3 * k + n) * 0.618_034 % 1.0 - 0.5);
+            let [x, y, z] = place(0.1 * f64::from(k));
+            let at = [x + error(0), y + error(1), z + error(2)];
+            kinds.see(i64::from(k) * 100_000_000, (at, TOLD), 225.0, is_in_space);
+        }
+        kinds
+    }
+
+    fn told(kinds: &TargetKinds, clutter: f64) -> KindBelief {
+        let mut kinds = kinds.clone();
+        kinds.tell_clutter(Some(clutter));
+        kinds.belief()
+    }
+
+    fn kind(kinds: &TargetKinds) -> TrackKind {
+        told(kinds, 0.01).kind()
+    }
+
+    #[test]
+    fn what_stands_is_static_after_some_seconds() {
+        assert_eq!(kind(&TargetKinds::default()), TrackKind::Unknown);
+        assert_eq!(kind(&followed(|_| [3.0, 4.0, 0.0], 20, false)), TrackKind::Unknown);
+        for is_in_space in [false, true] {
+            let stands = followed(|_| [3.0, 4.0, 1.0], 120, is_in_space);
+            assert_eq!(kind(&stands), TrackKind::Static);
+        }
+    }
+
+    /// The opposite, at all speeds; in the plane nothing tells what flies from what drives.
+    #[test]
+    fn what_moves_is_not_static_and_no_one_knows_whether_it_flies() {
+        for speed in [0.5, 1.5, 8.0, 40.0] {
+            for scans in [20, 60, 400] {
+                let moves = told(&followed(|t| [speed * t, 1.0, 0.0], scans, false), 0.01);
+                assert!(moves.probability(TrackKind::Static) < 0.2, "{speed} {scans}");
+                assert_eq!(moves.kind(), TrackKind::Unknown);
+                let [flying, ground] =
+                    [TrackKind::Flying, TrackKind::Ground].map(|kind| moves.probability(kind));
+                assert_eq!(flying, ground);
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_moved_rests_before_it_stands() {
+        let parked = |rest: f64| {
+            followed(|t| [2.0 * t.min(5.0), 0.0, 0.0], (10.0 * (5.0 + rest)) as u32, false)
+        };
+        assert_eq!(kind(&parked(10.0)), TrackKind::Unknown);
+        assert_eq!(kind(&parked(400.0)), TrackKind::Static);
+        let starts = followed(|t| [2.0 * (t - 30.0).max(0.0), 0.0, 0.0], 380, false);
+        assert_eq!(kind(&starts), TrackKind::Unknown);
+    }
+
+    /// A car uphill, and what flies level, do not climb like this.
+    #[test]
+    fn what_climbs_in_space_flies() {
+        let climbs = |t: f64| [0.5 * t, 0.0, 1.5 * t];
+        assert_eq!(kind(&followed(climbs, 40, true)), TrackKind::Flying);
+        assert_eq!(kind(&followed(|t| [0.0, 0.0, 1.5 * t], 40, true)), TrackKind::Flying);
+        assert_eq!(kind(&followed(climbs, 40, false)), TrackKind::Unknown);
+        for [speed, climb] in [[10.0, 1.0], [3.0, 0.0], [3.0, 0.2]] {
+            let car = followed(|t| [speed * t, 0.0, climb * t], 400, true);
+            assert_eq!(kind(&car), TrackKind::Unknown, "{speed} {climb}");
+        }
+    }
+
+    /// What the association says of clutter is the probability of that kind; the others share the rest as
+    /// before.
+    #[test]
+    fn clutter_is_what_the_association_says() {
+        let stands = followed(|_| [3.0, 4.0, 0.0], 120, false);
+        assert_eq!(stands.belief(), stands.seen);
+        for clutter in [0.001, 0.3, 0.9] {
+            let belief = told(&stands, clutter);
+            assert!((belief.probability(TrackKind::Clutter) - clutter).abs() < 1e-4);
+            let share = |belief: &KindBelief| {
+                belief.probability(TrackKind::Static) / belief.probability(TrackKind::Unknown)
+            };
+            assert!((share(&belief) / share(&stands.seen) - 1.0).abs() < 1e-9);
+        }
+        assert_eq!(told(&stands, 0.9).kind(), TrackKind::Clutter);
+    }
+
+    #[test]
+    fn places_of_one_time_or_none_say_nothing() {
+        let mut kinds = TargetKinds::default();
+        for k in 0..50 {
+            kinds.see(7, ([f64::from(k), 0.0, 0.0], TOLD), 225.0, true);
+            kinds.see(7, ([f64::NAN; 3], TOLD), 225.0, true);
+        }
+        assert_eq!(kinds.seen, TargetKinds::default().seen);
+    }
+}

@@ -1,0 +1,146 @@
+//! Where tracks and measurements are: what stands, what goes along, how far targets reach.
+
+use super::company::{Fellow, keep_company};
+use super::near_pairs::{Placed, clutter_at};
+use super::parameters::{ManyParameters, TargetAssociation};
+use super::track::{Assigned, Scan};
+use super::tracks::Tracks;
+use crate::tracking::near::{NearIndex, Rectangle};
+use crate::tracking::spread::MeasuredSpread;
+use crate::tracking::standing_clutter::PlaceLog;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+impl Tracks {
+    /// Density of clutter that stands where each measurement is: zero where targets may stand.
+    pub(super) fn standing_clutter(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        places: &[Placed],
+        known: &mut BTreeMap<u8, PlaceLog>,
+    ) -> Vec<f64> {
+        if parameters.report_speed <= 0.0 {
+            return vec![0.0; scan.measurements.len()];
+        }
+        let own = self.standing.entry(scan.source).or_default();
+        let log = known.entry(scan.source).or_default();
+        clutter_at((own, log), scan.stamp_ns, &scan.measurements, places)
+    }
+
+    /// Keep the places of a scan for those to come, and let reported tracks learn their extent.
+    pub(super) fn learn_places(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        places: &[Placed],
+        known: &mut BTreeMap<u8, PlaceLog>,
+    ) {
+        let places: Vec<[f64; 2]> = places.iter().flatten().map(|(place, _)| *place).collect();
+        if parameters.birth_distance > 0.0 {
+            let reported = self.all.iter_mut().filter(|track| track.is_reported());
+            let tracks = reported.filter_map(|track| {
+                let output = track.filter.output_at(scan.stamp_ns)?;
+                Some(([output.mean[0], output.mean[1]], &mut track.spread))
+            });
+            measure_spread(tracks.collect(), parameters.birth_distance, &places);
+        }
+        if let Some(own) = self.standing.get_mut(&scan.source) {
+            let log = known.entry(scan.source).or_default();
+            own.take(log, scan.stamp_ns, places.into_iter());
+        }
+    }
+
+    /// Say of every confirmed track whether it stands or is part of another one.
+    pub(super) fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
+        let ManyParameters { report_speed, birth_distance, .. } = *parameters;
+        if report_speed <= 0.0 && birth_distance <= 0.0 {
+            return;
+        }
+        let confirmed = self.all.iter_mut().filter(|track| track.confirmed);
+        let fellows = confirmed.filter_map(|track| {
+            let output = track.filter.output_at(stamp_ns)?;
+            let place = [output.mean[0], output.mean[1]];
+            let rank = (Reverse(track.hits), track.born_ns, track.id);
+            let is_finite = place.iter().all(|value| value.is_finite());
+            is_finite.then_some(Fellow { path: &mut track.way, place, rank })
+        });
+        keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
+    }
+
+    /// Let every track learn what it follows, from the measurements of it and from how probable it is that
+    /// these are clutter.
+    pub(super) fn learn_kinds(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        assigned: &[Assigned],
+    ) {
+        let filter = &parameters.filter;
+        let is_integrated = matches!(parameters.association, TargetAssociation::Integrated(_));
+        let is_joint = matches!(parameters.association, TargetAssociation::Joint { .. });
+        let speed = filter.prior.speed;
+        let speed = if is_integrated { self.population.speed(speed) } else { speed };
+        let mut seen: BTreeMap<i64, ([[f64; 3]; 2], f64)> = BTreeMap::new();
+        // Seen from a sensor that moves, what stands moves, too.
+        if !filter.is_seen_from_sensor() {
+            for (m, one) in scan.measurements.iter().zip(assigned) {
+                let Some(id) = one.id else { continue };
+                let Some(sight) = self.unseen.sight(m) else { continue };
+                let (sums, count) = seen.entry(id).or_default();
+                for (sums, values) in sums.iter_mut().zip(sight) {
+                    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+                }
+                *count += 1.0;
+            }
+        }
+        let is_in_space = filter.is_in_space();
+        for track in self.all.iter_mut().filter(|track| track.seen_ns == scan.stamp_ns) {
+            let clutter = if is_integrated {
+                Some(1.0 - track.existence())
+            } else {
+                is_joint.then(|| track.score.clutter())
+            };
+            track.kinds.tell_clutter(clutter);
+            if let Some((sums, count)) = seen.get(&track.id) {
+                let [place, told] = sums.map(|sum| sum.map(|value| value / count));
+                track.kinds.see(scan.stamp_ns, (place, told), speed, is_in_space);
+            }
+        }
+    }
+
+    /// Positions of the tracks that were measured at `stamp_ns`.
+    pub(super) fn measured_at(&self, stamp_ns: i64) -> NearIndex {
+        let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
+        let outputs = measured.filter_map(|track| track.filter.output_at(stamp_ns));
+        let places = outputs.map(|output| [output.mean[0], output.mean[1]]);
+        let finite = places.filter(|place| place.iter().all(|value| value.is_finite()));
+        NearIndex::new(finite.zip(0..).collect())
+    }
+}
+
+/// Let tracks, each at its place, learn how far the measurements around them lie from it: of every
+/// measurement the nearest track, if it is nearer than `reach`.
+fn measure_spread(
+    mut tracks: Vec<([f64; 2], &mut MeasuredSpread)>,
+    reach: f64,
+    places: &[[f64; 2]],
+) {
+    tracks.retain(|(at, _)| at.iter().all(|value| value.is_finite()));
+    let index = NearIndex::new(tracks.iter().map(|(at, _)| *at).zip(0..).collect());
+    let (mut near, mut offsets) = (Vec::new(), vec![Vec::new(); tracks.len()]);
+    for place in places {
+        near.clear();
+        index.collect(&Rectangle::around(*place, [reach; 2]), &mut near);
+        let away = |number: usize| [0, 1].map(|axis| place[axis] - tracks[number].0[axis]);
+        let distance = |number: usize| libm::hypot(away(number)[0], away(number)[1]);
+        let nearer = |a: &usize, b: &usize| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b));
+        let nearest = near.iter().copied().min_by(nearer);
+        if let Some(number) = nearest.filter(|number| distance(*number) < reach) {
+            offsets[number].push(away(number));
+        }
+    }
+    for ((_, spread), offsets) in tracks.iter_mut().zip(offsets) {
+        spread.take(&offsets);
+    }
+}

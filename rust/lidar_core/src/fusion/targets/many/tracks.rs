@@ -1,0 +1,254 @@
+//! Tracks of a tracker of many targets at one time, and their update by a scan.
+
+use super::near_pairs::{ScanIndex, places_of};
+use super::parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
+use super::track::{Assigned, Births, IntegratedScan, Scan, Shared, TargetTrack, TrackState};
+use crate::Error;
+use crate::fusion::parameters::FusionParameters;
+use crate::fusion::targets::any_filter::Filter;
+use crate::fusion::targets::lifecycle::Outcome;
+use crate::fusion::targets::target::SavedTarget;
+use crate::tracking::near::NearIndex;
+use crate::tracking::standing_clutter::{PlaceLog, StandingClutter};
+use crate::tracking::surroundings::{Population, Surroundings};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Saved form of all tracks.
+#[derive(Serialize, Deserialize)]
+pub struct SavedTracks {
+    unseen: SavedTarget,
+    all: Vec<TargetTrack<SavedTarget>>,
+    scanners: BTreeMap<u8, [Surroundings; 2]>,
+    population: Population,
+    standing: BTreeMap<u8, StandingClutter>,
+}
+
+/// All tracks at one time.
+#[derive(Clone)]
+pub struct Tracks {
+    /// Filter without a target that holds the motion of the platform.
+    pub(super) unseen: Filter,
+    pub(super) all: Vec<TargetTrack>,
+    /// What is known about every scanner, of its LiDAR and its radar measurements.
+    pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
+    /// How long targets stay.
+    pub(super) population: Population,
+    /// What stands, by scanner; nothing where targets may stand.
+    pub(super) standing: BTreeMap<u8, StandingClutter>,
+}
+
+impl Tracks {
+    /// Tracker without tracks.
+    ///
+    /// # Errors
+    /// Errors of [`Filter::new`].
+    pub fn new(filter: &FusionParameters) -> Result<Self, Error> {
+        Ok(Self {
+            unseen: Filter::new(filter)?,
+            all: Vec::new(),
+            scanners: BTreeMap::new(),
+            population: Population::default(),
+            standing: BTreeMap::new(),
+        })
+    }
+
+    /// The tracks, of which none stay here.
+    #[must_use]
+    pub fn moved_out(&mut self) -> Self {
+        Self { all: std::mem::take(&mut self.all), ..self.clone() }
+    }
+
+    /// State that changes with scans.
+    pub fn saved(&self) -> SavedTracks {
+        let one = |track: &TargetTrack| track.with_filter(track.filter.saved());
+        SavedTracks {
+            unseen: self.unseen.saved(),
+            all: self.all.iter().map(one).collect(),
+            scanners: self.scanners.clone(),
+            population: self.population,
+            standing: self.standing.clone(),
+        }
+    }
+
+    /// Saved tracks, with filters of the parameters of `self`.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for the state of another model.
+    pub fn restored(&self, saved: &SavedTracks) -> Result<Self, Error> {
+        let with = |state: &SavedTarget| {
+            let mut filter = self.unseen.clone();
+            filter.restore_saved(state).map(|()| filter)
+        };
+        let one = |track: &TargetTrack<SavedTarget>| {
+            with(&track.filter).map(|own| track.with_filter(own))
+        };
+        let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
+        Ok(Self {
+            unseen: with(&saved.unseen)?,
+            all,
+            scanners: saved.scanners.clone(),
+            population: saved.population,
+            standing: saved.standing.clone(),
+        })
+    }
+
+    /// True if these places have all that is known of what stands.
+    #[must_use]
+    pub fn know(&self, places: &BTreeMap<u8, PlaceLog>) -> bool {
+        let mut own = self.standing.iter();
+        own.all(|(source, own)| places.get(source).is_some_and(|log| own.is_of(log)))
+    }
+
+    /// Drop the places from before what these tracks, the oldest that are kept, know.
+    pub fn forget_before(&self, places: &mut BTreeMap<u8, PlaceLog>) {
+        for (source, own) in &self.standing {
+            if let Some(log) = places.get_mut(source) {
+                log.forget(own);
+            }
+        }
+    }
+
+    /// Number of tracks.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// True if there are no tracks.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// Tracks predicted to `stamp_ns`, ordered by number.
+    #[must_use]
+    pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
+        let states = self.all.iter().filter_map(|track| {
+            let output = track.reported_at(stamp_ns)?;
+            let TargetTrack { id, born_ns, seen_ns, hits, belief, .. } = *track;
+            let confirmed = track.is_reported();
+            let existence = Some(belief.presence.existence).filter(|p| !p.is_nan());
+            let kinds = track.kinds.belief();
+            let (kind, kind_probability) = (kinds.kind(), kinds.probabilities());
+            let state = TrackState {
+                id,
+                output,
+                born_ns,
+                seen_ns,
+                hits,
+                confirmed,
+                existence,
+                kind,
+                kind_probability,
+            };
+            Some(state)
+        });
+        let mut states: Vec<TrackState> = states.collect();
+        states.sort_by_key(|state| state.id);
+        states
+    }
+
+    /// Process a scan that is not older than the last one.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for more than [`MAX_TARGETS`] tracks; the tracks are then unusable.
+    pub(super) fn take(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        shared: Shared<'_>,
+    ) -> Result<Vec<Assigned>, Error> {
+        let Shared { births, work, places: known } = shared;
+        work.scans += 1;
+        let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
+        let mut assigned = vec![Assigned::default(); scan.measurements.len()];
+        for m in scan.measurements.iter().filter(|m| m.is_of_platform()) {
+            self.unseen.step(m);
+            self.all.iter_mut().for_each(|track| {
+                track.filter.step(m);
+            });
+        }
+        for track in &mut self.all {
+            if track.sources & seen != 0 {
+                track.history <<= 1;
+                track.looks += 1;
+            }
+        }
+        let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
+        work.predictions += foreseen.sum::<u64>();
+        let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
+        let has_places = parameters.birth_distance > 0.0 || parameters.report_speed > 0.0;
+        let places = if has_places {
+            places_of(&self.unseen, &parameters.filter.sensing, &scan.measurements)
+        } else {
+            Vec::new()
+        };
+        let standing = self.standing_clutter(parameters, scan, &places, known);
+        if let TargetAssociation::Integrated(existence) = &parameters.association {
+            let seen = (scan, standing.as_slice());
+            let candidates = self.candidates(parameters, seen, &index, |_| true, &assigned, work);
+            let space = IntegratedScan { parameters, existence, scan, standing: &standing };
+            self.integrate(&space, &candidates, births, &mut assigned);
+            self.keep_company(parameters, stamp_ns);
+            self.learn_places(parameters, scan, &places, known);
+            self.learn_kinds(parameters, scan, &assigned);
+            within("tracks", self.all.len())?;
+            return Ok(assigned);
+        }
+        for confirmed in [true, false] {
+            let wanted = |track: &TargetTrack| track.confirmed == confirmed;
+            let seen = (scan, standing.as_slice());
+            let candidates = self.candidates(parameters, seen, &index, wanted, &assigned, work);
+            self.associate(parameters, scan, &candidates, &mut assigned)?;
+        }
+        let measured = self.measured_at(stamp_ns);
+        self.all.iter_mut().for_each(|track| track.judge(parameters));
+        self.all.retain(|track| track.stays(stamp_ns, parameters));
+        self.keep_company(parameters, stamp_ns);
+        self.learn_places(parameters, scan, &places, known);
+        self.start(parameters, scan, &measured, births, &mut assigned);
+        self.learn_kinds(parameters, scan, &assigned);
+        within("tracks", self.all.len())?;
+        Ok(assigned)
+    }
+
+    /// New track for every measurement without one that is far enough from the `measured` tracks.
+    fn start(
+        &mut self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        measured: &NearIndex,
+        births: &mut Births,
+        assigned: &mut [Assigned],
+    ) {
+        for (column, m) in scan.measurements.iter().enumerate() {
+            if assigned[column].id.is_some() || m.is_of_platform() {
+                continue;
+            }
+            let mut filter = self.unseen.clone();
+            let step = filter.step(m);
+            let Some(output) = step.output.filter(|_| step.outcome == Outcome::Started) else {
+                continue;
+            };
+            let place = [output.mean[0], output.mean[1]];
+            if measured.is_near(place, parameters.birth_distance) {
+                continue;
+            }
+            let mut track = TargetTrack::new(births.of(column), filter, scan);
+            track.judge(parameters);
+            assigned[column].id = Some(track.id);
+            self.all.push(track);
+        }
+    }
+}
+
+/// # Errors
+/// [`Error::Limit`] for more than [`MAX_TARGETS`].
+pub fn within(what: &'static str, count: usize) -> Result<(), Error> {
+    if count <= MAX_TARGETS {
+        return Ok(());
+    }
+    let (what, limit) = (format!("{count} {what}"), MAX_TARGETS as u64);
+    Err(Error::Limit { what, limit, key: "leave clutter out before" })
+}
