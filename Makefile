@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills memory nightly wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight memory nightly coverage wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -61,6 +61,19 @@ test: test-env ## Install what the tests need and run them all, on a wheel.
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
 	$(TEST_VENV)/bin/pytest -n 2 --dist loadfile -m nightly
 
+# Child processes count, too. Rust needs `cargo install cargo-llvm-cov` and the component llvm-tools.
+PART ?= tests/python
+coverage: test-env ## Lines that tests reach: of Python by PART, of Rust with cargo-llvm-cov.
+	$(TEST_VENV)/bin/python $(PIP_INSTALL) 'coverage>=7.10'
+	mkdir -p target/coverage
+	$(TEST_VENV)/bin/coverage erase
+	$(TEST_VENV)/bin/coverage run -m pytest $(PART)
+	$(TEST_VENV)/bin/coverage combine --quiet
+	$(TEST_VENV)/bin/coverage report --skip-covered
+	if cargo llvm-cov --version > /dev/null 2>&1; then \
+	    cargo llvm-cov --locked -p lidar_core -p lidar_sim --summary-only; \
+	else echo "Rust: no cargo-llvm-cov"; fi
+
 # COUNT files, broken by SEED, each read in a child with 2 GiB and 20 s; those that end badly are
 # kept in target/hostile.
 COUNT ?= 20000
@@ -87,6 +100,14 @@ fuzz: ## Fuzz every target in turn, guided by coverage: MINUTES=n, EVIDENCE=1.
 KILLS ?= 300
 kills: ## Kill commands that write at any time, and look at what they leave: KILLS=n.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.kills --count $(KILLS)
+
+signals: ## Press Ctrl-C in calls of two million points.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.signals
+
+# Some two hours of one core; KM=5 takes a tenth.
+KM ?= 50
+flight: ## Fly straight on with a map of 200 MB: KM=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.flight --km $(KM)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory

@@ -29,6 +29,11 @@ PAGES = [
 BLOCK = re.compile(r"(<!-- figures: ([a-z-]+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 NS_TO_MS = 1e-6
 MISSING = "-"
+UNFAIR = f"{MISSING} (1)"
+UNFAIR_NOTE = (
+    "(1) The yardsticks of this run were too slow for a fair comparison, so that its ratios do not"
+    " count. `docs/performance-beside-others.md` has them."
+)
 
 Machine = dict[str, Any]
 """One file of results: `cpu`, `cores`, `date`, `commit`, `rust` and `figures`."""
@@ -128,18 +133,29 @@ def sequence_text(machine: Machine, key: str, threads: int, title: str = "integr
 
 
 def peer_range(machine: Machine, start: str, subject: str) -> str:
-    """Least and largest ratio of peers whose name starts so, to lidar_core."""
-    titles = machine["figures"].get("peers", {})
+    """Least and largest ratio of peers whose name starts so, to lidar_core, of fair comparisons."""
+    titles = [
+        systems
+        for title, systems in machine["figures"].get("peers", {}).items()
+        if subject in title and any(name.startswith(start) for name in systems)
+    ]
     found = [
         system["of_ours"]
-        for title, systems in titles.items()
-        if subject in title
+        for systems in titles
+        if is_fair(systems)
         for name, system in systems.items()
         if name.startswith(start)
     ]
     if not found:
-        return MISSING
+        return UNFAIR if titles else MISSING
     return f"{number_text(min(found))} to {number_text(max(found))}"
+
+
+def is_fair(systems: dict[str, dict[str, Any]]) -> bool:
+    """Whether every peer that has to be so many times slower than the yardstick is."""
+    return all(
+        system["of_yardstick"] >= system["gate"] for system in systems.values() if "gate" in system
+    )
 
 
 def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
@@ -222,6 +238,8 @@ def speed(machines: list[Machine]) -> str:
     for rows in zip(*columns, strict=True):
         values = " | ".join(row[1] for row in rows)
         lines.append(f"| {rows[0][0]} | {values} | {rows[0][2]} |")
+    if any(row[1] == UNFAIR for rows in columns for row in rows):
+        lines += ["", UNFAIR_NOTE]
     return "\n".join(lines)
 
 
@@ -302,8 +320,8 @@ def _peer_table(machine: Machine, title: str, systems: dict[str, dict[str, Any]]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     for name, system in in_order:
         if "gate" in system:
-            is_fair = system["of_yardstick"] >= system["gate"]
-            verdict = "the comparison counts" if is_fair else "**these ratios do not count**"
+            counts = is_fair({name: system})
+            verdict = "the comparison counts" if counts else "**these ratios do not count**"
             lines += [
                 "",
                 f"{name} takes {number_text(system['of_yardstick'], 3)} times as long as the"

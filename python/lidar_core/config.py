@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from inspect import formatannotation, signature
 from pathlib import Path
@@ -78,7 +78,7 @@ class Config(BaseModel):
         try:
             return cls.load(values)
         except ConfigError as error:
-            raise ConfigError(f"{path}: {error}") from error
+            raise in_file(error, path) from error
 
     def to_toml(self) -> str:
         """Every value, as TOML that `read` accepts; "none" where there is no value."""
@@ -180,6 +180,15 @@ def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError
     return ConfigError("\n".join(problems))
 
 
+def in_file(error: ConfigError, path: str | Path) -> ConfigError:
+    """The error of values that a file holds; of a file of an earlier version with the cure."""
+    cure = f"\n`lidar-core config migrate {path}` writes it without these"
+    return ConfigError(f"{path}: {error}{cure if _OLD in str(error) else ''}")
+
+
+_OLD = "is no parameter any more"
+
+
 def _problem_text(problem: Any, model: type[BaseModel]) -> str:
     """What is wrong; what was received, unless that is a whole table; a name that was meant."""
     text, received = str(problem["msg"]).removeprefix("Value error, "), problem["input"]
@@ -189,7 +198,7 @@ def _problem_text(problem: Any, model: type[BaseModel]) -> str:
             return "has to be given"
         case "extra_forbidden" if reason := _removed(model, problem["loc"]):
             cure = "" if reason.startswith("write it as") else "; leave it out"
-            return f"is no parameter any more: {reason}{cure}"
+            return f"{_OLD}: {reason}{cure}"
         case "extra_forbidden":
             return f"no such parameter, got {_short(received)}{_did_you_mean(place, fields)}"
         case "value_error" if isinstance(received, dict):
@@ -231,14 +240,19 @@ def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 def _removed(model: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
     """What holds instead of the parameter at `place`, if its model had it in earlier versions."""
+    reasons = [one.removed for one in tables_at(model, place[:-1]) if issubclass(one, Config)]
+    return next((known[str(place[-1])] for known in reasons if place[-1] in known), None)
+
+
+def tables_at(model: type[BaseModel], place: Sequence[int | str]) -> list[type[BaseModel]]:
+    """Models that the table at `place` of a problem may be of."""
     tables = [model]
-    for part in place[:-1]:
+    for part in place:
         if inner := [one.model_fields[part] for one in tables if part in one.model_fields]:
             tables = [table for field in inner for table in _parts(field.annotation)]
         else:  # entry of a list or a dictionary, or the kind by which a table was chosen
             tables = [one for one in tables if _kind(one) == part] or tables
-    reasons = [one.removed for one in tables if issubclass(one, Config)]
-    return next((known[str(place[-1])] for known in reasons if place[-1] in known), None)
+    return tables
 
 
 def _kind(model: type[BaseModel]) -> object:

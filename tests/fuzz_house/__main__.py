@@ -84,8 +84,8 @@ def turns(chosen: list[str], minutes: float, folder: Path, seed: int) -> Iterato
         driver = rust.build(folder / "build")
         seeds.fresh(folder)
         share = 1.0 if chosen else SHARES["rust"]
-        for name in wanted:
-            told = rust.run(driver, name, 60 * minutes * share / len(wanted), folder, seed)
+        for name, part in rust.shares(wanted).items():
+            told = rust.run(driver, name, 60 * minutes * share * part, folder, seed)
             yield f"rust {name}", vars(told)
     if chosen and set(chosen) <= set(names):
         return

@@ -19,6 +19,8 @@ LONGEST = {
     "state_detector": 12000,
 }
 """Longest input [bytes], where it is not `USUAL`: a longer seed is cut, and says nothing."""
+SLOW = {"rooms": 4, "detector": 2, "filter": 3, "many": 2, "clusters": 2}
+"""How many times the time of others a target gets: a run of it is long."""
 USUAL = 1500
 MOST_FINDINGS = 3
 """Of one target in one run: the rest is most likely the same bug."""
@@ -51,6 +53,12 @@ def targets() -> list[str]:
     return [found[0] for found in TARGETS.findall(MOD.read_text())]
 
 
+def shares(wanted: list[str]) -> dict[str, float]:
+    """Share of the time that each target gets."""
+    weights = {name: SLOW.get(name, 1) for name in wanted}
+    return {name: weight / sum(weights.values()) for name, weight in weights.items()}
+
+
 def build(folder: Path) -> Path:
     """The driver, built in `folder`."""
     environment = os.environ | {
@@ -77,6 +85,7 @@ def run(driver: Path, target: str, seconds: float, folder: Path, seed: int) -> T
             "seed": seed + len(told.findings),
             "print_final_stats": 1,
             "use_value_profile": 1,
+            "len_control": 0,
             "artifact_prefix": f"{found}/",
         }
         done = subprocess.run(

@@ -121,13 +121,23 @@ def _content(state: bytes) -> bytes:
     return state[_head_bytes(state) : -_CHECKSUM_BYTES]
 
 
-def _tracker_after_nothing() -> bytes:
-    """Content of a tracker that met a scan without anything: as short as one with a scan can be."""
+def _tracker_after(detections: np.ndarray[Any, Any]) -> bytes:
+    """Content of a tracker that met detections, and an hour later one point; it has no tracks."""
     from lidar_core.flying.tracker import PointCloudTracker
 
     tracker = PointCloudTracker()
-    tracker.new_detections(np.empty((0, 3)), 0)
+    tracker.new_detections(detections, 0)
+    point, background = np.ones((1, 3), np.float32), np.empty((0, 3), np.float32)
+    tracker.new_point_cloud(point, background, 3600 * 10**9)
     return _content(tracker._tracker.to_state())
+
+
+def _plain(target: str, longest: int) -> list[bytes]:
+    """Bytes as long as they may be, from a few values and from all: short inputs end too soon."""
+    rng = np.random.default_rng([1, *target.encode()])
+    return [
+        bytes(rng.integers(0, most, longest, np.uint8)) for most in (8, 64, 200, 256) for _ in "123"
+    ]
 
 
 def _single_numbers(choice: bytes) -> list[bytes]:
@@ -139,7 +149,13 @@ def _single_numbers(choice: bytes) -> list[bytes]:
 def fresh(folder: Path) -> None:
     """Write those of states and maps into the corpus of a run: of the layout that is built now."""
     known = states()
-    known["state_tracker"].append(prefix("state_tracker") + _tracker_after_nothing())
+    # As short as one with a scan can be; and with numbers that take several bytes.
+    many = 20.0 * np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
+    for detections in (np.empty((0, 3)), many):
+        known["state_tracker"].append(prefix("state_tracker") + _tracker_after(detections))
+    for target in targets():
+        if target not in known:
+            known[target] = _plain(target, USUAL)
     for target, contents in known.items():
         place = folder / "corpus" / target
         place.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 Written from sec. III of Vrba et al., the text of `FlyingConfig` and the documentation of
 `FlyingObjectDetector`; made of the oracles of its parts. One LiDAR, one pose per scan or a stream
-of poses. Not here: what stands still during the burn-in, the check for jumps of the pose, masks,
+of poses. Not here: what stands still during the burn-in and how it leaves, the check for jumps of the pose, masks,
 teammates, beam tables, movers that no track follows.
 """
 

@@ -287,16 +287,18 @@ def _found(folder: Path, names: Sequence[str], remote: str | None) -> dict[str, 
 
 
 def _begin(folder: Path, record: JobRecord) -> None:
-    """An empty folder that says whose it is, also while it is emptied."""
+    """An empty folder that says whose it is, also before it is emptied."""
     if folder.exists() and not all(is_temporary(one.name) for one in folder.iterdir()):
         if not (folder / NOTE).is_file():
             raise FileExistsError(f"{folder}: holds files that no job wrote")
+        record.write(folder)
         for one in folder.iterdir():
             if one.name != NOTE:
                 shutil.rmtree(one) if one.is_dir() and not one.is_symlink() else one.unlink()
+        return
     remove_stale(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    record.write(folder)
+    record.write(folder, is_first=True)
 
 
 def _remove_others(folder: Path, names: set[str]) -> None:

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
-from lidar_core.config import Config, as_config, toml_values
+from lidar_core.config import Config, as_config, in_file, toml_values
 from lidar_core.errors import ConfigError
 from lidar_core.files import read_whole
 from lidar_core.parameters import MODELS, model_named
@@ -143,7 +143,7 @@ def loaded(model: type[ConfigT], values: dict[str, Any], file: Path) -> ConfigT:
     try:
         return model.load(values)
     except ConfigError as error:
-        raise ConfigError(f"{file}: {error}") from error
+        raise in_file(error, file) from error
 
 
 def with_assignments(
@@ -197,7 +197,7 @@ def file_values(file: Path, section: str) -> dict[str, Any]:
     of_run = _noted(values).get(section)
     if isinstance(of_run, dict):
         return of_run
-    is_unknown = bool(values.keys() - model_named(section).model_fields.keys() - {section})
+    is_unknown = bool(values.keys() - _names_of(section) - {section})
     other = next(_models_of(file), section) if is_unknown else section
     if other != section:
         raise ConfigError(f"{file}: holds values of {other}, expected those of {section}")
@@ -217,8 +217,14 @@ def _models_of(file: Path) -> Iterator[str]:
     values = _toml(file)
     yield from (name for name in _noted(values) if name in MODELS)
     for name in ("flying", *MODELS):
-        if values.keys() <= model_named(name).model_fields.keys():
+        if values.keys() <= _names_of(name):
             yield name
+
+
+def _names_of(model: str) -> set[str]:
+    """Names that a file of a model may have, also one of an earlier version."""
+    kind = model_named(model)
+    return {*kind.model_fields, *kind.removed}
 
 
 def _toml(file: Path) -> dict[str, Any]:

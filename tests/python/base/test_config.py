@@ -291,7 +291,7 @@ def test_a_parameter_of_an_earlier_version_is_told_with_what_holds_instead(tmp_p
     file.write_text(f"{sensor}ramp = 2.0\n")
     told = (
         r"scene\.toml: sensor\.stop_and_go\.ramp: is no parameter any more:"
-        r" speeding up and braking take 1 s each; leave it out$"
+        r" speeding up and braking take 1 s each; leave it out\n"
     )
     with pytest.raises(ConfigError, match=told):
         lidar_core.sim.Scene.read(file)

@@ -6,6 +6,7 @@ import pytest
 from lidar_core.circles import Scanner, ShapeKind, fit_shapes, segment
 from lidar_core.errors import InputError
 from reference import circle_shapes as reference
+from reference.circle_bound import centre_bound
 
 BEARINGS = Scanner().bearings()
 STD = 0.01
@@ -59,6 +60,25 @@ def test_parameters_and_covariance_are_honest(kind):
     assert (within[:4] > 0.88).all()
     assert within[4] > 0.85  # of nearly square boxes the longer side may be taken for the shorter
     assert (np.median(scores, axis=0) > 0.3).all()
+
+
+@pytest.mark.parametrize(
+    "shape", [(2.5, 0.0, 0.5, 0.3, 0.4), (2.0, 0.3, 0.6, 0.25, 1.2), (3.0, 0.0, 0.45, 0.3, 0.0)]
+)
+def test_centres_of_ellipses_come_near_the_bound_of_cramer_and_rao(shape):
+    """No estimator without bias is below it; the reported spread is neither, nor far above."""
+    rng, exact = np.random.default_rng(14), reference.ellipse_ranges(shape, BEARINGS)
+    errors, reported = [], []
+    for _ in range(150):
+        kind, parameters, covariance = largest(exact + STD * rng.standard_normal(len(exact)))
+        if kind == ShapeKind.ELLIPSE:
+            errors.append(parameters[:2] - shape[:2])
+            reported.append(np.sqrt(np.trace(covariance[:2, :2])))
+    assert len(errors) > 140
+    rms = np.sqrt(np.square(errors).sum(axis=1).mean())
+    bound = centre_bound(reference.ELLIPSE, shape, [(0.0, 0.0, 0.0)], BEARINGS, STD)
+    assert 0.9 * bound < rms < 1.5 * bound  # a rms of 150 draws is uncertain by 6 %
+    assert 0.9 * bound < np.median(reported) < 1.7 * bound
 
 
 def test_ends_of_lines():

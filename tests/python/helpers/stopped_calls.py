@@ -1,7 +1,7 @@
 """Long calls that get SIGINT on their way: a program, since it must own its signals.
 
-Prints, as JSON, for every call what each attempt cost from the signal on [s of CPU], whether it was
-stopped, and what became of the object.
+Prints, as JSON, for every call what each attempt cost from the signal on [s, of CPU and of the
+clock], whether it was stopped, and what became of the object.
 """
 
 import json
@@ -21,7 +21,7 @@ from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.fusion import Measurement, Measurements, run_batch
 from lidar_core.fusion.config import FusionConfig
 
-SHARES = (0.0, 0.05, 0.3, 0.6)
+SHARES = [0.0, 0.05, 0.3, 0.6]
 """Of the time of a whole call after which the signal comes."""
 
 
@@ -47,19 +47,24 @@ class Attempt:
         try:
             killer.start()
             call()
-            end = time.process_time()
+            end = now()
             killer.join()  # the call was faster: the signal comes here
             time.sleep(0.01)
         except KeyboardInterrupt:
             self.is_stopped = end is None
-            end = end or time.process_time()
+            end = end or now()
         killer.join()
-        self.cpu = end - self.sent
+        self.cpu, self.wall = (late - early for late, early in zip(end, self.sent, strict=True))
 
     def _kill(self, delay):
         time.sleep(delay)
-        self.sent = time.process_time()
+        self.sent = now()
         os.kill(os.getpid(), signal.SIGINT)
+
+
+def now():
+    """Time of the processor and of the clock."""
+    return time.process_time(), time.perf_counter()
 
 
 def attempts(call, item=None):
@@ -71,7 +76,7 @@ def attempts(call, item=None):
     for share in SHARES:
         before = None if item is None else item.to_bytes()
         one = Attempt(call, share * whole)
-        row = {"cpu": one.cpu, "stopped": one.is_stopped}
+        row = {"cpu": one.cpu, "wall": one.wall, "stopped": one.is_stopped}
         if item is not None:
             row["state"] = state_of(item, before)
         rows.append(row)
@@ -102,13 +107,13 @@ def main(points):
     cloud, found = room(points, 0), {}
     detector = FlyingObjectDetector(FlyingConfig(), threads=2)
     stamps = count(0, 10**8)
-    now = [0]
+    latest = [0]
 
     def process():
-        now[0] = next(stamps)
-        detector.process(cloud, np.eye(4), now[0])
+        latest[0] = next(stamps)
+        detector.process(cloud, np.eye(4), latest[0])
 
-    CALL[FlyingObjectDetector] = lambda item: item.process(cloud, np.eye(4), now[0])
+    CALL[FlyingObjectDetector] = lambda item: item.process(cloud, np.eye(4), latest[0])
     found["process"] = attempts(process, detector)
     grid = VoxelMap(threads=1)
     classes = np.full(len(cloud), 2, np.uint8)
@@ -144,11 +149,13 @@ def handled(cloud):
     calls = []
     fresh = [FlyingObjectDetector(FlyingConfig(), threads=2) for _ in range(2)]
     fresh[0].process(cloud, np.eye(4), 0)
-    signal.signal(signal.SIGINT, lambda *_: calls.append(time.process_time()))
+    signal.signal(signal.SIGINT, lambda *_: calls.append(now()))
     one = Attempt(lambda: fresh[1].process(cloud, np.eye(4), 0), 0.0)
     same = fresh[0].to_bytes() == fresh[1].to_bytes()
-    return {"wait": calls[0] - one.sent, "n_calls": len(calls), "same": same}
+    return {"wait": calls[0][0] - one.sent[0], "n_calls": len(calls), "same": same}
 
 
 if __name__ == "__main__":
+    if len(sys.argv) > 2:
+        SHARES[:] = np.linspace(0.0, 0.9, int(sys.argv[2]))
     main(int(sys.argv[1]))

@@ -70,3 +70,16 @@ def test_the_command_finds_no_difference():
     command = [sys.executable, SCRIPT, "check"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_ratios_of_a_comparison_that_is_not_fair_are_not_shown():
+    slow = {"place": 0, "of_ours": 20.0, "of_yardstick": 14.7, "gate": 16}
+    other = {"place": 1, "of_ours": 10.0, "of_yardstick": 8.0}
+    machine = {"figures": {"peers": {"scans into the map": {"tree": slow, "lazy": other}}}}
+
+    def shown(name):
+        return figures.peer_range(machine, name, "into the map")
+
+    assert (shown("tree"), shown("lazy"), shown("none")) == ("- (1)", "- (1)", "-")
+    slow["gate"] = 14
+    assert (shown("tree"), shown("lazy")) == ("20 to 20", "10 to 10")

@@ -44,7 +44,15 @@ fn parameters(input: &mut Input<'_>) -> FusionParameters {
     chosen
 }
 
+/// A measurement some time after the last one.
 fn measurement(input: &mut Input<'_>, last_ns: &mut i64) -> Result<Measurement, Error> {
+    let stamp_ns = input.stamp(*last_ns);
+    let made = measurement_at(input, stamp_ns)?;
+    *last_ns = stamp_ns;
+    Ok(made)
+}
+
+fn measurement_at(input: &mut Input<'_>, stamp_ns: i64) -> Result<Measurement, Error> {
     const SENSORS: [Sensor; 8] = [
         Sensor::Lidar,
         Sensor::Lidar,
@@ -55,7 +63,6 @@ fn measurement(input: &mut Input<'_>, last_ns: &mut i64) -> Result<Measurement, 
         Sensor::Pose,
         Sensor::SpacePose,
     ];
-    let stamp_ns = input.stamp(*last_ns);
     let sensor = input.one_of(&SENSORS);
     let count = match sensor {
         Sensor::Lidar => 2 + input.below(2),
@@ -75,7 +82,6 @@ fn measurement(input: &mut Input<'_>, last_ns: &mut i64) -> Result<Measurement, 
     } else {
         Measurement::new(stamp_ns, sensor, &values, covariance.as_deref())?
     };
-    *last_ns = stamp_ns;
     let _ = (made.sensor(), made.values(), made.measures().count(), made.measures().places());
     let _ = (made.measures().has(PolarValues::RANGE), made.has_covariance(), made.noisy());
     let _ = (made.variance(0), made.is_of_platform(), made.is_usable());
@@ -137,12 +143,11 @@ pub fn many(bytes: &[u8]) {
             break;
         }
         stamp_ns = input.stamp(stamp_ns);
-        let mut at = stamp_ns;
+        // Measurements of another time than their scan are refused.
         let scan: Vec<Measurement> = input
             .many(8, |input| {
-                let found = measurement(input, &mut at);
-                at = stamp_ns;
-                found
+                let at = if input.rarely() { input.stamp(stamp_ns) } else { stamp_ns };
+                measurement_at(input, at)
             })
             .into_iter()
             .flatten()

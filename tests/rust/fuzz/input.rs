@@ -61,13 +61,13 @@ impl<'a> Input<'a> {
         i64::from_le_bytes(self.array())
     }
 
-    /// Mostly steps of 10 ms forward; now and then back, or anywhere.
+    /// Mostly steps of 10 ms forward; now and then back by some of them, or anywhere.
     pub fn stamp(&mut self, last_ns: i64) -> i64 {
         match self.byte() {
             255 => self.i64(),
             254 => last_ns,
-            253 => last_ns.wrapping_sub(50_000_000),
-            252 => last_ns.saturating_add(3_600_000_000_000),
+            253 => last_ns.saturating_add(3_600_000_000_000),
+            late @ 236..=252 => last_ns.wrapping_sub(i64::from(late - 235) * 10_000_000),
             steps => last_ns.saturating_add(i64::from(steps) * 10_000_000),
         }
     }

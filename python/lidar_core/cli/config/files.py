@@ -1,6 +1,7 @@
-"""`lidar-core config show`, `init` and `schema`: what can be set, what is set, and a first file."""
+"""`lidar-core config show`, `init`, `migrate` and `schema`: what can be set, what is set, files."""
 
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,11 +92,53 @@ def init(
     overwrite: OverwriteFile = False,
 ) -> None:
     """Write a file with every parameter, its meaning, unit and range."""
-    from lidar_core.errors import ConfigError
-    from lidar_core.io.files.atomic import written_whole
     from lidar_core.parameters import commented_toml
 
     text = commented_toml(_chosen(model, mode, use, preset)[1])
+    _give_out(text, output, overwrite=overwrite)
+
+
+def migrate(
+    file: Annotated[Path, typer.Argument(help="TOML file, a run.toml, or its folder.")],
+    *,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write; without it printed.")
+    ] = None,
+    model: ModelOption = None,
+    overwrite: OverwriteFile = False,
+) -> None:
+    """Write FILE, of an earlier version, with the parameters that there still are."""
+    import tomli_w
+
+    from lidar_core.parameters import model_named, toml_value
+    from lidar_core.runs.settings import file_values, loaded, model_of
+    from lidar_core.util.migration import migrated
+
+    model = model or model_of(file)
+    kind = model_named(model)
+    values, changes = migrated(kind, file_values(file, model))
+    loaded(kind, values, file)
+    for change in changes:
+        value = toml_value(change.value)
+        told = change.told.replace("write it as", "it is now")
+        print(f"{change.place} = {value}: {told}", file=sys.stderr)
+    if not changes:
+        print(f"{file}: nothing to change", file=sys.stderr)
+    _give_out(tomli_w.dumps(values), output, overwrite=overwrite)
+
+
+def schema(*, model: SchemaModel = "flying") -> None:
+    """Print the JSON Schema, for editors and checks."""
+    from lidar_core.parameters import model_named
+
+    print(json.dumps(model_named(model).model_json_schema(), indent=2))
+
+
+def _give_out(text: str, output: Path | None, *, overwrite: bool) -> None:
+    """Print a configuration, or write it to a file and print its name."""
+    from lidar_core.errors import ConfigError
+    from lidar_core.io.files.atomic import written_whole
+
     if output is None:
         print(text, end="")
         return
@@ -104,13 +147,6 @@ def init(
     with written_whole(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
     print(output)
-
-
-def schema(*, model: SchemaModel = "flying") -> None:
-    """Print the JSON Schema, for editors and checks."""
-    from lidar_core.parameters import model_named
-
-    print(json.dumps(model_named(model).model_json_schema(), indent=2))
 
 
 def _chosen(

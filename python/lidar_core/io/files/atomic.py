@@ -87,16 +87,56 @@ def _lives(process: int) -> bool:
 
 
 def commit(temporary: Path, path: Path) -> None:
-    """Put a finished temporary file in its place, on the disk and not only in memory."""
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
+    """Put a finished temporary file in its place, on the disk and not only in memory.
+
+    Within `synced_together` it is on the disk at the end of that block.
+    """
+    if _waiting is not None:
+        temporary.replace(path)
+        _waiting[path.absolute()] = None
+        return
+    _sync(temporary)
     temporary.replace(path)
-    if os.name == "posix":
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    _sync_folder(path.parent)
+
+
+@contextmanager
+def synced_together() -> Iterator[None]:
+    """Files that the block writes go to the disk at its end, at once, and not one by one.
+
+    For files that count only when a later one says so: after a loss of power within the block they
+    may be empty. An error leaves them as they are. The block is for one thread of a process.
+    """
+    global _waiting  # noqa: PLW0603 all writers of the process look at it
+    files, _waiting = dict[Path, None](), {}
+    try:
+        yield
+        files = {path: None for path in _waiting if path.is_file()}
+    finally:
+        _waiting = None
+    for path in files:
+        _sync(path)
+    for folder in dict.fromkeys(path.parent for path in files):
+        _sync_folder(folder)
+
+
+_waiting: dict[Path, None] | None = None
+"""What `synced_together` has to bring to the disk; None outside of it."""
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _sync_folder(path: Path) -> None:
+    if os.name != "posix":
+        return
+    folder = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def check_place(path: Path) -> None:

@@ -1,9 +1,23 @@
 """Tables over many runs: all tracks with the names of their recordings, events, and queries."""
 
-from lidar_core.runs.catalogue.objects import EVENTS, OBJECTS, events_of, objects_of
+from lidar_core.runs.catalogue.objects import (
+    EVENTS,
+    OBJECTS,
+    events_of,
+    objects_and_events,
+    objects_of,
+)
 from lidar_core.runs.catalogue.query import matching_rows, read_table
 
-__all__ = ["EVENTS", "OBJECTS", "events_of", "matching_rows", "objects_of", "read_table"]
+__all__ = [
+    "EVENTS",
+    "OBJECTS",
+    "events_of",
+    "matching_rows",
+    "objects_and_events",
+    "objects_of",
+    "read_table",
+]
 
 
 def __dir__() -> list[str]:

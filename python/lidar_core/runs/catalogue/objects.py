@@ -126,6 +126,13 @@ def events_of(folder: str | Path, *, recording: str | None = None, run: str = ""
     FormatError
         No run of these commands.
     """
+    return objects_and_events(folder, recording=recording, run=run)[1]
+
+
+def objects_and_events(
+    folder: str | Path, *, recording: str | None = None, run: str = ""
+) -> tuple[Columns, Columns]:
+    """Return both tables of a run, which is read once: see `objects_of` and `events_of`."""
     objects = objects_of(folder, recording=recording, run=run)
     last = int(max(objects["t_ns"].max(initial=0), _scan_stamps(Path(folder)).max(initial=0)))
     chosen: list[tuple[int, str, float, int]] = []
@@ -146,7 +153,8 @@ def events_of(folder: str | Path, *, recording: str | None = None, run: str = ""
         "duration": np.array([one[2] for one in chosen], np.float64),
         "rows": np.array([one[3] for one in chosen], np.int64),
     }
-    return {name: told[name] if name in told else objects[name][picked] for name in EVENTS}
+    events = {name: told[name] if name in told else objects[name][picked] for name in EVENTS}
+    return objects, events
 
 
 def _recording_of(folder: Path) -> str:

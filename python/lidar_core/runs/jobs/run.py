@@ -17,10 +17,11 @@ from lidar_core.batch import JobRecord
 from lidar_core.batch.results import NOTE, flat
 from lidar_core.errors import ConfigError, FormatError, LidarCoreError
 from lidar_core.io.child.trust import trusted_files
+from lidar_core.io.files.atomic import synced_together
 from lidar_core.io.remote import fetched, is_remote, joined, removed, stored, stored_file
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import RUN_FILE, build_digest
-from lidar_core.runs.catalogue import EVENTS, OBJECTS, events_of, objects_of
+from lidar_core.runs.catalogue import EVENTS, OBJECTS, objects_and_events
 from lidar_core.runs.jobs.commands import OVERFLIGHT, command_line, options_of
 
 LOG, TRACKS = "log.txt", "tracks"
@@ -105,16 +106,17 @@ def run_job(
         folder.mkdir(parents=True, exist_ok=True)
         os.chdir(place)
         local, names = _with_fetched(commands, folder / INPUT)
-        with (
-            (folder / LOG).open("w", encoding="utf-8") as log,
-            redirect_stdout(log),
-            redirect_stderr(log),
-        ):
-            for number, command in enumerate(local, start=1):
-                told = folder / f"{number}-{command[0]}.json"
-                numbers |= flat(_told_by(command, told, threads), _prefix(commands, number - 1))
+        with synced_together():  # nothing of it counts before job.json says that the job is done
+            with (
+                (folder / LOG).open("w", encoding="utf-8") as log,
+                redirect_stdout(log),
+                redirect_stderr(log),
+            ):
+                for number, command in enumerate(local, start=1):
+                    told = folder / f"{number}-{command[0]}.json"
+                    numbers |= flat(_told_by(command, told, threads), _prefix(commands, number - 1))
+            events = _tabled(workplace, names)
         numbers = {path: _anywhere(value, workplace, names) for path, value in numbers.items()}
-        events = _tabled(workplace, names)
     except Exception as error:  # whatever it is, it is what the record is for
         ended = replace(record, status="failed", error=told_error(error))
         workplace.clear_tracks()
@@ -158,7 +160,7 @@ def _tabled(workplace: Workplace, names: Mapping[str, str]) -> list[dict[str, An
         run = f"{workplace.job}/{note.parent.relative_to(workplace.folder).as_posix()}"
         try:
             with trusted_files():  # this process has just written them
-                objects, happened = (of(note.parent, run=run) for of in (objects_of, events_of))
+                objects, happened = objects_and_events(note.parent, run=run)
         except (FormatError, KeyError):
             continue  # a run without objects, such as a training
         for table in (objects, happened):

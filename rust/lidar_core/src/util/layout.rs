@@ -4,10 +4,10 @@
 //! variant that was not seen yet, and at every option a value until all below it is known. Runs that
 //! a type refuses, because its made-up values do not fit together, tell what they met before.
 
-use serde::de::value::Error as Refused;
+use serde::de::value::{Error as Refused, SeqDeserializer};
 use serde::de::{
-    DeserializeOwned, DeserializeSeed, Deserializer, EnumAccess, Error, MapAccess, SeqAccess,
-    VariantAccess, Visitor,
+    DeserializeOwned, DeserializeSeed, Deserializer, EnumAccess, Error, IntoDeserializer,
+    MapAccess, SeqAccess, VariantAccess, Visitor,
 };
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -240,7 +240,7 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
         visitor: V,
     ) -> Result<V::Value, Refused> {
         let parts = self.0.or(|| Layout::Tuple(unknown(&vec![""; length]))).parts();
-        visitor.visit_seq(FieldsAccess(parts))
+        visitor.visit_seq(each(parts))
     }
 
     fn deserialize_tuple_struct<V: Visitor<'de>>(
@@ -258,7 +258,7 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Refused> {
-        visitor.visit_seq(FieldsAccess(self.0.or(|| Layout::Fields(name, unknown(fields))).parts()))
+        visitor.visit_seq(each(self.0.or(|| Layout::Fields(name, unknown(fields))).parts()))
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -277,21 +277,17 @@ impl<'de> Deserializer<'de> for Tracer<'_> {
     }
 }
 
-struct FieldsAccess<'a>(&'a mut [(&'static str, Layout)]);
+impl<'de> IntoDeserializer<'de, Refused> for Tracer<'_> {
+    type Deserializer = Self;
 
-impl<'de> SeqAccess<'de> for FieldsAccess<'_> {
-    type Error = Refused;
-
-    fn next_element_seed<S: DeserializeSeed<'de>>(
-        &mut self,
-        seed: S,
-    ) -> Result<Option<S::Value>, Refused> {
-        let Some(((_, place), rest)) = std::mem::take(&mut self.0).split_first_mut() else {
-            return Ok(None);
-        };
-        self.0 = rest;
-        seed.deserialize(Tracer(place)).map(Some)
+    fn into_deserializer(self) -> Self {
+        self
     }
+}
+
+/// What reads these parts one after the other.
+fn each<'de>(parts: &mut [(&'static str, Layout)]) -> impl SeqAccess<'de, Error = Refused> {
+    SeqDeserializer::new(parts.iter_mut().map(|(_, place)| Tracer(place)))
 }
 
 /// An element that comes so many times more.
@@ -380,6 +376,6 @@ impl<'de> VariantAccess<'de> for OneVariant<'_> {
         visitor: V,
     ) -> Result<V::Value, Refused> {
         let parts = self.0.or(|| Layout::Fields("", unknown(fields))).parts();
-        visitor.visit_seq(FieldsAccess(parts))
+        visitor.visit_seq(each(parts))
     }
 }

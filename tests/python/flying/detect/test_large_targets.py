@@ -42,7 +42,7 @@ def test_a_large_target_is_found_whether_it_flies_or_hovers_at_first():
     away, places, others = flown(OCTOCOPTER, (flies[0], *flies), (0.0, 1.5, 3.5))
     moved = np.linalg.norm(places - places[0], axis=1)
     assert (away[moved >= 2.5] < 0.3).mean() >= 0.9
-    assert np.isinf(away[moved == 0]).all()
+    assert np.isinf(away[:15]).all()  # in scan 15 it begins to move
     assert others == 0
 
 

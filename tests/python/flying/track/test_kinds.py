@@ -55,6 +55,30 @@ def test_what_hangs_still_never_flies():
         assert len(frame.tracks.flying) == 0
 
 
+def test_what_hovers_flies_as_soon_as_it_leaves_its_place():
+    """Its shadow was never seen, so that nothing around it shows that it enters free space."""
+    start, end = (-5.0, -3.0, 3.5), (-2.4, -8.4, 3.5)
+    motion = Waypoints(times=(HOVER_S, HOVER_S + 2.0), positions=(start, end))
+    target = Target(shape=Hexacopter(radius=0.325), motion=motion)
+    frames = frames_of(yard(target, scans=30, lidar=FINE))
+    numbers = {number for frame in frames for number in frame.tracks.id.tolist()}
+    assert len(numbers) == 1
+    for number, frame in enumerate(frames[BURN_IN_SCANS:], BURN_IN_SCANS):
+        has_moved = number > 10 * HOVER_S + 3
+        if has_moved or number <= 10 * HOVER_S:
+            assert len(frame.tracks.flying) == has_moved
+
+
+def test_what_begins_to_swing_by_a_hand_does_not_fly():
+    times = tuple(HOVER_S + 0.4 * np.arange(6))
+    swing = Waypoints(
+        times=times, positions=tuple((-5.0, -3.0 + 0.08 * (k % 2), 3.5) for k in range(6))
+    )
+    frames = frames_of(yard(Target(shape=Sphere(radius=0.2), motion=swing), scans=40, lidar=FINE))
+    assert all(len(frame.tracks.flying) == 0 for frame in frames)
+    assert len(frames[-1].tracks) == 1
+
+
 def test_things_on_the_ground_and_at_walls_are_no_hovering_targets():
     post = wall((5.0, -3.0, 0.4), (0.3, 0.3, 0.8))
     sign = wall((11.2, 2.0, 3.0), (0.2, 0.4, 0.4))

@@ -8,12 +8,18 @@ use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::track::{ExpectedTarget, Occupancy};
 use crate::geometry::lattice::{floor, wide};
-use crate::geometry::transform::norm;
+use crate::geometry::transform::{minus, norm};
 
 /// Points this far outside the box of a target may be its own: it brakes before a wall [m].
 const MARGIN: f64 = 0.25;
+/// Of a target that has stood, the map may hold itself this far outside its box, from the first scan in which it
+/// moves [m].
+const OWN: f64 = 0.5;
 /// No target is taken for smaller than this [m].
 const SMALLEST: f64 = 0.3;
+/// Share of the points of a target that lie where nothing stands, and of one that begins to move.
+const MOSTLY: f64 = 0.5;
+const STARTED: f64 = 0.25;
 /// A cluster is at most so many times as large as its target.
 const LARGEST: f64 = 1.6;
 
@@ -52,13 +58,14 @@ impl<'a> ExpectedIn<'a> {
     }
 
     /// Rows of the points that may be of a target: near where it is predicted, and where nothing
-    /// stands.
+    /// stands, or where it has stood itself.
     pub(crate) fn rows(self) -> Vec<usize> {
         let mut cursor = Cursor::new(&self.map.blocks);
         let is_chosen = |&row: &usize| {
             let point = wide(self.points[row]);
-            self.targets.iter().any(|target| self.holds(target, point, row, MARGIN))
-                && self.is_clear(&mut cursor, point)
+            let mut near =
+                self.targets.iter().filter(|target| self.holds(target, point, row, MARGIN));
+            near.any(|target| is_own_place(target, point) || self.is_clear(&mut cursor, point))
         };
         if self.targets.is_empty() {
             return Vec::new();
@@ -96,7 +103,11 @@ impl<'a> ExpectedIn<'a> {
         }
         let mut cursor = Cursor::new(&self.map.blocks);
         let is_clear = |row: &&u32| self.is_clear(&mut cursor, wide(self.points[**row as usize]));
-        2 * cluster.members.iter().filter(is_clear).count() > cluster.members.len()
+        // What has stood leaves its own place by and by, and the map takes its new place for structure, too, if
+        // it is not known as soon as it moves.
+        let least = if target.has_stood { STARTED } else { MOSTLY };
+        cluster.members.iter().filter(is_clear).count() as f64
+            > least * cluster.members.len() as f64
     }
 
     /// True if a place is within the box of a target at the time of a row, and so much around it.
@@ -113,4 +124,10 @@ impl<'a> ExpectedIn<'a> {
         floor(self.map.lattice().scaled(place))
             .is_some_and(|voxel| !cursor.stored(voxel).is_nan() && !cursor.is_tentative(voxel))
     }
+}
+
+/// True if a place is where a target has stood: what the map holds there is that target.
+fn is_own_place(target: &ExpectedTarget, place: [f64; 3]) -> bool {
+    let away = minus(place, target.position);
+    target.has_stood && (0..3).all(|axis| away[axis].abs() <= 0.5 * target.size[axis] + OWN)
 }

@@ -270,9 +270,11 @@ impl PointCloudTracker {
                     0.5 * size[axis] + (EXPECTED_STDS * std).min(FARTHEST)
                 }),
                 size,
+                has_stood: false,
             }
         };
-        self.tracks.iter().filter(is_known).map(target).collect()
+        let standing = standing::expected_at(&self.standing, stamp_ns);
+        self.tracks.iter().filter(is_known).map(target).chain(standing).collect()
     }
 
     /// The cluster of track `id` in the newest cloud is in free space, though it has too few points

@@ -65,6 +65,8 @@ pub(crate) struct ExpectedTarget {
     pub(crate) half: [f64; 3],
     /// Usual sides of its own box [m].
     pub(crate) size: [f64; 3],
+    /// It has stood at `position` since the burn-in, and its own points are what the map holds there.
+    pub(crate) has_stood: bool,
 }
 
 /// Changes of the tracks by one call, by their numbers.

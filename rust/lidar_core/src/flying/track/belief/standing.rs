@@ -3,12 +3,12 @@
 //! Nothing tells which of them it is before it moves, so its kind is unknown. Its points are
 //! background from the burn-in on. Once it has left, a track of its own follows it.
 
-use super::super::Track;
 use super::super::detections::Detections;
 use super::super::measurement::CloudScan;
 use super::super::motion::{position_block, seconds};
 use super::super::state::PointTrack;
 use super::super::visibility::occupancy::Visibility;
+use super::super::{ExpectedTarget, Track};
 use crate::estimation::kalman::Gaussian;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -32,6 +32,12 @@ const REACH: f64 = 0.5;
 /// A detection this far from its place [m], and two standard deviations, shows that it has moved: what hangs
 /// there does not.
 const LEFT: f64 = 0.25;
+/// In the first scans in which it moves it goes at most this far [m]: after that, nothing of the map is near it.
+const STARTS: f64 = 0.5;
+/// Larger things show new sides without moving, as do those of which parts this near to each other are known [m] ...
+const SMALL: f64 = 1.0;
+/// ... and the map does not hold all of a thing from the beginning [s].
+const SETTLED: f64 = 0.3;
 /// It is still there if a point at its place is this near to what the map holds [m]: where rays have passed
 /// through its place, what is there now is not what stood there.
 const HELD: f64 = 0.5;
@@ -74,6 +80,17 @@ impl UnmovedTarget {
     /// Radius of the ball around its place that holds all of it [m].
     fn radius(&self) -> f64 {
         0.5 * Vector3::from(self.extent).norm() + MARGIN
+    }
+
+    /// Where it is looked for if it moves.
+    fn expected(&self) -> ExpectedTarget {
+        ExpectedTarget {
+            position: self.position.into(),
+            velocity: [0.0; 3],
+            half: self.extent.map(|side| 0.5 * side + STARTS),
+            size: self.extent,
+            has_stood: true,
+        }
     }
 
     /// As a track at `stamp_ns`, reported if `is_recent` says so of the time when it was seen.
@@ -126,6 +143,22 @@ impl UnmovedTarget {
         let std = (covariance.trace() / 3.0).max(0.0).sqrt();
         (track.position() - self.position).norm() >= LEFT + 2.0 * std
     }
+}
+
+/// What stands and may move at `stamp_ns`: near its own place, which the map takes for structure.
+pub(in crate::flying::track) fn expected_at(
+    standing: &[UnmovedTarget],
+    stamp_ns: i64,
+) -> impl Iterator<Item = ExpectedTarget> {
+    let may_move = move |target: &&UnmovedTarget| {
+        let is_part_of = |other: &UnmovedTarget| {
+            other.id != target.id && (other.position - target.position).norm() <= SMALL
+        };
+        seconds(target.born_ns, stamp_ns) >= SETTLED
+            && target.extent.iter().all(|&side| side <= SMALL)
+            && !standing.iter().any(is_part_of)
+    };
+    standing.iter().filter(may_move).map(UnmovedTarget::expected)
 }
 
 /// Look for what stands in a scan. What has gone is removed; the numbers of these.

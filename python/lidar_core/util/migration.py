@@ -1,0 +1,102 @@
+"""Configuration files of earlier versions: what they say that is no parameter any more."""
+
+import re
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ValidationError
+
+from lidar_core.config import Config, tables_at
+from lidar_core.errors import ConfigError
+
+_MOVED = re.compile(r"write it as the (first|second|third) value of (each entry of )?(\w+)")
+_NUMBERS = ("first", "second", "third")
+_MOST = 1000
+"""Parameters that a file may have to lose."""
+
+
+class Change(NamedTuple):
+    """What became of one parameter.
+
+    Attributes
+    ----------
+    place : str
+        Where the file has it: dotted path.
+    value : Any
+        What the file says.
+    told : str
+        What holds instead, or where the value is now.
+    """
+
+    place: str
+    value: Any
+    told: str
+
+
+def migrated(
+    model: type[Config], values: Mapping[str, Any]
+) -> tuple[dict[str, Any], tuple[Change, ...]]:
+    """Values of a file of an earlier version as this one reads them, and what was changed.
+
+    Parameters that have moved take their values along. Problems of other kinds stay.
+
+    Parameters
+    ----------
+    model : type
+        Of the configuration.
+    values : mapping
+        Those of the file; they are not changed.
+    """
+    result, changes = deepcopy(dict(values)), list[Change]()
+    while len(changes) < _MOST:
+        problem = _next_old(model, result)
+        if problem is None:
+            break
+        place, reason = problem
+        table = _table(result, place[:-1])
+        name = str(place[-1])
+        value = table.pop(name)
+        changes.append(Change(".".join(map(str, place)), value, reason))
+        if moved := _MOVED.fullmatch(reason):
+            _put(table, tables_at(model, place[:-1]), moved, value)
+    return result, tuple(changes)
+
+
+def _next_old(
+    model: type[Config], values: Mapping[str, Any]
+) -> tuple[tuple[int | str, ...], str] | None:
+    """Place of the first parameter that is none any more, and what holds instead."""
+    try:
+        model.load(values)
+    except ConfigError as error:
+        problems = error.__cause__.errors() if isinstance(error.__cause__, ValidationError) else []
+        for problem in problems:
+            place = problem["loc"]
+            for table in tables_at(model, place[:-1]):
+                removed = table.removed if issubclass(table, Config) else {}
+                if problem["type"] == "extra_forbidden" and place[-1] in removed:
+                    return place, removed[str(place[-1])]
+    return None
+
+
+def _table(values: Any, place: tuple[int | str, ...]) -> dict[str, Any]:
+    """The table at a place; the kind by which a table was chosen is no part of the way."""
+    table = values
+    for part in place:
+        if isinstance(part, int) or part in table:  # a number is of a list
+            table = table[part]
+    found: dict[str, Any] = table
+    return found
+
+
+def _put(
+    table: dict[str, Any], models: list[type[BaseModel]], moved: "re.Match[str]", value: Any
+) -> None:
+    """Write a value into a list where its parameter has moved; the others are as usual."""
+    index, name = _NUMBERS.index(moved[1]), moved[3]
+    if name not in table:
+        usual = next(one.model_fields[name].default for one in models if name in one.model_fields)
+        table[name] = [list(one) if isinstance(one, tuple) else one for one in usual]
+    for entry in table[name] if moved[2] else [table[name]]:
+        entry[index] = value

@@ -1,0 +1,159 @@
+"""What a batch adds to the runs themselves: waits for the disk, and time of the processor."""
+
+import os
+import resource
+from pathlib import Path
+
+import pytest
+from commands import invoke
+
+import lidar_core as lc
+from lidar_core.batch import JobRecord, jobs_of
+from lidar_core.batch.config import BatchConfig
+from lidar_core.io.files import atomic
+from lidar_core.io.files.atomic import synced_together, written_whole
+from lidar_core.runs.batch_jobs import Batch, _begin
+
+MOST = 1.05
+"""Of the time of a bare loop. Source: goal of a batch of 1,000 short recordings."""
+posix = pytest.mark.skipif(os.name != "posix", reason="names of open files, and their folders")
+
+
+@pytest.fixture
+def synced(monkeypatch):
+    """Paths that were brought to the disk, in order."""
+    paths = []
+    monkeypatch.setattr(atomic, "_sync", paths.append)
+    monkeypatch.setattr(atomic, "_sync_folder", paths.append)
+    return paths
+
+
+def write(path, text):
+    with written_whole(path) as temporary:
+        temporary.write_text(text)
+
+
+@posix
+def test_files_of_a_block_are_on_the_disk_at_its_end(tmp_path, synced):
+    with synced_together():
+        write(tmp_path / "a", "1")
+        write(tmp_path / "b", "2")
+        write(tmp_path / "a", "3")
+        write(tmp_path / "gone", "4")
+        (tmp_path / "gone").unlink()
+        assert (tmp_path / "a").read_text() == "3"
+        assert synced == []
+    assert synced == [tmp_path / "a", tmp_path / "b", tmp_path]
+
+
+@posix
+def test_after_a_block_that_fails_each_file_is_synced_again(tmp_path, synced):
+    @synced_together()
+    def failing():
+        write(tmp_path / "a", "1")
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        failing()
+    assert synced == []
+    write(tmp_path / "b", "2")
+    assert len(synced) == 2
+    assert synced[1] == tmp_path
+
+
+def recording(folder, scans):
+    file = folder / "walk.csv"
+    done = invoke("simulate", "overflight", "-o", file, "--scans", scans)
+    assert done.exit_code == 0, done.output
+    return file
+
+
+def batch_of(folder, file, count, more=""):
+    """A batch of equal jobs."""
+    jobs = folder / "jobs.toml"
+    jobs.write_text(
+        f'[[jobs]]\nname = "walk"\ncommands = ["fuse {file} -o {{output}}/run{more}"]\n'
+        f"rows = [{', '.join(f'{{number = {number}}}' for number in range(count))}]\n".replace(
+            "{output}/run", "{output}/run-{number}"
+        )
+    )
+    return jobs
+
+
+@posix
+def test_a_job_waits_for_the_disk_as_often_as_its_runs_and_last_for_its_record(tmp_path, synced):
+    """The record says "done": what it speaks of is on the disk before."""
+    file = recording(tmp_path, 3)
+    lc.runs.fuse(file, None, tmp_path / "bare", picture=False, mcap=False)
+    bare = len(synced)
+    jobs = jobs_of(
+        BatchConfig.read(batch_of(tmp_path, file, 1, " --no-picture --no-mcap")), tmp_path
+    )
+    batch = Batch.of(tmp_path / "out", jobs, is_fresh=True)
+    synced.clear()
+    (name,) = batch.jobs
+    _begin(batch.folder / name, batch._record(name))
+    assert synced == []
+    task = batch._task(name, 1)
+    record = task.function(**task.arguments)
+    assert (record.status, record.error) == ("done", "")
+    *before, note, folder = synced
+    assert folder == batch.folder / name
+    assert note.name.startswith(".job.json.")
+    written = {one for one in (batch.folder / name).rglob("*") if one.is_file()}
+    written |= set((batch.folder / "tracks").iterdir())
+    unsynced = written - set(before)
+    assert {one.name for one in unsynced} == {"job.json", "log.txt"}
+    assert len(synced) <= bare
+
+
+@posix
+def test_a_job_that_begins_again_is_marked_before_its_files_go(tmp_path, monkeypatch):
+    """Killed in between, it is not taken for the finished job that it was."""
+    jobs = jobs_of(BatchConfig.read(batch_of(tmp_path, recording(tmp_path, 3), 1)), tmp_path)
+    batch = Batch.of(tmp_path / "out", jobs, is_fresh=True)
+    (name,) = batch.jobs
+    folder = batch.folder / name
+    folder.mkdir(parents=True)
+    JobRecord(name, "walk", batch.keys[name], "done").write(folder)
+    (folder / "log.txt").write_text("an earlier job")
+    assert list(Batch.of(tmp_path / "out", jobs, is_fresh=False).kept) == [name]
+
+    def killed(path, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "unlink", killed)
+    with pytest.raises(KeyboardInterrupt):
+        list(batch.run(executor="local", workers=1))
+    monkeypatch.undo()
+    assert not Batch.of(tmp_path / "out", jobs, is_fresh=False).kept
+
+
+@pytest.mark.nightly
+def test_a_batch_costs_hardly_more_than_a_bare_loop(tmp_path):
+    """Processor time of one more job against one more run: the start of a worker is paid once."""
+    file = recording(tmp_path, 100)
+
+    def spent():
+        who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        return sum(sum(resource.getrusage(one)[:2]) for one in who)
+
+    def loop(count):
+        before = spent()
+        for number in range(count):
+            lc.runs.fuse(file, None, tmp_path / f"bare-{count}-{number}", overwrite=True)
+        return spent() - before
+
+    def batch(count):
+        before = spent()
+        out = tmp_path / f"out-{count}"
+        done = lc.runs.batch(batch_of(tmp_path, file, count), out, workers=1, fresh=True)
+        assert done.summary["done"] == count, done.summary
+        return spent() - before
+
+    loop(1)
+    costs = []
+    for _ in range(3):
+        bare = (loop(22) - loop(2)) / 20
+        costs.append((batch(22) - batch(2)) / 20 / bare)
+    assert min(costs) <= MOST, costs
