@@ -66,6 +66,8 @@ def band_of(heights):
 
 BAND = band_of(CENTERS[:, 2])
 SECTOR = ((AZIMUTHS / (2 * np.pi) + 0.5) * SECTORS + 1e-9).astype(int) % SECTORS
+COLUMNS = 180
+COLUMN = ((AZIMUTHS / (2 * np.pi) + 0.5) * COLUMNS + 1e-9).astype(int) % COLUMNS
 WIDEST = max(map(len, BESIDE))
 PADDED = np.array([np.pad(row, (0, WIDEST - len(row)), mode="edge") for row in BESIDE])
 """Neighbours of every cell, itself included; the last one repeated."""
@@ -186,7 +188,10 @@ class SkyOracle:
         is_sample = rows % max(len(points) // 4096, 1) == 0
         is_sample[0] = True
         ranges, heights = length[is_sample], turned[is_sample, 2]
+        before, has_returned = self.evidence, np.isfinite(self.surface)
         expected = self._expect(hits, turn, stamp_ns)
+        is_lost = _lost(has_returned & (before < 1), hits, cell_of(all_found), expected, turn)
+        self.evidence[is_lost] = (before + np.minimum(expected, F32(0.25)))[is_lost]
         self._remember(hits, nearest, stamp_ns)
         limit = self._limits(stamp_ns)
         visible = min(0.8 * ranked(ranges, 0.98), self.max_range)
@@ -203,7 +208,7 @@ class SkyOracle:
         since = np.full(CELLS, -1)
         if not is_covered and self.density is not None:
             limit = _with_holes(limit, is_empty, expected)
-            since = self._cast(seen, (hits, nearest), (limit, visible, ground), moment)
+            since = self._cast(seen, (hits, nearest), (limit, visible, ground, is_lost), moment)
         if np.linalg.norm(origin - self.place) > 0.5:
             self.place = origin
         self.lowest, self.since_ns, self.last_ns = lowest, since, stamp_ns
@@ -271,7 +276,7 @@ class SkyOracle:
         return (hits[PADDED] == 0).all(axis=1) & (sums >= 7.0) & is_looked_at
 
     def _cast(self, seen, returns, limits, moment):
-        (hits, nearest), (limit, visible, ground) = returns, limits
+        (hits, nearest), (limit, visible, ground, is_lost) = returns, limits
         origin, stamp_ns, state_at, turn = moment
         tilt = np.arcsin(np.clip(CENTERS[:, 2], -1, 1)) - np.deg2rad(1.4)
         fall = -np.sin(np.maximum(tilt, -np.pi / 2))
@@ -281,12 +286,13 @@ class SkyOracle:
         around = np.array([hits[row].sum() for row in BESIDE])
         before = np.minimum(nearest[PADDED].min(axis=1).astype(float) - 0.5, above)
         before[(around < 7) | (around >= 400)] = 0.0
-        is_sky = seen.is_empty & (into_sky >= 2.0)
+        is_sky = seen.is_empty & (into_sky >= 2.0) & ~is_lost
         reach = np.where(is_sky, into_sky, np.minimum(before, self.max_range))
+        reach[is_lost] = 0.0
         is_same = np.linalg.norm(origin - self.place) <= 0.5
         is_same &= self.last_ns is None or stamp_ns - self.last_ns <= 1_000_000_000
         began = np.where(is_same & (self.since_ns >= 0), self.since_ns, stamp_ns)
-        since = np.where(is_sky, began, -1)
+        since = np.where(is_sky, began, np.where(is_lost, self.since_ns, -1))
         seen.is_sky, all_rays = is_sky, seen.expected.sum(dtype=float)
         seen.share = float(seen.expected[is_sky].sum(dtype=float) / all_rays) if all_rays else 0.0
         if state_at is not None:
@@ -320,6 +326,21 @@ class SkyOracle:
         along = 0.5 * self.voxel_size * np.arange(1, int(2 * reach / self.voxel_size) + 1)
         met = np.flatnonzero(state_of(along[:, None] * way) >= 2)
         return along[met[0]] - self.voxel_size if len(met) else reach
+
+
+def _lost(returned_lately, hits, returned, expected, turn):
+    """Cells of three columns or more beside each other that gave six cells lately, and now none."""
+    returns = np.bincount(COLUMN[returned], minlength=COLUMNS) > 0
+    column = COLUMN[cell_of(CENTERS @ turn)]
+    gave = np.bincount(column[(expected > 0) & returned_lately], minlength=COLUMNS)
+    is_lost = np.zeros(COLUMNS, bool)
+    for first in np.flatnonzero(returns):
+        run = []
+        while not returns[at := (first + 1 + len(run)) % COLUMNS]:
+            run.append(at)
+        is_lost[run] = np.count_nonzero(gave[run]) >= 3 and gave[run].sum() >= 6
+    is_near = is_lost | np.roll(is_lost, 1) | np.roll(is_lost, -1)
+    return is_near[column] & (hits == 0)
 
 
 def _with_holes(limit, is_empty, expected):

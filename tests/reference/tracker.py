@@ -204,7 +204,7 @@ class Track:
         radius, filled, is_free_below, is_over_unseen = shape
         self.radius.add(radius)
         self.filled.add(filled)
-        if is_over_unseen and not is_free_below:
+        if is_over_unseen and is_free_below is False:
             if not self.known_below:
                 self.seen_kinds = weighed(self.seen_kinds, OVER_UNSEEN)
             self.known_below = True

@@ -14,6 +14,8 @@ pub(crate) const CELLS: usize = 6 * EDGE * EDGE;
 pub(crate) const BANDS: usize = 90;
 /// Sectors of azimuth, 10 degrees each.
 pub(crate) const SECTORS: usize = 36;
+/// Columns of azimuth, 2 degrees each.
+pub(crate) const COLUMNS: usize = 180;
 /// Parts of a cell along each edge: rays of sky go through their middles.
 pub(crate) const PARTS: usize = 3;
 
@@ -41,6 +43,8 @@ pub(crate) struct Grid {
     pub(crate) bands: Vec<(u8, u8)>,
     /// Azimuth of every centre [rad].
     pub(crate) azimuths: Vec<f64>,
+    /// Column of azimuth of every centre.
+    pub(crate) columns: Vec<u8>,
     /// Middles of the parts of every cell, row by row: unit vectors.
     pub(crate) parts: Vec<[f32; 3]>,
     neighbours: Vec<u16>,
@@ -64,11 +68,14 @@ impl Grid {
             *first = (bounds.partition_point(|&bound| bound <= place).clamp(1, EDGE) - 1) as u8;
         }
         let centers: Vec<[f64; 3]> = (0..CELLS).map(|cell| part_of(cell, [0.5; 2])).collect();
+        let azimuths: Vec<f64> =
+            centers.iter().map(|center| libm::atan2(center[1], center[0])).collect();
         let mut grid = Self {
+            columns: azimuths.iter().map(|&azimuth| column_of(azimuth)).collect(),
             solid_angles: (0..CELLS).map(solid_angle).collect(),
             bands: centers.iter().map(|&center| band_and_sector(center)).collect(),
             parts: (0..CELLS * PARTS * PARTS).map(middle_of_part).collect(),
-            azimuths: centers.iter().map(|center| libm::atan2(center[1], center[0])).collect(),
+            azimuths,
             centers,
             neighbours: Vec::new(),
             ends: Vec::with_capacity(CELLS),
@@ -129,6 +136,12 @@ impl Grid {
         }
         found
     }
+}
+
+/// Column of an azimuth [rad].
+fn column_of(azimuth: f64) -> u8 {
+    let column = ((azimuth / TAU + 0.5) * COLUMNS as f64 + ON_BORDER) as usize;
+    (column % COLUMNS) as u8
 }
 
 /// Unit direction of a place in a cell, given as shares of its edges.

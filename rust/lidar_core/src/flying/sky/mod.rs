@@ -64,7 +64,7 @@ pub(crate) struct Sky {
     has_rows: bool,
     /// Rays that were cast into every cell since its last return.
     evidence: Vec<f32>,
-    /// Range of the surface that was last seen in every cell [m], and when [ns].
+    /// Range of what was last seen in every cell [m], and when, if it was a surface [ns].
     surface: Vec<f32>,
     surface_ns: Vec<i64>,
     /// Since when every cell is sky [ns], or [`NEVER`].
@@ -193,6 +193,7 @@ impl Sky {
     /// Forget all that depends on where the sensor is.
     pub(crate) fn forget_places(&mut self) {
         self.evidence.fill(0.0);
+        self.surface.fill(f32::INFINITY);
         self.surface_ns.fill(i64::MIN);
         self.since_ns.fill(NEVER);
         self.recent.clear();

@@ -1,6 +1,7 @@
 //! Observation of the sky by one scan, given its sensor: which directions are sky, and how far.
 
 mod haze;
+mod lost;
 mod reach;
 mod surfaces;
 #[cfg(test)]
@@ -102,6 +103,8 @@ pub(crate) struct SkyObservation {
     nearest: Vec<f32>,
     /// Rays expected in every cell.
     expected: Vec<f32>,
+    /// Cells into which nothing may have been cast, since data were lost.
+    is_lost: Vec<bool>,
     /// Ranges beyond which no ray of a cell clears [m], and memory for widening them.
     limit: Vec<f32>,
     wider: Vec<f32>,
@@ -160,6 +163,7 @@ impl SkyObservation {
             return; // tells nothing, not even of open sky
         }
         self.expect(sky, scan.map_from_lidar);
+        self.find_lost(sky, scan.map_from_lidar);
         self.remember_surfaces(sky);
         self.widen(sky);
         let visible = VISIBLE_SHARE * self.ranked(0.98, |[range, _]| Some(range));

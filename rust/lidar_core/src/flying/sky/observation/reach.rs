@@ -40,6 +40,10 @@ impl SkyObservation {
         let (mut into_sky, mut all) = (0.0, 0.0);
         for cell in 0..CELLS {
             all += f64::from(self.expected[cell]);
+            if self.is_lost[cell] {
+                self.since_ns[cell] = sky.since_ns[cell];
+                continue;
+            }
             let is_sky = self.is_empty[cell] && self.reach_of(cell, visible) >= LEAST_REACH;
             let before = || self.reach_before(cell).min(scan.map.parameters().max_range);
             let reach = if is_sky { self.reach_of(cell, visible) } else { before() };

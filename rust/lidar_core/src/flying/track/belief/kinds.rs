@@ -25,7 +25,8 @@ const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
 /// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
 const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.7, 0.08, 1.5, 1.0, 0.08];
 /// Of what has moved to where nothing below it was ever seen: behind a table, a car or a wall most things that
-/// move are people. What hides the space below hides it in every scan, so it counts once.
+/// move are people. What hides the space below hides it in every scan, so it counts once. Where rays below it
+/// are lost, as over a wet road, nothing hides anything.
 const OVER_UNSEEN: [f64; KINDS] = [0.4, 0.03, 1.5, 1.0, 0.03];
 
 /// Standard deviations of the acceleration of what moves steadily, and of what manoeuvres [m/s^2].
@@ -145,7 +146,7 @@ impl Kinds {
     pub(super) fn measure(&mut self, shape: TargetShape, is_led: bool) {
         self.radius.add(shape.radius);
         self.filled.add(shape.filled_share);
-        if shape.is_over_unseen && shape.is_free_below != Some(true) {
+        if shape.is_over_unseen && shape.is_free_below == Some(false) {
             if !self.is_known_below {
                 self.seen = self.seen.weighed(OVER_UNSEEN);
             }
@@ -287,6 +288,16 @@ mod tests {
         }
         assert_ne!(over_unseen([5.0, 4.0, 0.5], 1).belief().kind(), TrackKind::Flying);
         assert_eq!(over_unseen([5.0, 4.0, 0.5], 10).belief().kind(), TrackKind::Flying);
+        // Over a road that returns nothing it needs not, since nothing hides what is below it.
+        let shape = TargetShape {
+            radius: 0.35,
+            filled_share: 0.8,
+            is_free_below: None,
+            is_over_unseen: true,
+        };
+        let mut kinds = Kinds::new();
+        (0..5).for_each(|_| kinds.measure(shape, false));
+        assert_eq!(kinds.belief().kind(), TrackKind::Flying);
         // Once rays pass below it, it needs not manoeuvre; what stands on the ground may, for a while.
         let mut kinds = over_unseen([0.0; 3], 5);
         let seen = |is_free| TargetShape {
