@@ -155,8 +155,7 @@ mod tests {
         let ElementFilter::Independent(independent) = parameters.filter else {
             return Err(Error::NotPositiveDefinite { matrix: "none" });
         };
-        let rules =
-            Rules::new(independent, parameters.gate_probability, parameters.initial_speed)?;
+        let rules = Rules::new(independent, parameters.gate_probability, parameters.initial_speed)?;
         let mut body = RoundBody::new(&leg(x, 0.0, 0.0), std::iter::empty(), &rules);
         let gait = Gait { legs: Legs::None, speed: 1.0, radius: 0.2, is_angular: false };
         (0..40).for_each(|_| body.person.hear(&gait, 0.1));
