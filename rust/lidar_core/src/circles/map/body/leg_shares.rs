@@ -22,7 +22,7 @@ const MOST_LEGS: usize = 6;
 
 /// Legs that one person may have.
 #[derive(Clone, Debug)]
-struct Choice {
+struct LegChoice {
     cost: f64,
     person: usize,
     legs: Vec<usize>,
@@ -36,7 +36,7 @@ pub(super) fn shared_out(
     free: &[usize],
     step: f64,
 ) -> Vec<Vec<usize>> {
-    let mut choices: Vec<Choice> =
+    let mut choices: Vec<LegChoice> =
         (0..people.len()).flat_map(|person| choices_of(person, people, seen, free, step)).collect();
     choices.sort_by(|one, two| {
         let rest = (one.person, &one.legs).cmp(&(two.person, &two.legs));
@@ -48,7 +48,7 @@ pub(super) fn shared_out(
         let found = if members.len() > MOST_PEOPLE {
             greedily(&choices, &members)
         } else {
-            let all: Vec<Vec<&Choice>> = members.iter().map(|&one| own(one).collect()).collect();
+            let all: Vec<Vec<&LegChoice>> = members.iter().map(|&one| own(one).collect()).collect();
             let mut best = (f64::INFINITY, Vec::new());
             search(&all, 0.0, &mut Vec::new(), &mut best);
             best.1
@@ -67,7 +67,7 @@ fn choices_of(
     seen: &[BodyMeasurement],
     free: &[usize],
     step: f64,
-) -> Vec<Choice> {
+) -> Vec<LegChoice> {
     let middle = &people[person];
     let place = |leg: usize| seen[leg].circle.z;
     let mut near: Vec<(f64, usize)> =
@@ -78,11 +78,11 @@ fn choices_of(
     let cost = |far: f64| far * far / (SPREAD * SPREAD);
     let mut choices = Vec::new();
     for (number, &(far, one)) in near.iter().enumerate() {
-        choices.push(Choice { cost: cost(far) + HIDDEN, person, legs: vec![one] });
+        choices.push(LegChoice { cost: cost(far) + HIDDEN, person, legs: vec![one] });
         for &(_, two) in &near[number + 1..] {
             if apart(&place(one), &place(two)) < step {
                 let far = apart(middle, &((place(one) + place(two)) * 0.5));
-                choices.push(Choice { cost: cost(far), person, legs: vec![one, two] });
+                choices.push(LegChoice { cost: cost(far), person, legs: vec![one, two] });
             }
         }
     }
@@ -90,7 +90,7 @@ fn choices_of(
 }
 
 /// People who may share legs, in groups.
-fn groups(choices: &[Choice], people: usize, legs: usize) -> Vec<Vec<usize>> {
+fn groups(choices: &[LegChoice], people: usize, legs: usize) -> Vec<Vec<usize>> {
     let mut group_of: Vec<usize> = (0..people).collect();
     let mut user: Vec<Option<usize>> = vec![None; legs];
     for choice in choices {
@@ -107,7 +107,7 @@ fn groups(choices: &[Choice], people: usize, legs: usize) -> Vec<Vec<usize>> {
 }
 
 /// The likeliest choices first, in a crowd.
-fn greedily(choices: &[Choice], members: &[usize]) -> Vec<Vec<usize>> {
+fn greedily(choices: &[LegChoice], members: &[usize]) -> Vec<Vec<usize>> {
     let mut found = vec![Vec::new(); members.len()];
     for choice in choices {
         let Some(own) = members.iter().position(|&one| one == choice.person) else { continue };
@@ -120,7 +120,7 @@ fn greedily(choices: &[Choice], members: &[usize]) -> Vec<Vec<usize>> {
 
 /// The way of least cost, with no leg of two people.
 fn search(
-    all: &[Vec<&Choice>],
+    all: &[Vec<&LegChoice>],
     cost: f64,
     chosen: &mut Vec<Vec<usize>>,
     best: &mut (f64, Vec<Vec<usize>>),
@@ -144,7 +144,7 @@ fn search(
     chosen.pop();
 }
 
-fn is_free(taken: &[Vec<usize>], choice: &Choice) -> bool {
+fn is_free(taken: &[Vec<usize>], choice: &LegChoice) -> bool {
     !choice.legs.iter().any(|leg| taken.iter().flatten().any(|other| other == leg))
 }
 
