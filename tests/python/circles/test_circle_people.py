@@ -69,6 +69,36 @@ def test_a_person_on_two_legs_is_one_element_and_a_person(seed):
     assert last.person_probability[near(last, start + velocity * 5.9)].max() > 0.9
 
 
+@pytest.mark.parametrize("seed", [4400, 4401])
+def test_arms_that_swing_do_not_swing_the_velocity(seed):
+    """A trunk that turns with its arms; the opposite, a sharp turn, is followed within a second."""
+    start, corner = np.array([2.5, -2.5]), 3.5
+
+    def place(time):
+        on, aside = min(time, corner), max(0.0, time - corner)
+        return start + np.array([aside, on])
+
+    def things(time):
+        turn = np.sin(2 * np.pi * 0.9 * time)
+        axes = np.array([(1.0, 0.0), (0.0, 1.0)]) if time < corner else np.array([(0, 1), (1, 0)])
+        at = place(time)
+        parts = [(*(at + side * 0.09 * axes[0]), 0.11) for side in (-1, 1)]
+        arms = [(*(at + side * (0.23 * axes[0] + 0.2 * turn * axes[1])), 0.045) for side in (-1, 1)]
+        return [*parts, *arms]
+
+    maps = run(things, seconds=5.0, seed=seed)
+    slips = []
+    for scan, found in enumerate(maps):
+        time = scan / RATE
+        if time < 1.5 or corner <= time < corner + 1.0:
+            continue
+        velocity = np.array([0.0, 1.0] if time < corner else [1.0, 0.0])
+        own = near(found, place(time))
+        assert len(own)
+        slips.append(np.linalg.norm(found.velocity[own] - velocity, axis=1).max())
+    assert np.sqrt(np.mean(np.square(slips))) < 0.15
+
+
 def test_people_who_pass_each_other_closely_stay_two():
     """Both were known for a second; at 3 s they are 0.3 m apart."""
     ways = [((2.5, -3.0), (0.0, 1.0)), ((2.8, 3.0), (0.0, -1.0))]

@@ -8,15 +8,15 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::RoundBody;
+use super::leg_shares::shared_out;
 use super::measurement::{BodyMeasurement, Legs};
+use super::places::apart;
 use nalgebra::Vector3;
 
 /// Largest radius of the circle that a leg shows [m]; trousers, and few rays.
 const THICKEST: f64 = 0.17;
 /// Longest step from leg to leg [m].
 const STEP: f64 = 0.75;
-/// Largest distance of a leg from the middle of its person [m].
-const REACH: f64 = 0.6;
 /// Shares of the points of two legs, and of each, that may have been surfaces before: one leg stands
 /// for half a step.
 const BOTH: f64 = 0.5;
@@ -50,7 +50,7 @@ pub(super) fn put_together(
         .collect();
     let people: Vec<Vector3<f64>> =
         bodies.iter().filter(|body| body.person.has_legs()).map(|body| body.place()).collect();
-    for own in shared_out(&people, seen, &free) {
+    for own in shared_out(&people, seen, &free, STEP) {
         match own[..] {
             [one, two, ..] if apart(&seen[one].circle.z, &seen[two].circle.z) < STEP => {
                 join(seen, wholes, [one, two]);
@@ -73,30 +73,6 @@ pub(super) fn put_together(
         join(seen, wholes, [one, two]);
         free.retain(|&leg| leg != one && leg != two);
     }
-}
-
-/// Legs of each known person, the nearest first: no more than two, and no leg of two people. Where
-/// people pass each other, the nearest person of a leg may have both of its own already.
-fn shared_out(
-    people: &[Vector3<f64>],
-    seen: &[BodyMeasurement],
-    free: &[usize],
-) -> Vec<Vec<usize>> {
-    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
-    for (number, person) in people.iter().enumerate() {
-        let near = free.iter().map(|&leg| (apart(person, &seen[leg].circle.z), number, leg));
-        pairs.extend(near.filter(|&(far, ..)| far < REACH));
-    }
-    pairs.sort_by(|one, two| one.0.total_cmp(&two.0).then((one.1, one.2).cmp(&(two.1, two.2))));
-    let mut owned = vec![Vec::new(); people.len()];
-    let mut is_taken = vec![false; seen.len()];
-    for (_, person, leg) in pairs {
-        if owned[person].len() < 2 && !is_taken[leg] {
-            owned[person].push(leg);
-            is_taken[leg] = true;
-        }
-    }
-    owned
 }
 
 impl RoundBody {
@@ -151,17 +127,13 @@ fn join(seen: &mut [BodyMeasurement], wholes: &mut [usize], [one, two]: [usize; 
     }
 }
 
-fn apart(one: &Vector3<f64>, two: &Vector3<f64>) -> f64 {
-    libm::hypot(one[0] - two[0], one[1] - two[1])
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::circles::map::circle_measurement::CircleMeasurement;
     use nalgebra::Matrix3;
 
-    fn leg(x: f64, y: f64, trace: f64) -> BodyMeasurement {
+    pub(in crate::circles::map::body) fn leg(x: f64, y: f64, trace: f64) -> BodyMeasurement {
         BodyMeasurement {
             circle: CircleMeasurement {
                 z: Vector3::new(x, y, 0.07),

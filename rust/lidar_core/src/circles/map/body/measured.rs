@@ -38,6 +38,13 @@ const RETURN: f64 = 11.8;
 /// Mean time for which a body is out of sight, if it comes back at all [s].
 const HIDDEN: f64 = 5.0;
 
+/// Time for which the centre of somebody who walks stays off by the same [s], and the least time
+/// between measurements that counts.
+const LASTS: f64 = 0.15;
+const SHORTEST: f64 = 0.01;
+/// Standard deviation of that error: of a trunk in its radii, and of a single leg [m].
+const SWAY: f64 = 0.1;
+const STRIDE: f64 = 0.2;
 /// Weight of the newest radius in the variance of radii, and its largest square [m^2].
 const ROUGHNESS: f64 = 0.1;
 const ROUGHEST: f64 = 0.01;
@@ -63,6 +70,23 @@ impl RoundBody {
         // As much as the fit states is chance.
         seen.R[(2, 2)] += (self.rough - seen.R[(2, 2)]).max(0.0);
         seen
+    }
+
+    /// Variance of the centre of somebody who walks, beyond that of one scan: arms swing, the trunk turns
+    /// and one leg is seen before the other, so that the same error lasts for a part of a step.
+    /// Measurements `dt` [s] after each other then tell little more than one of them. What is surely
+    /// round has no such parts.
+    pub(super) fn sway(&self, legs: Legs, dt: f64) -> f64 {
+        if !self.is_like_a_person() || self.stands {
+            return 0.0;
+        }
+        let std = match legs {
+            Legs::Two => return 0.0,
+            Legs::One => STRIDE,
+            Legs::None => SWAY * self.place()[2] * self.outline.doubt(),
+        };
+        // White noise of this variance has the same effect as one that lasts.
+        std * std * (1.0 + 2.0 * LASTS / dt.clamp(SHORTEST, LASTS))
     }
 
     /// The measurement by which the circle is corrected. One that is outside all gates is weighted

@@ -2,15 +2,17 @@
 
 #![allow(non_snake_case)] // textbook letters
 
-use super::places::{are_alike, is_one};
+use super::places::{apart, are_alike, is_one};
 use super::{BESIDE_FOR, BodyMeasurement, FARTHEST, KNOWN, MET, PERSON, RoundBody};
 use crate::circles::map::element::exceeds;
 use crate::circles::map::rules::Rules;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 /// Ratio of radii, and a length [m], up to which a measurement is of a body that is near.
 const ALIKE: f64 = 2.0;
 const SLACK: f64 = 0.05;
+/// Distance from the surface of what may show two people at once up to which both touch it [m].
+const TOUCH: f64 = 0.1;
 
 impl RoundBody {
     /// Bodies that were not measured but touch a measurement that none explains: a change of the
@@ -80,6 +82,30 @@ impl RoundBody {
         }
     }
 
+    /// What shows two people at once tells little of either: its centre is between them.
+    pub(super) fn share(bodies: &[&Self], seen: &mut [BodyMeasurement], wholes: &[usize]) {
+        let people: Vec<Vector3<f64>> =
+            bodies.iter().filter(|body| body.is_somebody()).map(|body| body.place()).collect();
+        let mut owners: Vec<Vec<usize>> = vec![Vec::new(); seen.len()];
+        for (number, person) in people.iter().enumerate() {
+            let own = (0..seen.len())
+                .filter(|&one| wholes[one] == one)
+                .map(|one| (apart(person, &seen[one].circle.z), one))
+                .min_by(|one, two| one.0.total_cmp(&two.0));
+            if let Some((off, one)) = own
+                && off < seen[one].circle.z[2].max(person[2]) + TOUCH
+            {
+                owners[one].push(number);
+            }
+        }
+        for (one, owners) in seen.iter_mut().zip(owners) {
+            let [first, second, ..] = owners[..] else { continue };
+            let spread = apart(&people[first], &people[second]) + TOUCH;
+            one.circle.R += Matrix3::identity() * (spread * spread);
+            (one.round, one.outline, one.look, one.hull) = (None, None, None, None);
+        }
+    }
+
     /// True if it is a person, and surely no part of another one.
     pub(super) fn is_somebody(&self) -> bool {
         self.is_like_a_person() && self.is_its_own()
@@ -103,13 +129,71 @@ impl RoundBody {
 
     /// Distance of a circle from the body [m].
     pub(super) fn apart(&self, z: &Vector3<f64>) -> f64 {
-        let place = self.place();
-        libm::hypot(place[0] - z[0], place[1] - z[1])
+        apart(&self.place(), z)
     }
 
     /// True if a measurement may be of this body by its size. A large body and what stands inside
     /// its circle are two objects.
     pub(super) fn is_alike(&self, seen: &BodyMeasurement) -> bool {
         are_alike(self.place()[2], seen.circle.z[2])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::legs::tests::leg;
+    use super::super::measurement::Legs;
+    use super::super::person::Gait;
+    use super::*;
+    use crate::Error;
+    use crate::circles::map::element::State;
+    use crate::circles::map::{CircleMapParameters, ElementFilter};
+
+    /// Somebody who was measured here for long enough and walks, with a trunk of this kind.
+    fn person(x: f64, is_round: bool) -> Result<RoundBody, Error> {
+        let parameters = CircleMapParameters::default();
+        let ElementFilter::Independent(independent) = parameters.filter else {
+            return Err(Error::NotPositiveDefinite { matrix: "none" });
+        };
+        let rules = Rules::new(independent, parameters.gate_probability, parameters.initial_speed)?;
+        let mut body = RoundBody::new(&leg(x, 0.0, 0.0), std::iter::empty(), &rules);
+        let gait = Gait { legs: Legs::None, speed: 1.0, radius: 0.2, is_angular: false };
+        (0..40).for_each(|_| body.person.hear(&gait, 0.1));
+        (body.known, body.stands) = (3.0, false);
+        (0..200).for_each(|_| body.outline.doubted(!is_round));
+        Ok(body)
+    }
+
+    #[test]
+    fn what_shows_two_people_is_uncertain_and_what_shows_one_is_not() -> Result<(), Error> {
+        let (one, two) = (person(2.0, true)?, person(2.2, true)?);
+        let between = [leg(2.1, 0.0, 0.0)];
+        let sure = between[0].circle.R;
+        for (people, own, is_shared) in [
+            (vec![&one, &two], between.to_vec(), true),
+            (vec![&one], between.to_vec(), false),
+            (vec![&one, &two], vec![leg(2.0, 0.0, 0.0), leg(2.2, 0.0, 0.0)], false),
+        ] {
+            let (mut seen, wholes) = (own.clone(), (0..own.len()).collect::<Vec<_>>());
+            RoundBody::share(&people, &mut seen, &wholes);
+            for one in seen {
+                assert_eq!(one.circle.R != sure, is_shared);
+                assert!(!is_shared || one.circle.R[(0, 0)] > 0.03);
+            }
+        }
+        Ok(())
+    }
+
+    /// The same error over a time, whatever the rate of the scans; none of what is round or stands.
+    #[test]
+    fn who_walks_sways_for_a_part_of_a_step() -> Result<(), Error> {
+        let mut body = person(2.0, false)?;
+        let [fast, slow] = [0.025, 0.05].map(|dt| body.sway(Legs::None, dt) * dt);
+        assert!(fast > 0.0 && (fast / slow - 1.0).abs() < 0.1);
+        assert!(body.sway(Legs::One, 0.05) > 0.1 && body.sway(Legs::Two, 0.05) == 0.0);
+        assert_eq!(person(2.0, true)?.sway(Legs::None, 0.05), 0.0);
+        body.stands = true;
+        assert_eq!(body.sway(Legs::None, 0.05), 0.0);
+        Ok(())
     }
 }

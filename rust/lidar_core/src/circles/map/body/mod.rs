@@ -5,6 +5,7 @@
 mod body_box;
 mod face;
 pub(super) mod hull;
+mod leg_shares;
 mod legs;
 pub(super) mod look;
 mod measured;
@@ -197,6 +198,7 @@ impl State for RoundBody {
         }
         if rules.has_standing() {
             legs::put_together(&bodies, &mut measurements, &mut wholes);
+            Self::share(&bodies, &mut measurements, &wholes);
         }
         (measurements, wholes)
     }
@@ -235,15 +237,20 @@ impl State for RoundBody {
         self.is_in_free = seen.is_in_free();
         self.person.hear(&self.gait(seen.legs), self.waiting);
         self.known += self.waiting;
+        let sway = self.sway(seen.legs, self.waiting);
         (self.waits, self.waiting) = (0, 0.0);
         if let Some(look) = seen.look {
             self.looks.add(look, &self.place(), &used.R);
         }
-        let weighted = self.weighted(&used, seen.trace, rules)?;
+        let mut weighted = self.weighted(&used, seen.trace, rules)?;
         if !rules.has_standing() {
             return self.circle.correct(&weighted, None);
         }
-        let part = self.of_part(&self.noisy(&used));
+        let mut part = self.of_part(&self.noisy(&used));
+        for axis in 0..2 {
+            weighted.R[(axis, axis)] += sway;
+            part.R[(axis, axis)] += sway;
+        }
         self.circle.correct(&weighted, Some((&part, self.share_of_parts(), seen.evidence())))
     }
 

@@ -18,6 +18,11 @@ pub(super) fn are_alike(one: f64, two: f64) -> bool {
     most < LARGE || least >= LEAST_RATIO * most
 }
 
+/// Distance between two centres [m].
+pub(super) fn apart(one: &Vector3<f64>, two: &Vector3<f64>) -> f64 {
+    libm::hypot(one[0] - two[0], one[1] - two[1])
+}
+
 /// True if two circles (x, y, r) are one object.
 pub(super) fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
     let gap = rules.parameters().merge_gap;
