@@ -144,6 +144,7 @@ class SkyOracle:
 
     voxel_size: float
     max_range: float
+    has_rows: bool = False
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, F32))
     surface: np.ndarray = field(default_factory=lambda: np.full(CELLS, np.inf, F32))
     surface_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, -(2**62)))
@@ -190,7 +191,8 @@ class SkyOracle:
         ranges, heights = length[is_sample], turned[is_sample, 2]
         before, has_returned = self.evidence, np.isfinite(self.surface)
         expected = self._expect(hits, turn, stamp_ns)
-        is_lost = _lost(has_returned & (before < 1), hits, cell_of(all_found), expected, turn)
+        lately = has_returned & (before < 1) & self.has_rows
+        is_lost = _lost(lately, hits, cell_of(all_found), expected, turn)
         self.evidence[is_lost] = (before + np.minimum(expected, F32(0.25)))[is_lost]
         self._remember(hits, nearest, stamp_ns)
         limit = self._limits(stamp_ns)

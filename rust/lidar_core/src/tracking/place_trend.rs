@@ -23,7 +23,7 @@ pub struct Slope {
 
 /// A place that was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-struct MeasuredPlace {
+struct PlaceAt {
     stamp_ns: i64,
     /// [m].
     place: [f64; 3],
@@ -41,7 +41,7 @@ struct MeasuredPlace {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaceTrend {
     /// Oldest first.
-    places: Vec<MeasuredPlace>,
+    places: Vec<PlaceAt>,
 }
 
 impl PlaceTrend {
@@ -56,7 +56,7 @@ impl PlaceTrend {
         if self.places.len() == KEPT {
             self.places.remove(0);
         }
-        self.places.push(MeasuredPlace { stamp_ns, place, told });
+        self.places.push(PlaceAt { stamp_ns, place, told });
         stamp_ns.saturating_sub(last) as f64 * 1e-9
     }
 
@@ -71,7 +71,7 @@ impl PlaceTrend {
     pub fn slope(&self, axis: usize) -> Option<Slope> {
         let first = self.places.first().filter(|_| self.places.len() >= 3)?;
         let count = self.places.len() as f64;
-        let point = |one: &MeasuredPlace| {
+        let point = |one: &PlaceAt| {
             let time = one.stamp_ns.saturating_sub(first.stamp_ns) as f64 * 1e-9;
             [time, one.place[axis] - first.place[axis]]
         };

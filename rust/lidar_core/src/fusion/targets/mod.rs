@@ -1,6 +1,7 @@
 //! Targets over time: one or many, whole recordings, maximum likelihood noise.
 
 pub mod any_filter;
+mod correction;
 pub mod lifecycle;
 pub mod many;
 pub mod noise_search;

@@ -14,11 +14,14 @@ const LATELY: f32 = 1.0;
 const LOST_RAYS: f32 = 0.25;
 
 impl SkyObservation {
-    /// Find the columns of azimuth of the sensor of which nothing came, beside each other, where much returned
+    /// Find the columns of azimuth of a sensor with rows of which nothing came, beside each other, where much returned
     /// lately. What was cast there is not known, so it is no evidence of sky.
     pub(super) fn find_lost(&mut self, sky: &Sky, map_from_lidar: &Transform) {
         self.is_lost.clear();
         self.is_lost.resize(CELLS, false);
+        if !self.has_rows {
+            return; // patterns that never repeat leave out other directions in every scan
+        }
         let mut returns = [false; COLUMNS];
         for (&column, &count) in GRID.columns.iter().zip(&self.of_sensor) {
             returns[usize::from(column)] |= count > 0;

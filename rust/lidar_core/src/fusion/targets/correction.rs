@@ -1,6 +1,6 @@
 //! Correction of the predicted state by a measurement; start of the target; motion of the platform.
 
-use super::{MeasurementResult, Target};
+use super::target::{MeasurementResult, Target};
 use crate::Error;
 use crate::fusion::filter::engine::{Engine, Innovation};
 use crate::fusion::models::platform::GyroUse;

@@ -1,7 +1,5 @@
 //! One target over time: start, prediction, gate, correction, loss.
 
-mod correction;
-
 use super::lifecycle::{LifecycleRules, Outcome};
 use super::phase::{CvOf, FilterRules, Now, Phase, PhaseOf, SavedNow, blended};
 use super::sensor_errors::SensorErrors;
@@ -43,11 +41,11 @@ struct Ahead<P> {
 /// A filter of one target.
 #[derive(Clone)]
 pub struct Target<E: Engine, S> {
-    rules: FilterRules<E, S>,
-    now: Now<PhaseOf<E>>,
+    pub(super) rules: FilterRules<E, S>,
+    pub(super) now: Now<PhaseOf<E>>,
     ahead: Option<Ahead<PhaseOf<E>>>,
     /// Variance of the speed of a target seen first [m^2/s^2]; None for that of the prior.
-    first_speed: Option<f64>,
+    pub(super) first_speed: Option<f64>,
     /// Recent measurements, each with the state after it.
     history: VecDeque<(Measurement, Now<PhaseOf<E>>)>,
 }
