@@ -6,7 +6,7 @@ SHARES = np.array([0.02, 0.3, 0.3, 0.33, 0.05])
 KEPT, TOLD, ALIKE = 12, 1.0, 0.9
 WANDERS, SPEEDS, RESTS, REST, MOST = 0.05, (1.0, 0.3, 0.1, 0.03), 0.3, 10.0, 5.0
 STANDS = 0.95
-CLIMBS, LEVEL, SLOPES, CRUISES = 1.0, 0.1, 0.1, 0.5
+CLIMBS, LEVEL, SLOPES, CRUISES, FEWEST_OF_CLIMB = 1.0, 0.1, 0.1, 0.5, 6
 LEAST = 1e-6
 
 
@@ -64,7 +64,7 @@ def see(track, stamp, place, told, speed, *, in_space=False):
     rest = min(1 / count, dt / REST) if belief[3] < STANDS else 0.0
     moves = np.exp(min(moves, MOST) / count if moves > 0 else moves * rest)
     belief = weighed(belief, [np.sqrt(moves), moves, moves, 1.0, moves])
-    if in_space:
+    if in_space and count >= FEWEST_OF_CLIMB:
         level = LEVEL**2 + (SLOPES * np.hypot(*velocity[:2])) ** 2
         climb = velocity[2], variance[2]
         ratio = density(climb[0], climb[1] + level + CLIMBS**2, freedom) / density(

@@ -26,6 +26,8 @@ const STANDS: f64 = 0.95;
 const CLIMBS: f64 = 1.0;
 const LEVEL: f64 = 0.1;
 const SLOPES: f64 = 0.1;
+/// Fewer places tell no rate of climb: one car in two would seem to climb a little more steeply than its road.
+const FEWEST_OF_CLIMB: usize = 6;
 /// Share of the time for which what flies neither climbs nor sinks.
 const CRUISES: f64 = 0.5;
 
@@ -77,7 +79,8 @@ impl TargetKinds {
             0.0
         };
         self.weigh(moves, [1.0, 1.0, 0.0, 1.0]);
-        if let Some(climb) = self.trend.slope(2).filter(|_| is_in_space) {
+        let tells_climb = is_in_space && self.trend.count() >= FEWEST_OF_CLIMB;
+        if let Some(climb) = self.trend.slope(2).filter(|_| tells_climb) {
             let flies = weight * climbing(&climb, libm::hypot(x.velocity, y.velocity));
             self.weigh(flies, [1.0, 0.0, 0.0, 0.0]);
         }
