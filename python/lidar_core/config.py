@@ -182,7 +182,7 @@ def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError
 
 def in_file(error: ConfigError, path: str | Path) -> ConfigError:
     """The error of values that a file holds; of a file of an earlier version with the cure."""
-    cure = f"\n`lidar-core config migrate {path}` writes it without these"
+    cure = f"\n`lidar-core config migrate {path} -o NEW` writes a file without these"
     return ConfigError(f"{path}: {error}{cure if _OLD in str(error) else ''}")
 
 

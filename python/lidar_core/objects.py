@@ -375,14 +375,14 @@ class TargetTracks(ObjectTable):
         Probability that there is a target; NaN for associations that do not estimate it.
     kind : ndarray, shape (T,), uint8
         A `TrackKind`: the one that is more probable than all others together, UNKNOWN if there is
-        none. STATIC stands for some 10 s, and what has moved for two minutes; CLUTTER are
-        false measurements. What moves is FLYING if it climbs steeper than roads do, in space. Else
-        nothing tells FLYING from GROUND: it is UNKNOWN, as are all by the model "ctrv-drone",
-        whose frame moves.
+        none. STATIC: it has stood for some 10 s, or for two minutes if it moved before. CLUTTER:
+        false measurements. FLYING: in space, if it climbs more steeply than roads do. All else
+        that moves is UNKNOWN, since nothing tells FLYING from GROUND; so is everything with the
+        model "ctrv-drone", whose frame moves.
     kind_probability : ndarray, shape (T, 5)
-        Probability of every `TrackKind`, by number; of what is not told apart equal ones. That of
-        CLUTTER is what the association says, as of the last measurement; with "nearest" it does
-        not.
+        Probability of every `TrackKind`, by number. Kinds that are not told apart have equal
+        probabilities. That of CLUTTER is what the association says, as of the last measurement;
+        "nearest" says nothing of it.
     """
 
     stamp_ns: int

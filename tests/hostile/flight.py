@@ -131,7 +131,7 @@ def main() -> int:
         f" {'nowhere' if full_at is None else f'{full_at / 1000:.0f} km'}: refused {refused},"
         f" growth {growth:.1f} MiB, kilometres with the ball below {SEEN:g}: {lost}"
     )
-    return int(refused > 0 or growth > chosen.growth or lost > 0)
+    return int(full_at is None or refused > 0 or growth > chosen.growth or lost > 0)
 
 
 if __name__ == "__main__":

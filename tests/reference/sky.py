@@ -193,7 +193,7 @@ class SkyOracle:
         expected = self._expect(hits, turn, stamp_ns)
         lately = has_returned & (before < 1) & self.has_rows
         is_lost = _lost(lately, hits, cell_of(all_found), expected, turn)
-        self.evidence[is_lost] = (before + np.minimum(expected, F32(0.25)))[is_lost]
+        self.evidence[is_lost] = (before + F32(0.25))[is_lost]
         self._remember(hits, nearest, stamp_ns)
         limit = self._limits(stamp_ns)
         visible = min(0.8 * ranked(ranges, 0.98), self.max_range)
@@ -294,7 +294,7 @@ class SkyOracle:
         is_same = np.linalg.norm(origin - self.place) <= 0.5
         is_same &= self.last_ns is None or stamp_ns - self.last_ns <= 1_000_000_000
         began = np.where(is_same & (self.since_ns >= 0), self.since_ns, stamp_ns)
-        since = np.where(is_sky, began, np.where(is_lost, self.since_ns, -1))
+        since = np.where(is_sky, began, np.where(is_lost & is_same, self.since_ns, -1))
         seen.is_sky, all_rays = is_sky, seen.expected.sum(dtype=float)
         seen.share = float(seen.expected[is_sky].sum(dtype=float) / all_rays) if all_rays else 0.0
         if state_at is not None:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from copy import deepcopy
 from typing import Any, NamedTuple
 
@@ -98,5 +99,6 @@ def _put(
     if name not in table:
         usual = next(one.model_fields[name].default for one in models if name in one.model_fields)
         table[name] = [list(one) if isinstance(one, tuple) else one for one in usual]
-    for entry in table[name] if moved[2] else [table[name]]:
-        entry[index] = value
+    with suppress(TypeError, IndexError):  # the next reading tells what is wrong with the list
+        for entry in table[name] if moved[2] else [table[name]]:
+            entry[index] = value

@@ -53,6 +53,21 @@ def test_a_value_of_each_entry_goes_into_all_of_them():
     assert [entry[::2] for entry in found] == [entry[::2] for entry in usual]
 
 
+@pytest.mark.parametrize(
+    ("model", "old"),
+    [
+        (FlyingConfig, {"tracker": {"radius_max": 9.0, "radius_limits": [0.1]}}),
+        (FlyingConfig, {"tracker": {"radius_max": 9.0, "radius_limits": 3}}),
+        (CirclesConfig, {"map": {"mode_weight": 0.5, "modes": [0.1]}}),
+    ],
+)
+def test_a_list_that_is_wrong_is_told_by_the_reading(model, old):
+    values, changes = migrated(model, old)
+    assert len(changes) == 1
+    with pytest.raises(ConfigError, match=r"radius_limits|modes"):
+        model.load(values)
+
+
 def test_tables_of_a_chosen_kind_are_found():
     sensor = {"kind": "stop_and_go", "start": [0, 0, 1], "velocity": [1, 0, 0], "ramp": 2.0}
     values, (change,) = migrated(Scene, {"sensor": sensor})
@@ -86,7 +101,8 @@ def old_file(folder):
 
 def test_the_error_names_the_command_and_the_command_writes_a_file_that_loads(tmp_path):
     file, new = old_file(tmp_path), tmp_path / "new.toml"
-    told = rf"loss_window: is no parameter any more: .*\n`lidar-core config migrate {file}` writes"
+    cure = f"`lidar-core config migrate {file} -o NEW` writes"
+    told = rf"loss_window: is no parameter any more: .*\n{cure}"
     with pytest.raises(ConfigError, match=told):
         FusionConfig.read(file)
     shown = invoke("config", "show", file)

@@ -107,7 +107,10 @@ def migrate(
     model: ModelOption = None,
     overwrite: OverwriteFile = False,
 ) -> None:
-    """Write FILE, of an earlier version, with the parameters that there still are."""
+    """Write FILE, of an earlier version, without the parameters that are gone.
+
+    Values that have moved go along; comments do not.
+    """
     import tomli_w
 
     from lidar_core.parameters import model_named, toml_value

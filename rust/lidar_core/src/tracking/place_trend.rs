@@ -53,7 +53,7 @@ impl PlaceTrend {
             return 0.0;
         }
         let last = self.places.last().map_or(stamp_ns, |last| last.stamp_ns);
-        if self.places.len() == KEPT {
+        if self.places.len() >= KEPT {
             self.places.remove(0);
         }
         self.places.push(PlaceAt { stamp_ns, place, told });
@@ -66,10 +66,10 @@ impl PlaceTrend {
         self.places.len()
     }
 
-    /// Velocity along one axis; None for less than three places, or if they are of one time.
+    /// Velocity along one axis of three; None for less than three places, or if they are of one time.
     #[must_use]
     pub fn slope(&self, axis: usize) -> Option<Slope> {
-        let first = self.places.first().filter(|_| self.places.len() >= 3)?;
+        let first = self.places.first().filter(|_| self.places.len() >= 3 && axis < 3)?;
         let count = self.places.len() as f64;
         let point = |one: &PlaceAt| {
             let time = one.stamp_ns.saturating_sub(first.stamp_ns) as f64 * 1e-9;

@@ -12,6 +12,8 @@ const KEPT_NS: i64 = 60_000_000_000;
 /// Largest numbers of scans and of measurements of a scanner that are kept.
 const MOST_SCANS: usize = 300;
 const MOST_PLACES: usize = 4096;
+/// No log has dropped more: saved states say otherwise only if they are forged.
+const FARTHEST: u64 = u64::MAX / 2;
 
 /// What a scanner has measured, kept once for all states of a tracker that know parts of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -41,6 +43,13 @@ impl PlaceLog {
     pub fn forget(&mut self, oldest: &StandingClutter) {
         drop_front(&mut self.scans, &mut self.dropped[0], oldest.scans[0]);
         drop_front(&mut self.places, &mut self.dropped[1], oldest.places[0]);
+    }
+
+    /// Drop what `newest`, the newest state, does not know.
+    pub fn end_with(&mut self, newest: &StandingClutter) {
+        let count = |end: u64, dropped: u64| end.saturating_sub(dropped) as usize;
+        self.scans.truncate(count(newest.scans[1], self.dropped[0]));
+        self.places.truncate(count(newest.places[1], self.dropped[1]));
     }
 
     /// Number of places that are kept.
@@ -77,7 +86,10 @@ impl StandingClutter {
     #[must_use]
     pub fn is_of(&self, log: &PlaceLog) -> bool {
         let is_inside = |[first, end]: [u64; 2], dropped: u64, count: usize| {
-            dropped <= first && first <= end && end <= dropped.saturating_add(count as u64)
+            dropped <= FARTHEST
+                && dropped <= first
+                && first <= end
+                && end <= dropped.saturating_add(count as u64)
         };
         is_inside(self.scans, log.dropped[0], log.scans.len())
             && is_inside(self.places, log.dropped[1], log.places.len())
@@ -100,8 +112,7 @@ impl StandingClutter {
         if last.is_some_and(|last| stamp_ns.saturating_sub(*last) < apart) {
             return;
         }
-        log.scans.truncate((self.scans[1] - log.dropped[0]) as usize);
-        log.places.truncate((self.places[1] - log.dropped[1]) as usize);
+        log.end_with(self);
         log.scans.push(stamp_ns);
         log.places.extend(found);
         self.scans[1] = log.dropped[0] + log.scans.len() as u64;
@@ -132,7 +143,7 @@ impl StandingClutter {
             near.clear();
             index.collect(&Rectangle::around(*at, [*half; 2]), &mut near);
             let Some(first) = near.iter().map(|number| old[*number].0).min() else { return 0.0 };
-            let since = scans - looks.partition_point(|stamp| *stamp < first);
+            let since = scans.saturating_sub(looks.partition_point(|stamp| *stamp < first));
             near.len() as f64 / ((PRIOR + since as f64) * 4.0 * half * half)
         };
         places.iter().map(density).collect()

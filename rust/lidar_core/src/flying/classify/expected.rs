@@ -12,9 +12,6 @@ use crate::geometry::transform::{minus, norm};
 
 /// Points this far outside the box of a target may be its own: it brakes before a wall [m].
 const MARGIN: f64 = 0.25;
-/// Of a target that has stood, the map may hold itself this far outside its box, from the first scan in which it
-/// moves [m].
-const OWN: f64 = 0.5;
 /// No target is taken for smaller than this [m].
 const SMALLEST: f64 = 0.3;
 /// Share of the points of a target that lie where nothing stands, and of one that begins to move.
@@ -126,8 +123,8 @@ impl<'a> ExpectedIn<'a> {
     }
 }
 
-/// True if a place is where a target has stood: what the map holds there is that target.
+/// True if a place is where a target has stood, or may have gone to: what the map holds there is that target.
 fn is_own_place(target: &ExpectedTarget, place: [f64; 3]) -> bool {
     let away = minus(place, target.position);
-    target.has_stood && (0..3).all(|axis| away[axis].abs() <= 0.5 * target.size[axis] + OWN)
+    target.has_stood && (0..3).all(|axis| away[axis].abs() <= target.half[axis])
 }

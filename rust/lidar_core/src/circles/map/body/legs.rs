@@ -52,7 +52,7 @@ pub(super) fn put_together(
         bodies.iter().filter(|body| body.person.has_legs()).map(|body| body.place()).collect();
     for own in shared_out(&people, seen, &free, STEP) {
         match own[..] {
-            [one, two, ..] if apart(&seen[one].circle.z, &seen[two].circle.z) < STEP => {
+            [one, two, ..] => {
                 join(seen, wholes, [one, two]);
                 free.retain(|&leg| leg != one && leg != two);
             }

@@ -85,7 +85,8 @@ impl RoundBody {
             Legs::One => STRIDE,
             Legs::None => SWAY * self.place()[2] * self.outline.doubt(),
         };
-        // White noise of this variance has the same effect as one that lasts.
+        // White noise of this variance has the same effect as one that lasts. After a gap it counts as three
+        // times one scan, too: there, a part of a step is all that was seen.
         std * std * (1.0 + 2.0 * LASTS / dt.clamp(SHORTEST, LASTS))
     }
 

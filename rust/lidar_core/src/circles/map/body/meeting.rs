@@ -89,7 +89,7 @@ impl RoundBody {
         let mut owners: Vec<Vec<usize>> = vec![Vec::new(); seen.len()];
         for (number, person) in people.iter().enumerate() {
             let own = (0..seen.len())
-                .filter(|&one| wholes[one] == one)
+                .filter(|&one| wholes[one] == one && are_alike(person[2], seen[one].circle.z[2]))
                 .map(|one| (apart(person, &seen[one].circle.z), one))
                 .min_by(|one, two| one.0.total_cmp(&two.0));
             if let Some((off, one)) = own
@@ -169,10 +169,13 @@ mod tests {
         let (one, two) = (person(2.0, true)?, person(2.2, true)?);
         let between = [leg(2.1, 0.0, 0.0)];
         let sure = between[0].circle.R;
+        let mut large = leg(2.9, 0.0, 0.0);
+        large.circle.z[2] = 1.5;
         for (people, own, is_shared) in [
             (vec![&one, &two], between.to_vec(), true),
             (vec![&one], between.to_vec(), false),
             (vec![&one, &two], vec![leg(2.0, 0.0, 0.0), leg(2.2, 0.0, 0.0)], false),
+            (vec![&one, &two], vec![large], false), // a column that hides both
         ] {
             let (mut seen, wholes) = (own.clone(), (0..own.len()).collect::<Vec<_>>());
             RoundBody::share(&people, &mut seen, &wholes);

@@ -8,9 +8,9 @@ use crate::geometry::transform::Transform;
 /// Columns beside each other, and cells in them, that return nothing any more: targets are smaller.
 const FEWEST_COLUMNS: usize = 3;
 const FEWEST_CELLS: usize = 6;
-/// A cell counts as one that returns if fewer rays went into it since ...
+/// A cell returned lately if fewer rays than this went into it since its last return.
 const LATELY: f32 = 1.0;
-/// ... of which a scan with lost data adds so many: after four of them in a row, nothing is there.
+/// A scan with lost data counts as so many rays: four of them in a row show that nothing is there.
 const LOST_RAYS: f32 = 0.25;
 
 impl SkyObservation {
@@ -62,7 +62,7 @@ impl SkyObservation {
             let beside = [column, (column + 1) % COLUMNS, (column + COLUMNS - 1) % COLUMNS];
             if beside.into_iter().any(|column| is_lost[column]) {
                 self.is_lost[cell] = true;
-                self.evidence[cell] = sky.evidence[cell] + self.expected[cell].min(LOST_RAYS);
+                self.evidence[cell] = sky.evidence[cell] + LOST_RAYS;
             }
         }
     }

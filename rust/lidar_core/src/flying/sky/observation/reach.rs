@@ -41,7 +41,9 @@ impl SkyObservation {
         for cell in 0..CELLS {
             all += f64::from(self.expected[cell]);
             if self.is_lost[cell] {
-                self.since_ns[cell] = sky.since_ns[cell];
+                if is_same_place {
+                    self.since_ns[cell] = sky.since_ns[cell];
+                }
                 continue;
             }
             let is_sky = self.is_empty[cell] && self.reach_of(cell, visible) >= LEAST_REACH;

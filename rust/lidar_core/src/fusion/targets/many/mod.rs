@@ -198,7 +198,10 @@ impl ManyTargets {
                 Err(error) => {
                     match places {
                         Some(places) => self.places = places,
-                        None => self.tracks = before,
+                        None => {
+                            before.keep_known(&mut self.places);
+                            self.tracks = before;
+                        }
                     }
                     return Err(error);
                 }
@@ -211,6 +214,7 @@ impl ManyTargets {
         self.history.extend(redone);
         (self.tracks, self.next_id, self.work) = (tracks, next_id, work);
         self.stamp_ns = self.stamp_ns.max(Some(stamp_ns));
+        self.tracks.keep_known(&mut self.places);
         self.forget();
         Ok(assigned)
     }

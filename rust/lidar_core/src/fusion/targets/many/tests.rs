@@ -139,6 +139,20 @@ fn a_refused_scan_changes_nothing() -> Result<(), Error> {
     Ok(())
 }
 
+/// Places that a refused scan had added are dropped, too.
+#[test]
+fn a_scan_of_too_many_targets_leaves_the_state_as_it_was() -> Result<(), Error> {
+    let mut tracker = ManyTargets::new(&ManyParameters { report_speed: 0.4, ..parameters()? })?;
+    let row = |y: f64| (0..MAX_TARGETS).map(|x| [50.0 * x as f64, y]).collect::<Vec<_>>();
+    tracker.process(0, 0, &scan(0, &row(0.0))?)?;
+    let before = tracker.to_state()?;
+    let stamp_ns = 100_000_000;
+    let refused = tracker.process(stamp_ns, 0, &scan(stamp_ns, &row(5000.0))?);
+    assert!(matches!(refused, Err(Error::Limit { .. })));
+    assert!(tracker.to_state()? == before);
+    Ok(())
+}
+
 #[test]
 fn windows_that_cannot_be_are_refused() -> Result<(), Error> {
     for (confirm_hits, confirm_window) in [(0, 3), (4, 3), (3, 65)] {

@@ -109,6 +109,15 @@ impl Tracks {
         }
     }
 
+    /// Drop the places that these tracks, the newest, do not know: scans that were refused had added them.
+    pub fn keep_known(&self, places: &mut BTreeMap<u8, PlaceLog>) {
+        places.retain(|source, log| {
+            let own = self.standing.get(source);
+            own.into_iter().for_each(|own| log.end_with(own));
+            own.is_some()
+        });
+    }
+
     /// Number of tracks.
     #[must_use]
     pub fn len(&self) -> usize {
