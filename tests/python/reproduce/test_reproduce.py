@@ -226,6 +226,7 @@ def two_items(monkeypatch):
 
 
 NIGHTLY = {
+    "flying-false-tracks",
     "flying-real",
     "flying-situations",
     "circles-real",
@@ -233,7 +234,8 @@ NIGHTLY = {
     "circles-table5",
     "circles-fig8",
 }
-"""Items that take minutes even in short; tables 4 and 5 and figure 8 run as figure 7 does."""
+"""Items that take minutes even in short; tables 4 and 5 and figure 8 run as figure 7 does, and
+false tracks as `flying-drivers` does."""
 
 
 @pytest.mark.parametrize(
