@@ -14,9 +14,7 @@ from pathlib import Path
 import numpy as np
 
 STEP = 2.5
-"""Way between two scans [m]: 25 m/s at 10 Hz. At twice that nothing beside the way is met often
-enough to be surely occupied: only the place of the start is, and once the map has forgotten it,
-nothing is found."""
+"""Way between two scans [m]: 25 m/s at 10 Hz."""
 EVERY = 1000
 """Metres between two lines."""
 SEEN = 0.85

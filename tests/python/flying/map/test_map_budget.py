@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 import lidar_core as lc
 from lidar_core.cli import app
 from lidar_core.errors import LimitError
+from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 
 BLOCK = 8  # voxels along the edge of what is stored at once
 SIZE = 0.25
@@ -183,3 +184,31 @@ def test_a_budget_below_one_block_is_refused(budget):
     with pytest.raises(lc.ConfigError, match="max_voxels"):
         lc.VoxelMapConfig(max_voxels=budget)
     assert lc.VoxelMapConfig(max_voxels=512).max_voxels == 512
+
+
+def test_the_background_stays_known_when_its_place_is_forgotten_and_goes_with_the_map():
+    """A fast, sparse sensor surely knows the place of its start, and nothing beside the way."""
+    from hostile import flight
+
+    chosen = {"voxel_map": {"max_voxels": 4_000_000}}
+    detector = FlyingObjectDetector(FlyingConfig.load(chosen))
+    rays, noise, pose = flight.sights(450), np.random.default_rng(0), np.eye(4)
+
+    def frame_at(number):
+        x = 5.0 * number
+        pose[:3, 3] = x, 0.0, flight.HEIGHT
+        ball = np.array([x + 7, 2 * np.sin(number / 57), flight.HEIGHT + np.cos(number / 40)])
+        points = flight.scan(x, ball, rays, noise)
+        frame = detector.process(points, pose, number * 10**8)
+        flying = frame.tracks.flying.position
+        return frame, len(flying) > 0 and np.linalg.norm(flying - ball, axis=1).min() < 1.0
+
+    seen = 0
+    for number in range(70):
+        seen += frame_at(number)[1] and detector.health().n_voxels_forgotten > 0
+    after = [frame_at(number) for number in range(70, 90)]
+    assert detector.health().n_voxels_forgotten > 0
+    assert np.mean([tracked for _, tracked in after]) >= 0.95
+    detector.reset()
+    frame, _ = frame_at(90)
+    assert not frame.status.gate_open

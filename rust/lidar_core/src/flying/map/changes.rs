@@ -25,7 +25,8 @@ pub(crate) struct Changes {
     pub(super) lost: Vec<Layer>,
     /// The parameters of the last removal; with others every component is looked at.
     pub(super) settled_with: Option<Separation>,
-    /// A voxel of a component that had enough confident voxels.
+    /// A voxel of a component that had enough confident voxels. It stays when the map forgets its
+    /// block: what was not seen to go is still there.
     pub(super) anchor: Option<Voxel>,
     /// Memory that the searches use again.
     pub(super) search_memory: SearchMemory,
@@ -79,7 +80,8 @@ impl Changes {
 
     /// Forget the history: the next removal looks at every component.
     pub(crate) fn restart(&mut self) {
-        *self = Self { kept: std::mem::take(&mut self.kept), ..Self::default() };
+        let (kept, anchor) = (std::mem::take(&mut self.kept), self.anchor);
+        *self = Self { kept, anchor, ..Self::default() };
     }
 }
 

@@ -61,6 +61,7 @@ impl VoxelMap {
         };
         let memory = std::mem::take(&mut self.changes.search_memory);
         let Changes { anchor, gained, lost, kept, .. } = &self.changes;
+        let forgotten = anchor.filter(|&voxel| self.blocks.slot(Place::of(voxel)).is_none());
         let min_confident = separation.min_confident;
         let mut search = Search::new(&self.blocks, &neighbours, kept, min_confident, memory);
         // The known background first: most other searches end where they reach it.
@@ -74,11 +75,12 @@ impl VoxelMap {
             search.trust_last();
             search.look_around(gained);
         }
-        if search.anchor().is_none() && !looks_at_all {
+        if search.anchor().is_none() && forgotten.is_none() && !looks_at_all {
             // The known background is gone: is there another?
             search.look_around(&self.occupied_layers());
         }
-        let anchor = search.anchor();
+        // With the place forgotten, too, things are as separate as in a map that holds it still.
+        let anchor = search.anchor().or(forgotten);
         let mut memory = search.finish();
         let mut separate = std::mem::take(&mut memory.separate);
         self.changes.search_memory = memory;
@@ -129,8 +131,8 @@ impl VoxelMap {
         }
     }
 
-    /// True if some group of occupied voxels holds enough confident ones, as of the last
-    /// removal: without that, "separate" has no meaning.
+    /// True if some group of occupied voxels holds enough confident ones, as of the last removal, or
+    /// held them when the map forgot its place: without that, "separate" has no meaning.
     #[must_use]
     pub fn has_background(&self) -> bool {
         self.changes.anchor.is_some()
