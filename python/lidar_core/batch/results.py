@@ -71,14 +71,10 @@ class JobRecord:
     def write(self, folder: Path, *, is_first: bool = False) -> None:
         """Write job.json, whole or not at all; `is_first`: no earlier one has to be replaced.
 
-        The first need not be on the disk before the job goes on: a job without a record, or with
-        half of one, begins again.
+        The first need not be on the disk before the job goes on: a job without one begins again.
         """
         text = json.dumps(asdict(self), indent=2) + "\n"
-        if is_first:
-            (folder / NOTE).write_text(text, encoding="utf-8")
-            return
-        with written_whole(folder / NOTE) as temporary:
+        with written_whole(folder / NOTE, synced=not is_first) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
 

@@ -107,6 +107,28 @@ def test_a_job_waits_for_the_disk_as_often_as_its_runs_and_last_for_its_record(t
     assert len(synced) <= bare
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_record_is_never_seen_half_written(tmp_path, monkeypatch, is_first):
+    record = JobRecord("a", "group", "key", "running")
+    if not is_first:
+        record.write(tmp_path)
+    before = JobRecord.read(tmp_path)
+    whole = Path.write_text
+    seen = []
+
+    def halves(path, text, **more):
+        whole(path, text[: len(text) // 2], **more)
+        seen.append((JobRecord.read(tmp_path), (tmp_path / "job.json").exists()))
+        return whole(path, text, **more)
+
+    monkeypatch.setattr(Path, "write_text", halves)
+    later = JobRecord("a", "group", "key", "done")
+    later.write(tmp_path, is_first=is_first)
+    assert seen == [(before, not is_first)]
+    assert JobRecord.read(tmp_path) == later
+    assert [one.name for one in tmp_path.iterdir()] == ["job.json"]
+
+
 @posix
 def test_a_job_that_begins_again_is_marked_before_its_files_go(tmp_path, monkeypatch):
     """Killed in between, it is not taken for the finished job that it was."""

@@ -161,8 +161,16 @@ def check_place(path: Path) -> None:
 
 
 @contextmanager
-def written_whole(path: str | Path) -> Iterator[Path]:
+def written_whole(path: str | Path, *, synced: bool = True) -> Iterator[Path]:
     """Temporary path to write to; it becomes `path` if the block ends without an error.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    synced : bool
+        Wait until it is on the disk. Otherwise it may be empty after a loss of power; what reads it
+        before that finds it whole or absent all the same.
 
     Raises
     ------
@@ -174,6 +182,9 @@ def written_whole(path: str | Path) -> Iterator[Path]:
     temporary = temporary_for(place)
     try:
         yield temporary
-        commit(temporary, place)
+        if synced:
+            commit(temporary, place)
+        else:
+            temporary.replace(place)
     finally:
         temporary.unlink(missing_ok=True)
