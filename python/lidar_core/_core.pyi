@@ -576,6 +576,7 @@ class Measurement:
         *,
         measures: Sequence[bool] | None,
         covariance: NDArray[np.float64] | None,
+        seen_from: Sequence[float] | None,
     ) -> Self: ...
 
 @final

@@ -55,11 +55,15 @@ class Measurement:
     measures : sequence of str, optional
         Of a radar: which of range, bearing, elevation and range_rate its values are, in this
         order. A filter in the plane takes an elevation to level range and range rate.
+    seen_from : array_like, shape (2,), optional
+        With sensor "lidar", if a radar has measured that position: where it was, in the same frame
+        [m]. `MultiTargetTracker` then tells echoes that came back twice from targets.
 
     Raises
     ------
     InputError
-        Unknown sensor, wrong number of values, or a matrix that is no covariance.
+        Unknown sensor, wrong number of values, a matrix that is no covariance, or a place that is
+        not finite or not of a measured position.
 
     Examples
     --------
@@ -69,13 +73,14 @@ class Measurement:
     Measurement(0, 'radar', [0.1, 0.3], measures=('bearing', 'elevation'))
     """
 
-    __slots__ = ("_core", "covariance", "measures", "sensor", "stamp_ns", "values")
+    __slots__ = ("_core", "covariance", "measures", "seen_from", "sensor", "stamp_ns", "values")
 
     stamp_ns: int
     sensor: SensorName
     values: NDArray[np.float64]
     covariance: NDArray[np.float64] | None
     measures: tuple[str, ...] | None
+    seen_from: NDArray[np.float64] | None
 
     def __init__(
         self,
@@ -85,6 +90,7 @@ class Measurement:
         covariance: ArrayLike | None = None,
         *,
         measures: Sequence[str] | None = None,
+        seen_from: ArrayLike | None = None,
     ) -> None:
         if sensor not in VALUES:
             raise InputError(f"sensor: expected one of {', '.join(VALUES)}, got {sensor!r}")
@@ -99,12 +105,14 @@ class Measurement:
             raise InputError(f"values: expected shape {expected}, got {self.values.shape}")
         size = NOISY.get(sensor, len(self.measures or self.values))
         self.covariance = None if covariance is None else _covariance(covariance, size)
+        self.seen_from = None if seen_from is None else _radar_place(seen_from, sensor)
         self._core = _core.Measurement(
             self.stamp_ns,
             sensor,
             self.values,
             measures=None if measures is None else [name in measures for name in MEASURES],
             covariance=None if self.covariance is None else self.covariance.reshape(-1),
+            seen_from=None if self.seen_from is None else self.seen_from.tolist(),
         )
 
     def __repr__(self) -> str:
@@ -122,7 +130,14 @@ class Measurement:
         """
         other = self.measures if self.measures not in (None, FLAT, MEASURES) else None
         stamp = self.stamp_ns if stamp_ns is None else stamp_ns
-        return Measurement(stamp, self.sensor, values, self.covariance, measures=other)
+        return Measurement(
+            stamp,
+            self.sensor,
+            values,
+            self.covariance,
+            measures=other,
+            seen_from=self.seen_from,
+        )
 
 
 class Measurements:
@@ -252,6 +267,17 @@ def _measures(sensor: str, measures: Sequence[str] | None, count: int) -> tuple[
             f" got {', '.join(map(str, names)) or 'none'}"
         )
     return names
+
+
+def _radar_place(seen_from: ArrayLike, sensor: str) -> NDArray[np.float64]:
+    place = as_real(seen_from, name="seen_from").astype(np.float64)
+    if place.shape != (2,) or not np.isfinite(place).all() or sensor != "lidar":
+        raise InputError(
+            f"seen_from: expected a finite x and y, with sensor 'lidar', got {place.tolist()} with"
+            f" sensor {sensor!r}"
+        )
+    place.flags.writeable = False
+    return place
 
 
 def _covariance(covariance: ArrayLike, size: int) -> NDArray[np.float64]:

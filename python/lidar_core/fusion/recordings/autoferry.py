@@ -235,7 +235,13 @@ def _scan(entry: Mapping[str, Any], ways: Mapping[int, Way], place: str) -> Dete
     places = {number: _place_at(way, stamp_ns) for number, way in ways.items()}
     known = {number: at for number, at in places.items() if at is not None}
     measurements = [
-        Measurement(stamp_ns, "lidar", sensor + offset, _covariance(offset, source))
+        Measurement(
+            stamp_ns,
+            "lidar",
+            sensor + offset,
+            _covariance(offset, source),
+            seen_from=sensor if source == "radar" else None,
+        )
         for offset in offsets
     ]
     return DetectionScan(stamp_ns, source, measurements, sensor, known)

@@ -51,13 +51,14 @@ pub(crate) struct PyMeasurement(pub(crate) Measurement);
 #[pymethods]
 impl PyMeasurement {
     #[new]
-    #[pyo3(signature = (stamp_ns, sensor, values, *, measures, covariance))]
+    #[pyo3(signature = (stamp_ns, sensor, values, *, measures, covariance, seen_from))]
     fn new(
         stamp_ns: i64,
         sensor: &str,
         values: PyReadonlyArray1<'_, f64>,
         measures: Option<[bool; 4]>,
         covariance: Option<PyReadonlyArray1<'_, f64>>,
+        seen_from: Option<[f64; 2]>,
     ) -> Result<Self, BorderError> {
         let sensor = arrays::choice("sensor", sensor, &SENSORS)?;
         let values = arrays::flat("values", &values)?;
@@ -67,8 +68,11 @@ impl PyMeasurement {
                 Measurement::polar(stamp_ns, PolarValues::new(given)?, values, covariance)
             }
             None => Measurement::new(stamp_ns, sensor, values, covariance),
-        };
-        Ok(Self(made?))
+        }?;
+        Ok(Self(match seen_from {
+            Some(place) => made.with_seen_from(place)?,
+            None => made,
+        }))
     }
 }
 

@@ -102,10 +102,12 @@ pub struct Measurement {
     count: usize,
     /// Upper triangle, row by row.
     covariance: Option<[f64; PACKED]>,
+    seen_from: Option<[f64; 2]>,
 }
 
-/// A measurement as it is saved: stamp, sensor, what it measures, values, covariance row by row.
-type SavedMeasurement = (i64, Sensor, [bool; 4], Vec<f64>, Option<Vec<f64>>);
+/// A measurement as it is saved: stamp, sensor, what it measures, values, covariance row by row, place of the
+/// radar.
+type SavedMeasurement = (i64, Sensor, [bool; 4], Vec<f64>, Option<Vec<f64>>, Option<[f64; 2]>);
 
 impl From<Measurement> for SavedMeasurement {
     fn from(m: Measurement) -> Self {
@@ -114,7 +116,7 @@ impl From<Measurement> for SavedMeasurement {
             let all = (0..size).flat_map(|row| (0..size).map(move |column| (row, column)));
             all.map(|(row, column)| packed[packed_at(row, column)]).collect()
         });
-        (m.stamp_ns, m.sensor, m.measures.given, m.values().to_vec(), entries)
+        (m.stamp_ns, m.sensor, m.measures.given, m.values().to_vec(), entries, m.seen_from)
     }
 }
 
@@ -122,12 +124,17 @@ impl TryFrom<SavedMeasurement> for Measurement {
     type Error = Error;
 
     fn try_from(saved: SavedMeasurement) -> Result<Self, Error> {
-        let (stamp_ns, sensor, measures, values, covariance) = saved;
+        let (stamp_ns, sensor, measures, values, covariance, seen_from) = saved;
         let measures = PolarValues::new(measures)?;
-        if sensor == Sensor::Radar && values.len() == measures.count() {
-            return Self::polar(stamp_ns, measures, &values, covariance.as_deref());
+        let made = if sensor == Sensor::Radar && values.len() == measures.count() {
+            Self::polar(stamp_ns, measures, &values, covariance.as_deref())
+        } else {
+            Self::new(stamp_ns, sensor, &values, covariance.as_deref())
+        };
+        match seen_from {
+            Some(place) => made?.with_seen_from(place),
+            None => made,
         }
-        Self::new(stamp_ns, sensor, &values, covariance.as_deref())
     }
 }
 
@@ -193,9 +200,38 @@ impl Measurement {
         let mut padded = [0.0; MAX_VALUES];
         padded[..values.len()].copy_from_slice(values);
         let count = values.len();
-        let plain = Self { stamp_ns, sensor, measures, values: padded, count, covariance: None };
+        let plain = Self {
+            stamp_ns,
+            sensor,
+            measures,
+            values: padded,
+            count,
+            covariance: None,
+            seen_from: None,
+        };
         let packed = covariance.map(|entries| packed(plain.noisy(), entries)).transpose()?;
         Ok(Self { covariance: packed, ..plain })
+    }
+
+    /// The measurement as one of a radar at this place in the frame of the tracks [m], which has told the position
+    /// of the target there: a tracker of many targets then knows echoes that came back twice.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a sensor that measures no position, or a place that is not finite.
+    pub fn with_seen_from(self, place: [f64; 2]) -> Result<Self, Error> {
+        let is_finite = place.iter().all(|value| value.is_finite());
+        if self.sensor == Sensor::Lidar && is_finite {
+            return Ok(Self { seen_from: Some(place), ..self });
+        }
+        let expected = "a finite place, with a measured position";
+        let got = format!("{place:?} with {:?}", self.sensor);
+        Err(Error::Value { name: "seen_from", expected, index: 0, got })
+    }
+
+    /// Place of the radar that has told the position [m]; None for other sensors, and where it is not known.
+    #[must_use]
+    pub fn seen_from(&self) -> Option<[f64; 2]> {
+        self.seen_from
     }
 
     /// Time of the measurement [ns].
@@ -361,6 +397,18 @@ mod tests {
         let pose = |entries: &[f64]| Measurement::new(0, Sensor::Pose, &[0.0; 6], Some(entries));
         assert!(pose(&[1.0]).is_err());
         assert!(pose(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1]).is_ok());
+    }
+
+    #[test]
+    fn the_place_of_a_radar_is_kept_and_checked() -> Result<(), Error> {
+        let m = Measurement::new(0, Sensor::Lidar, &[1.0, 2.0], None)?;
+        let seen = m.with_seen_from([3.0, 4.0])?;
+        assert_eq!((m.seen_from(), seen.seen_from()), (None, Some([3.0, 4.0])));
+        assert_eq!(Measurement::try_from(SavedMeasurement::from(seen))?, seen);
+        assert!(m.with_seen_from([f64::NAN, 0.0]).is_err());
+        let polar = Measurement::new(0, Sensor::Radar, &[1.0, 0.0, 0.0], None)?;
+        assert!(polar.with_seen_from([0.0; 2]).is_err());
+        Ok(())
     }
 
     #[test]

@@ -3,13 +3,15 @@
 use super::company::{Fellow, keep_company};
 use super::near_pairs::{Placed, clutter_at};
 use super::parameters::{ManyParameters, TargetAssociation};
-use super::track::{Assigned, Scan};
+use super::track::{Assigned, Scan, TargetTrack};
 use super::tracks::Tracks;
+use crate::fusion::sensors::measurement::Measurement;
+use crate::tracking::echo::Sight;
 use crate::tracking::near::{NearIndex, Rectangle};
 use crate::tracking::spread::MeasuredSpread;
 use crate::tracking::standing_clutter::PlaceLog;
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 impl Tracks {
     /// Density of clutter that stands where each measurement is: zero where targets may stand.
@@ -66,6 +68,37 @@ impl Tracks {
             is_finite.then_some(Fellow { path: &mut track.way, place, rank })
         });
         keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
+    }
+
+    /// Say of every confirmed track whether it is an echo of a nearer one, for a radar that has told its place.
+    pub(super) fn hear_echoes(&mut self, scan: &Scan) {
+        let of_targets = scan.measurements.iter().filter(|m| !m.is_of_platform());
+        let Some(radar) = of_targets.clone().find_map(Measurement::seen_from) else {
+            // What another scanner sees at its place is no echo of a radar's waves.
+            let measured = self.all.iter_mut().filter(|track| track.seen_ns == scan.stamp_ns);
+            measured.for_each(|track| track.echoes.deny());
+            return;
+        };
+        let ids: BTreeSet<i64> = self.all.iter().map(|track| track.id).collect();
+        let own = self.all.iter_mut().filter(|track| track.is_of_target());
+        let mut seen: Vec<(Sight, &mut TargetTrack)> = own
+            .filter_map(|track| {
+                let output = track.filter.output_at(scan.stamp_ns)?;
+                Some((Sight::between(radar, [output.mean[0], output.mean[1]])?, track))
+            })
+            .collect();
+        seen.sort_by(|(a, one), (b, other)| {
+            a.range.total_cmp(&b.range).then(one.id.cmp(&other.id))
+        });
+        let mut targets: Vec<(i64, Sight)> = Vec::new();
+        for (sight, track) in seen {
+            let is_measured = track.seen_ns == scan.stamp_ns;
+            let beyond = is_measured.then_some((scan.stamp_ns, sight));
+            track.echoes.compare(beyond, &targets, |id| ids.contains(&id));
+            if !track.echoes.is_echo {
+                targets.push((track.id, sight));
+            }
+        }
     }
 
     /// Let every track learn what it follows, from the measurements of it and from how probable it is that

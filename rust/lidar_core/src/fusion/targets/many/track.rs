@@ -8,6 +8,7 @@ use crate::estimation::assignment::Pair;
 use crate::fusion::filter::engine::{Innovation, Output};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::targets::any_filter::Filter;
+use crate::tracking::echo::TrackEchoes;
 use crate::tracking::existence::Presence;
 use crate::tracking::kind::{KINDS, TrackKind};
 use crate::tracking::spread::MeasuredSpread;
@@ -173,6 +174,7 @@ pub(super) struct TargetTrack<F = Filter> {
     /// Of the measurements near it; none where targets are points.
     pub(super) spread: MeasuredSpread,
     pub(super) kinds: TargetKinds,
+    pub(super) echoes: TrackEchoes,
 }
 
 impl Births {
@@ -219,6 +221,7 @@ impl<F> TargetTrack<F> {
             score: self.score,
             spread: self.spread,
             kinds: self.kinds.clone(),
+            echoes: self.echoes.clone(),
         }
     }
 }
@@ -240,6 +243,7 @@ impl TargetTrack {
             score: TrackScore::default(),
             spread: MeasuredSpread::default(),
             kinds: TargetKinds::default(),
+            echoes: TrackEchoes::default(),
         }
     }
 
@@ -266,8 +270,13 @@ impl TargetTrack {
         }
     }
 
-    /// True unless the track stands, is a part of another one, or clutter explains it.
+    /// True unless the track stands, is a part or an echo of another one, or clutter explains it.
     pub(super) fn is_reported(&self) -> bool {
+        self.is_of_target() && !self.echoes.is_echo
+    }
+
+    /// The same where echoes count as targets.
+    pub(super) fn is_of_target(&self) -> bool {
         self.confirmed && !self.way.is_left_out() && self.score.is_credible
     }
 

@@ -200,6 +200,7 @@ impl Tracks {
             let space = IntegratedScan { parameters, existence, scan, standing: &standing };
             self.integrate(&space, &candidates, births, &mut assigned);
             self.keep_company(parameters, stamp_ns);
+            self.hear_echoes(scan);
             self.learn_places(parameters, scan, &places, known);
             self.learn_kinds(parameters, scan, &assigned);
             within("tracks", self.all.len())?;
@@ -215,6 +216,7 @@ impl Tracks {
         self.all.iter_mut().for_each(|track| track.judge(parameters));
         self.all.retain(|track| track.stays(stamp_ns, parameters));
         self.keep_company(parameters, stamp_ns);
+        self.hear_echoes(scan);
         self.learn_places(parameters, scan, &places, known);
         self.start(parameters, scan, &measured, births, &mut assigned);
         self.learn_kinds(parameters, scan, &assigned);

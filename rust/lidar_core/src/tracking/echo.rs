@@ -1,0 +1,248 @@
+//! Whether a track of a radar is an echo that came back twice: its waves went from the radar to a nearer target,
+//! back to the platform, to the target again and back.
+//!
+//! Such an echo lies at the bearing of the target, at least at about twice its range, and its range changes by
+//! twice as much. What else reflects on the way adds to the range, always by the same length.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+
+/// Bearings of an echo and of its target differ by such a standard deviation [rad]: targets are long.
+const APART: f64 = 6.0 * PI / 180.0;
+/// Standard deviations of how far an echo drifts from its target's bearing [rad] and from twice its range [m].
+const DRIFTS: [f64; 2] = [4.0 * PI / 180.0, 15.0];
+/// Standard deviation of the velocity of targets along every axis [m/s], and the share that rests.
+const SPEED: f64 = 3.0;
+const RESTS: f64 = 0.3;
+/// Least range of an echo over that of its target: twice, but targets are long.
+const LEAST_RATIO: f64 = 1.8;
+/// Legs of the way of an echo, over those of the direct way.
+const LEGS: f64 = 2.0;
+/// Probability that a track is an echo, before it is compared with the target.
+const SHARE: f64 = 0.05;
+/// Largest number of targets that a track is compared with.
+const MOST_TARGETS: usize = 16;
+/// Sights before which nothing is said.
+const FEWEST: u32 = 3;
+
+/// Where something is, from a radar.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sight {
+    /// Counter-clockwise from x [rad].
+    pub bearing: f64,
+    /// [m].
+    pub range: f64,
+}
+
+impl Sight {
+    /// Sight of a place from another [m]; None if these are not finite or the same.
+    #[must_use]
+    pub fn between(from: [f64; 2], place: [f64; 2]) -> Option<Self> {
+        let [x, y] = [place[0] - from[0], place[1] - from[1]];
+        let range = libm::hypot(x, y);
+        let is_known = range.is_finite() && range > 0.0;
+        is_known.then(|| Self { bearing: libm::atan2(y, x), range })
+    }
+}
+
+/// Sights of a track and of a target at the same times.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EchoTrace {
+    first_ns: i64,
+    last_ns: i64,
+    first: [Sight; 2],
+    last_bearing: f64,
+    /// Since the first sight, the track has turned by so much about the radar [rad].
+    turned: f64,
+    count: u32,
+    /// Sums of the difference of the bearings [rad] and of both ranges [m].
+    sums: [f64; 3],
+    /// Largest change since the first sight: of the difference of the bearings, of the range beyond twice that of
+    /// the target, of the bearing, of the range.
+    most: [f64; 4],
+}
+
+impl EchoTrace {
+    /// Trace that begins with the sights of a track and of a target.
+    #[must_use]
+    pub fn new(stamp_ns: i64, own: Sight, target: Sight) -> Self {
+        Self {
+            first_ns: stamp_ns,
+            last_ns: stamp_ns,
+            first: [own, target],
+            last_bearing: own.bearing,
+            turned: 0.0,
+            count: 1,
+            sums: [turn(target.bearing, own.bearing), own.range, target.range],
+            most: [0.0; 4],
+        }
+    }
+
+    /// Take in later sights of both.
+    pub fn take(&mut self, stamp_ns: i64, own: Sight, target: Sight) {
+        let [first, of_target] = self.first;
+        let apart = turn(target.bearing, own.bearing);
+        self.turned += turn(self.last_bearing, own.bearing);
+        let beyond = |own: Sight, target: Sight| own.range - LEGS * target.range;
+        let changes = [
+            turn(turn(of_target.bearing, first.bearing), apart),
+            beyond(own, target) - beyond(first, of_target),
+            self.turned,
+            own.range - first.range,
+        ];
+        for (most, change) in self.most.iter_mut().zip(changes) {
+            *most = change.abs().max(*most);
+        }
+        for (sum, value) in self.sums.iter_mut().zip([apart, own.range, target.range]) {
+            *sum += value;
+        }
+        (self.last_ns, self.last_bearing, self.count) =
+            (stamp_ns, own.bearing, self.count.saturating_add(1));
+    }
+
+    /// True if the track is more likely an echo of the target than a target of its own.
+    #[must_use]
+    pub fn is_echo(&self) -> bool {
+        self.count >= FEWEST && self.log_odds() > 0.0
+    }
+
+    /// Logarithm of the odds of an echo; negative infinity for what is too near.
+    #[must_use]
+    pub fn log_odds(&self) -> f64 {
+        let [apart, range, of_target] = self.sums.map(|sum| sum / f64::from(self.count));
+        if range < LEAST_RATIO * of_target {
+            return f64::NEG_INFINITY;
+        }
+        let seconds = self.last_ns.saturating_sub(self.first_ns) as f64 * 1e-9;
+        let free = [SPEED * seconds / range, SPEED * seconds];
+        let free = [0, 1].map(|k| libm::hypot(free[k], DRIFTS[k]));
+        let [bearing, beyond, turned, moved] = self.most;
+        let follows = log_density(bearing, DRIFTS[0]) + log_density(beyond, DRIFTS[1]);
+        let moves = log_density(turned, free[0]) + log_density(moved, free[1]);
+        let rests = log_density(turned, DRIFTS[0]) + log_density(moved, DRIFTS[1]);
+        let own = log_mixed([(1.0 - RESTS, moves), (RESTS, rests)]);
+        let prior = libm::log(SHARE / (1.0 - SHARE));
+        prior + log_density(apart, APART) + libm::log(TAU) + follows - own
+    }
+}
+
+/// Of which nearer targets a track may be an echo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TrackEchoes {
+    traces: BTreeMap<i64, EchoTrace>,
+    /// True once another scanner has measured the track.
+    is_denied: bool,
+    /// True while the track is more likely an echo than a target.
+    pub is_echo: bool,
+}
+
+impl TrackEchoes {
+    /// Take in that another scanner has measured the track: it is a target.
+    pub fn deny(&mut self) {
+        *self = Self { is_denied: true, ..Self::default() };
+    }
+
+    /// Compare the track, where a scan has measured it, with the sights of nearer `targets`. Traces of those that
+    /// are not known any more are dropped; at most [`MOST_TARGETS`] are kept.
+    pub fn compare(
+        &mut self,
+        measured: Option<(i64, Sight)>,
+        targets: &[(i64, Sight)],
+        is_known: impl Fn(i64) -> bool,
+    ) {
+        if self.is_denied {
+            return;
+        }
+        self.traces.retain(|id, _| is_known(*id));
+        self.is_echo = false;
+        for (id, target) in targets {
+            if let Some((stamp_ns, own)) = measured {
+                let has_room = self.traces.len() < MOST_TARGETS;
+                match self.traces.get_mut(id) {
+                    Some(trace) => trace.take(stamp_ns, own, *target),
+                    None if has_room => {
+                        self.traces.insert(*id, EchoTrace::new(stamp_ns, own, *target));
+                    }
+                    None => {}
+                }
+            }
+            self.is_echo |= self.traces.get(id).is_some_and(EchoTrace::is_echo);
+        }
+    }
+}
+
+/// Turn from one bearing to another, between -pi and pi [rad].
+fn turn(from: f64, to: f64) -> f64 {
+    let turn = (to - from) % TAU;
+    turn - if turn.abs() > PI { TAU.copysign(turn) } else { 0.0 }
+}
+
+/// Logarithm of the density of a normal distribution.
+fn log_density(value: f64, std: f64) -> f64 {
+    let z = value / std;
+    -0.5 * (z * z + libm::log(TAU)) - libm::log(std)
+}
+
+/// Logarithm of the sum of shares of exponentials.
+fn log_mixed([(a, x), (b, y)]: [(f64, f64); 2]) -> f64 {
+    let most = x.max(y);
+    most + libm::log(a * libm::exp(x - most) + b * libm::exp(y - most))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sight(bearing_deg: f64, range: f64) -> Sight {
+        Sight { bearing: bearing_deg.to_radians(), range }
+    }
+
+    /// Thirty seconds of a target and of what is seen beyond it.
+    fn trace(of: impl Fn(f64) -> [Sight; 2]) -> EchoTrace {
+        let [own, target] = of(0.0);
+        let mut trace = EchoTrace::new(0, own, target);
+        for k in 1..=15 {
+            let [own, target] = of(2.0 * f64::from(k));
+            trace.take(i64::from(k) * 2_000_000_000, own, target);
+        }
+        trace
+    }
+
+    #[test]
+    fn what_goes_along_at_twice_the_range_is_an_echo() {
+        for start in [70.0, 170.0, -170.0] {
+            for detour in [0.0, 40.0, 150.0] {
+                let of = |t: f64| {
+                    let range = 150.0 - t;
+                    [sight(start + 2.0 + t, 2.0 * range + detour), sight(start + t, range)]
+                };
+                assert!(trace(of).is_echo(), "{start} {detour}");
+            }
+        }
+    }
+
+    /// The opposite: boats that pass behind, follow in line, come nearer in line, or lie beside.
+    #[test]
+    fn other_boats_are_no_echoes() {
+        let passes = |t: f64| [sight(85.0 + 0.2 * t, 300.0), sight(80.0 + t, 140.0)];
+        let follows = |t: f64| [sight(80.0 + t, 200.0), sight(80.0 + t, 140.0)];
+        let comes = |t: f64| [sight(80.0, 360.0 - 3.0 * t), sight(80.0, 140.0 + t)];
+        let beside = |t: f64| [sight(110.0 + t, 300.0), sight(80.0 + t, 150.0)];
+        assert!(!trace(passes).is_echo());
+        assert!(!trace(follows).is_echo());
+        assert!(!trace(comes).is_echo());
+        assert!(!trace(beside).is_echo());
+    }
+
+    #[test]
+    fn two_sights_say_nothing_and_turns_are_the_short_way() {
+        let mut short = EchoTrace::new(0, sight(80.0, 300.0), sight(80.0, 150.0));
+        short.take(2_000_000_000, sight(81.0, 300.0), sight(81.0, 150.0));
+        assert!(!short.is_echo());
+        assert!((turn(3.1, -3.1) - (TAU - 6.2)).abs() < 1e-12);
+        assert!((turn(-3.1, 3.1) + (TAU - 6.2)).abs() < 1e-12);
+        assert_eq!(Sight::between([1.0, 2.0], [1.0, 2.0]), None);
+        assert_eq!(Sight::between([f64::NAN, 2.0], [1.0, 2.0]), None);
+    }
+}
