@@ -85,6 +85,11 @@ fn measurement_at(input: &mut Input<'_>, stamp_ns: i64) -> Result<Measurement, E
     let _ = (made.sensor(), made.values(), made.measures().count(), made.measures().places());
     let _ = (made.measures().has(PolarValues::RANGE), made.has_covariance(), made.noisy());
     let _ = (made.variance(0), made.is_of_platform(), made.is_usable());
+    if stamp_ns % 3 == 0 {
+        let radar = made.with_seen_from([1.0 - values[0], 2.0]).unwrap_or(made);
+        let _ = radar.seen_from();
+        return Ok(radar);
+    }
     Ok(made)
 }
 

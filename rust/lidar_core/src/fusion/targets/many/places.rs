@@ -6,7 +6,7 @@ use super::parameters::{ManyParameters, TargetAssociation};
 use super::track::{Assigned, Scan, TargetTrack};
 use super::tracks::Tracks;
 use crate::fusion::sensors::measurement::Measurement;
-use crate::tracking::echo::Sight;
+use crate::tracking::echo::PolarPlace;
 use crate::tracking::near::{NearIndex, Rectangle};
 use crate::tracking::spread::MeasuredSpread;
 use crate::tracking::standing_clutter::PlaceLog;
@@ -81,16 +81,16 @@ impl Tracks {
         };
         let ids: BTreeSet<i64> = self.all.iter().map(|track| track.id).collect();
         let own = self.all.iter_mut().filter(|track| track.is_of_target());
-        let mut seen: Vec<(Sight, &mut TargetTrack)> = own
+        let mut seen: Vec<(PolarPlace, &mut TargetTrack)> = own
             .filter_map(|track| {
                 let output = track.filter.output_at(scan.stamp_ns)?;
-                Some((Sight::between(radar, [output.mean[0], output.mean[1]])?, track))
+                Some((PolarPlace::between(radar, [output.mean[0], output.mean[1]])?, track))
             })
             .collect();
         seen.sort_by(|(a, one), (b, other)| {
             a.range.total_cmp(&b.range).then(one.id.cmp(&other.id))
         });
-        let mut targets: Vec<(i64, Sight)> = Vec::new();
+        let mut targets: Vec<(i64, PolarPlace)> = Vec::new();
         for (sight, track) in seen {
             let is_measured = track.seen_ns == scan.stamp_ns;
             let beyond = is_measured.then_some((scan.stamp_ns, sight));
