@@ -41,15 +41,16 @@ const POSE: [f64; 16] = [
     1.0,
 ];
 
-/// Ranges of the pitched sensor to upright cylinders around it, which move at 1 m/s, with noise of
-/// 0.01 m from a fixed sequence.
+/// Ranges of the pitched sensor to upright cylinders around it, which move at 0.1 m/s, every other one
+/// the other way, with noise of 0.01 m from a fixed sequence.
 fn ranges(scan: i64) -> Vec<f32> {
     let moved = scan as f64 * 0.05 - 1.0;
     let objects: Vec<[f64; 3]> = (0..OBJECTS)
         .map(|k| {
             let (bearing, range) = (-2.1 + 0.45 * k as f64, 3.0 + (k % 3) as f64 * 1.5);
             let [x, y] = [range * bearing.cos(), range * bearing.sin()];
-            [x + 0.1 * moved, y, 0.1 + 0.04 * k as f64]
+            let way = if k % 2 == 0 { 0.1 } else { -0.1 };
+            [x + way * moved, y, 0.1 + 0.04 * k as f64]
         })
         .collect();
     let mut state = scan.cast_unsigned();

@@ -36,9 +36,10 @@ struct ScanSlip {
 }
 
 impl ScanSlip {
-    fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    /// Place of a point after the motion.
+    fn apply(self) -> impl Fn([f64; 2]) -> [f64; 2] {
         let (sin, cos) = (libm::sin(self.turn), libm::cos(self.turn));
-        [cos * x - sin * y + self.shift[0], sin * x + cos * y + self.shift[1]]
+        move |[x, y]| [cos * x - sin * y + self.shift[0], sin * x + cos * y + self.shift[1]]
     }
 }
 
@@ -69,16 +70,8 @@ fn on_surface<'a>(
     then: &'a SortedView,
     motion: ScanSlip,
 ) -> impl Iterator<Item = &'a [f64; 2]> {
-    points.iter().filter(move |point| {
-        let found = beside(then, motion.apply(**point), ON);
-        found.is_some_and(|(distance, _)| distance < ON)
-    })
-}
-
-/// Nearest surface within a distance.
-fn beside(view: &SortedView, point: [f64; 2], reach: f64) -> Option<(f64, [f64; 2])> {
-    let half = (reach / libm::hypot(point[0], point[1]).max(reach)).max(view.step());
-    view.beside(point, half).filter(|&(distance, _)| distance < reach)
+    let moved = motion.apply();
+    points.iter().filter(move |point| then.within(moved(**point), ON).is_some())
 }
 
 /// Motion that puts points on the surfaces of a scan: least squares of their distances, again and
@@ -90,8 +83,8 @@ fn between(points: &[[f64; 2]], then: &SortedView) -> ScanSlip {
     let mut reach = REACH;
     for _ in 0..ROUNDS {
         let (mut A, mut b) = (Matrix3::identity() * DAMPING, Vector3::zeros());
-        for place in points.iter().map(|&point| motion.apply(point)) {
-            let Some((distance, [x, y])) = beside(then, place, reach) else { continue };
+        for place in points.iter().copied().map(motion.apply()) {
+            let Some((distance, [x, y])) = then.within(place, reach) else { continue };
             let normal = [x / distance.max(1e-9), y / distance.max(1e-9)];
             let J = Vector3::new(
                 normal[0],

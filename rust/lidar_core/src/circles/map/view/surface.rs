@@ -1,8 +1,12 @@
 //! What a scan met at a point: a surface, free space, or nothing known.
 
+use super::piece::SurfacePiece;
 use super::visibility::SortedView;
 use std::f64::consts::TAU;
 use std::ops::Range;
+
+/// The sine of an angle up to 1 rad is at least so many times the angle.
+const LEAST_SINE: f64 = 0.84;
 
 /// Answer of a scan to the question if something was at a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,16 +27,16 @@ impl SortedView {
         let half = (margin / distance.max(margin)).max(self.step());
         let mut is_free = false;
         for turn in [-TAU, 0.0, TAU] {
-            let around = self.around(bearing + turn, half);
-            if around.is_empty() {
-                continue;
-            }
-            let (low, high) = (around.start.saturating_sub(1), (around.end + 1).min(self.len()));
-            if self.off(point, low..high) < margin {
+            let bearing = bearing + turn;
+            let Some(middle) = self.first_from(bearing, half) else { continue };
+            let mut near = NearestPiece { point, square: margin * margin, way: None };
+            self.search(&mut near, middle, [bearing, half, distance], NearestPiece::is_found);
+            if near.is_found() {
                 return Met::Surface;
             }
-            for ray in around {
-                let range = self.ray(ray).1;
+            let after = (middle..self.len()).take_while(|&ray| self.ray(ray).0 <= bearing + half);
+            let before = (0..middle).rev().take_while(|&ray| self.ray(ray).0 >= bearing - half);
+            for range in after.chain(before).map(|ray| self.ray(ray).1) {
                 if range < distance {
                     return Met::Unknown; // behind something
                 }
@@ -63,36 +67,99 @@ impl SortedView {
         Some(self.off(point, around))
     }
 
-    /// Distance of a point from the surfaces that the rays of a range met [m].
-    fn off(&self, point: [f64; 2], rays: Range<usize>) -> f64 {
-        self.nearest(point, rays).map_or(f64::INFINITY, |(distance, _)| distance)
+    /// Distance of a point from the nearest surface [m], and the way from there to the point; None if
+    /// there is none within `reach` [m].
+    pub(super) fn within(&self, point: [f64; 2], reach: f64) -> Option<(f64, [f64; 2])> {
+        let (distance, bearing) =
+            (libm::hypot(point[0], point[1]), libm::atan2(point[1], point[0]));
+        let half = (reach / distance.max(reach)).max(self.step());
+        let mut nearest = NearestPiece { point, square: reach * reach, way: None };
+        for turn in [-TAU, 0.0, TAU] {
+            let bearing = bearing + turn;
+            let Some(middle) = self.first_from(bearing, half) else { continue };
+            self.search(&mut nearest, middle, [bearing, half, distance], |_| false);
+        }
+        nearest.way.map(|way| (nearest.distance(), way))
     }
 
-    /// Distance of a point from the nearest surface that rays up to an angle `half` beside it met
-    /// [m], and the way from there to the point.
-    pub(super) fn beside(&self, point: [f64; 2], half: f64) -> Option<(f64, [f64; 2])> {
-        let bearing = libm::atan2(point[1], point[0]);
-        let found = [-TAU, 0.0, TAU].into_iter().map(|turn| self.around(bearing + turn, half));
-        found
-            .filter_map(|rays| self.nearest(point, rays))
-            .min_by(|one, two| one.0.total_cmp(&two.0))
-    }
-
-    /// The same of the surfaces that the rays of a range met.
-    fn nearest(&self, point: [f64; 2], rays: Range<usize>) -> Option<(f64, [f64; 2])> {
-        let first = rays.start;
-        let pieces = self.pieces().get(rays)?;
-        let (mut least, mut nearest) = (f64::INFINITY, None);
-        for (number, piece) in (first..).zip(pieces) {
-            let Some(piece) = piece else { continue };
-            for [x, y] in piece.ways_to(point, number > first) {
-                let square = x * x + y * y;
-                if square < least {
-                    (least, nearest) = (square, Some([x, y]));
-                }
+    /// Search the surfaces beside the bearing of a point, from the first ray from there on outwards to
+    /// the first beyond an angle `half`, until what is found is enough or all others are farther.
+    fn search(
+        &self,
+        found: &mut NearestPiece,
+        middle: usize,
+        [bearing, half, distance]: [f64; 3],
+        is_enough: impl Fn(&NearestPiece) -> bool,
+    ) {
+        let (pieces, step) = (self.pieces(), self.step());
+        let is_done = |found: &NearestPiece, aside: f64| {
+            let least = distance * LEAST_SINE * aside.min(1.0);
+            aside > 0.0 && least * least >= found.square || is_enough(found)
+        };
+        for (number, piece) in pieces.iter().enumerate().skip(middle) {
+            let ray = self.ray(number).0;
+            // A surface that ends beside its ray reaches half a step to both sides.
+            if is_done(found, ray - step - bearing) {
+                break;
+            }
+            found.take(piece.as_ref(), true);
+            if ray > bearing + half {
+                break;
             }
         }
-        nearest.map(|way| (libm::hypot(way[0], way[1]), way))
+        for (number, piece) in pieces.iter().enumerate().take(middle).rev() {
+            let ray = self.ray(number).0;
+            // Others reach to the next ray.
+            let next = self.ray((number + 1).min(self.len() - 1)).0;
+            if is_done(found, bearing - next.max(ray + step)) {
+                break;
+            }
+            let is_last = ray < bearing - half;
+            found.take(piece.as_ref(), !is_last);
+            if is_last {
+                break;
+            }
+        }
+    }
+
+    /// Distance of a point from the surfaces that the rays of a range met [m].
+    fn off(&self, point: [f64; 2], rays: Range<usize>) -> f64 {
+        let mut nearest = NearestPiece { point, square: f64::INFINITY, way: None };
+        let first = rays.start;
+        for (number, piece) in (first..).zip(self.pieces().get(rays).unwrap_or_default()) {
+            nearest.take(piece.as_ref(), number > first);
+        }
+        nearest.distance()
+    }
+}
+
+/// What is nearest to a point of the surfaces that were looked at.
+struct NearestPiece {
+    point: [f64; 2],
+    /// Square of the distance, or of how far is looked [m^2].
+    square: f64,
+    way: Option<[f64; 2]>,
+}
+
+impl NearestPiece {
+    fn is_found(&self) -> bool {
+        self.way.is_some()
+    }
+
+    /// Distance of the point [m]; infinite if nothing was found.
+    fn distance(&self) -> f64 {
+        self.way.map_or(f64::INFINITY, |[x, y]| libm::hypot(x, y))
+    }
+
+    /// Take in a surface. `follows` leaves out a stretch that the one before it shares.
+    fn take(&mut self, piece: Option<&SurfacePiece>, follows: bool) {
+        let ways = piece.into_iter().flat_map(|piece| piece.ways_to(self.point, follows));
+        for [x, y] in ways {
+            let square = x * x + y * y;
+            if square < self.square {
+                (self.square, self.way) = (square, Some([x, y]));
+            }
+        }
     }
 }
 
@@ -122,6 +189,39 @@ mod tests {
         }
         assert_eq!(view.met([0.0, 3.0], 0.02), Met::Unknown);
         assert_eq!(view.distance([0.0, 3.0]), None);
+        Ok(())
+    }
+
+    /// The search that ends early finds what a search of all surfaces finds.
+    #[test]
+    fn the_nearest_surface_is_that_of_all() -> Result<(), Error> {
+        // Steps, gaps and rays without return, from a fixed sequence; bearings not quite even.
+        let hash = |k: usize| (k.wrapping_mul(2_654_435_761) % 1000) as f64 / 1000.0;
+        let bearings: Vec<f64> =
+            (0..400).map(|k| -3.1 + 0.0155 * (k as f64 + 0.3 * hash(k))).collect();
+        let range = |k: usize| {
+            let block = hash(k / 17 + 500);
+            if block < 0.2 { f64::INFINITY } else { 0.5 + 6.0 * block + 0.05 * hash(k) }
+        };
+        let scan = PolarScan { ranges: (0..400).map(range).collect(), bearings };
+        let view = ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
+        let mut found = 0;
+        for k in 0..2000 {
+            let (bearing, range) = (6.2 * hash(3 * k) - 3.1, 0.3 + 7.0 * hash(7 * k + 1));
+            let point = [range * libm::cos(bearing), range * libm::sin(bearing)];
+            let all = view.pieces().iter().flatten().flat_map(|piece| piece.ways_to(point, false));
+            let least = all.map(|[x, y]| libm::hypot(x, y)).fold(f64::INFINITY, f64::min);
+            for reach in [0.05, 0.6] {
+                let nearest = view.within(point, reach).map_or(f64::INFINITY, |(off, _)| off);
+                let expected = if least < reach { least } else { f64::INFINITY };
+                assert!(
+                    nearest == expected || (nearest - expected).abs() < 1e-12,
+                    "{point:?} {reach}"
+                );
+                found += usize::from(nearest.is_finite());
+            }
+        }
+        assert!(found > 500, "{found}");
         Ok(())
     }
 }

@@ -147,6 +147,24 @@ impl SortedView {
         low..self.bearings.partition_point(|&ray| ray <= bearing + half).max(low)
     }
 
+    /// The first ray from a bearing on, if any ray is up to an angle `half` beside it.
+    pub(super) fn first_from(&self, bearing: f64, half: f64) -> Option<usize> {
+        let (&first, &last) = self.bearings.first().zip(self.bearings.last())?;
+        if bearing + half < first || bearing - half > last {
+            return None; // as for most turns of a bearing
+        }
+        let is_from = |ray: usize| self.bearings.get(ray).is_none_or(|&ray| ray >= bearing);
+        let is_first = |ray: &usize| is_from(*ray) && (*ray == 0 || !is_from(ray - 1));
+        // Most scanners turn steadily: the place is known within a ray.
+        let guess = ((bearing - first) / self.step()) as usize;
+        let near = guess.min(self.len());
+        let found = (near..near + 2).find(is_first);
+        let found = found.unwrap_or_else(|| self.bearings.partition_point(|&ray| ray < bearing));
+        let is_near = |ray: Option<&f64>| ray.is_some_and(|ray| (ray - bearing).abs() <= half);
+        let before = found.checked_sub(1).and_then(|ray| self.bearings.get(ray));
+        (is_near(self.bearings.get(found)) || is_near(before)).then_some(found)
+    }
+
     /// Bearing [rad] and range [m] of a ray.
     pub(super) fn ray(&self, number: usize) -> (f64, f64) {
         (self.bearings[number], self.ranges[number])
