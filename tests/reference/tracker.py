@@ -49,6 +49,7 @@ NEAREST, NEAR_BOUNDS, NEAR_THIRD = 25.0, (0.4, 2.5), 10.0
 IS_FAST = (0.3, 0.3, 1.0, 1.0)
 SPEEDS, TIMES = (8.0, 60.0), (0.02, 0.25)  # [m/s], [s]
 AMONG_STRAYS = 0.02
+NEW_POINTS = 0.3  # weight of the newest scan
 SURE, MANY_RAYS, FEW_RAYS = 0.7, 12, 3
 DELETED, KEPT = 0.01, 0.5
 LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
@@ -158,6 +159,7 @@ class Track:
     own: float = 0.0  # points of its clusters
     stray: float = 0.0  # points around it that belong to no track
     points: np.ndarray = None  # of its last cluster
+    usual: float = 0.0  # number of points of its clusters, an average
     seen_kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
     known_below: bool = False
     agility: float = 0.0
@@ -462,12 +464,16 @@ class Tracker:
             track.sight, track.nis = "followed", None
             if cluster is None:
                 rays = MANY_RAYS if self.view is None else self.view(track.r, self.reach(track))
+                if track.was_confirmed and track.usual and rays >= FEW_RAYS:
+                    rays = min(rays, max(FEW_RAYS, int(track.usual + 0.5)))
                 names = ["unseen", "barely missed", "missed"]
                 track.sight = names[int(rays >= FEW_RAYS) + int(rays >= MANY_RAYS)]
                 A, Q = self.model(dt)
                 track.aged = A @ track.aged @ A.T + Q
             else:
                 z, R, extent, delay, is_cut, track.points = cluster
+                newest = len(track.points)
+                track.usual += (NEW_POINTS if track.usual else 1.0) * (newest - track.usual)
                 self.correct(track, z, self.widened(R, extent, is_cut, track), extent, delay)
                 if self.c.hidden_share is not None:
                     track.size = extent + np.exp(-dt / SIZE_TIME) * (track.size - extent)
@@ -682,7 +688,7 @@ class Tracker:
         waiting = replace(track, x=x, P=P, stamp=stamp)
         acceleration = self.c.rejoin_acceleration
         is_lost = bool(self.buffer) and track.seen < self.buffer[-1][0]
-        if acceleration is None or not track.confirmed or not is_lost:
+        if acceleration is None or not track.was_confirmed or not is_lost:
             return waiting, self.reach(track), None
         dt = (stamp - track.seen) * 1e-9
         strayed = np.kron([dt**2 / 2, dt, 1.0], EYE) * acceleration

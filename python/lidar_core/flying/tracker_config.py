@@ -135,7 +135,7 @@ class TrackerConfig(Config):
     rejoin_acceleration: float | None = Field(
         2.0,
         gt=0,
-        description="A confirmed track that has lost its target is given detections as if the"
+        description="A track that was confirmed and lost its target gets detections as if the"
         " target had accelerated by this all the time, as a standard deviation [m/s^2]; none, as in"
         " the paper: only where it was predicted; global association.",
     )

@@ -365,6 +365,41 @@ def test_a_track_in_sight_that_finds_nothing_is_removed_but_a_hidden_one_waits()
     assert waiting["hidden"] == pytest.approx(BEST.max_coast + 0.1)
 
 
+def between_rows(n_points, aside, *, unseen):
+    """A target of 2 m/s that gives no returns in sight for a while, and comes back `aside` [m].
+
+    Its existence in every scan, and the numbers of the tracks at the end.
+    """
+    body = np.random.default_rng(3).uniform(-0.15, 0.15, (n_points, 3))
+    tracker, existence = PointCloudTracker(BEST), []
+    for k in range(20 + unseen + 6):
+        is_seen = not 20 <= k < 20 + unseen
+        place = np.array([12.0, 0.2 * min(k, 20), 1.0 + (aside if k > 20 else 0.0)])
+        cloud, found = (place + body, place[None]) if is_seen else (EMPTY, EMPTY)
+        tracker.new_point_cloud(cloud, EMPTY, k * STEP_NS, sensor_origin=np.zeros(3))
+        tracker.new_detections(found, k * STEP_NS)
+        existence.append(tracker.tracks_at(k * STEP_NS, confirmed=False).existence.max())
+    return np.array(existence), tracker.tracks_at(k * STEP_NS).id.tolist()
+
+
+def test_a_target_of_few_returns_may_be_between_two_rows():
+    """That no ray meets it for 0.4 s says little of it, and much of one with many returns."""
+    few, _ = between_rows(5, 0.0, unseen=4)
+    many, _ = between_rows(40, 0.0, unseen=4)
+    assert few[19] == pytest.approx(many[19], abs=0.01)
+    assert few[19] > 0.99
+    assert few[23] > 0.7
+    assert many[23] < 0.4
+
+
+@pytest.mark.parametrize(("aside", "number"), [(1.0, 0), (4.0, 1)])
+def test_what_was_confirmed_is_found_again_after_it_became_improbable(aside, number):
+    """Missed in sight, it turned: near its place it is the same, but not far from there."""
+    existence, numbers = between_rows(5, aside, unseen=7)
+    assert existence[26] < 0.45
+    assert numbers == [number]
+
+
 def test_a_track_out_of_sight_is_kept_but_not_reported_for_long():
     wall = np.random.default_rng(0).uniform(-0.5, 0.5, (100, 3)) + np.array([5, 0, 0])
     tracker = PointCloudTracker(TrackerConfig(report_coast=0.5))

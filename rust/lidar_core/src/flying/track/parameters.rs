@@ -172,7 +172,7 @@ pub struct TrackerParameters {
     pub hiding: Option<Hiding>,
     /// Association.
     pub association: Association,
-    /// A confirmed track that has lost its target may find it again by a detection: as if the
+    /// A track that was confirmed and has lost its target may find it again by a detection: as if the
     /// target had accelerated by this all the time, as a standard deviation [m/s^2]; None: only
     /// where it was predicted. Global association only.
     pub rejoin_acceleration: Option<f64>,

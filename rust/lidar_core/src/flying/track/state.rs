@@ -4,6 +4,7 @@ use super::belief::existence::{FalseBirths, Sight, TrackBelief};
 use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9, seconds};
 use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
+use super::visibility::occupancy::ENOUGH_RAYS;
 use crate::Error;
 use crate::estimation::kalman::{self, Gaussian, Linearised, update};
 use nalgebra::{SVector, Vector3};
@@ -11,6 +12,9 @@ use serde::{Deserialize, Serialize};
 
 /// Weight that the points of a track and around it keep from one scan to the next.
 const AROUND_KEPT: f64 = 0.8;
+
+/// Weight of the newest scan in the usual number of points.
+const NEW_POINTS: f64 = 0.3;
 
 /// Every scan shows the same parts of a large target, so that the error of its centre is the same in all of
 /// them, and no number of scans removes it: its standard deviation as a share of the longest side of the
@@ -65,6 +69,8 @@ pub(super) struct PointTrack {
     /// older scans count less.
     pub(super) own_points: f64,
     pub(super) stray_points: f64,
+    /// Usual number of points of its cluster: an average over scans that showed it; zero before any.
+    pub(super) usual_points: f64,
     /// True if the newest cloud shows that nothing is left where it began.
     pub(super) left: bool,
 }
@@ -120,6 +126,7 @@ impl PointTrack {
             was_confirmed: false,
             own_points: 0.0,
             stray_points: 0.0,
+            usual_points: 0.0,
             left: false,
         }
     }
@@ -236,6 +243,25 @@ impl PointTrack {
         self.stray_points = AROUND_KEPT * self.stray_points + stray as f64;
     }
 
+    /// Count the points of a cluster that corrected it for their usual number.
+    fn remember_points(&mut self, n_points: usize) {
+        let n_points = n_points as f64;
+        if self.usual_points == 0.0 {
+            self.usual_points = n_points;
+        } else if n_points > 0.0 {
+            self.usual_points += NEW_POINTS * (n_points - self.usual_points);
+        }
+    }
+
+    /// Rays that should have met the target, of so many through its place. A target that was confirmed is known
+    /// to give so few returns: that many may well pass above and below it, between two rows.
+    pub(super) fn expected_returns(&self, rays: usize) -> usize {
+        if !self.was_confirmed || self.usual_points == 0.0 || rays < ENOUGH_RAYS {
+            return rays;
+        }
+        rays.min(ENOUGH_RAYS.max(self.usual_points.round() as usize))
+    }
+
     /// Position `delay` seconds after the state's time.
     pub(super) fn position_after(&self, delay: f64) -> Vector3<f64> {
         (motion::position_matrix(delay) * self.estimate.mean).into_owned()
@@ -255,6 +281,7 @@ impl PointTrack {
         (self.estimate, self.nis) = (updated.posterior, Some(updated.nis));
         self.aged = self.estimate.covariance;
         self.extent = measurement.extent;
+        self.remember_points(measurement.n_points);
         self.seen_ns = self.stamp_ns;
         (self.seen_at, self.seen_speed) = (self.position(), self.velocity().norm());
         Ok(())

@@ -83,8 +83,11 @@ impl Updater {
             let row = measurement.as_ref().and_then(|measurement| measurement.row);
             let rays = self.rays(region, scan.visibility, measurement.is_some());
             track.nis = None;
-            track.sight =
-                if measurement.is_some() { Sight::Followed } else { Sight::without(rays) };
+            track.sight = if measurement.is_some() {
+                Sight::Followed
+            } else {
+                Sight::without(track.expected_returns(rays))
+            };
             match measurement.map(|measurement| track.correct(&measurement)) {
                 Some(Ok(())) => {
                     if let Some(hiding) = &self.parameters.hiding {

@@ -100,7 +100,7 @@ impl Updater {
         let mut waiting = track.clone();
         waiting.predict(track.stamp_ns.max(now_ns), &self.parameters.motion);
         match self.parameters.rejoin_acceleration {
-            Some(acceleration) if track.confirmed && is_lost => {
+            Some(acceleration) if track.was_confirmed && is_lost => {
                 let std = self.parameters.initial_std[0];
                 waiting.widen(acceleration, std);
                 let strayed = std + LOITER_SHARE * waiting.distance_flown();
