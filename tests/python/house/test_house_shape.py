@@ -86,6 +86,17 @@ def test_folders_import_one_another_in_one_direction(root):
     assert len(across) <= CIRCLES_ACROSS[root], across
 
 
+def test_circles_of_folders_are_seen_at_every_depth():
+    """A folder and one in it may know each other, also where both lie in a circle; others not."""
+    one, two, part = ("top", "one"), ("top", "two"), ("top", "one", "part")
+    below, back = {(*part, "x"): {(*one, "x")}}, {(*one, "y"): {(*part, "x")}}
+    nested = {("top", "x"): {(*one, "x")}, (*one, "x"): {("top", "y")}, **below, **back}
+    heads = {("top",), one, two, part}
+    assert house.circles_across(nested, heads) == []
+    beside = {**nested, (*two, "x"): {(*part, "x")}, (*part, "y"): {(*two, "y")}}
+    assert house.circles_across(beside, heads) != []
+
+
 def upward(imports, floors):
     """Pairs of names of the top of which the first imports the second and does not lie above it."""
     floor_of = {name: number for number, floor in enumerate(floors) for name in floor}
@@ -129,6 +140,40 @@ def test_a_motion_model_is_named_in_its_own_file_and_in_the_list_of_models():
     roots = [CORE, ROOT / "rust/lidar_core_py/src"]
     named = house.files_naming(r'\bCtra\b|"ctra"', roots, PACKAGE)
     assert sorted(named) == ["heading.rs", "model.rs"]
+
+
+# Files that cargo compiles
+
+MANIFESTS = ("rust/*/Cargo.toml", "benches/Cargo.toml", "fuzz/Cargo.toml")
+RUST_FOLDERS = ("rust", "benches", "tests/rust", "fuzz")
+
+
+def test_every_rust_file_is_a_module_or_a_target():
+    manifests = [path for pattern in MANIFESTS for path in ROOT.glob(pattern)]
+    assert len(manifests) == 5
+    for folder in RUST_FOLDERS:
+        found = house.rust_files_of_no_module(ROOT / folder, manifests)
+        assert [path for path in found if "target" not in path.parts] == []
+
+
+@pytest.mark.parametrize(
+    ("declared", "missed"),
+    [
+        ("mod one;\npub(crate) mod two;", []),
+        ("mod one;\n// mod two;", ["two/mod.rs", "two/three.rs"]),
+        ("mod one { }\nmod two;", ["one.rs", "one/four.rs"]),
+        ('#[path = "one.rs"]\nmod other;\nmod two;', ["one/four.rs"]),
+    ],
+)
+def test_a_rust_file_that_nothing_declares_is_seen(tmp_path, declared, missed):
+    manifest, src = tmp_path / "Cargo.toml", tmp_path / "src"
+    texts = {"lib.rs": declared, "one.rs": "mod four;", "two/mod.rs": "pub mod three;"}
+    for name, text in (texts | {"one/four.rs": "", "two/three.rs": ""}).items():
+        (src / name).parent.mkdir(parents=True, exist_ok=True)
+        (src / name).write_text(text, encoding="utf-8")
+    manifest.write_text("[package]\n", encoding="utf-8")
+    found = house.rust_files_of_no_module(src, [manifest])
+    assert {path.relative_to(src).as_posix() for path in found} == set(missed)
 
 
 # One home per default
