@@ -167,8 +167,8 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
         ("`ray_scalar`, scene 2", ms_text(machine, scalar), "`cargo bench -- raycast`"),
         *(
             (
-                f"exact ray update of a map that grows, {title}, {words}, scenes 1 and 2, of"
-                " `ray_scalar`",
+                f"exact ray update of a map that grows, {title}, {words}, scenes 1 and 2: share of"
+                " the time of `ray_scalar`",
                 sequence_text(machine, key, threads),
                 sequence,
             )
@@ -178,11 +178,11 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
         (
             "whole scan, raw points to tracks, scene 2, one and two threads",
             f"{ms_text(machine, *(scan.format(threads) for threads in (1, 2)))};"
-            f" {', '.join(whole)} of `ray_scalar`",
+            f" {', '.join(whole)} of the time of `ray_scalar`",
             "`cargo bench -- pipeline`",
         ),
         (
-            "clusters of all returns, scenes 1 and 2, of `cluster_hash`",
+            "clusters of all returns, scenes 1 and 2: share of the time of `cluster_hash`",
             ", ".join(
                 ratio_text(
                     machine, f"cluster/scene_{scene}/label", f"cluster/scene_{scene}/cluster_hash"
@@ -203,17 +203,17 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
             "`cargo bench -- circles/scan`",
         ),
         (
-            "OctoMap, default, of lidar_core",
+            "OctoMap, default: multiple of the time of lidar_core",
             peer_range(machine, "OctoMap, default", "into the map"),
             "`make peers`",
         ),
         (
-            "OctoMap, lazy and discretised, of lidar_core",
+            "OctoMap, lazy and discretised: multiple of the time of lidar_core",
             peer_range(machine, "OctoMap, lazy", "into the map"),
             "`make peers`",
         ),
         (
-            "PCL, clusters, of lidar_core",
+            "PCL, clusters: multiple of the time of lidar_core",
             peer_range(machine, "PCL", "clusters"),
             "`make peers`",
         ),

@@ -8,6 +8,7 @@ parameters. `tests/python/house/test_house.py` holds some of them to their limit
 import ast
 import re
 import sys
+import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -16,6 +17,11 @@ Module = tuple[str, ...]
 Imports = dict[Module, set[Module]]
 
 ARITHMETIC = ("geometry", "estimation", "probability", "integrate", "map", "filter", "tracking")
+MODULE = re.compile(
+    r'^\s*(?:#\[path = "([^"]+)"\]\s*)?(?:pub(?:\([^)]*\))?\s+)?mod\s+(\w+)\s*;', re.M
+)
+"""Declaration of a module that has a file of its own: its stated path, its name."""
+CARGO_KINDS = ("bin", "test", "bench", "example")
 RUST_TYPE = re.compile(r"^\s*(?:pub(?:\([^)]*\))?\s+)?(?:struct|enum|trait|type)\s+(\w+)", re.M)
 
 
@@ -66,16 +72,19 @@ def folders_of(imports: Imports, is_folder: set[Module]) -> Imports:
 
 def circles_across(imports: Imports, is_folder: set[Module]) -> list[list[Module]]:
     """Circles between folders; a folder and what lies in it may know each other."""
-    between = folders_of(imports, is_folder)
-    across = []
-    for group in circles_of(between):
-        outer = min(group, key=len)
-        inside = [folder for folder in group if folder != outer]
-        if any(folder[: len(outer)] != outer for folder in inside):
-            across.append(group)
-        else:
-            across += circles_of({folder: between[folder] & set(inside) for folder in inside})
-    return across
+
+    def across_of(between: Imports) -> list[list[Module]]:
+        across = []
+        for group in circles_of(between):
+            outer = min(group, key=len)
+            inside = [folder for folder in group if folder != outer]
+            if any(folder[: len(outer)] != outer for folder in inside):
+                across.append(group)
+            else:  # a folder inside and what lies in it may know each other, too
+                across += across_of({folder: between[folder] & set(inside) for folder in inside})
+        return across
+
+    return across_of(folders_of(imports, is_folder))
 
 
 # Rust
@@ -136,6 +145,41 @@ def rust_imports(root: Path) -> Imports:
                 if target and target != module:
                     imports[module].add(target)
     return imports
+
+
+def rust_targets(manifest: Path) -> Iterator[Path]:
+    """Files that cargo compiles for one package: its library, programs, tests and benchmarks."""
+    package = tomllib.loads(manifest.read_text(encoding="utf-8"))
+    stated = [
+        package.get("lib", {}),
+        *(one for kind in CARGO_KINDS for one in package.get(kind, [])),
+    ]
+    paths = [target["path"] for target in stated if "path" in target]
+    usual = [path for path in ("build.rs", "src/lib.rs", "src/main.rs") if path not in paths]
+    for path in [*paths, *(path for path in usual if (manifest.parent / path).exists())]:
+        yield (manifest.parent / path).resolve()
+
+
+def rust_files_of_no_module(root: Path, manifests: Iterable[Path]) -> list[Path]:
+    """Rust files below `root` that no target reaches through `mod`: cargo never compiles them."""
+    waiting = [target for manifest in manifests for target in rust_targets(manifest)]
+    heads, reached = set(waiting), set[Path]()  # modules of heads lie beside them
+    while waiting:
+        path = waiting.pop()
+        if path in reached or not path.exists():
+            continue
+        reached.add(path)
+        is_head = path in heads or path.name == "mod.rs"
+        folder = path.parent if is_head else path.with_suffix("")
+        text = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
+        for stated, name in MODULE.findall(text):
+            if stated:
+                heads.add((path.parent / stated).resolve())
+                waiting.append((path.parent / stated).resolve())
+            else:
+                waiting += [folder / f"{name}.rs", folder / name / "mod.rs"]
+    files = {path.resolve() for path in root.rglob("*.rs")}
+    return sorted(files - reached)
 
 
 TYPES_OF_TRAITS = {"Output", "Item", "Error", "Target", "World", "Cv", "Wide"}

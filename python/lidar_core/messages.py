@@ -1,6 +1,6 @@
 """What flows between readers, the simulator and the pipelines: scans in 3D and 2D, poses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -88,8 +88,27 @@ class ShapeKind(IntEnum):
     line, counted counter-clockwise from the foot of the normal [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scan:
+class ShortRepr:
+    """Base of dataclasses with large arrays: their text has types and shapes, and no None."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        values = ((one.name, getattr(self, one.name)) for one in fields(self))  # type: ignore[arg-type]
+        shown = (f"{name}={_short(value)}" for name, value in values if value is not None)
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _short(value: Any) -> str:
+    if not isinstance(value, np.ndarray):
+        return repr(value)
+    if value.size <= 4:  # such as the numbers of a few tracks
+        return repr(value.tolist())
+    return f"{value.dtype} {value.shape}"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Scan(ShortRepr):
     """One revolution (or frame) of a 3D LiDAR, in its own frame.
 
     Attributes
@@ -123,8 +142,8 @@ class Scan:
     topic: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class LaserScan:
+@dataclass(frozen=True, slots=True, repr=False)
+class LaserScan(ShortRepr):
     """One sweep of a 2D LiDAR, in its own frame: rays in the plane z = 0, counter-clockwise.
 
     Attributes
@@ -160,8 +179,8 @@ class LaserScan:
     topic: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+@dataclass(frozen=True, slots=True, repr=False)
+class Pose(ShortRepr):
     """Where the frame `child_frame_id` is in the frame `frame_id` at one time.
 
     Attributes
@@ -193,8 +212,8 @@ Message: TypeAlias = Scan | LaserScan | Pose
 ScanT = TypeVar("ScanT", Scan, LaserScan)
 
 
-@dataclass(frozen=True, slots=True)
-class PosedScan(Generic[ScanT]):
+@dataclass(frozen=True, slots=True, repr=False)
+class PosedScan(ShortRepr, Generic[ScanT]):
     """A scan and where the sensor was.
 
     Attributes

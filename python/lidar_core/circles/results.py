@@ -12,11 +12,12 @@ from lidar_core.circles.estimators.fitting import Circles
 from lidar_core.circles.mapping.map import MapEvents
 from lidar_core.circles.segmentation import Segments
 from lidar_core.circles.shapes import Shapes
+from lidar_core.messages import ShortRepr
 from lidar_core.objects import CircleElements, ShapeElements
 
 
-@dataclass(frozen=True, slots=True)
-class CircleFrame:
+@dataclass(frozen=True, slots=True, repr=False)
+class CircleFrame(ShortRepr):
     """Result of one scan.
 
     The level frame has its origin at the scanner at the time of the scan, z up, and the scanner's

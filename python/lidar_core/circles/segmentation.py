@@ -15,6 +15,7 @@ from lidar_core.circles.scan_config import SegmentConfig
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import as_config
 from lidar_core.errors import InputError
+from lidar_core.messages import ShortRepr
 
 
 class Side(IntEnum):
@@ -30,8 +31,8 @@ class Side(IntEnum):
     """The next ray returned nothing, but the surface may lie beyond the range limits."""
 
 
-@dataclass(frozen=True, slots=True)
-class Segments:
+@dataclass(frozen=True, slots=True, repr=False)
+class Segments(ShortRepr):
     """Groups of rays, one per object.
 
     Attributes

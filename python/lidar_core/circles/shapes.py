@@ -11,11 +11,11 @@ from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
-from lidar_core.messages import ShapeKind
+from lidar_core.messages import ShapeKind, ShortRepr
 
 
-@dataclass(frozen=True, slots=True)
-class Shapes:
+@dataclass(frozen=True, slots=True, repr=False)
+class Shapes(ShortRepr):
     """Shapes seen in one frame, one row per segment.
 
     Attributes

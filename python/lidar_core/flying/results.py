@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.messages import ShownClass
+from lidar_core.messages import ShortRepr, ShownClass
 from lidar_core.objects import FlyingDetections, Tracks
 
 
@@ -78,8 +78,8 @@ class FlyingStatus:
         return self.reason.startswith("burn-in")
 
 
-@dataclass(frozen=True, slots=True)
-class FlyingFrame:
+@dataclass(frozen=True, slots=True, repr=False)
+class FlyingFrame(ShortRepr):
     """Result of one scan.
 
     Attributes

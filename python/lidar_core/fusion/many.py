@@ -14,6 +14,7 @@ from lidar_core.errors import FormatError, InputError, LimitError
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, as_measurements
 from lidar_core.fusion.states import state_names, velocities
+from lidar_core.messages import ShortRepr
 from lidar_core.objects import TargetTracks
 from lidar_core.util.full_state import FullState
 
@@ -21,8 +22,8 @@ MAX_SOURCES = 64
 """Scanners that one tracker tells apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class ScanResult(ShortRepr):
     """What became of the measurements of a scan, a row per measurement.
 
     Attributes

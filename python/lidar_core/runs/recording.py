@@ -161,7 +161,8 @@ class RecordingJob(Generic[ScanT]):
                         self.on_progress(self.command, number, total)
                     if number >= done:  # read, but used by the run that goes on
                         run.take(item)
-                        checkpoints.take(run, number + 1)
+                        if self.checkpoint is not None:
+                            checkpoints.take(run, number + 1)
         except KeyboardInterrupt as interrupt:
             return interrupt
         except (LidarCoreError, OSError) as error:  # OSError: also a run.mcap that filled the disk

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.messages import LaserScan, PosedScan, Scan
+from lidar_core.messages import LaserScan, PosedScan, Scan, ShortRepr
 from lidar_core.objects import ObjectTruth, TargetTruth
 
 
-@dataclass(frozen=True, slots=True)
-class SimulatedScan:
+@dataclass(frozen=True, slots=True, repr=False)
+class SimulatedScan(ShortRepr):
     """A scan, where it was made, and the truth about it.
 
     Attributes
@@ -41,8 +41,8 @@ class SimulatedScan:
         return PosedScan(self.scan, self.poses, self.pose_stamps_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class SimulatedSweep:
+@dataclass(frozen=True, slots=True, repr=False)
+class SimulatedSweep(ShortRepr):
     """A scan of a 2D LiDAR, where it was made, and the truth about it.
 
     Attributes

@@ -130,6 +130,16 @@ class FullState(ABC):
         except FormatError as error:
             raise FormatError(f"{path}: {error}") from error
 
+    def __repr__(self) -> str:
+        usual = self._config_type()
+        names = [
+            name
+            for name in self._config_type.model_fields
+            if getattr(self.config, name) != getattr(usual, name)
+        ]
+        changed = f"changed: {', '.join(names)}" if names else "default configuration"
+        return f"<{type(self).__name__}, {changed}>"
+
     def __copy__(self) -> Self:
         return type(self).from_bytes(self.to_bytes(), **self._options())
 

@@ -55,10 +55,9 @@ def migrated(
         if problem is None:
             break
         place, reason = problem
-        table = _table(result, place[:-1])
-        name = str(place[-1])
-        value = table.pop(name)
-        changes.append(Change(".".join(map(str, place)), value, reason))
+        way, table = _table(result, place[:-1])
+        value = table.pop(place[-1])
+        changes.append(Change(".".join(map(str, (*way, place[-1]))), value, reason))
         if moved := _MOVED.fullmatch(reason):
             _put(table, tables_at(model, place[:-1]), moved, value)
     return result, tuple(changes)
@@ -81,18 +80,23 @@ def _next_old(
     return None
 
 
-def _table(values: Any, place: tuple[int | str, ...]) -> dict[str, Any]:
-    """The table at a place; the kind by which a table was chosen is no part of the way."""
-    table = values
+def _table(
+    values: Any, place: tuple[int | str, ...]
+) -> tuple[list[int | str], dict[int | str, Any]]:
+    """The way to the table at a place of a problem, and the table.
+
+    Problems also name the kind by which a table was chosen; the file has no table of that name.
+    """
+    table, way = values, list[int | str]()
     for part in place:
         if isinstance(part, int) or part in table:  # a number is of a list
             table = table[part]
-    found: dict[str, Any] = table
-    return found
+            way.append(part)
+    return way, table
 
 
 def _put(
-    table: dict[str, Any], models: list[type[BaseModel]], moved: "re.Match[str]", value: Any
+    table: dict[int | str, Any], models: list[type[BaseModel]], moved: "re.Match[str]", value: Any
 ) -> None:
     """Write a value into a list where its parameter has moved; the others are as usual."""
     index, name = _NUMBERS.index(moved[1]), moved[3]

@@ -1,7 +1,7 @@
 //! Particles in the air: rain, dust and fog, which give returns of their own.
 
 use crate::parry::CastRay;
-use crate::shape::refused;
+use crate::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
 use std::f64::consts::PI;

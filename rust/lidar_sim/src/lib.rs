@@ -5,6 +5,8 @@
 //! its own look at it: every ray has its own time, every random number depends on nothing but
 //! seed, scan and ray, so that the result is the same for any number of threads.
 
+use lidar_core::Error;
+
 pub mod air;
 pub mod circle_beams;
 pub mod circle_samples;
@@ -19,3 +21,12 @@ pub mod shape;
 pub mod simulate;
 pub mod surface;
 pub mod trajectory;
+
+/// The error for a parameter that has another value than expected.
+pub(crate) fn refused(
+    name: &'static str,
+    expected: &'static str,
+    got: &dyn std::fmt::Debug,
+) -> Error {
+    Error::Parameter { name, expected, got: format!("{got:?}") }
+}

@@ -1,7 +1,7 @@
 //! Triangle meshes and height fields.
 
 use crate::parry::{BoundingBox, CastRay, FARTHEST, Tree};
-use crate::shape::refused;
+use crate::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
 use lidar_core::util::budget;

@@ -2,8 +2,8 @@
 
 use crate::parry::{BoundingBox, CastRay};
 use crate::random::{Purpose, Stream};
+use crate::refused;
 use crate::scene::{Scene, inverse};
-use crate::shape::refused;
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, minus, norm};

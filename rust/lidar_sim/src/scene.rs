@@ -2,7 +2,8 @@
 
 use crate::air::{MAX_VOLUMES, Particles};
 use crate::parry::Tree;
-use crate::shape::{Shape, refused};
+use crate::refused;
+use crate::shape::Shape;
 use crate::surface::Surface;
 use crate::trajectory::Trajectory;
 use lidar_core::Error;

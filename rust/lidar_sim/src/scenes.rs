@@ -1,8 +1,9 @@
 //! The fixed scene of all performance figures.
 
+use crate::refused;
 use crate::scene::{Mover, Scene, SceneObject};
 use crate::sensors::{Lidar, Pattern};
-use crate::shape::{Shape, refused};
+use crate::shape::Shape;
 use crate::simulate::{self, Task};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;

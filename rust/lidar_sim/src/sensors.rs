@@ -1,7 +1,7 @@
 //! LiDAR models: ray patterns, firing times and range errors.
 
 use crate::random::{self, Purpose};
-use crate::shape::refused;
+use crate::refused;
 use lidar_core::Error;
 use lidar_core::util::budget;
 use std::f64::consts::TAU;

@@ -2,6 +2,7 @@
 
 use crate::mesh::Mesh;
 use crate::parry::{BoundingBox, CastRay};
+use crate::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, norm};
 use std::sync::Arc;
@@ -225,14 +226,6 @@ fn half_of(height: f64) -> Result<f64, Error> {
         return Ok(0.5 * height);
     }
     Err(refused("height", "> 0", &height))
-}
-
-pub(crate) fn refused(
-    name: &'static str,
-    expected: &'static str,
-    got: &dyn std::fmt::Debug,
-) -> Error {
-    Error::Parameter { name, expected, got: format!("{got:?}") }
 }
 
 fn extent_of_box(pose: &Transform, half_size: [f64; 3]) -> [f64; 3] {

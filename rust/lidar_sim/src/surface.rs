@@ -1,6 +1,6 @@
 //! Optical properties of surfaces: scattered, mirrored, transmitted and lost light.
 
-use crate::shape::refused;
+use crate::refused;
 use lidar_core::Error;
 use lidar_core::geometry::transform::dot;
 

@@ -71,9 +71,17 @@ def test_a_list_that_is_wrong_is_told_by_the_reading(model, old):
 def test_tables_of_a_chosen_kind_are_found():
     sensor = {"kind": "stop_and_go", "start": [0, 0, 1], "velocity": [1, 0, 0], "ramp": 2.0}
     values, (change,) = migrated(Scene, {"sensor": sensor})
-    assert (change.place, change.value) == ("sensor.stop_and_go.ramp", 2.0)
+    assert (change.place, change.value) == ("sensor.ramp", 2.0)
     assert "ramp" not in values["sensor"]
     assert Scene.load(values).sensor.velocity == (1, 0, 0)
+
+
+def test_the_number_of_an_entry_is_part_of_the_place():
+    motion = {"kind": "stop_and_go", "start": [0, 0, 1], "velocity": [1, 0, 0], "ramp": 2.0}
+    still = {"kind": "hover", "position": [5, 0, 1]}
+    targets = [{"motion": still, "shape": {}}, {"motion": motion, "shape": {}}]
+    _, (change,) = migrated(Scene, {"targets": targets})
+    assert change.place == "targets.1.motion.ramp"
 
 
 def test_what_is_wrong_otherwise_stays_wrong():

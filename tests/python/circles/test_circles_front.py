@@ -344,6 +344,17 @@ def test_the_papers_reading():
     ]
 
 
+@pytest.mark.parametrize(("share", "kept"), [(0.0, 2), (0.005, 1), (0.5, 0)])
+def test_segments_with_a_smaller_share_of_the_rays_are_dropped(share, kept):
+    """Of 1081 rays, 5 are 0.0046; a segment with as many as the share asks for is kept."""
+    ranges = np.full(len(BEARINGS), np.inf)
+    ranges[100:105], ranges[500:530] = 3.0, 4.0
+    config = SegmentConfig.paper().model_copy(update={"min_fraction": share})
+    assert len(segment(ranges, BEARINGS, config=config)) == kept
+    exact = config.model_copy(update={"min_fraction": 5 / len(BEARINGS)})
+    assert len(segment(ranges, BEARINGS, config=exact)) == 2
+
+
 def test_sides_at_the_limits_of_the_range():
     far = segment([np.inf, 9.8, 9.8, 9.8, 9.8, np.inf], np.arange(6) * 0.004)
     assert far.sides.tolist() == [[Side.RANGE_CUT] * 2]

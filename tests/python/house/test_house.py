@@ -30,6 +30,7 @@ PAPERS = [
 ]
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 FORBIDDEN_IMPORTS = {"pickle", "marshal", "shelve", "dill"}
+MOST_PARAMETERS = 450
 TARGETS = {"bench", "ci", "clean", "demo", "dev", "docs", "fmt", "help", "lint", "test", "wheel"}
 
 
@@ -56,6 +57,18 @@ def first_party_rust():
 
 
 # Papers
+
+
+def test_contributing_names_paths_and_types_that_exist():
+    text = text_of("CONTRIBUTING.md")
+    named = re.findall(r"`((?:rust|python|tests|docs|benches|fuzz)/[\w./-]+)`", text)
+    assert len(named) > 40
+    assert [path for path in named if not (ROOT / path).exists()] == []
+    types = set(re.findall(r"`([A-Z][a-z]\w*)`", text))
+    code = [*PACKAGE.rglob("*.py"), *first_party_rust()]
+    words = {word for path in code for word in re.findall(r"\w+", path.read_text("utf-8"))}
+    assert len(types) > 8
+    assert sorted(types - words) == []
 
 
 def test_architecture_names_paths_that_exist():
@@ -211,6 +224,18 @@ def test_the_parameter_page_has_a_row_for_every_parameter():
         for model in models_within(model_named(name)):
             assert f"### {model.__name__}\n" in page
             assert all(f"| `{field}` |" in page for field in model.model_fields)
+
+
+def test_every_parameter_is_used_by_a_test_an_example_a_page_or_an_item():
+    """A parameter that none of them names is not worth its place, or not tested."""
+    places = ("tests", "examples", "docs", "benches", "training", "python/lidar_core/reproduce")
+    kinds = {".py", ".md", ".toml", ".ipynb"}
+    paths = [path for place in places for path in (ROOT / place).rglob("*") if path.suffix in kinds]
+    words = {word for path in paths for word in re.findall(r"\w+", path.read_text("utf-8"))}
+    models = {model for name in MODELS for model in models_within(model_named(name))}
+    fields = {f"{model.__name__}.{field}" for model in models for field in model.model_fields}
+    assert len(fields) <= MOST_PARAMETERS, "a new parameter takes the place of another one"
+    assert [name for name in sorted(fields) if name.partition(".")[2] not in words] == []
 
 
 # The compiled module and the package

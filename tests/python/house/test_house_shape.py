@@ -16,12 +16,9 @@ house = importlib.import_module("house_numbers")
 CORE = ROOT / "rust/lidar_core/src"
 SIMULATOR = ROOT / "rust/lidar_sim/src"
 PACKAGE = ROOT / "python/lidar_core"
-READERS = {CORE: "rust", SIMULATOR: "rust", PACKAGE: "python"}
-MOST_IN_A_CIRCLE = {CORE: 2, SIMULATOR: 2, PACKAGE: 0}
-"""Files that import one another; these numbers only fall, to 4 at most."""
+BINDING = ROOT / "rust/lidar_core_py/src"
+READERS = {CORE: "rust", SIMULATOR: "rust", BINDING: "rust", PACKAGE: "python"}
 MOST_TESTS_IN_A_FOLDER = 16
-CIRCLES_ACROSS = {CORE: 0, SIMULATOR: 1, PACKAGE: 0}
-"""Circles between folders; these numbers only fall."""
 DEFINED_TWICE = {"Measurement", "Motion", "NoiseForm", "Sensor", "State"}
 """Rust type names that two places define; this set only gets smaller."""
 
@@ -74,16 +71,24 @@ def test_rust_type_names_are_defined_once():
 
 
 @ROOTS
-def test_circles_of_imports_do_not_grow(root):
-    groups = house.circles_of(imports_of(root))
-    largest = max(groups, key=len, default=[])
-    assert len(largest) <= MOST_IN_A_CIRCLE[root], largest
+def test_no_files_import_one_another_in_a_circle(root):
+    assert house.circles_of(imports_of(root)) == []
 
 
 @ROOTS
 def test_folders_import_one_another_in_one_direction(root):
-    across = house.circles_across(imports_of(root), heads_of(root))
-    assert len(across) <= CIRCLES_ACROSS[root], across
+    assert house.circles_across(imports_of(root), heads_of(root)) == []
+
+
+def test_circles_of_folders_are_seen_at_every_depth():
+    """A folder and one in it may know each other, also where both lie in a circle; others not."""
+    one, two, part = ("top", "one"), ("top", "two"), ("top", "one", "part")
+    below, back = {(*part, "x"): {(*one, "x")}}, {(*one, "y"): {(*part, "x")}}
+    nested = {("top", "x"): {(*one, "x")}, (*one, "x"): {("top", "y")}, **below, **back}
+    heads = {("top",), one, two, part}
+    assert house.circles_across(nested, heads) == []
+    beside = {**nested, (*two, "x"): {(*part, "x")}, (*part, "y"): {(*two, "y")}}
+    assert house.circles_across(beside, heads) != []
 
 
 def upward(imports, floors):
@@ -126,9 +131,43 @@ def test_floors_see_what_runs_up():
 
 
 def test_a_motion_model_is_named_in_its_own_file_and_in_the_list_of_models():
-    roots = [CORE, ROOT / "rust/lidar_core_py/src"]
+    roots = [CORE, BINDING]
     named = house.files_naming(r'\bCtra\b|"ctra"', roots, PACKAGE)
     assert sorted(named) == ["heading.rs", "model.rs"]
+
+
+# Files that cargo compiles
+
+MANIFESTS = ("rust/*/Cargo.toml", "benches/Cargo.toml", "fuzz/Cargo.toml")
+RUST_FOLDERS = ("rust", "benches", "tests/rust", "fuzz")
+
+
+def test_every_rust_file_is_a_module_or_a_target():
+    manifests = [path for pattern in MANIFESTS for path in ROOT.glob(pattern)]
+    assert len(manifests) == 5
+    for folder in RUST_FOLDERS:
+        found = house.rust_files_of_no_module(ROOT / folder, manifests)
+        assert [path for path in found if "target" not in path.parts] == []
+
+
+@pytest.mark.parametrize(
+    ("declared", "missed"),
+    [
+        ("mod one;\npub(crate) mod two;", []),
+        ("mod one;\n// mod two;", ["two/mod.rs", "two/three.rs"]),
+        ("mod one { }\nmod two;", ["one.rs", "one/four.rs"]),
+        ('#[path = "one.rs"]\nmod other;\nmod two;', ["one/four.rs"]),
+    ],
+)
+def test_a_rust_file_that_nothing_declares_is_seen(tmp_path, declared, missed):
+    manifest, src = tmp_path / "Cargo.toml", tmp_path / "src"
+    texts = {"lib.rs": declared, "one.rs": "mod four;", "two/mod.rs": "pub mod three;"}
+    for name, text in (texts | {"one/four.rs": "", "two/three.rs": ""}).items():
+        (src / name).parent.mkdir(parents=True, exist_ok=True)
+        (src / name).write_text(text, encoding="utf-8")
+    manifest.write_text("[package]\n", encoding="utf-8")
+    found = house.rust_files_of_no_module(src, [manifest])
+    assert {path.relative_to(src).as_posix() for path in found} == set(missed)
 
 
 # One home per default

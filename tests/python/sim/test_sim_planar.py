@@ -334,3 +334,14 @@ def test_a_planar_scene_comes_back_from_toml(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(world.to_toml())
     assert sim.Scene.read(path) == world
+
+
+def test_a_pattern_begins_at_its_azimuth_and_turns_from_scan_to_scan():
+    pattern = sim.Spinning(
+        elevations_deg=(0,), columns=360, azimuth_start=0.3, azimuth_per_scan=0.02
+    )
+    room = sim.Body(shape=sim.Box(size=(9.0, 9.0, 9.0)))
+    scene = sim.Scene(lidar=sim.LidarModel(pattern=pattern, range_std=0), bodies=(room,))
+    for number, made in enumerate(sim.simulate(scene, seed=0, scans=3)):
+        first = made.scan.points.reshape(-1, 3)[0]
+        assert np.arctan2(first[1], first[0]) == pytest.approx(0.3 + 0.02 * number, abs=1e-6)

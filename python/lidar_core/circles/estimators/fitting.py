@@ -12,10 +12,11 @@ from lidar_core.circles.preprocess import as_scan
 from lidar_core.circles.scanner import Scanner
 from lidar_core.circles.segmentation import Segments, arrays_of
 from lidar_core.config import as_config
+from lidar_core.messages import ShortRepr
 
 
-@dataclass(frozen=True, slots=True)
-class Circles:
+@dataclass(frozen=True, slots=True, repr=False)
+class Circles(ShortRepr):
     """Circles seen in one frame, eq. 11; `np.asarray` gives their parameters.
 
     Attributes

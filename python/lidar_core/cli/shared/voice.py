@@ -204,7 +204,7 @@ class Pace:
     """Lines about progress for logs: one a minute for every step."""
 
     def __init__(self, console: "Console", counts: str) -> None:
-        self._console, self._counts = console, counts
+        self._console, self._counts, self._every_s = console, counts, _chosen.every_s
         self._begun: dict[str, float] = {}
         self._told: dict[str, float] = {}
 
@@ -212,7 +212,7 @@ class Pace:
         """Say how far a step is, if it is time to."""
         now = time.monotonic()
         begun = self._begun.setdefault(what, now)
-        if now - self._told.setdefault(what, begun) < _chosen.every_s:
+        if now - self._told.setdefault(what, begun) < self._every_s:
             return
         self._told[what] = now
         if total is not None and done > total:

@@ -1,12 +1,13 @@
 """`circles-situations`: what real rooms do to a map, each simulated alone: noise, poses, people."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.circles import CirclePipeline, CirclesConfig
+from lidar_core.circles import CircleElements, CirclePipeline, CirclesConfig
+from lidar_core.objects import ObjectTruth
 from lidar_core.reproduce.circles.runs import config_of
 from lidar_core.reproduce.common import BLUE, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
@@ -159,35 +160,7 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
         # What is measured is where objects are for the scanner, whatever its pose is. Late poses
         # are moved on by the map, which is in the world then.
         wrong = np.eye(4) if poses_of is late else poses[0] @ np.linalg.inv(made.poses[0])
-        truth = made.truth
-        # Where two people pass, each has elements of its own.
-        middles = truth.center @ wrong[:2, :2].T + wrong[:2, 3]
-        apart = np.linalg.norm(found.center[:, None] - middles, axis=2)
-        nearest = apart.argmin(axis=1) if len(middles) else np.zeros(len(found), np.int64)
-        for row in range(len(truth.hits)):
-            if truth.hits[row] < 5:
-                continue
-            place = wrong[:2, :2] @ truth.center[row] + wrong[:2, 3]
-            velocity = wrong[:2, :2] @ truth.velocity[row]
-            off = np.linalg.norm(found.center - place, axis=1)
-            # The radius of a large circle reaches further than the gate.
-            near = np.flatnonzero(off < GATE)
-            values = [np.nan] * 5
-            if len(near):
-                best = int(near[off[near].argmin()])
-                error = found.center[best] - place
-                with_radius = np.r_[error, found.radius[best] - truth.radius[row]]
-                covariance = found.covariance[best][np.ix_([0, 1, 4], [0, 1, 4])]
-                values = [
-                    float(found.id[best]),
-                    float(error @ error),
-                    float(with_radius @ np.linalg.solve(covariance, with_radius)),
-                    float(((found.velocity[best] - velocity) ** 2).sum()),
-                    float(found.person_probability[best]),
-                ]
-            person = float(truth.kind[row] == "person")
-            own = float(np.count_nonzero(nearest[near] == row))
-            rows.append((number, row, person, own, *values))
+        rows += ((number, *row) for row in _object_rows(made.truth, found, wrong))
     columns = np.array(rows, np.float64).reshape(-1, 9).T
     names = ("scan", "object", "person", "near", "id", "square", "nees", "slip", "likely")
     offset = pipeline.health().pose_offset_s
@@ -196,6 +169,40 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
         "minutes": np.array(scans * scene.lidar.period_ns * 1e-9 / 60),
         "offset": np.array(np.nan if offset is None else offset),
     }
+
+
+def _object_rows(
+    truth: ObjectTruth, found: CircleElements, wrong: NDArray[np.float64]
+) -> Iterator[tuple[float, ...]]:
+    """A row per object that rays met, against the map `found`; `wrong` moves the truth into it."""
+    # Where two people pass, each has elements of its own.
+    middles = truth.center @ wrong[:2, :2].T + wrong[:2, 3]
+    apart = np.linalg.norm(found.center[:, None] - middles, axis=2)
+    nearest = apart.argmin(axis=1) if len(middles) else np.zeros(len(found), np.int64)
+    for row in range(len(truth.hits)):
+        if truth.hits[row] < 5:
+            continue
+        place = wrong[:2, :2] @ truth.center[row] + wrong[:2, 3]
+        velocity = wrong[:2, :2] @ truth.velocity[row]
+        off = np.linalg.norm(found.center - place, axis=1)
+        # The radius of a large circle reaches further than the gate.
+        near = np.flatnonzero(off < GATE)
+        values = [np.nan] * 5
+        if len(near):
+            best = int(near[off[near].argmin()])
+            error = found.center[best] - place
+            with_radius = np.r_[error, found.radius[best] - truth.radius[row]]
+            covariance = found.covariance[best][np.ix_([0, 1, 4], [0, 1, 4])]
+            values = [
+                float(found.id[best]),
+                float(error @ error),
+                float(with_radius @ np.linalg.solve(covariance, with_radius)),
+                float(((found.velocity[best] - velocity) ** 2).sum()),
+                float(found.person_probability[best]),
+            ]
+        person = float(truth.kind[row] == "person")
+        own = float(np.count_nonzero(nearest[near] == row))
+        yield row, person, own, *values
 
 
 def _measure(request: Request) -> Measured:

@@ -66,8 +66,8 @@ class FlyingRun:
         self.rejected: Counter[str] = Counter()
         self.frame_id = "world"
         self._class_counts = np.zeros(len(PointClass), np.int64)
-        self._times = ScanTimes()
         self.frames: list[FlyingFrame] = []
+        self._wall_ms: list[float] = []
         self._sensors: list[str] = []
         self._path: list[NDArray[np.float64]] = []
         self._flying: list[NDArray[np.float64]] = []
@@ -130,7 +130,7 @@ class FlyingRun:
         self._path.append(place)
         self._flying.append(flying)
         self._shares.append((frame.status.sky_share, frame.status.own_body))
-        self._times.add(frame.stamp_ns, wall_ms, frame.timing_ms, place)
+        self._wall_ms.append(wall_ms)
 
     def checkpoint_state(self) -> dict[str, Any]:
         """All state but the rows, for a checkpoint."""
@@ -140,7 +140,7 @@ class FlyingRun:
 
     def rows(self, since: int) -> list[Any]:
         """What the scans left that were kept since then."""
-        lists = (self.frames, self._sensors, self._path, self._flying, self._times.wall_ms)
+        lists = (self.frames, self._sensors, self._path, self._flying, self._wall_ms)
         return [list(row) for row in zip(*(one[since:] for one in lists), strict=True)]
 
     def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
@@ -183,7 +183,14 @@ class FlyingRun:
     @property
     def latency(self) -> Latency | None:
         """Time per processed scan, in all and per stage [ms]; None without scans."""
-        return self._times.latency
+        return self._times().latency
+
+    def _times(self) -> ScanTimes:
+        """Times per scan, gathered when they are asked for: the frames hold them."""
+        times = ScanTimes()
+        for frame, wall_ms, place in zip(self.frames, self._wall_ms, self._path, strict=True):
+            times.add(frame.stamp_ns, wall_ms, frame.timing_ms, place)
+        return times
 
     @property
     def class_shares(self) -> dict[str, float]:
@@ -262,7 +269,7 @@ class FlyingRun:
             "own_body": self.own_body,
             "detections": self.n_detections,
             "tracks": len(self.track_ids),
-            "ms_per_scan": self._times.ms_per_scan,
+            "ms_per_scan": self._times().ms_per_scan,
             "map": {
                 "observed_voxels": self.detector.n_observed,
                 "occupied_voxels": len(self.detector.occupied_points()),
@@ -276,7 +283,7 @@ class FlyingRun:
             folder.path / "tracks.parquet", self.tracks, frame_id=self.frame_id
         )
         table = folder.write_table("detections", self.detections_table())
-        timing = folder.write_table("timing", self._times.table())
+        timing = folder.write_table("timing", self._times().table())
         write_tum(folder.path / TRACKS_FOLDER, self.flying)
         self.detector.save_map(folder.path / "map.lcvm")
         return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]

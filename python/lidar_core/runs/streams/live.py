@@ -14,7 +14,7 @@ from lidar_core.config import checked
 from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
-from lidar_core.live import LiveConfig, LiveLoop
+from lidar_core.live import LiveConfig, LiveLoop, Output
 from lidar_core.live.poses import LivePoses
 from lidar_core.live.stats import Report
 from lidar_core.live.tape import Tape
@@ -146,21 +146,9 @@ def live(
     path = None if output is None else Path(output)
     taped = None if record is None else Path(record)
     check_files(outputs, place, path, taped, overwrite=overwrite)
-    folder = None
-    if path is not None:
-        begun, _ = folder_to_write(
-            path,
-            mcap=None,
-            overwrite=overwrite,
-            reads=place,
-            checkpoint=checkpoint,
-            resume=resume,
-        )
-        folder = LiveFolder(
-            begun, chosen.pipeline, checkpoint=checkpoint, resume=resume, threads=threads
-        )
-    elif checkpoint is not None or resume:
-        raise ConfigError("checkpoint, resume: expected an output folder, got none")
+    folder = _folder(
+        path, chosen, reads=place, overwrite=overwrite, checkpoint=checkpoint, resume=resume
+    )
     ended_by: KeyboardInterrupt | OSError | None = None
     files, notes = list[str](), list[str]()
     with ExitStack() as stack:
@@ -178,19 +166,13 @@ def live(
                 server.update(report)
             on_report(report)
 
-        opened = [
-            stack.enter_context(
-                closing(
-                    open_output(
-                        text,
-                        settings,
-                        allowed=allowed,
-                        on_refused=lambda reason: on_message(f"refused: {reason}"),
-                    )
-                )
-            )
-            for text in outputs
-        ]
+        def refused(reason: str) -> None:
+            on_message(f"refused: {reason}")
+
+        opened: list[Output] = []
+        for text in outputs:
+            made = open_output(text, settings, allowed=allowed, on_refused=refused)
+            opened.append(stack.enter_context(closing(made)))
         opened += [] if folder is None else [folder]
         loop: LiveLoop[Any] = LiveLoop(
             listening,
@@ -226,3 +208,25 @@ def live(
     if folder is not None and folder.failed is not None:
         ended_by = folder.failed
     return LiveResult(path, summary, tuple(files), tuple(notes), ended_by, loop.heard_nothing)
+
+
+def _folder(
+    path: Path | None,
+    chosen: PipelineChoice,
+    *,
+    reads: Path | None,
+    overwrite: bool,
+    checkpoint: float | None,
+    resume: bool,
+) -> LiveFolder | None:
+    """The output that writes the run folder at `path`; None without one."""
+    if path is None:
+        if checkpoint is not None or resume:
+            raise ConfigError("checkpoint, resume: expected an output folder, got none")
+        return None
+    begun, _ = folder_to_write(
+        path, mcap=None, overwrite=overwrite, reads=reads, checkpoint=checkpoint, resume=resume
+    )
+    return LiveFolder(
+        begun, chosen.pipeline, checkpoint=checkpoint, resume=resume, threads=chosen.threads
+    )

@@ -75,7 +75,7 @@ fn alternation(four: [Sample; 4]) -> Option<f64> {
     let one = Departure::of([first, second, third])?;
     let two = Departure::of([second, third, fourth])?;
     let is_sharp = four.iter().all(|sample| sample.variance < SHARP);
-    // The second and the third position are in both.
+    // The second and the third position are in both: their stated noise alone correlates the departures.
     let shared = [one.weights[1] * two.weights[0], one.weights[2] * two.weights[1]];
     let stated = shared[0] * second.variance + shared[1] * third.variance;
     let product = 0.5 * (one.off[0] * two.off[0] + one.off[1] * two.off[1]);

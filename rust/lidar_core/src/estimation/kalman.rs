@@ -164,7 +164,8 @@ pub fn correct<const N: usize, const M: usize>(
     if !believe(&far) {
         return Ok(far);
     }
-    root.solve_upper(&mut y); // S^-1 y
+    // y becomes S^-1 y by the other half of the factorisation: S is never inverted.
+    root.solve_upper(&mut y);
     for m in 0..M {
         add_scaled(&mut state.mean.data.0[0], y[m][0], &A[m]);
     }
@@ -185,7 +186,8 @@ fn joseph<const N: usize, const M: usize>(
     gain: &[[f64; N]; M],
     model: &Linearised<N, M>,
 ) {
-    let mut G = [[0.0; N]; N]; // columns of (I - K H) P
+    // Columns of (I - K H) P, as P - K (H P): A holds H P already, which saves a product of N x N.
+    let mut G = [[0.0; N]; N];
     for k in 0..N {
         let mut sum = P.data.0[k];
         for m in 0..M {
@@ -199,7 +201,8 @@ fn joseph<const N: usize, const M: usize>(
             add_scaled(&mut noisy[m], model.R.data.0[m][l], &gain[l]);
         }
     }
-    let mut left = [[0.0; N]; N]; // columns of I - K H
+    // Columns of I - K H: matrices are stored by columns, so that sums run along memory.
+    let mut left = [[0.0; N]; N];
     for k in 0..N {
         left[k][k] = 1.0;
         for m in 0..M {

@@ -229,7 +229,8 @@ impl Nested {
             }
         }
         if level == 0 && self.rows == 3 {
-            // Two bounds of the next entry change places; the last entry blurs that.
+            // The integrand bends where two bounds of the next entry change places, which the last entry blurs:
+            // the steps have to be fine there.
             let [_, [a0, a1, _], [b0, b1, b2]] = self.factor;
             let slope = b0 * a1 - a0 * b1;
             for a in [self.low[1], self.high[1]] {

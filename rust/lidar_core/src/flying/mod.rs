@@ -38,6 +38,7 @@ pub mod detector;
 pub mod frame;
 mod full_state;
 pub mod integrate;
+mod large_targets;
 pub mod map;
 pub mod moving;
 pub mod parameters;

@@ -13,6 +13,7 @@ use lidar_core::flying::scan::sensor::SensorParameters;
 use lidar_core::flying::sky::{Beams, RayPattern};
 use lidar_core::geometry::cluster::Clustering;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 
 #[derive(FromPyObject)]
@@ -271,16 +272,16 @@ pub(crate) struct MapConfig {
 }
 
 /// Names of the rays that are cast.
-pub(crate) const RAYS: [(&str, Rays); 2] = [("all", Rays::All), ("one_per_end", Rays::OnePerEnd)];
+const RAYS: [(&str, Rays); 2] = [("all", Rays::All), ("one_per_end", Rays::OnePerEnd)];
 
 /// Names of the voxels that rays pass.
 const SKIPS: [(&str, Skip); 2] = [("saturated", Skip::Saturated), ("none", Skip::Nothing)];
 
 /// Names of what becomes of values close to `g_free`: true if they become `g_free`.
-pub(crate) const SATURATIONS: [(&str, bool); 2] = [("settled", true), ("paper", false)];
+const SATURATIONS: [(&str, bool); 2] = [("settled", true), ("paper", false)];
 
 /// Names of the units of the ray weight.
-pub(crate) const RAY_UNITS: [(&str, RayUnit); 3] =
+const RAY_UNITS: [(&str, RayUnit); 3] =
     [("edges", RayUnit::Edges), ("metres", RayUnit::Metres), ("diagonals", RayUnit::Diagonals)];
 
 impl MapConfig {
@@ -309,4 +310,42 @@ impl MapConfig {
             max_voxels: self.max_voxels,
         })
     }
+}
+
+/// Values of `VoxelMapConfig` that a map knows, by name: what `MapConfig::parameters` has read. A saved map
+/// states how it was made, and Python makes its configuration from this.
+pub(crate) fn map_values(py: Python<'_>, p: MapParameters) -> PyResult<Bound<'_, PyDict>> {
+    let values = PyDict::new(py);
+    values.set_item("voxel_size", p.voxel_size)?;
+    values.set_item("max_range", p.max_range)?;
+    values.set_item("end_margin", p.end_margin)?;
+    values.set_item("ray_gain", p.ray_gain)?;
+    let rays = RAYS.iter().find(|(_, rays)| *rays == p.rays).map(|(name, _)| *name);
+    values.set_item("rays", rays)?;
+    let unit = RAY_UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
+    values.set_item("ray_unit", unit)?;
+    let saturation = SATURATIONS.iter().find(|(_, settles)| *settles == p.settles);
+    values.set_item("saturation", saturation.map(|(name, _)| *name))?;
+    let levels = [
+        ("g_occ", p.g_occ),
+        ("g_unk", p.g_unk),
+        ("g_free", p.g_free),
+        ("initial", p.initial),
+        ("threshold_uncertain", p.thresholds[0]),
+        ("threshold_tentative", p.thresholds[1]),
+        ("threshold_confident", p.thresholds[2]),
+    ];
+    for (name, value) in levels {
+        values.set_item(name, as_written(value))?;
+    }
+    let extra: Vec<f64> = p.extra_thresholds.into_iter().map(as_written).collect();
+    values.set_item("extra_thresholds", extra)?;
+    values.set_item("bounds", p.bounds)?;
+    values.set_item("max_voxels", p.max_voxels)?;
+    Ok(values)
+}
+
+/// The shortest decimal number that reads as `value`: -0.1 comes back as -0.1.
+fn as_written(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or(f64::from(value))
 }

@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Rows3, Threads};
 use crate::errors::BorderError;
-use crate::flying::config::{ClassifyConfig, MapConfig, RAY_UNITS, RAYS, SATURATIONS};
+use crate::flying::config::{ClassifyConfig, MapConfig, map_values};
 use crate::guard::{Guarded, detached};
 use lidar_core::Error;
 use lidar_core::flying::classify::classifier::classify_clusters;
@@ -216,35 +216,8 @@ impl PyVoxelMap {
         &self,
         py: Python<'py>,
     ) -> Result<Bound<'py, pyo3::types::PyDict>, BorderError> {
-        let p = self.with_map(py, |map| Ok(map.parameters().clone()))?;
-        let values = pyo3::types::PyDict::new(py);
-        values.set_item("voxel_size", p.voxel_size)?;
-        values.set_item("max_range", p.max_range)?;
-        values.set_item("end_margin", p.end_margin)?;
-        values.set_item("ray_gain", p.ray_gain)?;
-        let rays = RAYS.iter().find(|(_, rays)| *rays == p.rays).map(|(name, _)| *name);
-        values.set_item("rays", rays)?;
-        let unit = RAY_UNITS.iter().find(|(_, unit)| *unit == p.ray_unit).map(|(name, _)| *name);
-        values.set_item("ray_unit", unit)?;
-        let saturation = SATURATIONS.iter().find(|(_, settles)| *settles == p.settles);
-        values.set_item("saturation", saturation.map(|(name, _)| *name))?;
-        let levels = [
-            ("g_occ", p.g_occ),
-            ("g_unk", p.g_unk),
-            ("g_free", p.g_free),
-            ("initial", p.initial),
-            ("threshold_uncertain", p.thresholds[0]),
-            ("threshold_tentative", p.thresholds[1]),
-            ("threshold_confident", p.thresholds[2]),
-        ];
-        for (name, value) in levels {
-            values.set_item(name, as_written(value))?;
-        }
-        let extra: Vec<f64> = p.extra_thresholds.into_iter().map(as_written).collect();
-        values.set_item("extra_thresholds", extra)?;
-        values.set_item("bounds", p.bounds)?;
-        values.set_item("max_voxels", p.max_voxels)?;
-        Ok(values)
+        let parameters = self.with_map(py, |map| Ok(map.parameters().clone()))?;
+        Ok(map_values(py, parameters)?)
     }
 
     /// Voxels stored, voxels observed, bytes held.
@@ -263,11 +236,6 @@ impl PyVoxelMap {
     ) -> Result<R, BorderError> {
         self.0.with(py, |this| work(&mut this.map))
     }
-}
-
-/// The shortest decimal number that reads as `value`: -0.1 comes back as -0.1.
-fn as_written(value: f32) -> f64 {
-    value.to_string().parse().unwrap_or(f64::from(value))
 }
 
 fn centers(map: &VoxelMap) -> Vec<[f64; 3]> {

@@ -191,7 +191,7 @@ fn take_in<S: State>(
             element.unmeasured(element.state.look(from, rules), from.sensor, dt);
         }
     }
-    // Eqs 18-20 for everything that has no element.
+    // Eqs 18-20, after all corrections: a new element must not take a measurement that a known one explains.
     for (index, measurement) in measurements.iter().enumerate() {
         let is_new = wholes[index] == index && seen.elements[index].is_none();
         if is_new && S::is_born(measurement, rules) {

@@ -38,7 +38,8 @@ impl LevelPose {
         let ends = shape.ends()?;
         let [angle, _, start, end, _] = shape.parameters;
         let c = &shape.covariance;
-        // From the angle and the distance to the angle and the place across the middle.
+        // An error of the angle also moves what was seen, unless that lies at the foot of the normal. The place
+        // of its middle, across the line, is the value that hardly depends on the angle.
         let J = Matrix2::new(1.0, 0.0, -0.5 * (start + end), 1.0);
         let mut R = J * Matrix2::new(c[0][0], c[0][1], c[1][0], c[1][1]) * J.transpose();
         let middle = [0, 1].map(|axis| 0.5 * (ends[0][axis] + ends[1][axis]));

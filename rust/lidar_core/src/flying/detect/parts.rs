@@ -6,15 +6,13 @@
 
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
+use crate::flying::large_targets::{LARGE, PART_GAP};
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// A target with a longer side may fall into several clusters [m].
-const LARGE: f64 = 0.75;
-/// Parts of it are no further apart than this, from box to box [m].
-const GAP: f64 = 0.5;
-/// Or they are seen beside each other, at this angle [rad], and one of them is at most so much further away [m].
+/// Parts of a large target are also seen beside each other, at this angle [rad], and one of them is at most so
+/// much further away [m].
 const BESIDE: f64 = 0.02;
 const BEHIND: f64 = 1.0;
 
@@ -50,7 +48,7 @@ impl<'c> UnitedClusters<'c> {
             let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
                 *other != index
                     && (side(whole), *other) > (side(&part), index)
-                    && (gap(whole, &part) <= GAP || are_beside(points, origin, whole, &part))
+                    && (gap(whole, &part) <= PART_GAP || are_beside(points, origin, whole, &part))
             };
             let whole = large
                 .iter()

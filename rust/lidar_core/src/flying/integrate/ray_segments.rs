@@ -130,7 +130,8 @@ impl Source<'_> {
         for lane in 0..LANES {
             let direction = wide(directions[index[lane]]);
             let beyond = self.scan.reach.map_or(f64::NEG_INFINITY, |reach| {
-                norm(direction) - f64::from(reach[index[lane]]) // the way that is left behind the tip
+                // Behind its reach a ray clears nothing: that part is cut off as a margin.
+                norm(direction) - f64::from(reach[index[lane]])
             });
             margin[lane] = if flags[lane] { beyond } else { margin[lane] };
             for axis in 0..3 {

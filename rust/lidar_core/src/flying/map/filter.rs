@@ -54,7 +54,8 @@ pub fn filtered(value: f32, target: f32, keep: f64) -> f32 {
 #[inline]
 pub fn two_to_minus(n: f64) -> f64 {
     const LN_2: f64 = std::f64::consts::LN_2;
-    const EXPONENT: f64 = 1023.0 + (1u64 << 52) as f64; // 1023 in the lowest bits
+    // From 2^52 on, a number has its whole part in the lowest bits: 1023 there is the exponent of 1.
+    const EXPONENT: f64 = 1023.0 + (1u64 << 52) as f64;
     /// ln(2)^k / k! for k = 10..=1: the exponential series, highest power first.
     const SERIES: [f64; 10] = {
         let mut series = [0.0; 10];

@@ -62,7 +62,8 @@ impl Inert {
             // A byte per layer of z, and in it a bit per y: two rows of two layers make a cell.
             let rows = pairs & pairs >> 1;
             let cells = rows & rows >> 8 & 0x0055_0055_0055_0055;
-            // Bits 2 y + 16 z move to 4 y + 16 z.
+            // A byte has four cells of y in its even bits. They spread over 16 bits, four apart, so that those of
+            // the four x fit between them.
             let cells = (cells | cells << 4) & 0x0505_0505_0505_0505;
             inert |= ((cells | cells << 2) & 0x1111_1111_1111_1111) << x;
         }

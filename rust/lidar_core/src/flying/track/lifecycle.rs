@@ -7,12 +7,8 @@ use super::motion::{self, seconds};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED};
+use crate::flying::large_targets::{LARGE, PART_GAP};
 use nalgebra::Vector3;
-
-/// A target with a longer side may fall into several clusters: a fuselage between wings [m].
-pub(super) const LARGE: f64 = 0.75;
-/// Parts of a large target are no further apart than this, from box to box [m].
-pub(super) const PART_GAP: f64 = 0.5;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///

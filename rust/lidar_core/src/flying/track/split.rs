@@ -1,10 +1,10 @@
 //! One cluster of several targets: every point goes to the track it is nearest to. And several clusters of
 //! one large target: they become one.
 
-use super::lifecycle::{LARGE, PART_GAP};
 use super::measurement::SearchRegion;
 use super::pairs::AlongX;
 use crate::estimation::kalman;
+use crate::flying::large_targets::{LARGE, PART_GAP};
 use nalgebra::Vector3;
 
 /// Parameters that split a cluster into several targets.

@@ -7,6 +7,7 @@ use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
 use super::visibility::occupancy::ENOUGH_RAYS;
 use crate::Error;
 use crate::estimation::kalman::{self, Gaussian, Linearised, update};
+use crate::flying::large_targets::shape_weight;
 use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -18,9 +19,8 @@ const NEW_POINTS: f64 = 0.3;
 
 /// Every scan shows the same parts of a large target, so that the error of its centre is the same in all of
 /// them, and no number of scans removes it: its standard deviation as a share of the longest side of the
-/// target, in full from the second length on, and none up to the first [m].
+/// target.
 const SHAPE_SHARE: f64 = 0.03;
-const LARGE: [f64; 2] = [0.9, 1.3];
 
 /// Squared Mahalanobis distance of a velocity from none that errors reach once in 10,000 times (three degrees
 /// of freedom).
@@ -191,8 +191,7 @@ impl PointTrack {
     pub(super) fn told_at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
         let mut state = self.at(stamp_ns, model);
         let side = self.longest_side();
-        let share = ((side - LARGE[0]) / (LARGE[1] - LARGE[0])).clamp(0.0, 1.0);
-        let variance = (share * SHAPE_SHARE * side).powi(2);
+        let variance = (shape_weight(side) * SHAPE_SHARE * side).powi(2);
         (0..3).for_each(|axis| state.covariance[(axis, axis)] += variance);
         state
     }

@@ -4,6 +4,7 @@ use super::sphere::Start;
 use super::target_observation::TargetObservation;
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
+use crate::flying::large_targets::shape_weight;
 use std::f64::consts::PI;
 
 /// Solid shares of an open frame and of a closed body; what follows is given for these two, and
@@ -27,10 +28,7 @@ const SHIFT_STD: [f64; 2] = [0.5, 0.2];
 const LIFT: f64 = 0.06;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
-/// Half the size from which on, and up to which, the middle of the box around the points counts instead of their
-/// centroid [m]: many rays meet the ends of a large target, and its parts do not give returns alike.
-const LARGE: [f64; 2] = [0.45, 0.65];
-/// Standard deviations of the centre of such a target across and along the line of sight, as shares of half
+/// Standard deviations of the centre of a large target across and along the line of sight, as shares of half
 /// its size.
 const LARGE_STD: [f64; 2] = [0.03, 0.1];
 /// A ball's centre lies behind the centroid of its near side by this share of its radius.
@@ -89,7 +87,9 @@ impl OpenFrame {
         let lift = (Vector3::z() - sight * sight.z) * (LIFT * level * radius); // across the sight
         let [low, high] = ends(offsets().map(|offset| offset.dot(&sight)));
         let half = outline.reach.max(0.5 * (high - low));
-        let large = ((half - LARGE[0]) / (LARGE[1] - LARGE[0])).clamp(0.0, 1.0);
+        // The middle of the box counts instead of the centroid: many rays meet the ends of a large target, and
+        // its parts do not give returns alike.
+        let large = shape_weight(2.0 * half);
         let middle = box_middle(offsets(), axes[0]);
         // Far parts are hidden or missed by the rays: both estimates are too near.
         let middle = middle + sight * (shift - middle.dot(&sight)).max(0.0);

@@ -1,0 +1,29 @@
+//! Large targets: what detections and tracks take for one.
+//!
+//! Rays meet several parts of it, so that it may fall into several clusters, and the same parts in every scan,
+//! so that no number of scans tells where its centre is.
+
+/// A target with a longer side may fall into several clusters: a fuselage between wings [m].
+pub(crate) const LARGE: f64 = 0.75;
+/// Parts of it are no further apart than this, from box to box [m].
+pub(crate) const PART_GAP: f64 = 0.5;
+/// Lengths from which on, and up to which, the shape of a target decides more and more about its centre [m].
+const SHAPE_LENGTHS: [f64; 2] = [0.9, 1.3];
+
+/// How much the shape of a target decides about its centre, from 0 for a small one to 1.
+pub(crate) fn shape_weight(longest_side: f64) -> f64 {
+    let [none, full] = SHAPE_LENGTHS;
+    ((longest_side - none) / (full - none)).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shape_counts_from_0_9_m_on_and_fully_at_1_3_m() {
+        let weights = [0.0, 0.9, 1.1, 1.3, 20.0].map(shape_weight);
+        assert_eq!([weights[0], weights[1], weights[3], weights[4]], [0.0, 0.0, 1.0, 1.0]);
+        assert!((weights[2] - 0.5).abs() < 1e-12);
+    }
+}
