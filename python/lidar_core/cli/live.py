@@ -21,6 +21,7 @@ from lidar_core.cli.shared.common import (
     consoles,
     given_options,
     result_table,
+    told_reasons,
     write_json,
 )
 from lidar_core.cli.shared.run_options import Checkpoint, PipelineOptions, Resume, with_options
@@ -276,7 +277,9 @@ def _table(summary: Mapping[str, Any]) -> "Table":
     for name in ("dropped", "without_pose", "rejected", "ignored", "bad_messages"):
         counts = summary[name]
         told = "; ".join(
-            f"{count} x {reason or 'the only topic'}" for reason, count in counts.items()
+            f"{count} x {topic or 'the only topic'}" for topic, count in counts.items()
         )
+        if name == "rejected":
+            told = told_reasons(counts)
         rows.append(Row(name.replace("_", " "), str(sum(counts.values())), told))
     return result_table(f"{summary['source']} ({summary['capability'] or 'no scans'})", rows)

@@ -37,6 +37,11 @@ class ReadOptions(Config):
         False,
         description="Ouster: shift rows so that columns share an azimuth, not a time (no unit).",
     )
+    returns: Literal["first", "second"] = Field(
+        "first",
+        description="Ouster with two returns per beam: which one is read, in the order that the"
+        " sensor sends them. A beam without second return is not a ray without return (no unit).",
+    )
     velodyne_model: str | None = Field(
         None, description="Velodyne model as velodyne-decoder names it; else detected (no unit)."
     )

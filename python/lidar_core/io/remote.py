@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -55,9 +56,10 @@ def fetched(address: str, folder: Path) -> Path:
     files, path = _opened(address)
     place = folder / _name(path)
     folder.mkdir(parents=True, exist_ok=True)
-    if files.isfile(path):
+    with suppress(FileNotFoundError):  # asking first whether it is a file takes a request more
         files.get_file(path, str(place))
-        return place
+        if place.is_file():
+            return place
     names = files.find(path)
     if not names:
         raise FileNotFoundError(f"{address}: nothing is there")
@@ -81,11 +83,27 @@ def texts(pattern: str) -> dict[str, bytes]:
     return {str(files.unstrip_protocol(name)): data for name, data in held.items()}
 
 
-def stored(folder: Path, address: str, *, last: Sequence[str] = ()) -> None:
-    """Copy a folder to an address; what was there goes first, the files `last` come last."""
+def held_names(address: str) -> set[str]:
+    """Names of the files and folders in a folder; none where it is not there."""
     files, path = _opened(address)
     files.invalidate_cache()
-    if files.exists(path):
+    try:
+        found = files.ls(path, detail=False)
+    except FileNotFoundError:
+        return set()
+    return {PurePosixPath(str(one).rstrip("/")).name for one in found}
+
+
+def stored(
+    folder: Path, address: str, *, last: Sequence[str] = (), is_replaced: bool = True
+) -> None:
+    """Copy a folder to an address; what was there goes first, the files `last` come last.
+
+    `is_replaced` is false where nothing was there, which saves the requests that look.
+    """
+    files, path = _opened(address)
+    files.invalidate_cache()
+    if is_replaced and files.exists(path):
         files.rm(path, recursive=True)
     found = sorted(one for one in folder.rglob("*") if one.is_file())
     at_end = [one for one in found if one.name in last and one.parent == folder]

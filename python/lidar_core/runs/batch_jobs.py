@@ -29,7 +29,14 @@ from lidar_core.batch.results import NOTE
 from lidar_core.config import Config, checked
 from lidar_core.errors import ConfigError
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
-from lidar_core.io.remote import file_versions, is_remote, joined, stored_file, texts
+from lidar_core.io.remote import (
+    file_versions,
+    held_names,
+    is_remote,
+    joined,
+    stored_file,
+    texts,
+)
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
 from lidar_core.runs.catalogue import EVENTS
@@ -164,6 +171,8 @@ class Batch:
         Those that this run did.
     remote : str or None
         Address that the results go to, if it is not the folder.
+    held : frozenset of str
+        Names of the jobs of which the address held something when the batch began.
     """
 
     folder: Path
@@ -172,6 +181,7 @@ class Batch:
     kept: dict[str, JobRecord]
     made: dict[str, JobRecord]
     remote: str | None = None
+    held: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -195,7 +205,8 @@ class Batch:
             for name, record in found.items()
             if record.status == "done" and record.key == key_of[name]
         }
-        return cls(folder, dict(zip(names, jobs, strict=True)), key_of, kept, {}, remote)
+        by_name = dict(zip(names, jobs, strict=True))
+        return cls(folder, by_name, key_of, kept, {}, remote, _held(remote))
 
     def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
         """Do what is left; yield each record as the job ends."""
@@ -257,7 +268,7 @@ class Batch:
         return JobRecord(name, job.group, self.keys[name], "running", values=job.values)
 
     def _workplace(self, name: str) -> Workplace:
-        return Workplace(self.folder.resolve(), name, self.remote)
+        return Workplace(self.folder.resolve(), name, self.remote, name in self.held)
 
     def _task(self, name: str, threads: int) -> Task:
         workplace = self._workplace(name)
@@ -284,6 +295,14 @@ def _found(folder: Path, names: Sequence[str], remote: str | None) -> dict[str, 
         by_name = {PurePosixPath(address).parent.name: data for address, data in held.items()}
         read = {name: JobRecord.parsed(by_name[name]) for name in names if name in by_name}
     return {name: record for name, record in read.items() if record is not None}
+
+
+def _held(remote: str | None) -> frozenset[str]:
+    """Names of the jobs of which an address holds a folder or a table."""
+    if remote is None:
+        return frozenset()
+    tables = {Path(name).stem for name in held_names(joined(remote, TRACKS))}
+    return frozenset(held_names(remote) | tables)
 
 
 def _begin(folder: Path, record: JobRecord) -> None:

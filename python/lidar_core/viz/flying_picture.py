@@ -6,15 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.extras import require
 from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark, sigma_ellipse
+from lidar_core.viz.drawing.voxels import draw_voxels, visible_rows
 from lidar_core.viz.figure import (
     INK,
     PALE,
-    PURPOSE,
     draw_truth,
     opaque_legend,
     two_columns,
@@ -24,7 +23,6 @@ from lidar_core.viz.views import FlyingView
 
 SIZE, DPI = (14.0, 8.2), 110
 FLYING, UNKNOWN, OWN, MOVING = "#fb7185", "#f59e0b", "#a855f7", "#2563eb"
-VOXEL_COLOURS = ("#efeae0", "#d8cfbd", "#a89f8d")
 CLOUDS = (
     ("background, last scan", "#64748b", 0.6),
     ("unknown, last scan", UNKNOWN, 2.5),
@@ -97,16 +95,6 @@ def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
     return window_around(moving, tall, also=[sensor])
 
 
-def _visible_rows(
-    rows: NDArray[np.float64], plane: tuple[int, int], window: Window, depth: tuple[float, float]
-) -> NDArray[np.float64]:
-    """Rows inside the picture, also along the direction of sight."""
-    low, high = np.empty(3), np.empty(3)
-    low[list(plane)], high[list(plane)] = window.low, window.high
-    low[3 - sum(plane)], high[3 - sum(plane)] = depth
-    return rows[((rows >= low) & (rows <= high)).all(axis=1)]
-
-
 def _map(
     axes: Any,
     view: FlyingView,
@@ -118,11 +106,11 @@ def _map(
     """Cloud, map, ways and tracks, projected onto the axes `plane`."""
     across, up = plane
     window.apply(axes)
-    _voxels(axes, view, plane, window, depth)
+    draw_voxels(axes, view.occupied, view.voxel_size, plane, window, depth)
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
         if colour in (OWN, MOVING) and not len(cloud):
             continue  # most robots hide nothing, and often nothing moves
-        rows = _visible_rows(cloud, plane, window, depth)
+        rows = visible_rows(cloud, plane, window, depth)
         rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
         axes.scatter(
             rows[:, across], rows[:, up], s=size, c=colour, linewidths=0, zorder=2, rasterized=True
@@ -150,36 +138,6 @@ def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
         ShownClass.MOVING,
     )
     return [*(view.cloud[view.cloud_class == one] for one in classes), view.flying]
-
-
-def _voxels(
-    axes: Any,
-    view: FlyingView,
-    plane: tuple[int, int],
-    window: Window,
-    depth: tuple[float, float],
-) -> None:
-    """Occupied voxels as an image: the nearer to the viewer, the darker."""
-    colours = require("matplotlib.colors", extra="plot", purpose=PURPOSE)
-    towards = 1 if plane[1] == 1 else -1  # seen from above, and from the side of negative y
-    rows = _visible_rows(view.occupied, plane, window, depth)
-    cells = np.floor((rows[:, list(plane)] - window.low) / view.voxel_size).astype(np.intp)
-    shape = np.ceil((window.high - window.low) / view.voxel_size).astype(np.intp) + 1
-    image = np.full(shape, np.nan)
-    near = towards * rows[:, 3 - sum(plane)]
-    np.fmax.at(image, (cells[:, 0], cells[:, 1]), near)
-    corner = window.low + view.voxel_size * shape
-    axes.imshow(
-        image.T,
-        extent=(window.low[0], corner[0], window.low[1], corner[1]),
-        cmap=colours.LinearSegmentedColormap.from_list("voxels", VOXEL_COLOURS),
-        vmin=near.min(initial=0.0),
-        vmax=near.max(initial=1.0),
-        origin="lower",
-        interpolation="nearest",
-        zorder=1,
-    )
-    axes.scatter([], [], s=24, marker="s", c=VOXEL_COLOURS[1], label="occupied voxels")
 
 
 def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:

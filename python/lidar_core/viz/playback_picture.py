@@ -1,7 +1,7 @@
 """One time of a run as PNG, or the run as a film, with matplotlib; needs no display."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
+from lidar_core.viz.drawing.voxels import draw_voxels
 from lidar_core.viz.figure import INK, opaque_legend, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback, Trails
@@ -149,6 +150,8 @@ class _Scene:
         Whether the ways fill the picture: fused targets have no map around them.
     moving, around : sequence of ndarray, shape (N, 3)
         Places that are in the middle, and places that are shown where there is room [m].
+    voxels : ndarray, shape (N, 3)
+        Centres of occupied voxels [m], of edge `voxel_size` [m].
     """
 
     title: str
@@ -156,6 +159,8 @@ class _Scene:
     shows_whole_ways: bool
     moving: Sequence[NDArray[np.float64]]
     around: Sequence[NDArray[np.float64]]
+    voxels: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    voxel_size: float = 1.0
 
     @classmethod
     def of(cls, run: Playback, shown: Sequence[tuple[Moment, Trails]]) -> "_Scene":
@@ -170,7 +175,7 @@ class _Scene:
             return cls(run.folder.name, True, False, moved, [*ways, *outlines, bulk, *sensors])
         around = sensors[-1:] if ways else [bulk]
         is_fused = run.capability == "fusion"
-        return cls(run.folder.name, is_fused, is_fused, ways, around)
+        return cls(run.folder.name, is_fused, is_fused, ways, around, *_map_of(run))
 
     def window(self, axes: tuple[int, int], tall: float) -> Window:
         """What a panel of such a height over its width shows."""
@@ -183,6 +188,16 @@ class _Scene:
         if self.is_planar:
             return window_over(around, tall, smallest=SMALLEST, moving=moving)
         return window_around(moving, tall, also=around)
+
+
+def _map_of(run: Playback) -> tuple[NDArray[np.float64], float]:
+    """Occupied voxels of a run, and their size."""
+    if run.voxel_map is None:
+        return np.empty((0, 3)), 1.0
+    from lidar_core import VoxelMap
+
+    voxel_map = VoxelMap.load(run.voxel_map)
+    return voxel_map.occupied_points(), voxel_map.config.voxel_size
 
 
 def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds: float) -> None:
@@ -206,8 +221,16 @@ def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds
     else:
         side = figure.add_subplot(grid[0, 1])
         elevation = scene.window((0, 2), panel_tallness(side))
+        heights, middle = (elevation.low[1], elevation.high[1]), (plan.low[1], plan.high[1])
+        for axes, plane, window, depth in (
+            (above, (0, 1), plan, heights),
+            (side, (0, 2), elevation, middle),
+        ):
+            window.apply(axes)
+            if len(scene.voxels):
+                draw_voxels(axes, scene.voxels, scene.voxel_size, plane, window, depth)
         _panel(above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf))
-        _panel(side, moment, trails, (0, 2), elevation, depth=(plan.low[1], plan.high[1]))
+        _panel(side, moment, trails, (0, 2), elevation, depth=middle)
         side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
     above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
     if above.get_legend_handles_labels()[1]:
@@ -247,6 +270,8 @@ def _panel(
     if names:
         panel.plot([], [], "-", color=OBJECT, label="object and its way")
         panel.plot([], [], "-", color=BAND, label="2σ of the position")
+        arrow = {"ls": "", "marker": r"$\rightarrow$", "ms": 12, "mew": 0.4}
+        panel.plot([], [], color=INK, label="way of one second", **arrow)
     window.apply(panel)
     panel.grid(visible=True)
 
@@ -275,7 +300,7 @@ def _draw_points(
 def _draw_object(
     panel: Any, moment: Moment, row: int, axes: list[int], trail: NDArray[np.float64]
 ) -> None:
-    """Way, outline, 2 sigma ellipse, velocity, and a ring that shows also what is small."""
+    """Way, outline, 2 sigma ellipse, velocity, and a ring around what is small."""
     objects = moment.objects
     at, velocity = objects.position[row][axes], objects.velocity[row][axes]
     panel.plot(*trail[:, axes].T, "-", lw=1.6, color=OBJECT, alpha=0.7, gid=WAY)
@@ -284,7 +309,7 @@ def _draw_object(
     panel.plot(around[:, 0], around[:, 1], "-", lw=1.2, color=OBJECT)
     band = at + ellipse(objects.covariance[row][np.ix_(axes, axes)], SIGMAS, CORNERS)
     panel.plot(*np.vstack([band, band[:1]]).T, "-", lw=1.0, color=BAND)
-    ring(panel, at, OBJECT)
+    ring(panel, at, OBJECT, size=float(np.ptp(around, axis=0).min()))
     if np.linalg.norm(velocity) > SLOWEST:
         arrow = {"arrowstyle": "->", "color": INK}
         panel.annotate("", at + velocity, at, arrowprops=arrow, annotation_clip=True)

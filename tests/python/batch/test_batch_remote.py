@@ -279,6 +279,11 @@ def test_files_in_memory_are_listed_fetched_and_stored(tmp_path):
     assert remote.texts("memory://c/*.csv") == {"memory:///c/x.csv": b"2"}
     remote.stored(tmp_path / "a" / "b", "memory://c")
     assert memory.find("/c") == ["/c/y.csv"]
+    assert remote.held_names("memory://a") == {"x.csv", "b", "z.txt"}
+    assert remote.held_names("memory://none") == set()
+    (place / "z.txt").unlink()
+    remote.stored(place, "memory://c", is_replaced=False)
+    assert memory.find("/c") == ["/c/b/y.csv", "/c/x.csv", "/c/y.csv"]
     with pytest.raises(FileNotFoundError, match="memory://none: nothing is there"):
         remote.fetched("memory://none", tmp_path)
     with pytest.raises(FormatError, match="nosuch://a"):

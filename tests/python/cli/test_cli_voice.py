@@ -145,3 +145,13 @@ def test_lines_that_were_begun_are_completed():
     texts = [json.loads(line) for line in written.getvalue().splitlines()]
     assert [one["text"] for one in texts] == ["warning: a", "bc", "note: d"]
     assert [one["level"] for one in texts] == ["warning", "info", "info"]
+
+
+def test_reasons_that_differ_in_stamps_alone_are_told_once():
+    from lidar_core.cli.shared.common import told_reasons
+
+    late = {f"stamp_ns: expected a stamp after {n}, got {n - 5}": 1 for n in range(100, 160)}
+    told = told_reasons({**late, "points: expected shape (N, 3)": 2})
+    assert told == (
+        "60 x stamp_ns: expected a stamp after 100, got 95; 2 x points: expected shape (N, 3)"
+    )

@@ -40,6 +40,9 @@ FLAGS = (
     "OptimizationGuideModelDownloading,OptimizationHints,OptimizationHintsFetching,Translate",
     f"--gaia-url={NOWHERE}",
     f"--google-apis-url={NOWHERE}",
+    f"--google-base-url={NOWHERE}",
+    f"--gcm-checkin-url={NOWHERE}",
+    f"--gcm-registration-url={NOWHERE}",
     f"--component-updater=url-source={NOWHERE}",
 )
 

@@ -47,6 +47,9 @@ def recorded(path: Path, arrays: dict[str, np.ndarray]) -> None:
         arrays[name + "ranges"] = ranges
         arrays[name + "points"] = np.asarray(lut(frame))
         arrays[name + "reflectivity"] = np.asarray(frame.field("REFLECTIVITY"))
+        if frame.has_field("RANGE2"):
+            arrays[name + "ranges2"] = np.asarray(frame.field("RANGE2"))
+            arrays[name + "reflectivity2"] = np.asarray(frame.field("REFLECTIVITY2"))
         arrays[name + "stamps"] = np.asarray(frame.timestamp)
         arrays[name + "received"] = (np.asarray(frame.status) & 1).astype(bool)
         arrays[name + "destaggered"] = np.asarray(core.destagger(info, ranges))
@@ -61,6 +64,8 @@ def made(metadata: dict, profile: str, arrays: dict[str, np.ndarray]) -> None:
     info = core.SensorInfo(text)
     layout = core.PacketFormat(info)
     packets, ranges, reflectivity = [], [], []
+    second: dict[str, list[np.ndarray]] = {}
+    is_dual = "DUAL" in profile or profile == "FIVE_WORD_PIXEL"
     received = rng.random(COLUMNS) < 0.9
     stamps = rng.integers(0, 2**62, COLUMNS)
     for first in range(0, COLUMNS, IN_PACKET):
@@ -77,11 +82,16 @@ def made(metadata: dict, profile: str, arrays: dict[str, np.ndarray]) -> None:
         packets.append(np.array(packet.buf))
         ranges.append(np.array(layout.packet_field("RANGE", packet.buf)))
         reflectivity.append(np.array(layout.packet_field("REFLECTIVITY", packet.buf)))
+        for key, field in (("ranges2", "RANGE2"), ("reflectivity2", "REFLECTIVITY2")):
+            if is_dual:
+                second.setdefault(key, []).append(np.array(layout.packet_field(field, packet.buf)))
     name = f"{profile}|"
     arrays[name + "metadata"] = np.array(text)
     arrays[name + "packets"] = np.array(packets)
     arrays[name + "ranges"] = np.concatenate(ranges, axis=1) * received
     arrays[name + "reflectivity"] = np.concatenate(reflectivity, axis=1) * received
+    for key, parts in second.items():
+        arrays[name + key] = np.concatenate(parts, axis=1) * received
     arrays[name + "stamps"] = stamps
     arrays[name + "received"] = received
 

@@ -213,3 +213,24 @@ def test_maps_grow_a_little_for_what_moves():
     assert (corner.high - corner.low < 1.7 * 10 * 1.12).all()
     plain = window_over([room], 1.0, smallest=4.0)
     np.testing.assert_allclose(plain.high - plain.low, 11.2)
+
+
+def test_a_ring_marks_what_is_small_alone():
+    """An object that its outline shows has no ring inside of it."""
+    from matplotlib.figure import Figure
+
+    from lidar_core.viz.drawing.marks import RING, ring
+
+    axes = Figure(figsize=(4, 4), dpi=100).add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, 400), ylim=(0, 400))  # a metre is a pixel
+    ring(axes, np.array([100.0, 100.0]), "red", size=RING + 1)
+    assert not axes.lines
+    ring(axes, np.array([100.0, 100.0]), "red", size=RING - 1)
+    assert len(axes.lines) == 1
+
+
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_a_map_is_behind_flying_objects(drawn, case):
+    for axes in drawn[case].axes[:2]:
+        seen = len(axes.images)
+        assert seen == (case[0] in {"demo", "flying"} and "from" in axes.get_title(loc="left"))

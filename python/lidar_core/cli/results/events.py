@@ -1,5 +1,6 @@
 """`lidar-core events`: rows of the tables of runs and batches for which a query is true."""
 
+import re
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -49,15 +50,27 @@ def command(
         columns = read_table(place)
     rows = columns if query == "all" else matching_rows(columns, query)
     count, total = (len(next(iter(one.values()), ())) for one in (rows, columns))
-    out, _ = consoles(json)
+    out, errors = consoles(json)
     shown = [name for name in SHOWN if name in rows] or list(rows)[: len(SHOWN)]
     lines = aligned({name: _texts(rows[name][:MOST_ROWS]) for name in shown})
     out.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
     more = f", the first {MOST_ROWS} are shown" if count > MOST_ROWS else ""
     out.print(f"{count} of {total} rows{more}; columns: {', '.join(columns)}", soft_wrap=True)
+    if total and (unknown := _unknown(columns, query)):
+        errors.print(f"note: {', '.join(unknown)}: unknown in all rows", highlight=False)
     if output is not None:
         _write(rows, output, overwrite=overwrite)
     write_json([_plain_row(rows, row) for row in range(count)] if json else [], json)
+
+
+def _unknown(columns: "Columns", query: str) -> list[str]:
+    """Columns that the query names and that hold no value: no comparison is true of them."""
+    named = set(re.findall(r"[A-Za-z_]\w*", query))
+    return [
+        name
+        for name, values in columns.items()
+        if name in named and values.dtype.kind == "f" and all(map(isnan, values.tolist()))
+    ]
 
 
 def _texts(values: Any) -> list[str]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from lidar_core.runs.result import OnProgress, RunResult
 
 SLOW_MS = 10.0  # times below are printed with more digits
+_VALUE = re.compile(r"\d[\d.]*")
 REASONS = 3  # that a table shows for rejected scans
 NOTHING_CAME = 3
 """Exit status of a live run to which no scan ever came."""
@@ -266,9 +267,19 @@ def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
             yield f"{count} {what}"
     rejected = Counter(scans["rejected"])
     if rejected:
-        told = [f"{count} x {reason}" for reason, count in rejected.most_common(REASONS)]
-        more = [f"{len(rejected) - REASONS} more reasons"] if len(rejected) > REASONS else []
-        yield f"{rejected.total()} rejected: {'; '.join(told + more)}"
+        yield f"{rejected.total()} rejected: {told_reasons(rejected)}"
+
+
+def told_reasons(counts: Mapping[str, int]) -> str:
+    """The most frequent reasons; of those that differ in stamps and values alone, one."""
+    kinds, examples = Counter[str](), dict[str, str]()
+    for reason, count in counts.items():
+        kind = _VALUE.sub("#", reason)
+        kinds[kind] += count
+        examples.setdefault(kind, reason)
+    told = [f"{count} x {examples[kind]}" for kind, count in kinds.most_common(REASONS)]
+    more = [f"{len(kinds) - REASONS} more reasons"] if len(kinds) > REASONS else []
+    return "; ".join(told + more)
 
 
 def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -> "Table":

@@ -13,6 +13,7 @@ from lidar_core.io.ouster.frames import (
     SENSOR_FRAME,
     poses_of,
     scan_of,
+    told_returns,
 )
 from lidar_core.io.ouster.osf import OsfFile
 from lidar_core.io.ouster.packets import Frame, FrameCollector, PacketLayout
@@ -71,7 +72,7 @@ class _OusterFrames(Recording):
                 destagger=self.options.destagger,
             )
             if frame.returns > 1:
-                self.findings.note(f"{topic.name}: second returns are not read")
+                self.findings.note(f"{topic.name}: {told_returns(frame)}")
             if scan is not None:
                 poses = poses_of(sensor, frame, topic=topic.name, frame_id=frame_id)
                 yield Record(topic, scan.stamp_ns, decoded(*poses, scan))
@@ -109,7 +110,7 @@ class OusterRecording(_OusterFrames):
         if beside is None:
             raise FormatError(f"{path}: name the sensor's JSON file with metadata=FILE")
         sensor = read_sensor(beside, options)
-        self._layout = PacketLayout(sensor, str(beside))
+        self._layout = PacketLayout(sensor, str(beside), is_second=options.returns == "second")
         self._set_sensors([sensor])
         self._sender = self._find_sender(beside)
 
@@ -165,7 +166,9 @@ class OsfRecording(_OusterFrames):
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)
-        self._file = OsfFile(path, max_points=options.max_points)
+        self._file = OsfFile(
+            path, max_points=options.max_points, is_second=options.returns == "second"
+        )
         self._set_sensors(self._file.sensors)
 
     def close(self) -> None:

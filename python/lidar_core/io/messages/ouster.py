@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lidar_core.io.messages.ros_types import OUSTER_TYPES
 from lidar_core.io.options import ReadOptions
-from lidar_core.io.ouster.frames import NO_RETURN, POINT_TIME, SENSOR_FRAME, scan_of
+from lidar_core.io.ouster.frames import NO_RETURN, POINT_TIME, SENSOR_FRAME, scan_of, told_returns
 from lidar_core.io.ouster.packets import Frame, FrameCollector, PacketLayout
 from lidar_core.io.ouster.sensor import Sensor, parse_sensor
 from lidar_core.io.records import Findings, Record, Topic
@@ -57,7 +57,9 @@ class OusterTopics:
             if sensor is None and len(sensors) == 1:
                 sensor = next(iter(sensors.values()))
             if sensor is not None:
-                self._layouts[name] = PacketLayout(sensor, f"{place}, {name}")
+                self._layouts[name] = PacketLayout(
+                    sensor, f"{place}, {name}", is_second=self._options.returns == "second"
+                )
                 findings.no_return[name], findings.point_time[name] = NO_RETURN, POINT_TIME
 
     def described(self, topic: Topic) -> Topic:
@@ -94,7 +96,7 @@ class OusterTopics:
 
     def _messages(self, topic: str, frame: Frame) -> list[Message]:
         if frame.returns > 1:
-            self._findings.note(f"{topic}: second returns are not read")
+            self._findings.note(f"{topic}: {told_returns(frame)}")
         frame_id = SENSOR_FRAME
         if len(self._layouts) > 1:
             frame_id = f"{_namespace(topic).lstrip('/')}/{SENSOR_FRAME}".lstrip("/")

@@ -33,7 +33,8 @@ def scan_of(
     points[is_empty] = np.nan
     columns: dict[str, NDArray[Any]] = {
         "points": points,
-        "no_return": is_empty & received,
+        # The first return of a beam without second return may have hit something.
+        "no_return": is_empty & received & (not frame.is_second),
         "directions": beams.directions.astype(np.float32),
         "times": np.broadcast_to(stamps, shape),
         "ring": np.broadcast_to(np.arange(sensor.rows, dtype=np.uint16)[:, None], shape),
@@ -54,6 +55,13 @@ def scan_of(
         ring=flat["ring"].reshape(-1),
         topic=topic,
     )
+
+
+def told_returns(frame: Frame) -> str:
+    """Which of two returns is read, for a note."""
+    if frame.is_second:
+        return "second returns are read, not the first"
+    return "second returns are not read (returns='second' of open_recording reads them instead)"
 
 
 def poses_of(sensor: Sensor, frame: Frame, *, topic: str, frame_id: str) -> list[Message]:

@@ -18,14 +18,14 @@ from lidar_core.io.files.guard import reading
 from lidar_core.io.ouster.flatbuffer import SIZE_BYTES, Table, sized_table
 from lidar_core.io.ouster.frames import shift_rows
 from lidar_core.io.ouster.images import Image, decode_pngs, decode_zpng, is_png
-from lidar_core.io.ouster.packets import COLUMN_IS_VALID, Frame
+from lidar_core.io.ouster.packets import COLUMN_IS_VALID, Frame, one_return
 from lidar_core.io.ouster.sensor import Sensor, parse_sensor
 
 SENSOR_TYPE, STREAM_TYPE = (
     b"ouster/v1/os_sensor/LidarSensor",
     b"ouster/v1/os_sensor/LidarScanStream",
 )
-RANGE, SECOND_RANGE, REFLECTIVITY = 1, 2, 5  # numbers of fields
+RANGE, SECOND_RANGE, REFLECTIVITY, SECOND_REFLECTIVITY = 1, 2, 5, 6  # numbers of fields
 WHOLE, MAJOR = 2, 2  # status of a file that was closed; version that is read
 MAJOR_BITS, FIRST_VERSION = 48, 20  # versions are major << 48, before that 20 and 21
 HINT = (
@@ -48,8 +48,8 @@ class OsfFile:
         In the order of the file.
     """
 
-    def __init__(self, path: Path, *, max_points: int) -> None:
-        self._path = path
+    def __init__(self, path: Path, *, max_points: int, is_second: bool = False) -> None:
+        self._path, self._is_second = path, is_second
         with path.open("rb") as file:
             size = file.seek(0, 2)
             if size == 0:
@@ -158,7 +158,12 @@ class OsfFile:
         stored = dict(zip(kinds, (bytes(part.bytes(0)) for part in message.tables(0)), strict=True))
         if RANGE not in stored:
             raise FormatError(f"{place}: no ranges. {HINT}")
-        images = self._images(sensor, stored, place)
+        range_, reflectivity = RANGE, REFLECTIVITY
+        if self._is_second:
+            range_, reflectivity = SECOND_RANGE, SECOND_REFLECTIVITY
+            if SECOND_RANGE not in stored:
+                raise FormatError(f"{place}: {one_return(sensor.profile)}")
+        images = self._images(sensor, stored, place, (range_, reflectivity))
         columns = sensor.columns
         stamps = np.frombuffer(message.vector(2, 8), "<u8").astype(np.int64)
         status = np.frombuffer(message.vector(4, 4), "<u4")
@@ -169,17 +174,20 @@ class OsfFile:
                 f" poses, expected {columns} columns. {HINT}"
             )
         return Frame(
-            images[RANGE].astype(np.uint32),
-            images.get(REFLECTIVITY),
+            images[range_].astype(np.uint32),
+            images.get(reflectivity),
             stamps,
             (status & COLUMN_IS_VALID).astype(bool),
             poses.reshape(columns, 4, 4) if len(poses) else None,
             returns=2 if SECOND_RANGE in stored else 1,
+            is_second=self._is_second,
         )
 
     @staticmethod
-    def _images(sensor: Sensor, stored: dict[int, bytes], place: str) -> dict[int, Image]:
-        wanted = {kind: stored[kind] for kind in (RANGE, REFLECTIVITY) if kind in stored}
+    def _images(
+        sensor: Sensor, stored: dict[int, bytes], place: str, kinds: tuple[int, int]
+    ) -> dict[int, Image]:
+        wanted = {kind: stored[kind] for kind in kinds if kind in stored}
         shape = (sensor.rows, sensor.columns)
         pngs = [kind for kind, data in wanted.items() if is_png(data)]
         try:

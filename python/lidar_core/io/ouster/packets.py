@@ -16,6 +16,7 @@ HEADER_BYTES = FOOTER_BYTES = 32
 """Of a packet, in all profiles but the legacy one."""
 COLUMN_IS_VALID = 1  # bit of a column's status
 LIDAR_PACKET = 1  # type in the header
+SECOND_AT = 4  # bytes from the first return of a pixel to the second, in all profiles with two
 MOST_LATE = 2  # frames that a packet may come late, and is known to be late
 
 
@@ -63,7 +64,9 @@ class Frame:
     world_from_body : ndarray or None, shape (columns, 4, 4)
         Poses, where a file holds any.
     returns : int
-        Returns per pixel that were sent; the strongest or first is read.
+        Returns per pixel that were sent.
+    is_second : bool
+        Whether the second of them is here, not the first.
     """
 
     ranges: NDArray[np.uint32]
@@ -72,6 +75,7 @@ class Frame:
     is_received: NDArray[np.bool_]
     world_from_body: NDArray[np.float64] | None = None
     returns: int = 1
+    is_second: bool = False
 
 
 class PacketLayout:
@@ -80,7 +84,7 @@ class PacketLayout:
     Raises
     ------
     FormatError
-        The profile is not known.
+        The profile is not known, or has no second return where that is wanted.
 
     Attributes
     ----------
@@ -90,17 +94,19 @@ class PacketLayout:
         How many numbers of frames there are before they begin again.
     """
 
-    def __init__(self, sensor: Sensor, place: str) -> None:
+    def __init__(self, sensor: Sensor, place: str, *, is_second: bool = False) -> None:
         pixel = PROFILES.get(sensor.profile)
         if pixel is None:
             raise FormatError(
                 f"{place}: packets of profile {sensor.profile!r} are not read; known are"
                 f" {', '.join(PROFILES)}"
             )
-        self.sensor, self.pixel = sensor, pixel
+        if is_second and pixel.returns < 2:
+            raise FormatError(f"{place}: {one_return(sensor.profile)}")
+        self.sensor, self.pixel, self._is_second = sensor, pixel, is_second
         self._is_legacy = sensor.profile == LEGACY
         self._is_fusa = sensor.is_fusa or sensor.profile.startswith("FUSA")
-        pixels = ("pixels", _pixel_type(pixel), (sensor.rows,))
+        pixels = ("pixels", _pixel_type(pixel, SECOND_AT * is_second), (sensor.rows,))
         self._column = np.dtype(
             [
                 ("stamp", "<u8"),
@@ -155,6 +161,7 @@ class PacketLayout:
             np.zeros(sensor.columns, np.int64),
             np.zeros(sensor.columns, bool),
             returns=self.pixel.returns,
+            is_second=self._is_second,
         )
         pixels = columns["pixels"]
         ranges = pixels["range"] & np.uint32(2**self.pixel.range_bits - 1)
@@ -166,12 +173,17 @@ class PacketLayout:
         return frame
 
 
-def _pixel_type(pixel: _Pixel) -> np.dtype[np.void]:
+def one_return(profile: str) -> str:
+    """What is wrong where the second return of such packets is wanted."""
+    return f"profile {profile} has one return per beam; expected returns='first', got 'second'"
+
+
+def _pixel_type(pixel: _Pixel, at: int) -> np.dtype[np.void]:
     return np.dtype(
         {
             "names": ["range", "reflectivity"],
             "formats": ["<u4", "u1"],
-            "offsets": [0, pixel.reflectivity_at],
+            "offsets": [at, at + pixel.reflectivity_at],
             "itemsize": pixel.size,
         }
     )

@@ -55,7 +55,7 @@ class OusterStream:
     def __init__(self, sensor: Sensor, options: ReadOptions, findings: Findings) -> None:
         size = f"{sensor.product}, {sensor.rows} x {sensor.columns}"
         self.topic = Topic(TOPIC, size, "scan")
-        self._layout = PacketLayout(sensor, "ouster")
+        self._layout = PacketLayout(sensor, "ouster", is_second=options.returns == "second")
         self._collector = FrameCollector(self._layout)
         self._options, self._findings = options, findings
         findings.no_return[TOPIC], findings.point_time[TOPIC] = NO_RETURN, POINT_TIME

@@ -41,11 +41,14 @@ class Workplace:
         Name of the job, and of its folder there.
     remote : str or None
         Address that the results go to; they do not stay on this machine then.
+    is_held : bool
+        Whether the address may hold something of the job, which has to go first.
     """
 
     batch: Path
     job: str
     remote: str | None = None
+    is_held: bool = True
 
     @property
     def folder(self) -> Path:
@@ -67,15 +70,18 @@ class Workplace:
         if self.remote is None:
             record.write(self.folder)
             return
+        # An attempt that was cut may have stored files; those of a job that is done replace them.
+        is_replaced = self.is_held or record.status != "done"
         for suffix in (".parquet", ".csv"):
             table = self.tracks.with_suffix(suffix)
             address = joined(self.remote, f"{TRACKS}/{table.name}")
             if table.is_file():
                 stored_file(table, address)
-            else:
+            elif is_replaced:
                 removed(address)
         record.write(self.folder)
-        stored(self.folder, joined(self.remote, self.job), last=(NOTE,))
+        target = joined(self.remote, self.job)
+        stored(self.folder, target, last=(NOTE,), is_replaced=is_replaced)
         self.clear_tracks()
         for one in self.folder.iterdir():
             if one.name != NOTE:

@@ -46,8 +46,11 @@ def round_length(most: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))
 
 
-def ring(axes: Any, place: NDArray[np.float64], colour: str) -> None:
-    """Ring of `RING` pixels around an object, however small it is."""
+def ring(axes: Any, place: NDArray[np.float64], colour: str, *, size: float = 0.0) -> None:
+    """Ring of `RING` pixels around an object; none where an outline of `size` [m] shows it."""
+    pixels = np.ptp(axes.transData.transform([(0.0, 0.0), (size, 0.0)])[:, 0])
+    if pixels >= RING:
+        return
     points = RING * 72 / axes.figure.dpi
     axes.plot(*place, "o", ms=points, mfc="none", mec=colour, mew=1.3, zorder=6)
 

@@ -132,6 +132,38 @@ def test_invalid_columns_are_no_measurements():
     assert not frames[0].is_received.any()
 
 
+def test_the_second_return_of_a_beam_is_read_if_asked_for(tmp_path):
+    """A beam without second return is no ray without return: the first may have hit something."""
+    data = metadata()["data_format"] | {"udp_profile_lidar": "RNG15_RFL8_NIR8_DUAL"}
+    words = [struct.pack("<I", metres * 125 | 9 << 16) for metres in (2, 5, 0)]
+    stream = []
+    for first in range(0, COLUMNS, IN_PACKET):
+        single = packet(1, first)
+        body = b""
+        for column in range(IN_PACKET):
+            at = 32 + column * (12 + 4 * ROWS)
+            second = words[2] if (first + column) % 2 else words[1]
+            body += single[at : at + 12] + (words[0] + second) * ROWS
+        stream.append((7502, single[:32] + body + bytes(32)))
+    path = written(tmp_path, stream, data_format=data)
+    found = {}
+    for name in ("first", "second"):
+        with lc_io.open_recording(path, returns=name) as recording:
+            (found[name],) = (one for one in recording if isinstance(one, Scan))
+            assert any("second returns are" in note for note in recording.findings.notes)
+    ranges = np.linalg.norm(found["second"].points, axis=-1)
+    assert np.all(np.abs(ranges[:, ::2] - 5.0) < 0.05)
+    assert np.isnan(ranges[:, 1::2]).all()
+    assert not found["second"].no_return.any()
+    assert np.all(np.abs(np.linalg.norm(found["first"].points, axis=-1) - 2.0) < 0.05)
+
+
+def test_a_second_return_that_no_packet_holds_is_refused(tmp_path):
+    path = written(tmp_path, [(7502, one) for one in packets(1)])
+    with pytest.raises(FormatError, match=r"RNG15_RFL8_NIR8 has one return per beam; expected"):
+        lc_io.open_recording(path, returns="second")
+
+
 def written(folder, stream, **values):
     (folder / "a.json").write_text(json.dumps(metadata(**values)))
     return capture(folder / "a.pcap", [ethernet(ipv4(udp(data, port))) for port, data in stream])

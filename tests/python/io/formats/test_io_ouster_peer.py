@@ -77,6 +77,23 @@ def test_every_point_is_the_librarys(library, recordings, name):
         np.testing.assert_array_equal(times[received], theirs["stamps"][received])
 
 
+@pytest.mark.parametrize("name", [FILES[3], *FILES[-2:]])
+def test_second_returns_are_the_librarys(library, recordings, name):
+    with lc_io.open_recording(recordings / "3d/ouster" / name, returns="second") as recording:
+        scans = [message for message in recording if isinstance(message, Scan)]
+    expected = frames_of(library, name)
+    seen = Counter()
+    for scan in scans:
+        sensor = int(scan.topic.partition("/")[2]) if scan.topic.startswith("ouster/") else 0
+        theirs = expected[sensor, seen[sensor]]
+        seen[sensor] += 1
+        hit = theirs["ranges2"] > 0
+        assert 0 < hit.sum() < (theirs["ranges"] > 0).sum()
+        np.testing.assert_array_equal(np.isfinite(scan.points).all(axis=-1), hit)
+        np.testing.assert_array_equal(scan.intensity.reshape(hit.shape), theirs["reflectivity2"])
+        assert not scan.no_return.any()
+
+
 @pytest.mark.parametrize("name", FILES[1:3])
 def test_shifted_rows_are_the_librarys(library, recordings, name):
     with lc_io.open_recording(recordings / "3d/ouster" / name, destagger=True) as recording:
@@ -105,6 +122,12 @@ def test_random_packets_of_every_profile_are_read_alike(library, profile):
     np.testing.assert_array_equal(frame.ranges, library[f"{profile}|ranges"])
     np.testing.assert_array_equal(frame.reflectivity, library[f"{profile}|reflectivity"])
     np.testing.assert_array_equal(frame.is_received, library[f"{profile}|received"])
+    assert (f"{profile}|ranges2" in library) == (PROFILES[profile].returns == 2)
+    if PROFILES[profile].returns == 2:
+        collector = FrameCollector(PacketLayout(sensor, profile, is_second=True))
+        (second,) = [one for packet in packets for one in collector.add(packet)]
+        np.testing.assert_array_equal(second.ranges, library[f"{profile}|ranges2"])
+        np.testing.assert_array_equal(second.reflectivity, library[f"{profile}|reflectivity2"])
     received = frame.is_received
     assert 0.8 < received.mean() < 1
     stamps = library[f"{profile}|stamps"].astype(np.int64)

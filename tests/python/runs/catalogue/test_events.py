@@ -185,3 +185,15 @@ def test_the_command_prints_and_writes_rows(runs, tmp_path):
     made("events", "time >= 0", tmp_path / "a.csv", "-o", tmp_path / "a.csv", "--overwrite")
     refused = invoke("events", "all", tmp_path / "a.csv", "-o", tmp_path / "a.txt")
     assert "expected a file that ends in .csv or .parquet" in str(refused.exception)
+
+
+def test_a_column_that_no_row_knows_is_named(runs, tmp_path):
+    """A query of it finds nothing, which says nothing about what happened."""
+    (tmp_path / "a.csv").write_text("event,distance,speed\nlost,nan,1.0\nlost,nan,2.0\n")
+    found = invoke("events", "distance < 20", tmp_path / "a.csv")
+    assert found.exit_code == 0, found.output
+    assert "note: distance: unknown in all rows" in found.stderr
+    other = invoke("events", "speed < 1.5", tmp_path / "a.csv")
+    assert "unknown" not in other.stderr
+    known = invoke("events", "distance < 20", runs / "flying")
+    assert "unknown" not in known.stderr
