@@ -6,7 +6,7 @@ Both sensors swivel so that their plane meets the target, and say by how much.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ PITCH_PERIOD = 3.0
 """Period of the pitch [s]."""
 TURN_PERIOD = 12.0
 """From one of its turns to the next alike [s]."""
+NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Overflight(Config):
@@ -58,6 +59,8 @@ class Overflight(Config):
         "pitch_period": "pitch has a period of 3 s",
         "target_turn_period": "turns of the target repeat after 12 s",
         "rate": "there are 20 rows per second",
+        "swivel_std": "`angle_std` has it, and then that of the pitch",
+        "pitch_std": "`angle_std` has it after that of the swivel",
     }
     seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
     height: float = Field(6.0, gt=0, le=1000, description="Of the sensors above the target [m].")
@@ -73,8 +76,10 @@ class Overflight(Config):
     radar_std: tuple[float, float, float] = Field(
         (0.2, 0.02, 0.15), description="Of range [m], bearing [rad] and range rate [m/s]."
     )
-    swivel_std: float = Field(0.01, ge=0, description="Of the angle of the swivel [rad].")
-    pitch_std: float = Field(0.005, ge=0, description="Of the pitch that is known [rad].")
+    angle_std: tuple[NonNegative, NonNegative] = Field(
+        (0.01, 0.005),
+        description="Of the angle of the swivel and of the pitch that is known [rad].",
+    )
     gyro_std: float = Field(0.01, ge=0, description="Of the turn rate [rad/s].")
 
 
@@ -169,8 +174,8 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
         stamps_ns=np.round(seconds * 1e9).astype(np.int64),
         is_lidar=is_lidar,
         values=_measure(polar, is_lidar, config, rng),
-        swivel=swivel + config.swivel_std * rng.normal(size=len(yaw)),
-        pitch=pitch + config.pitch_std * rng.normal(size=len(yaw)),
+        swivel=swivel + config.angle_std[0] * rng.normal(size=len(yaw)),
+        pitch=pitch + config.angle_std[1] * rng.normal(size=len(yaw)),
         gyro=yaw_rate + config.gyro_std * rng.normal(size=len(yaw)),
         drone=drone,
         yaw=yaw,

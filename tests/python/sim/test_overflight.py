@@ -19,8 +19,7 @@ from lidar_core.sim import Overflight, overfly
 EXACT = {
     "lidar_std": 0.0,
     "radar_std": (0.0, 0.0, 0.0),
-    "swivel_std": 0.0,
-    "pitch_std": 0.0,
+    "angle_std": (0.0, 0.0),
     "gyro_std": 0.0,
 }
 STD = np.array([0.1, 0.01, 0.1])

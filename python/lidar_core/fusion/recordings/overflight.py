@@ -41,8 +41,8 @@ def level_overflight(made: "Overflown") -> LevelSight:
         made.swivel,
         made.pitch,
         std=np.where(kind, std, config.radar_std),
-        swivel_std=config.swivel_std,
-        pitch_std=config.pitch_std,
+        swivel_std=config.angle_std[0],
+        pitch_std=config.angle_std[1],
     )
 
 

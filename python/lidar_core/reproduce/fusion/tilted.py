@@ -63,9 +63,15 @@ def _measured(
     )
     stds = _stds(made, far)
     polar += rng.normal(size=polar.shape) * stds
-    known = attitude + rng.normal(size=attitude.shape) * [config.pitch_std, config.pitch_std, 0]
+    known = attitude + rng.normal(size=attitude.shape) * [
+        config.angle_std[1],
+        config.angle_std[1],
+        0,
+    ]
     gyro = body + rng.normal(size=body.shape) * config.gyro_std
-    spread = np.diag([1e-12, 1e-12, 1e-12, config.pitch_std**2, config.pitch_std**2, 1e-12])
+    spread = np.diag(
+        [1e-12, 1e-12, 1e-12, config.angle_std[1] ** 2, config.angle_std[1] ** 2, 1e-12]
+    )
     told = np.hstack([drone, known, own, gyro])
     stamps = made.stamps_ns.tolist()
     poses = [Measurement(t, "pose-3d", row, spread) for t, row in zip(stamps, told, strict=True)]
@@ -87,7 +93,7 @@ def _sensed(
 
 def _stds(made: Overflown, far: NDArray[np.float64]) -> NDArray[np.float64]:
     """Of range, bearing, elevation and range rate; nothing is told of a LiDAR's range rate."""
-    config, swivel = made.config, np.full(len(far), made.config.swivel_std)
+    config, swivel = made.config, np.full(len(far), made.config.angle_std[0])
     level = np.full(len(far), config.lidar_std)
     lidar = np.stack([level, level / far, swivel, level], axis=1)
     far_std, bearing_std, rate_std = (np.full(len(far), value) for value in config.radar_std)
