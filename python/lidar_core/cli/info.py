@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from lidar_core.io import RecordingInfo
 
 
+UNBROKEN = 1000
+"""Least width of what goes to no terminal (characters)."""
+
+
 def _print_formats() -> None:
     from rich.console import Console
     from rich.table import Table
@@ -57,7 +61,10 @@ def command(
         return
     from rich.console import Console
 
-    _print(info, steps, Console())
+    console = Console()
+    if not console.is_terminal:
+        console.width = max(console.width, UNBROKEN)  # a name in a pipe stays whole
+    _print(info, steps, console)
 
 
 def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
@@ -66,7 +73,7 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
 
     from lidar_core.io.scan_topics import NAMELESS
 
-    console.print(f"[bold]{escape(info.path)}[/bold]  {info.format}")
+    console.print(f"[bold]{escape(info.path)}[/bold]  {info.format}", soft_wrap=True)
     if info.start_ns is not None:
         start = f"{info.start_ns // 10**9}.{info.start_ns % 10**9:09d}"
         console.print(f"from {start} s, {info.duration_s:.3f} s long")
@@ -76,7 +83,7 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     for topic in info.topics:
         table.add_row(
             escape(topic.name or NAMELESS),
-            escape(topic.type),
+            escape(topic.type.rpartition("/")[2]),  # the whole name is in --json
             topic.kind,
             str(topic.count),
             "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}",

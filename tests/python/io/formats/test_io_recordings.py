@@ -161,6 +161,16 @@ def test_info_command_prints_a_table(recordings):
     assert "no poses: use --pose FILE" in result.stdout
 
 
+def test_names_in_a_pipe_stay_whole(recordings):
+    from lidar_core.cli import app
+
+    folder = recordings / "formats/derived_rosbag2/datmo_intersection_mcap"
+    result = CliRunner().invoke(app, ["info", str(folder)])
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith(str(folder))
+    assert any("/ego_pose" in line and "PoseStamped" in line for line in lines)
+
+
 def test_velodyne_packets_that_arrive_one_by_one_give_the_same_scans(recordings):
     path = recordings / "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap"
     stream = VelodyneStream(ReadOptions(), Findings())
