@@ -83,7 +83,7 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     for topic in info.topics:
         table.add_row(
             escape(topic.name or NAMELESS),
-            escape(topic.type.rpartition("/")[2]),  # the whole name is in --json
+            escape(topic.type.replace("/msg/", "/")),  # the whole name is in --json
             topic.kind,
             str(topic.count),
             "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}",

@@ -118,6 +118,8 @@ class Measurement:
     def __repr__(self) -> str:
         usual = self.measures in (None, FLAT, MEASURES)
         named = "" if usual else f", measures={self.measures}"
+        if self.seen_from is not None:
+            named += f", seen_from={self.seen_from.tolist()}"
         return f"Measurement({self.stamp_ns}, {self.sensor!r}, {self.values.tolist()}{named})"
 
     def with_values(self, values: ArrayLike, *, stamp_ns: int | None = None) -> "Measurement":
@@ -273,8 +275,8 @@ def _radar_place(seen_from: ArrayLike, sensor: str) -> NDArray[np.float64]:
     place = as_real(seen_from, name="seen_from").astype(np.float64)
     if place.shape != (2,) or not np.isfinite(place).all() or sensor != "lidar":
         raise InputError(
-            f"seen_from: expected a finite x and y, with sensor 'lidar', got {place.tolist()} with"
-            f" sensor {sensor!r}"
+            "seen_from: expected a finite x and y, with sensor 'lidar', got shape"
+            f" {place.shape} with sensor {sensor!r}"
         )
     place.flags.writeable = False
     return place

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lidar_core.runs.result import OnProgress, RunResult
 
 SLOW_MS = 10.0  # times below are printed with more digits
-_VALUE = re.compile(r"\d[\d.]*")
+_VALUE = re.compile(r"(?<![\w/])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")  # no part of a name
 REASONS = 3  # that a table shows for rejected scans
 NOTHING_CAME = 3
 """Exit status of a live run to which no scan ever came."""

@@ -22,9 +22,15 @@ const LEGS: f64 = 2.0;
 /// Probability that a track beyond twice the range of a target is an echo, before the two are compared. One of twenty
 /// hides 0.5 % of the sights of other boats in simulated scenes, one of five 0.8 %, and more of the echoes.
 const SHARE: f64 = 0.2;
-/// Largest number of targets that a track is compared with.
+/// What rests behind something that rests looks like an echo of it. Where what stands counts, following the target
+/// must after so long [s] explain the sights so much better than rest, as a logarithm (20 times).
+const PATIENCE: f64 = 10.0;
+const MOVED: f64 = 3.0;
+/// Largest number of targets that a track is compared with, and the largest difference of bearings at which a
+/// comparison begins, in standard deviations.
 const MOST_TARGETS: usize = 16;
-/// Sights before which nothing is said.
+const FARTHEST: f64 = 5.0;
+/// Fewest sights for a verdict.
 const FEWEST: u32 = 3;
 
 /// Where something is, from a radar.
@@ -37,7 +43,7 @@ pub struct PolarPlace {
 }
 
 impl PolarPlace {
-    /// PolarPlace of a place from another [m]; None if these are not finite or the same.
+    /// Bearing and range of a place [m] as seen from another; None if these are not finite or the same.
     #[must_use]
     pub fn between(from: [f64; 2], place: [f64; 2]) -> Option<Self> {
         let [x, y] = [place[0] - from[0], place[1] - from[1]];
@@ -47,7 +53,7 @@ impl PolarPlace {
     }
 }
 
-/// Sights of a track and of a target at the same times.
+/// Sights of a track when a scan measured it, and where a target was then, measured or predicted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EchoTrace {
     first_ns: i64,
@@ -102,15 +108,17 @@ impl EchoTrace {
             (stamp_ns, own.bearing, self.count.saturating_add(1));
     }
 
-    /// True if the track is more likely an echo of the target than a target of its own.
+    /// True if the track is more likely an echo of the target than a target of its own. `stands` tells whether what
+    /// stands is a target.
     #[must_use]
-    pub fn is_echo(&self) -> bool {
-        self.count >= FEWEST && self.log_odds() > 0.0
+    pub fn is_echo(&self, stands: bool) -> bool {
+        self.count >= FEWEST && self.log_odds(stands) > 0.0
     }
 
-    /// Logarithm of the odds of an echo; negative infinity for what is too near.
+    /// Logarithm of the odds of an echo; negative infinity for what is too near, and, if what `stands` is a target,
+    /// for what rest explains as well.
     #[must_use]
-    pub fn log_odds(&self) -> f64 {
+    pub fn log_odds(&self, stands: bool) -> f64 {
         let [apart, range, of_target] = self.sums.map(|sum| sum / f64::from(self.count));
         if range < LEAST_RATIO * of_target {
             return f64::NEG_INFINITY;
@@ -122,6 +130,9 @@ impl EchoTrace {
         let follows = log_density(bearing, DRIFTS[0]) + log_density(beyond, DRIFTS[1]);
         let moves = log_density(turned, free[0]) + log_density(moved, free[1]);
         let rests = log_density(turned, DRIFTS[0]) + log_density(moved, DRIFTS[1]);
+        if stands && seconds > PATIENCE && follows - rests < MOVED {
+            return f64::NEG_INFINITY;
+        }
         let own = log_mixed([(1.0 - RESTS, moves), (RESTS, rests)]);
         let prior = libm::log(SHARE / (1.0 - SHARE));
         prior + log_density(apart, APART) + libm::log(TAU) + follows - own
@@ -139,18 +150,34 @@ pub struct TrackEchoes {
 }
 
 impl TrackEchoes {
+    /// True if the parts of a restored state agree.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let is_finite = |place: &PolarPlace| place.bearing.is_finite() && place.range.is_finite();
+        self.traces.len() <= MOST_TARGETS
+            && !(self.is_denied && self.is_echo)
+            && self.traces.values().all(|trace| {
+                let sums = trace.sums.iter().chain(&trace.most);
+                trace.first.iter().all(is_finite)
+                    && trace.first_ns <= trace.last_ns
+                    && sums.chain([&trace.last_bearing, &trace.turned]).all(|sum| sum.is_finite())
+            })
+    }
+
     /// Take in that another scanner has measured the track: it is a target.
     pub fn deny(&mut self) {
         *self = Self { is_denied: true, ..Self::default() };
     }
 
     /// Compare the track, where a scan has measured it, with the sights of nearer `targets`. Traces of those that
-    /// are not known any more are dropped; at most [`MOST_TARGETS`] are kept.
+    /// are not known any more are dropped; at most [`MOST_TARGETS`] are kept. `stands` tells whether what stands is
+    /// a target.
     pub fn compare(
         &mut self,
         measured: Option<(i64, PolarPlace)>,
         targets: &[(i64, PolarPlace)],
         is_known: impl Fn(i64) -> bool,
+        stands: bool,
     ) {
         if self.is_denied {
             return;
@@ -162,15 +189,21 @@ impl TrackEchoes {
                 let has_room = self.traces.len() < MOST_TARGETS;
                 match self.traces.get_mut(id) {
                     Some(trace) => trace.take(stamp_ns, own, *target),
-                    None if has_room => {
+                    None if has_room && may_be_echo(own, *target) => {
                         self.traces.insert(*id, EchoTrace::new(stamp_ns, own, *target));
                     }
                     None => {}
                 }
             }
-            self.is_echo |= self.traces.get(id).is_some_and(EchoTrace::is_echo);
+            self.is_echo |= self.traces.get(id).is_some_and(|trace| trace.is_echo(stands));
         }
     }
+}
+
+/// True if a track may be an echo of a target by its place alone.
+fn may_be_echo(own: PolarPlace, target: PolarPlace) -> bool {
+    let apart = turn(target.bearing, own.bearing).abs();
+    own.range >= LEAST_RATIO * target.range && apart < FARTHEST * APART
 }
 
 /// Turn from one bearing to another, between -pi and pi [rad].
@@ -218,7 +251,7 @@ mod tests {
                     let range = 150.0 - t;
                     [sight(start + 2.0 + t, 2.0 * range + detour), sight(start + t, range)]
                 };
-                assert!(trace(of).is_echo(), "{start} {detour}");
+                assert!(trace(of).is_echo(true), "{start} {detour}");
             }
         }
     }
@@ -227,20 +260,45 @@ mod tests {
     #[test]
     fn other_boats_are_no_echoes() {
         let passes = |t: f64| [sight(85.0 + 0.2 * t, 300.0), sight(80.0 + t, 140.0)];
-        let follows = |t: f64| [sight(80.0 + t, 200.0), sight(80.0 + t, 140.0)];
+        let follows = |t: f64| [sight(80.0 + t, 280.0 - 2.0 * t), sight(80.0 + t, 140.0 - 2.5 * t)];
         let comes = |t: f64| [sight(80.0, 360.0 - 3.0 * t), sight(80.0, 140.0 + t)];
         let beside = |t: f64| [sight(110.0 + t, 300.0), sight(80.0 + t, 150.0)];
-        assert!(!trace(passes).is_echo());
-        assert!(!trace(follows).is_echo());
-        assert!(!trace(comes).is_echo());
-        assert!(!trace(beside).is_echo());
+        assert!(!trace(passes).is_echo(true));
+        assert!(!trace(follows).is_echo(true));
+        assert!(!trace(comes).is_echo(true));
+        assert!(!trace(beside).is_echo(true));
+    }
+
+    /// Nothing tells an echo of what rests from something else that rests there.
+    #[test]
+    fn what_rests_in_line_is_no_echo() {
+        for range in [280.0, 300.0, 500.0] {
+            let rest = |t: f64| [sight(80.0 + 0.5 * libm::sin(t), range), sight(81.0, 150.0)];
+            assert!(!trace(rest).is_echo(true), "{range}");
+        }
+    }
+
+    #[test]
+    fn a_state_that_cannot_be_is_not_sound() {
+        let mut echoes = TrackEchoes::default();
+        echoes.compare(Some((0, sight(80.0, 300.0))), &[(1, sight(80.0, 150.0))], |_| true, true);
+        assert!(echoes.is_sound() && echoes.traces.len() == 1);
+        assert!(!TrackEchoes { is_denied: true, is_echo: true, ..echoes.clone() }.is_sound());
+        let mut bad = echoes.clone();
+        bad.traces.values_mut().for_each(|trace| trace.sums[1] = f64::NAN);
+        assert!(!bad.is_sound());
+        // What is far beside, or nearer than the least ratio, is not compared.
+        let mut other = TrackEchoes::default();
+        let apart = [(1, sight(20.0, 150.0)), (2, sight(80.0, 200.0))];
+        other.compare(Some((0, sight(80.0, 300.0))), &apart, |_| true, true);
+        assert_eq!(other.traces.len(), 0);
     }
 
     #[test]
     fn two_sights_say_nothing_and_turns_are_the_short_way() {
         let mut short = EchoTrace::new(0, sight(80.0, 300.0), sight(80.0, 150.0));
         short.take(2_000_000_000, sight(81.0, 300.0), sight(81.0, 150.0));
-        assert!(!short.is_echo());
+        assert!(!short.is_echo(true));
         assert!((turn(3.1, -3.1) - (TAU - 6.2)).abs() < 1e-12);
         assert!((turn(-3.1, 3.1) + (TAU - 6.2)).abs() < 1e-12);
         assert_eq!(PolarPlace::between([1.0, 2.0], [1.0, 2.0]), None);

@@ -9,7 +9,7 @@ from reference.fusion_echo import Echoes
 
 SECOND = 1_000_000_000
 BOATS = MultiTargetConfig.boats()
-SHOWN, HIDDEN = 0.95, 0.4
+SHOWN, HIDDEN, TELLS_LATE = 0.95, 0.4, 0.8
 """Shares of the scans from the 14th on in which boats are reported at least, and echoes at most."""
 
 
@@ -36,19 +36,34 @@ def echo_of(radar, place, *, detour, offset_deg=2.0):
     return radar + far * np.array([np.cos(bearing), np.sin(bearing)])
 
 
-def run(seed, other, *, lidar=False, with_radar=True, scans=36, period=1.7):
+def run(
+    seed,
+    other,
+    *,
+    lidar=False,
+    with_radar=True,
+    scans=36,
+    period=1.7,
+    beside_it=None,
+    config=BOATS,
+    nearer=None,
+):
     """Shares of the scans in which something is reported near the boat and the other."""
     rng = np.random.default_rng(seed)
-    tracker, oracle, plain = MultiTargetTracker(BOATS), Echoes(), MultiTargetTracker(BOATS)
+    tracker, plain = MultiTargetTracker(config), MultiTargetTracker(config)
+    oracle = Echoes(stands=config.report_speed == 0.0)
     near = []
     for k in range(scans):
         t = period * k
         stamp, radar = round(t * SECOND), np.array([0.1 * t, -0.05 * t])
-        true = [boat(t), other(t, radar)]
+        true = [(nearer or boat)(t), other(t, radar)]
         seen = [place + rng.normal(0, 4.0, 2) for place in true if rng.random() < 0.9]
         scan = measured(stamp, seen, radar if with_radar else None)
         tracker.process(stamp, scan, source="radar")
         plain.process(stamp, measured(stamp, seen, None), source="radar")
+        if beside_it is not None:
+            beside_it(tracker, stamp)
+            beside_it(plain, stamp)
         if lidar and k % 4 == 3:
             again = [
                 Measurement(stamp + 1, "lidar", true[1] + rng.normal(0, 1, 2), np.eye(2) * 9.0)
@@ -91,8 +106,9 @@ def abreast(t, _):
 
 
 def in_line(t, radar):
-    """Follows the boat in the line of sight, at 1.5 times its range."""
-    return radar + 1.5 * (boat(t) - radar)
+    """Goes along in the line of sight, 150 m behind, and falls back."""
+    away = boat(t) - radar
+    return radar + away * (1.0 + (150.0 + 1.5 * t) / np.hypot(*away))
 
 
 def beside(t, radar):
@@ -106,7 +122,22 @@ def test_other_boats_are_reported(seed, other):
     """The opposite error: what is behind another boat now and then, or near its line of sight."""
     of_boat, of_other = run(seed, other)
     assert of_boat >= SHOWN
-    assert of_other >= SHOWN
+    assert of_other >= (TELLS_LATE if other is in_line else SHOWN)
+
+
+@pytest.mark.parametrize("seed", range(1000, 1006))
+@pytest.mark.parametrize("far", [300.0, 360.0])
+def test_what_rests_in_line_is_reported_where_what_stands_counts(seed, far):
+    """Two things at rest, one behind the other, tell nothing of an echo."""
+    standing = BOATS.model_copy(update={"report_speed": 0.0})
+    anchored = np.array([20.0, 150.0])
+    ahead = run(
+        seed,
+        lambda t, radar: anchored * far / 150.0,
+        config=standing,
+        nearer=lambda t: anchored,
+    )
+    assert (ahead >= TELLS_LATE).all()
 
 
 def test_what_another_scanner_measures_is_no_echo_and_without_a_place_there_are_none():
@@ -117,9 +148,31 @@ def test_what_another_scanner_measures_is_no_echo_and_without_a_place_there_are_
     assert run(1000, echo, with_radar=False)[1] >= SHOWN
 
 
+def test_only_a_measurement_by_another_scanner_makes_an_echo_a_target():
+    """Not a scan of the same time that measures nothing or something else, nor a lost place."""
+
+    def echo(t, radar):
+        return echo_of(radar, boat(t), detour=40.0)
+
+    def empty(tracker, stamp):
+        tracker.process(stamp, [], source="lidar")
+
+    def elsewhere(tracker, stamp):
+        far = Measurement(stamp, "lidar", [-400.0, -300.0], np.eye(2))
+        tracker.process(stamp, [far], source="lidar")
+
+    def two_places(tracker, stamp):
+        scan = measured(stamp, [[-400.0, -300.0]], [0.0, 0.0])
+        tracker.process(stamp, scan + measured(stamp, [[-400.0, 300.0]], None), source="other")
+
+    for beside_it in (empty, elsewhere, two_places):
+        assert run(1001, echo, beside_it=beside_it)[1] <= HIDDEN
+
+
 def test_the_place_of_a_radar_is_checked_and_kept():
     m = Measurement(0, "lidar", [1.0, 2.0], seen_from=[3.0, 4.0])
     assert m.with_values([5.0, 6.0]).seen_from.tolist() == [3.0, 4.0]
+    assert repr(m) == "Measurement(0, 'lidar', [1.0, 2.0], seen_from=[3.0, 4.0])"
     assert Measurement(0, "lidar", [1.0, 2.0]).seen_from is None
     for sensor, values, place in (
         ("lidar", [1.0, 2.0], [3.0]),

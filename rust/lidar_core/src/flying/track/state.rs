@@ -252,8 +252,9 @@ impl PointTrack {
         }
     }
 
-    /// Rays that should have met the target, of so many through its place. A target that was confirmed is known
-    /// to give so few returns: that many may well pass above and below it, between two rows.
+    /// How many of `rays` through its place should have met the target: of one that was confirmed no more than the
+    /// usual number of its returns. A flat target of few returns may lie between two rows, so that missing it
+    /// says less than missing one of many.
     pub(super) fn expected_returns(&self, rays: usize) -> usize {
         if !self.was_confirmed || self.usual_points == 0.0 || rays < ENOUGH_RAYS {
             return rays;

@@ -70,15 +70,24 @@ impl Tracks {
         keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
     }
 
-    /// Say of every confirmed track whether it is an echo of a nearer one, for a radar that has told its place.
-    pub(super) fn hear_echoes(&mut self, scan: &Scan) {
-        let of_targets = scan.measurements.iter().filter(|m| !m.is_of_platform());
-        let Some(radar) = of_targets.clone().find_map(Measurement::seen_from) else {
+    /// Say of every confirmed track whether it is an echo of a nearer one, for a radar that has told its place. A
+    /// scan whose measurements tell several places says nothing.
+    pub(super) fn hear_echoes(&mut self, parameters: &ManyParameters, scan: &Scan) {
+        let mut places =
+            scan.measurements.iter().filter(|m| !m.is_of_platform()).map(Measurement::seen_from);
+        let Some(place) = places.next() else { return };
+        let source = 1 << scan.source;
+        let is_measured =
+            |track: &TargetTrack| track.sources & source != 0 && track.history & 1 == 1;
+        let Some(radar) = place.filter(|_| places.all(|other| other == place)) else {
             // What another scanner sees at its place is no echo of a radar's waves.
-            let measured = self.all.iter_mut().filter(|track| track.seen_ns == scan.stamp_ns);
-            measured.for_each(|track| track.echoes.deny());
+            if place.is_none() && self.radars & source == 0 {
+                let measured = self.all.iter_mut().filter(|track| is_measured(track));
+                measured.for_each(|track| track.echoes.deny());
+            }
             return;
         };
+        self.radars |= source;
         let ids: BTreeSet<i64> = self.all.iter().map(|track| track.id).collect();
         let own = self.all.iter_mut().filter(|track| track.is_of_target());
         let mut seen: Vec<(PolarPlace, &mut TargetTrack)> = own
@@ -90,11 +99,11 @@ impl Tracks {
         seen.sort_by(|(a, one), (b, other)| {
             a.range.total_cmp(&b.range).then(one.id.cmp(&other.id))
         });
+        let stands = parameters.report_speed == 0.0;
         let mut targets: Vec<(i64, PolarPlace)> = Vec::new();
         for (sight, track) in seen {
-            let is_measured = track.seen_ns == scan.stamp_ns;
-            let beyond = is_measured.then_some((scan.stamp_ns, sight));
-            track.echoes.compare(beyond, &targets, |id| ids.contains(&id));
+            let beyond = is_measured(track).then_some((scan.stamp_ns, sight));
+            track.echoes.compare(beyond, &targets, |id| ids.contains(&id), stands);
             if !track.echoes.is_echo {
                 targets.push((track.id, sight));
             }

@@ -11,6 +11,7 @@ use crate::fusion::targets::target::SavedTarget;
 use crate::tracking::near::NearIndex;
 use crate::tracking::standing_clutter::{PlaceLog, StandingClutter};
 use crate::tracking::surroundings::{Population, Surroundings};
+use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -22,6 +23,7 @@ pub struct SavedTracks {
     scanners: BTreeMap<u8, [Surroundings; 2]>,
     population: Population,
     standing: BTreeMap<u8, StandingClutter>,
+    radars: u64,
 }
 
 /// All tracks at one time.
@@ -36,6 +38,8 @@ pub struct Tracks {
     pub(super) population: Population,
     /// What stands, by scanner; nothing where targets may stand.
     pub(super) standing: BTreeMap<u8, StandingClutter>,
+    /// Scanners that have told the place of a radar, one bit each.
+    pub(super) radars: u64,
 }
 
 impl Tracks {
@@ -50,6 +54,7 @@ impl Tracks {
             scanners: BTreeMap::new(),
             population: Population::default(),
             standing: BTreeMap::new(),
+            radars: 0,
         })
     }
 
@@ -68,19 +73,23 @@ impl Tracks {
             scanners: self.scanners.clone(),
             population: self.population,
             standing: self.standing.clone(),
+            radars: self.radars,
         }
     }
 
     /// Saved tracks, with filters of the parameters of `self`.
     ///
     /// # Errors
-    /// [`Error::Format`] for the state of another model.
+    /// [`Error::Format`] for the state of another model, or parts that do not agree.
     pub fn restored(&self, saved: &SavedTracks) -> Result<Self, Error> {
         let with = |state: &SavedTarget| {
             let mut filter = self.unseen.clone();
             filter.restore_saved(state).map(|()| filter)
         };
         let one = |track: &TargetTrack<SavedTarget>| {
+            if !track.echoes.is_sound() {
+                return Err(impossible("echoes that cannot be"));
+            }
             with(&track.filter).map(|own| track.with_filter(own))
         };
         let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
@@ -90,6 +99,7 @@ impl Tracks {
             scanners: saved.scanners.clone(),
             population: saved.population,
             standing: saved.standing.clone(),
+            radars: saved.radars,
         })
     }
 
@@ -200,7 +210,7 @@ impl Tracks {
             let space = IntegratedScan { parameters, existence, scan, standing: &standing };
             self.integrate(&space, &candidates, births, &mut assigned);
             self.keep_company(parameters, stamp_ns);
-            self.hear_echoes(scan);
+            self.hear_echoes(parameters, scan);
             self.learn_places(parameters, scan, &places, known);
             self.learn_kinds(parameters, scan, &assigned);
             within("tracks", self.all.len())?;
@@ -216,7 +226,7 @@ impl Tracks {
         self.all.iter_mut().for_each(|track| track.judge(parameters));
         self.all.retain(|track| track.stays(stamp_ns, parameters));
         self.keep_company(parameters, stamp_ns);
-        self.hear_echoes(scan);
+        self.hear_echoes(parameters, scan);
         self.learn_places(parameters, scan, &places, known);
         self.start(parameters, scan, &measured, births, &mut assigned);
         self.learn_kinds(parameters, scan, &assigned);
