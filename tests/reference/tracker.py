@@ -145,6 +145,7 @@ class Track:
     nis: float = None  # of its newest cluster
     shown: str = "sure"  # by the detection that it began with
     before: str = None  # by the one before that, if it began with two
+    made_of: list[int] = field(default_factory=list)  # numbers of the tracks of these two
     there: float = 0.25  # probability of a target that gives returns
     hidden: float = 0.0  # of one that gives none
     standing: float = 0.5  # that something stands there, if there is no target
@@ -659,6 +660,7 @@ class Tracker:
             "seen_speed": np.linalg.norm(velocity),
             "before": other.shown,
             "shape_before": other.shape,
+            "made_of": [other.id],
         }
         changes |= {"radius": MeanLog(), "filled": MeanLog()}
         x = np.r_[r, velocity, np.zeros(3)]
@@ -712,6 +714,8 @@ class Tracker:
         for track in self.tracks[known:]:
             track.id = self.next_id
             self.next_id += 1
+            if track.before is not None:
+                track.made_of = [*track.made_of, events.born[-1]]
             events.born.append(track.id)
         shown = dict(fed)
         self.births.sets = (1 - 1 / MEMORY) * self.births.sets + 1
@@ -732,9 +736,27 @@ class Tracker:
                 events.confirmed.append(track.id)
             track.confirmed = is_confirmed
             track.was_confirmed |= is_confirmed
+        explained = self.explain(events)
         events.removed = self.remove(self.is_gone)
-        events.merged = self.merge()
+        events.merged = explained + self.merge()
         return events
+
+    def explain(self, events):
+        """A confirmed track of a fast target ends those of the single detections it was made of."""
+        merged = []
+        for fast in [track for track in self.tracks if track.confirmed and track.made_of]:
+            parts = [t for t in self.tracks if t.id in fast.made_of and t.n_detections == 1]
+            own, fast.made_of = fast.id, []
+            reported = [part.id for part in parts if part.was_confirmed]
+            if reported and own in events.born:
+                fast.id = min(reported)
+            numbers = {part.id for part in parts}
+            self.tracks = [one for one in self.tracks if one is fast or one.id not in numbers]
+            gone = numbers | ({own} if fast.id != own else set())
+            events.confirmed = [number for number in events.confirmed if number not in gone]
+            merged += [[fast.id, number] for number in sorted(gone - {fast.id})]
+        self.tracks.sort(key=lambda track: track.id)
+        return merged
 
     def is_gone(self, track):
         if self.c.report_existence is None:

@@ -107,9 +107,43 @@ pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
     for track in tracks.iter_mut().filter(|track| track.id == UNNUMBERED) {
         track.id = *next_id;
         *next_id += 1;
+        if track.before.is_some() {
+            track.made_of.extend(born.last()); // it follows that of its second detection
+        }
         born.push(track.id);
     }
     born
+}
+
+/// End the tracks of single detections that a confirmed track was made of: a fast target explains both of them,
+/// so that they are no targets. A track of `born` takes the number of the eldest of them that was reported.
+/// Returns pairs of the number that stays and the one that goes.
+pub(super) fn explain(
+    tracks: &mut Vec<PointTrack>,
+    born: &[i64],
+    confirmed: &mut Vec<i64>,
+) -> Vec<[i64; 2]> {
+    let is_fast = |track: &&mut PointTrack| track.confirmed && !track.made_of.is_empty();
+    let fast: Vec<(i64, Vec<i64>)> = tracks
+        .iter_mut()
+        .filter(is_fast)
+        .map(|track| (track.id, std::mem::take(&mut track.made_of)))
+        .collect();
+    let mut merged = Vec::new();
+    for (id, made_of) in fast {
+        let is_part = |track: &PointTrack| made_of.contains(&track.id) && track.n_detections == 1;
+        let reported = tracks.iter().filter(|track| is_part(track) && track.was_confirmed);
+        let eldest = reported.map(|track| track.id).min().filter(|_| born.contains(&id));
+        let parts: Vec<i64> =
+            tracks.iter().filter(|track| is_part(track)).map(|track| track.id).collect();
+        tracks.retain(|track| !is_part(track));
+        confirmed.retain(|number| !parts.contains(number) && (eldest.is_none() || *number != id));
+        let number = eldest.unwrap_or(id);
+        tracks.iter_mut().filter(|track| track.id == id).for_each(|track| track.id = number);
+        let gone = parts.into_iter().chain([id]).filter(|&gone| gone != number);
+        merged.extend(gone.map(|gone| [number, gone]));
+    }
+    merged
 }
 
 /// Merge tracks of one target; pairs of the number that stays and the one that goes.

@@ -158,7 +158,8 @@ impl PointCloudTracker {
         if let Confirmation::Existence { report } = self.parameters().confirmation {
             standing::follow(&self.standing, &mut tracks, report, &mut confirmed);
         }
-        let mut merged = standing::hand_over(&mut self.standing, &mut tracks, &mut confirmed);
+        let mut merged = lifecycle::explain(&mut tracks, &born, &mut confirmed);
+        merged.extend(standing::hand_over(&mut self.standing, &mut tracks, &mut confirmed));
         tracks.sort_by_key(|track| track.id);
         let removed = lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters());
         merged.extend(self.merge(&mut tracks));

@@ -56,6 +56,8 @@ pub(super) struct PointTrack {
     pub(super) first: Evidence,
     /// What the detection before that showed, if it began with two.
     pub(super) before: Option<Evidence>,
+    /// Numbers of the tracks of the two detections that it began with, until it is confirmed.
+    pub(super) made_of: Vec<i64>,
     /// What the newest scan shows of it.
     pub(super) sight: Sight,
     /// Squared Mahalanobis distance of its cluster in the newest scan, if that had one.
@@ -119,6 +121,7 @@ impl PointTrack {
                 shape: None,
             },
             before: None,
+            made_of: Vec::new(),
             sight: Sight::Unseen,
             nis: None,
             belief: TrackBelief::unknown(stamp_ns),

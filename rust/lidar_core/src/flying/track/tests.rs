@@ -429,7 +429,16 @@ fn what_has_left_its_place_is_a_target_at_once_and_what_is_there_is_not() -> Res
 /// Numbers and existence of the tracks of a target of 30 m/s that a rolling scan meets `delay` after
 /// its stamp, in so many scans; `step` is what it flies from one to the next [m].
 fn passer(delay: f64, scans: i64, step: f64) -> Result<Vec<(i64, f64)>, Error> {
-    let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
+    passer_of(TrackerParameters::default(), delay, scans, step)
+}
+
+fn passer_of(
+    parameters: TrackerParameters,
+    delay: f64,
+    scans: i64,
+    step: f64,
+) -> Result<Vec<(i64, f64)>, Error> {
+    let mut tracker = PointCloudTracker::new(parameters, 1)?;
     for scan in 0..scans {
         let stamp_ns = scan * STEP_NS;
         let position = [step * scan as f64, 8.0, 3.0];
@@ -519,5 +528,26 @@ fn counts_as_moved(radius: f64) -> Result<bool, Error> {
 fn a_target_on_a_small_circle_moves_and_one_that_hovers_does_not() -> Result<(), Error> {
     assert!(counts_as_moved(0.28)?);
     assert!(!counts_as_moved(0.0)?);
+    Ok(())
+}
+
+/// The single detections of a fast target are no targets beside it. Its number is that of the first
+/// of them that was reported.
+#[test]
+fn the_parts_of_a_fast_target_end_when_it_is_confirmed() -> Result<(), Error> {
+    let confirmation = |report| Confirmation::Existence { report };
+    for (report, id) in [(0.9, 2), (0.5, 0)] {
+        let parameters = TrackerParameters {
+            confirmation: confirmation(report),
+            ..TrackerParameters::default()
+        };
+        for delay in [0.0, 0.03, 0.09] {
+            let tracks = passer_of(parameters, delay, 4, 3.0)?;
+            let ids: Vec<i64> = tracks.iter().filter(|track| track.1 > 0.3).map(|t| t.0).collect();
+            assert_eq!(ids, [id], "{delay}: {tracks:?}");
+        }
+    }
+    // The opposite: what is detected again where it was is a target of its own.
+    assert!(passer(0.0, 6, 0.0)?.iter().any(|&(id, existence)| id == 0 && existence > 0.9));
     Ok(())
 }

@@ -74,6 +74,7 @@ impl PointTrack {
         (fast.born_ns, fast.born_at, fast.seen_at) = (other.born_ns, other.born_at, position);
         (fast.seen_speed, fast.n_detections) = (velocity.norm(), 2);
         fast.before = Some(other.first);
+        fast.made_of = vec![other.id];
         fast
     }
 }
