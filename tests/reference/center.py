@@ -80,7 +80,7 @@ def outline(points, origin, passing):
 
 
 def frame(points, origin, passing, std):
-    """Centre, covariance, radius and solid share of an open frame; where a ball starts."""
+    """Centre, covariance, radius by rays, and by points, too, and solid share; where a ball starts."""
     count, centroid = len(points), points.mean(axis=0)
     sight, flat, rays = seen_from(points, origin, passing)
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
@@ -89,6 +89,9 @@ def frame(points, origin, passing, std):
     gap = (reach + MARGIN) * np.sqrt(np.pi / (count + (off < reach + MARGIN).sum()))
     share = count / (count + (off < reach + gap / 2).sum())
     radius = reach + between(share, [1.5, 0.75]) * gap
+    root = np.sqrt(np.pi / count)
+    own = reach * root / (1 - root / 2) if count >= 3 else gap
+    least = reach + between(share, [1.5, 0.75]) * min(gap, own)
     scatter = np.cov(points.T, bias=True) if count > 1 else np.zeros((3, 3))
     level = max(0, 1 - abs(sight[2]) / 0.25)
     shift = between(share, [0.12 + 0.13 * level, 0.40]) * radius
@@ -116,6 +119,7 @@ def frame(points, origin, passing, std):
         centroid + behind,
         covariance,
         radius,
+        least,
         share,
         (centroid + 0.66 * size * sight, size),
     )
@@ -191,7 +195,7 @@ def target_center(points, origins, passing, std):
     middle, reach = region(points)
     passing = passing.those(passing.distance(middle) <= reach + MARGIN)
     near = passing.those(passing.distance(middle) <= reach + NEAR)
-    position, covariance, radius, share, start = frame(
+    position, covariance, radius, least, share, start = frame(
         points, hits.origins.mean(axis=0), passing, std
     )
     center, spread, size, squares = ball(points, hits, near, std, start)
@@ -201,4 +205,5 @@ def target_center(points, origins, passing, std):
     offset = center - position
     mixed = weight * spread + (1 - weight) * covariance
     mixed += weight * (1 - weight) * np.outer(offset, offset)
-    return position + weight * offset, mixed, weight * size + (1 - weight) * radius
+    size = min(size, 1.5 * least)
+    return position + weight * offset, mixed, weight * size + (1 - weight) * least

@@ -3,6 +3,7 @@
 use super::PointCloudTracker;
 use super::belief::existence::FalseBirths;
 use super::belief::standing::UnmovedTarget;
+use super::belief::visits::Visits;
 use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
@@ -22,6 +23,7 @@ pub(crate) struct TrackerState<'a> {
     standing: &'a [UnmovedTarget],
     next_id: i64,
     births: FalseBirths,
+    visits: &'a Visits,
 }
 
 /// [`TrackerState`] as it is read back.
@@ -33,6 +35,7 @@ pub(crate) struct SavedTracker {
     standing: Vec<UnmovedTarget>,
     next_id: i64,
     births: FalseBirths,
+    visits: Visits,
 }
 
 impl PointCloudTracker {
@@ -66,16 +69,17 @@ impl PointCloudTracker {
     }
 
     pub(crate) fn state(&self) -> TrackerState<'_> {
-        let Self { buffer, keeps_points, tracks, standing, next_id, births, .. } = self;
+        let Self { buffer, keeps_points, tracks, standing, next_id, births, visits, .. } = self;
         let (clouds, keeps_points) = (buffer.clouds(), *keeps_points);
         let (next_id, births) = (*next_id, *births);
-        TrackerState { clouds, keeps_points, tracks, standing, next_id, births }
+        TrackerState { clouds, keeps_points, tracks, standing, next_id, births, visits }
     }
 
     /// # Errors
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
-        let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births } = saved;
+        let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births, visits } =
+            saved;
         let mut numbers = tracks.iter().map(|track| track.id);
         let mut more = standing.iter().map(|target| target.id);
         let is_numbered = |id: i64| (0..next_id).contains(&id);
@@ -83,8 +87,11 @@ impl PointCloudTracker {
         if count > MAX_TRACKS || !numbers.all(is_numbered) || !more.all(is_numbered) {
             return Err(impossible("tracks that were never numbered"));
         }
+        if !visits.is_possible() {
+            return Err(impossible("more detections than are kept"));
+        }
         self.buffer.restore(clouds)?;
-        (self.keeps_points, self.births) = (keeps_points, births);
+        (self.keeps_points, self.births, self.visits) = (keeps_points, births, visits);
         (self.tracks, self.standing, self.next_id) = (tracks, standing, next_id);
         Ok(())
     }

@@ -1,14 +1,22 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
 use super::belief::existence::{DELETED, ExpectedClutter, FalseBirths, KEPT};
+use super::belief::visits::Visits;
 use super::belief::weighing::{born, weigh};
 use super::measurement::Evidence;
 use super::motion::{self, seconds};
 use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED};
+use super::visibility::occupancy::Occupancy;
 use crate::flying::large_targets::{LARGE, PART_GAP};
+use crate::tracking::kind::TrackKind;
 use nalgebra::Vector3;
+
+/// Structure in a ball of this radius around a place is beside it [m]. The ball is raised by so much: what flies
+/// low is above the ground, not beside it.
+const BESIDE: f64 = 2.0;
+const RAISED: f64 = 1.0;
 
 /// Remove tracks that have become too uncertain; their numbers.
 ///
@@ -41,6 +49,14 @@ pub(super) struct SetOfDetections<'a> {
     pub(super) known: usize,
     /// What is expected of it.
     pub(super) around: ExpectedClutter,
+    /// What was detected before, and where.
+    pub(super) visits: &'a Visits,
+    pub(super) occupied: &'a dyn Occupancy,
+}
+
+/// True if structure is beside a place [m] or above it.
+fn is_beside(occupied: &dyn Occupancy, place: [f64; 3]) -> bool {
+    occupied.any_within([place[0], place[1], place[2] + RAISED], BESIDE)
 }
 
 /// Enter a set of detections into all tracks. Returns the numbers of those that are confirmed by it.
@@ -68,6 +84,12 @@ pub(super) fn confirm(
                     weigh(track, evidence, set.around, std, set.stamp_ns);
                 } else {
                     track.belief = born(set.around, track, set.stamp_ns);
+                }
+                if evidence.is_some() || index >= set.known {
+                    let place = track.position().into();
+                    let share = set.visits.share(place, track.id, track.born_ns);
+                    let hangs = !track.is_away() && is_beside(set.occupied, place);
+                    track.belief.visit(share, hangs);
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
                 track.existence() >= limit
@@ -144,6 +166,24 @@ pub(super) fn explain(
         merged.extend(gone.map(|gone| [number, gone]));
     }
     merged
+}
+
+/// Remember the detections that fed tracks with these numbers, or began them, unless the target flies. What a
+/// target left before that was known is forgotten. What is on the ground passes once, and does not come and go.
+pub(super) fn remember(
+    visits: &mut Visits,
+    tracks: &[PointTrack],
+    shown: impl Iterator<Item = i64>,
+    stamp_ns: i64,
+) {
+    for id in shown {
+        let Some(track) = tracks.iter().find(|track| track.id == id) else { continue };
+        match track.belief.kinds().kind() {
+            TrackKind::Flying if track.confirmed => visits.forget(id),
+            TrackKind::Ground => {}
+            _ => visits.add(stamp_ns, id, track.position().into()),
+        }
+    }
 }
 
 /// Merge tracks of one target; pairs of the number that stays and the one that goes.

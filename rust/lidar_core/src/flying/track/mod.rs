@@ -41,6 +41,7 @@ use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::util::budget::check_points;
 use belief::existence::{FalseBirths, Sight};
 use belief::standing::{self, UnmovedTarget};
+use belief::visits::Visits;
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
@@ -68,6 +69,7 @@ pub struct PointCloudTracker {
     standing: Vec<UnmovedTarget>,
     next_id: i64,
     births: FalseBirths,
+    visits: Visits,
 }
 
 impl PointCloudTracker {
@@ -84,6 +86,7 @@ impl PointCloudTracker {
             standing: Vec::new(),
             next_id: 0,
             births: FalseBirths::default(),
+            visits: Visits::default(),
         })
     }
 
@@ -152,9 +155,12 @@ impl PointCloudTracker {
         let mut births = self.births;
         births.count_set();
         let around = births.expected(state::without_target(&tracks[..known]));
-        let set = SetOfDetections { stamp_ns, fed: &matches.fed, known, around };
+        let visits = &self.visits;
+        let fed = &matches.fed;
+        let set = SetOfDetections { stamp_ns, fed, known, around, visits, occupied };
         let born = lifecycle::number(&mut tracks, &mut next_id);
         let mut confirmed = lifecycle::confirm(&mut tracks, &set, self.parameters());
+        let fed: Vec<i64> = matches.fed.iter().map(|&(index, _)| tracks[index].id).collect();
         if let Confirmation::Existence { report } = self.parameters().confirmation {
             standing::follow(&self.standing, &mut tracks, report, &mut confirmed);
         }
@@ -163,6 +169,8 @@ impl PointCloudTracker {
         tracks.sort_by_key(|track| track.id);
         let removed = lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters());
         merged.extend(self.merge(&mut tracks));
+        let shown = fed.into_iter().chain(born.iter().copied());
+        lifecycle::remember(&mut self.visits, &tracks, shown, stamp_ns);
         let rejected = matches.rejected;
         let stats = Stats { born, confirmed, removed, merged, rejected, ..Stats::default() };
         (self.tracks, self.next_id, self.births) = (tracks, next_id, births);
@@ -322,6 +330,7 @@ impl PointCloudTracker {
         self.standing.clear();
         self.buffer.clear();
         self.births = FalseBirths::default();
+        self.visits.clear();
     }
 
     /// Parameters of the tracker.

@@ -26,6 +26,9 @@ const SHAPE_SHARE: f64 = 0.03;
 /// of freedom).
 const HAS_SPEED: f64 = 21.1;
 
+/// A track this far from where it began does not hang there [m].
+const AWAY: f64 = 1.0;
+
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
 
@@ -140,6 +143,13 @@ impl PointTrack {
 
     pub(super) fn velocity(&self) -> Vector3<f64> {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
+    }
+
+    /// Whether it is surely away from where it began, further than leaves sway.
+    pub(super) fn is_away(&self) -> bool {
+        let spread = motion::position_block(&self.estimate.covariance).trace() / 3.0;
+        let reach = AWAY + 2.0 * spread.max(0.0).sqrt();
+        (self.position() - self.born_at).norm() > reach
     }
 
     /// Whether its velocity differs from none by more than the error of its estimate.

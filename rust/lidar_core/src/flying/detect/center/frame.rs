@@ -13,6 +13,9 @@ use std::f64::consts::PI;
 const SHARES: [f64; 2] = [0.3, 0.6];
 /// So many gaps between rays lie between the outermost points and the rim.
 const RIM_GAPS: [f64; 2] = [1.5, 0.75];
+/// From so many points on, their own spacing bounds the gaps between rays: where it is not known which rays passed,
+/// nothing else does.
+const SPACED: f64 = 3.0;
 /// The centre of a closed body lies behind the centroid by this share of the radius; a ball would
 /// have 0.68.
 const CLOSED_SHIFT: f64 = 0.40;
@@ -50,8 +53,10 @@ const LEAST_RADIUS: f64 = 0.05;
 pub(super) struct OpenFrame {
     pub(crate) position: Vector3<f64>,
     pub(crate) covariance: Matrix3<f64>,
-    /// Half the width across the line of sight, as far as rays tell it [m].
+    /// Half the width across the line of sight, as far as the rays that passed tell it [m].
     pub(crate) radius: f64,
+    /// The same, as far as the spacing of the points tells it, too [m].
+    pub(super) least_radius: f64,
     /// Share of the rays inside the outline that hit: 1 for a solid target.
     pub(super) solid_share: f64,
     /// Share of the rays inside the ellipse of its points that hit.
@@ -74,7 +79,8 @@ impl OpenFrame {
         let [open, closed] = SHARES;
         let share = ((outline.solid_share - open) / (closed - open)).clamp(0.0, 1.0);
         let between = |[open, closed]: [f64; 2]| open + share * (closed - open);
-        let radius = outline.reach + between(RIM_GAPS) * outline.ray_gap;
+        let [radius, least_radius] =
+            [outline.ray_gap, outline.least_gap].map(|gap| outline.reach + between(RIM_GAPS) * gap);
         let sight = axes[2];
         let offsets = || observation.hits.iter().map(|hit| hit.point - centroid);
         let scatter: Matrix3<f64> = offsets().map(|offset| offset * offset.transpose()).sum();
@@ -104,6 +110,7 @@ impl OpenFrame {
                         + depth_std * depth_std
                         + range_std * range_std / count),
             radius,
+            least_radius,
             solid_share: outline.solid_share,
             filled_share: outline.filled_share,
             is_free_below: outline.is_free_below,
@@ -120,7 +127,8 @@ impl OpenFrame {
     }
 
     pub(super) fn into_center(self, is_cut: bool) -> Center {
-        let Self { position, covariance, radius, filled_share, is_free_below, .. } = self;
+        let Self { position, covariance, filled_share, is_free_below, .. } = self;
+        let radius = self.least_radius;
         let covariance = symmetrised(covariance);
         Center { position, covariance, radius, filled_share, is_free_below, is_cut }
     }
@@ -161,6 +169,8 @@ struct SeenExtent {
     reach: f64,
     /// Between neighbouring rays at the target [m].
     ray_gap: f64,
+    /// The same, or the spacing of the points themselves if that is less [m].
+    least_gap: f64,
     solid_share: f64,
     filled_share: f64,
     is_free_below: Option<bool>,
@@ -197,10 +207,14 @@ impl SeenExtent {
         let window = reach + super::target_observation::MARGIN;
         let count = hits.len() as f64;
         let ray_gap = window * (PI / (count + within(window))).sqrt();
+        // So many rays fill a disc that reaches half a gap beyond the points.
+        let root = (PI / count).sqrt();
+        let own_gap = if count < SPACED { ray_gap } else { reach * root / (1.0 - 0.5 * root) };
         let solid_share = count / (count + within(reach + 0.5 * ray_gap));
         Self {
             reach,
             ray_gap,
+            least_gap: ray_gap.min(own_gap),
             solid_share,
             filled_share: filled_share(&hits, &passing, ray_gap),
             is_free_below: is_free_below(&hits, &passing, ray_gap),

@@ -128,7 +128,8 @@ impl Center {
                     + (1.0 - weight) * frame.covariance
                     + weight * (1.0 - weight) * offset * offset.transpose(),
             ),
-            radius: weight * ball.radius + (1.0 - weight) * frame.radius,
+            radius: weight * ball.radius.min(LARGEST_BALL * frame.least_radius)
+                + (1.0 - weight) * frame.least_radius,
             filled_share: frame.filled_share,
             is_free_below: frame.is_free_below,
             is_cut: observation.is_cut,

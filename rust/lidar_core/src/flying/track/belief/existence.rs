@@ -179,6 +179,11 @@ impl TrackBelief {
         }
     }
 
+    /// Enter how much came and went, 0 to 1, where it was detected, and whether it stays beside structure.
+    pub(in crate::flying::track) fn visit(&mut self, share: f64, hangs: bool) {
+        self.kinds.visit(share, hangs);
+    }
+
     /// Enter the acceleration of the track along every axis [m/s^2] and its variance, `seconds` after the
     /// last one; `expected` is the standard deviation that a new track has.
     pub(super) fn take_acceleration(

@@ -43,6 +43,13 @@ const KNOWN_SHARE: f64 = 0.95;
 /// Largest amount of `Kinds::agility`: what is long past must not outweigh all that follows.
 const MOST_AGILITY: f64 = 8.0;
 
+/// Of what was seen where things came and went before, at all of its detections, as far as one of them tells: few
+/// targets come just there.
+const RECURS: [f64; KINDS] = [0.2, 0.02, 1.0, 1.0, 1.0];
+/// Of what stays beside structure, at all of its detections: leaves, wires and flags hang on something; few targets
+/// begin beside structure and stay there.
+const HANGS: [f64; KINDS] = [0.3, 0.1, 0.3, 1.0, 1.0];
+
 /// What a detection shows of a target itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetShape {
@@ -79,23 +86,27 @@ const CLUTTER: [Sort; 3] = [
     Sort { share: 0.3, radius: LogNormal(-1.6, 1.0), filled: LogNormal(-1.2, 1.0) },
 ];
 
-/// Mean of the logarithms of a value over detections.
+/// Mean of a value over detections.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-struct MeanLog {
+struct Mean {
     count: f64,
     mean: f64,
 }
 
-impl MeanLog {
-    /// Values that are not positive say nothing.
+impl Mean {
     fn add(&mut self, value: f64) {
+        self.count = (self.count + 1.0).min(MOST);
+        self.mean += (value - self.mean) / self.count;
+    }
+
+    /// Add the logarithm of a value. Values that are not positive say nothing.
+    fn add_log(&mut self, value: f64) {
         if value > 0.0 && value.is_finite() {
-            self.count = (self.count + 1.0).min(MOST);
-            self.mean += (libm::log(value) - self.mean) / self.count;
+            self.add(libm::log(value));
         }
     }
 
-    /// Probability density of the mean, up to a factor that all sorts share.
+    /// Probability density of the mean of logarithms, up to a factor that all sorts share.
     fn density(&self, of: LogNormal) -> f64 {
         if self.count == 0.0 {
             return 1.0;
@@ -112,8 +123,13 @@ impl MeanLog {
 pub(in crate::flying::track) struct Kinds {
     /// From what was seen in every set of detections.
     seen: KindBelief,
-    radius: MeanLog,
-    filled: MeanLog,
+    /// Of the logarithms of its radius [m], and of how much of it is filled.
+    radius: Mean,
+    filled: Mean,
+    /// How much came and went before where it was detected, 0 to 1.
+    recurs: Mean,
+    /// Share of its detections in which it was beside structure and near where it began.
+    hangs: Mean,
     /// Whether a look has told if rays pass below it.
     is_known_below: bool,
     /// Whether the newest look that told anything found it above space that was never seen.
@@ -125,10 +141,11 @@ pub(in crate::flying::track) struct Kinds {
 impl Kinds {
     /// Of a new track.
     pub(in crate::flying::track) fn new() -> Self {
-        let (radius, filled) = (MeanLog::default(), MeanLog::default());
+        let (radius, filled) = (Mean::default(), Mean::default());
         let seen = KindBelief::prior(SHARES);
         let (is_known_below, is_over_unseen) = (false, false);
-        Self { seen, radius, filled, is_known_below, is_over_unseen, agility: 0.0 }
+        let (recurs, hangs) = (Mean::default(), Mean::default());
+        Self { seen, radius, filled, recurs, hangs, is_known_below, is_over_unseen, agility: 0.0 }
     }
 
     /// Enter how likely something that moves, and something that stands, makes what was seen.
@@ -144,8 +161,8 @@ impl Kinds {
     /// Enter the shape of a detection. That no ray passes below one that only the track leads, over space that
     /// was never seen, says nothing more.
     pub(super) fn measure(&mut self, shape: TargetShape, is_led: bool) {
-        self.radius.add(shape.radius);
-        self.filled.add(shape.filled_share);
+        self.radius.add_log(shape.radius);
+        self.filled.add_log(shape.filled_share);
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
             if !self.is_known_below {
                 self.seen = self.seen.weighed(OVER_UNSEEN);
@@ -161,6 +178,13 @@ impl Kinds {
             });
             (self.is_known_below, self.is_over_unseen) = (true, false);
         }
+    }
+
+    /// Enter how much came and went, 0 to 1, at the place of a detection before the track began, and whether that
+    /// is beside structure and near where the track began.
+    pub(super) fn visit(&mut self, share: f64, hangs: bool) {
+        self.recurs.add(share);
+        self.hangs.add(f64::from(u8::from(hangs)));
     }
 
     /// Enter the acceleration of a track along every axis and its variance, `seconds` after the last one.
@@ -196,7 +220,14 @@ impl Kinds {
         let other = 0.5 * (flying + clutter);
         let times = libm::exp(self.agility);
         let moves = AGILE_SHARES.map(|share| 1.0 - share + share * times);
-        self.seen.weighed([other, flying, other, other, clutter]).weighed(moves)
+        let power = |likelihoods: [f64; KINDS], share: f64| {
+            likelihoods.map(|likelihood| libm::exp(share * libm::log(likelihood)))
+        };
+        self.seen
+            .weighed([other, flying, other, other, clutter])
+            .weighed(moves)
+            .weighed(power(RECURS, self.recurs.mean))
+            .weighed(power(HANGS, self.hangs.mean))
     }
 }
 

@@ -3,4 +3,5 @@
 pub(super) mod existence;
 pub(super) mod kinds;
 pub(super) mod standing;
+pub(super) mod visits;
 pub(super) mod weighing;
