@@ -107,10 +107,10 @@ impl MeanLog {
     }
 }
 
-/// What is known of the kind of a target.
+/// Probabilities of the kinds of a target.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct Kinds {
-    /// From what was seen in every set of detections.
+    /// Belief from what was seen in every set of detections.
     seen: KindBelief,
     radius: MeanLog,
     filled: MeanLog,
@@ -123,7 +123,7 @@ pub(in crate::flying::track) struct Kinds {
 }
 
 impl Kinds {
-    /// Of a new track.
+    /// Belief about the kind of a new track.
     pub(in crate::flying::track) fn new() -> Self {
         let (radius, filled) = (MeanLog::default(), MeanLog::default());
         let seen = KindBelief::prior(SHARES);
