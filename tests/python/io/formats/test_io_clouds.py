@@ -74,7 +74,10 @@ def test_a_leaf_above_the_lowest_level_stands_for_all_below(tmp_path):
     [
         (b"# Octomap OcTree file\nid OcTree\ndata\n", "expected a binary OcTree of OctoMap"),
         (b"# Octomap OcTree binary file\nid ColorOcTree\nres 1\ndata\n", "expected a binary"),
-        (b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n", "expected a finite resolution > 0, got nan m"),
+        (
+            b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n",
+            "expected a finite resolution > 0, got nan m",
+        ),
         (b"# Octomap OcTree binary file\nid OcTree\nres x\ndata\n", "cannot be read"),
         (
             b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n\x03\x00",
