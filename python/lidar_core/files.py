@@ -64,7 +64,7 @@ def check_name(path: Path) -> None:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
         got = ascii(os.fsencode(path))
-        raise InputError(f"expected a name in UTF-8 to write, got {got}; choose another") from None
+        raise InputError(f"expected a file name in UTF-8, got {got}; choose another name") from None
 
 
 def check_replaceable(path: str | Path) -> None:
@@ -108,7 +108,7 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
             content = file.read(min(mode.st_size, limit) + 1)
         except MemoryError as error:
             raise LimitError(
-                f"{place}: {mode.st_size} bytes take more memory than there is"
+                f"{place}: {mode.st_size} bytes take more memory than available"
             ) from error
     if len(content) > limit:
         raise LimitError(f"{place}: more than {limit} bytes, the limit of such a file")

@@ -330,7 +330,7 @@ class Attack:
             return f"torn {bad}"
         status = run(self.folder, (*work.arguments, *work.again))
         said = errors.read_text()
-        was_complete = status == 2 and "there is nothing to resume" in said
+        was_complete = status == 2 and "nothing to resume" in said
         if status != 0 and not was_complete:
             return f"again: status {status}: {said[-300:]}"
         if bad := [one for path in places for one in torn(path)]:

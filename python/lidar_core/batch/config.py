@@ -73,7 +73,7 @@ class BatchGroup(Config):
         empty = [name for name, values in self.grid.items() if not values]
         empty += [name for name, (first, end) in self.ranges.items() if first >= end]
         if empty:
-            raise ValueError(f"expected a value at least, got none for {', '.join(empty)}")
+            raise ValueError(f"expected at least one value, got none for {', '.join(empty)}")
         if any(set(row) != set(rows[0]) for row in rows):
             raise ValueError("rows: expected the same names in every row")
         used = {name for command in self.commands for name in _PLACE.findall(command)}
@@ -114,7 +114,7 @@ class BatchConfig(Config):
     def _groups_have_names(self) -> Self:
         names = [group.name for group in self.jobs]
         if len(set(names)) < len(names):
-            raise ValueError(f"expected another name for every group, got {names}")
+            raise ValueError(f"expected different names of groups, got {names}")
         return self
 
 
@@ -153,7 +153,7 @@ def jobs_of(config: BatchConfig, folder: Path) -> list[BatchJob]:
         No file has the pattern, or there is no group.
     """
     if not config.jobs:
-        raise ConfigError("jobs: expected a group of jobs, got none")
+        raise ConfigError("jobs: expected at least one group of jobs, got none")
     return [job for group in config.jobs for job in _of_group(group, folder)]
 
 

@@ -80,7 +80,9 @@ class CircleDataset:
             The dataset is not complete, or a shard is damaged.
         """
         if not self.is_complete:
-            raise FormatError(f"{self.folder}: not complete; generate it again, that continues it")
+            raise FormatError(
+                f"{self.folder}: the dataset is incomplete; generate it again to continue"
+            )
         numbers = self.numbers(part)
         size = self.config.shard_size
         parts = []
@@ -209,7 +211,9 @@ def _known_shards(folder: Path, config: DatasetConfig, seed: int) -> dict[str, s
         return {}
     manifest = _read_manifest(folder)
     if (DatasetConfig.load(manifest["config"]), manifest["seed"]) != (config, seed):
-        raise ConfigError(f"{folder}: holds a dataset of another configuration or seed")
+        raise ConfigError(
+            f"{folder}: holds a dataset of another configuration or seed; choose another folder"
+        )
     return dict(manifest["shards"])
 
 

@@ -126,8 +126,8 @@ class CirclePipeline(FullState):
     ) -> Self:
         if extra["has_estimator"] and options.get("estimator") is None:
             raise ConfigError(
-                "estimator: the saved pipeline had an estimator of its own; hand it over,"
-                " as load(path, estimator=...)"
+                "estimator: the saved pipeline had its own estimator; pass it again: load(path,"
+                " estimator=...)"
             )
         made = cls(config, **options)
         made._pipeline = _core.CirclePipeline.from_state(config, core, fit=made._fit)
@@ -324,7 +324,9 @@ def _arrays_of(
     """Arguments of `process` that a posed scan stands for."""
     beside = [name for name, value in given.items() if value is not None]
     if set(beside) - {"ranges", "scanner"}:
-        raise InputError(f"{beside[1]}: expected nothing but `scanner` beside a posed scan")
+        raise InputError(
+            f"{beside[1]}: a posed scan holds it already; only `scanner` may be given as well"
+        )
     scan, stamps = posed.scan, posed.pose_stamps_ns
     if not isinstance(scan, LaserScan):
         raise InputError(f"scan: expected a LaserScan, got {type(scan).__name__}")

@@ -25,7 +25,7 @@ def scanner_of(scan: LaserScan, config: CirclesConfig, place: str) -> Scanner:
             range_max=min(scan.range_max, limits.range_max),
         )
     except ConfigError as error:
-        raise FormatError(f"{place}: scans that cannot be used: {error}") from error
+        raise FormatError(f"{place}: its scans cannot be used: {error}") from error
 
 
 def check_no_rays(config: CirclesConfig) -> None:
@@ -47,8 +47,8 @@ def check_no_rays(config: CirclesConfig) -> None:
     for name, value in _rays(config.scanner).items():
         if value != usual[name]:
             raise ConfigError(
-                f"scanner.{name}: expected no value, since the recording states it; to have"
-                f' another, name the scanner: set scanners."TOPIC".{name}=...'
+                f"scanner.{name}: the recording states this value; to override it for one"
+                f' scanner: set scanners."TOPIC".{name}=...'
             )
 
 

@@ -83,7 +83,7 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """From raw LiDAR to the list of things around a robot that matter."""
+    """Detect flying objects, map round obstacles and fuse LiDAR with radar."""
 
 
 def main() -> None:

@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 
 FAILED = 1
 """Exit status if a job failed."""
-FRESH = "Do every job again, also those that are done."
-EXECUTOR = "Processes of this machine, or Ray (extra cluster): the cluster that RAY_ADDRESS names."
+FRESH = "Run every job again, even finished ones."
+EXECUTOR = (
+    "local: processes of this machine; ray: the Ray cluster that RAY_ADDRESS names (extra cluster)."
+)
 
 
 def command(
@@ -33,22 +35,27 @@ def command(
     output: Annotated[
         str,
         typer.Option(
-            "--output", "-o", help="Folder or s3://bucket/folder: tables, a folder per job."
+            "--output",
+            "-o",
+            help="Folder or s3://bucket/folder for the tables and a folder per job.",
         ),
     ] = "runs/batch",
     executor: Annotated[Literal["local", "ray"], typer.Option(help=EXECUTOR)] = "local",
     workers: Annotated[
         int,
         typer.Option(
-            min=1, default_factory=all_threads, show_default="all", help="Jobs at a time."
+            min=1,
+            default_factory=all_threads,
+            show_default="all",
+            help="Number of jobs that run at the same time.",
         ),
     ],
     fresh: Annotated[bool, typer.Option("--fresh", help=FRESH)] = False,
     json: JsonFile = None,
 ) -> None:
-    """Do the jobs of JOBS; what is done already is left as it is, unless something changed.
+    """Run the jobs of JOBS; finished jobs are kept, unless their inputs or commands changed.
 
-    Ctrl-C leaves whole files; the same command goes on. Exit status 1 if a job failed.
+    Ctrl-C leaves complete files; the same command continues. Exit status 1 if a job failed.
     """
     from lidar_core import runs
 

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 SCAN = "Topic of a 2D LiDAR; may be repeated."
 NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max or none."
-SWEEP = "auto: rays have the times that the scans state; none: all rays at the stamp."
-TRUST = "Run an ONNX file that was not exported here: a model is a program."
+SWEEP = "Times of rays. auto: as the scans state them; none: all rays have the time of the scan."
+TRUST = "Run an ONNX file from elsewhere. A model is a program: use only files you trust."
 TrustModel: TypeAlias = Annotated[bool, typer.Option("--trust-model", help=TRUST)]
-FILM = "Draw film.mp4, or film.gif without ffmpeg, beside the picture."
+FILM = "Also draw film.mp4, or film.gif if ffmpeg is not installed."
 
 
 @with_options(RunOptions)
@@ -48,10 +48,10 @@ def command(
 ) -> None:
     """Map the round obstacles in RECORDING; write tables, trajectories and picture.
 
-    The scanners are those of the recording, within the range limits of the configuration's
-    `scanner`; scans of one length that less than one in twenty have are rejected. The command
-    fails if more than half of the scans were rejected. Ctrl-C ends the run early and leaves
-    whole files.
+    The recording states the geometry of its scanners; `scanner` of the configuration limits
+    their range. A scan is rejected if its number of rays occurs in less than 5 % of the scans.
+    The command fails if it rejects more than half of the scans. Ctrl-C ends the run early; the
+    files are complete up to that scan.
     """
     from lidar_core import runs
     from lidar_core.io import ReadOptions

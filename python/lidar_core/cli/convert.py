@@ -46,22 +46,23 @@ def command(
     output: Annotated[
         Path,
         typer.Argument(
-            help="NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), a new folder (ROS 2); of one"
-            " cloud or map NAME.pcd, NAME.ply, NAME.bt (OctoMap); of a run NAME.json (nuScenes),"
-            " NAME.txt (MOTChallenge), NAME.bag or a folder (obstacles of ROS)."
+            help="NAME.npz, NAME.mcap (Foxglove), NAME.bag (ROS 1), a new folder (ROS 2). For one"
+            " cloud or map: NAME.pcd, NAME.ply, NAME.bt (OctoMap). For a run: NAME.json"
+            " (nuScenes), NAME.txt (MOTChallenge), NAME.bag or a folder (ROS obstacles)."
         ),
     ],
     topic: Annotated[
         list[str] | None,
         typer.Option(
-            help="Scans of this topic alone; may be repeated.", autocompletion=completion.ALL
+            help="Convert only the scans of this topic; may be repeated.",
+            autocompletion=completion.ALL,
         ),
     ] = None,
     start: Start = 0.0,
     end: End = None,
     resolution: Annotated[
         float | None,
-        typer.Option(help="Edge of the voxels of NAME.bt \\[m]; else that of the map read."),
+        typer.Option(help="Edge of the voxels of NAME.bt \\[m]; default: that of the input map."),
     ] = None,
     class_name: Annotated[
         str | None, typer.Option("--class", help="Class of a run's objects, such as pedestrian.")
@@ -77,9 +78,9 @@ def command(
         ),
     ] = False,
 ) -> None:
-    """Write what RECORDING holds to OUTPUT; the ending of its name chooses the format.
+    """Convert RECORDING; the suffix of OUTPUT selects the format.
 
-    Of a recording scans and poses, of a run its objects.
+    Scans and poses of a recording are written, or the objects of a run.
     """
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
@@ -87,7 +88,7 @@ def command(
     from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
-        raise InputError(f"{output}: expected another file than the one to read")
+        raise InputError(f"{output}: is also the input; choose another file to write")
     values = options.to_values()
     chosen = given_options({"topic": topic or None, "start": start or None, "end": end})
     of_run, of_map = given_options({"class": class_name}), given_options({"resolution": resolution})

@@ -31,8 +31,12 @@ if TYPE_CHECKING:
 
 def command(
     *,
-    seed: Annotated[int, typer.Option(min=0, help="Street, flights and noise.")] = 0,
-    scans: Annotated[int, typer.Option(min=1, help="Length, at 10 scans per second.")] = 60,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the street, the flights and the noise.")
+    ] = 0,
+    scans: Annotated[
+        int, typer.Option(min=1, help="Number of scans, at 10 scans per second.")
+    ] = 60,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder to write; an earlier run is replaced.")
     ] = Path("runs/demo"),
@@ -40,9 +44,9 @@ def command(
     picture: Annotated[bool, typer.Option(help="Draw picture.png (extra `plot`).")] = True,
     json: JsonFile = None,
 ) -> None:
-    """Find and track two drones in a simulated street, and compare them with the truth.
+    """Find and track two drones in a simulated street, and compare the tracks with the truth.
 
-    A 128-line LiDAR flies a loop at 3 m/s between houses, poles and trees. Needs no input.
+    The simulated LiDAR has 128 lines and flies a loop at 3 m/s between houses, poles and trees.
     """
     from lidar_core.evaluation import EvaluationConfig
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector

@@ -25,18 +25,18 @@ from lidar_core.util.rows import Row
 if TYPE_CHECKING:
     from rich.table import Table
 
-POINT_TIME = "Time of each point as field:unit:reference, auto or none."
+POINT_TIME = "How points state their times: FIELD:UNIT:REFERENCE, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
-METADATA = "JSON file of an Ouster capture, if not beside it."
+METADATA = "JSON metadata of an Ouster capture, if it is not beside the capture."
 MAP = (
-    "What is known beforehand, in the fixed frame: map.lcvm of an earlier run, or a cloud, mesh or"
-    " OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
+    "Known map in the fixed frame: map.lcvm of an earlier run, or a cloud,"
+    " mesh or OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
 )
 STATIC_MAP = (
-    "Write the map without all that moved: voxels of 0.1 m as .lcvm, points in the fixed frame as"
-    " .pcd or .ply. Scans take longer."
+    "Write a map without moving objects: .lcvm (voxels of 0.1 m), .pcd or .ply (points in the"
+    " fixed frame). Scans take longer."
 )
-REPEAT = "Play the recording this often: lets a short one open the gate of the background."
+REPEAT = "Process the recording this many times, so that a short one completes the burn-in."
 
 
 @with_options(RunOptions)
@@ -63,8 +63,8 @@ def command(
 ) -> None:
     """Find and track flying objects in RECORDING; write tables, trajectories, map and picture.
 
-    A recording that is too short for the burn-in is no error: the table says which gate stayed
-    closed, and why. Ctrl-C ends the run early and leaves whole files.
+    A recording that is too short for the burn-in is not an error: the table shows that the gate
+    stayed closed, and why. Ctrl-C ends the run early; the files are complete up to that scan.
     """
     from lidar_core import runs
     from lidar_core.io import ReadOptions

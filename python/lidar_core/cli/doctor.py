@@ -18,9 +18,9 @@ _CORE = ("numpy", "pydantic", "onnxruntime", "typer", "rich", "tomli-w")
 
 
 def command(
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Versions, optional packages and a short check of the core; exit status 1 if that fails."""
+    """Print versions and optional packages, and check the core; exit status 1 if it fails."""
     report = _report()
     if as_json:
         print(json.dumps(report, indent=2))
@@ -134,7 +134,7 @@ def _recordings_text(recordings: dict[str, Any]) -> str:
     variable, folder = recordings["variable"], recordings["folder"]
     if folder is None:
         return f"{variable} is not set: items of reproduce that need recordings are left out"
-    return f"{variable}: {folder}" + ("" if recordings["exists"] else ", which is no folder")
+    return f"{variable}: {folder}" + ("" if recordings["exists"] else ", which is not a folder")
 
 
 def _listed(packages: dict[str, str | None]) -> str:

@@ -43,13 +43,13 @@ RECORDING = (
     "L/R text, a table (CSV, TSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
     " detections of many targets (Autoferry, nuScenes, Delphi, Continental)."
 )
-ASSOCIATION = "For many targets: integrated (JIPDA), nearest, or joint (JPDA)."
-LAG = "Smooth: use measurements up to this much later for every state \\[s]."
+ASSOCIATION = "Data association of many targets: integrated (JIPDA), nearest, or joint (JPDA)."
+LAG = "Smooth: each state uses measurements up to this much later \\[s]."
 FIT = (
-    "Find the noise of motion and sensors from the measurements first, and the model where none is"
-    " told, as `config fit` does."
+    "First fit the noise of motion and sensors to the measurements, like `config fit`; without"
+    " --model, also choose the model."
 )
-FORCE = "Go on with measurements whose NIS is beyond reason."
+FORCE = "Continue even if the NIS of the measurements is implausible."
 
 
 def command(
@@ -80,10 +80,11 @@ def command(
     resume: Resume = False,
     json: JsonFile = None,
 ) -> None:
-    """Track the target of RECORDING, or many; write states, covariances, NIS and a picture.
+    """Track one or many targets in RECORDING; write states, covariances, NIS and a picture.
 
-    With the truth in the recording, the table and the summary hold what was right. Measurements
-    of one target whose NIS is beyond reason end the run; the text names the likely causes.
+    If the recording holds ground truth, the table and the summary show the errors. If the
+    measurements of one target have an implausible NIS, the run ends with an error that names
+    likely causes; --force continues.
     """
     from lidar_core import runs
     from lidar_core.io import Span

@@ -38,7 +38,7 @@ def command(
     recording: Annotated[
         Path, typer.Argument(help="File or folder to inspect; --formats lists the formats.")
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     formats: Annotated[
         bool,
         typer.Option(
@@ -49,7 +49,7 @@ def command(
         ),
     ] = False,
 ) -> None:
-    """Topics, rates, frames, time span and defects of a recording; suggested next commands."""
+    """List topics, rates, frames, time span and defects of RECORDING; suggest next commands."""
     from lidar_core.io import ReadOptions, open_recording
     from lidar_core.runs.next_steps import next_steps
 

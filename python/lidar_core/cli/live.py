@@ -39,29 +39,27 @@ if TYPE_CHECKING:
 
 
 _IN = (
-    "zenoh, zenoh:tcp/HOST:PORT, foxglove, foxglove:ws://HOST:PORT; packets of a sensor: velodyne,"
-    " ouster:HOST or ouster:FILE.json, livox; :PORT, of Ouster @PORT."
+    "zenoh, zenoh:tcp/HOST:PORT, foxglove, foxglove:ws://HOST:PORT; packets: velodyne, livox (or"
+    " with :PORT), ouster:HOST, ouster:FILE.json (or with @PORT)."
 )
 _OUT = (
     "foxglove, foxglove:PORT, zenoh, zenoh:tcp/HOST:PORT, rerun, rerun:web, rerun:web:PORT,"
     " rerun:FILE.rrd, mcap:FILE, arrow:FILE; may be repeated."
 )
-_STREAM = "Single value of the model `live`, such as pose_wait=0.5; may be repeated."
-_FOLDER = (
-    "Folder to write: what `detect` or `circles` would leave of the scans that were processed."
-)
-_CAPABILITY = "auto: flying objects if clouds arrive, circles if 2D scans do."
+_STREAM = "Set one value of the model `live`, such as pose_wait=0.5; may be repeated."
+_FOLDER = "Folder to write, as `detect` or `circles` writes it."
+_CAPABILITY = "auto: flying for clouds, circles for 2D scans."
 
 SourceName: TypeAlias = Annotated[str | None, typer.Option("--in", help=_IN, rich_help_panel=READ)]
 Replay: TypeAlias = Annotated[
-    Path | None, typer.Option(help="Play this recording instead.", rich_help_panel=READ)
+    Path | None, typer.Option(help="Play this recording instead of a stream.", rich_help_panel=READ)
 ]
 Rate: TypeAlias = Annotated[
     float | None,
     typer.Option(
         min=0.01,
         show_default="1",
-        help="Seconds of the recording per second, for --replay.",
+        help="Speed of --replay: recorded seconds per second.",
         rich_help_panel=READ,
     ),
 ]
@@ -85,11 +83,11 @@ Scans: TypeAlias = Annotated[
 PointTime: TypeAlias = Annotated[str | None, typer.Option(help=POINT_TIME, rich_help_panel=READ)]
 NoReturn: TypeAlias = Annotated[str | None, typer.Option(help=NO_RETURN, rich_help_panel=READ)]
 KnownMap: TypeAlias = Annotated[
-    Path | None, typer.Option("--map", help=f"{MAP} Only clouds count then.")
+    Path | None, typer.Option("--map", help=f"{MAP} Only with 3D LiDARs.")
 ]
 Domain: TypeAlias = Annotated[
     int | None,
-    typer.Option(envvar="ROS_DOMAIN_ID", help="Domain of ROS 2 over Zenoh.", rich_help_panel=READ),
+    typer.Option(envvar="ROS_DOMAIN_ID", help="ROS 2 domain, for zenoh.", rich_help_panel=READ),
 ]
 Stream: TypeAlias = Annotated[list[str], typer.Option(help=_STREAM)]
 Seconds: TypeAlias = Annotated[float | None, typer.Option(min=0, help="End after this time \\[s].")]
@@ -100,13 +98,14 @@ Folder: TypeAlias = Annotated[
 
 Tape: TypeAlias = Annotated[
     Path | None,
-    typer.Option(
-        "--record", help="Also write what comes in: .mcap, .npz.", rich_help_panel=WRITTEN
-    ),
+    typer.Option("--record", help="Also record the input: .mcap, .npz.", rich_help_panel=WRITTEN),
 ]
 Metrics: TypeAlias = Annotated[
     str | None,
-    typer.Option(help="PORT or HOST:PORT for Prometheus, at /metrics.", rich_help_panel=WRITTEN),
+    typer.Option(
+        help="PORT or HOST:PORT of metrics for Prometheus.",
+        rich_help_panel=WRITTEN,
+    ),
 ]
 
 
@@ -149,9 +148,9 @@ class LiveOptions(PipelineOptions):
 def command(options: LiveOptions) -> None:
     """Process scans as they arrive; only the newest scan is kept, skipped scans are counted.
 
-    A line a second tells rate, latency (median and 95th percentile, from the stamp of the scan and
-    from its arrival to the end of the outputs) and drops. Ctrl-C or SIGTERM ends with a
-    summary. If no scan comes, what is there instead is listed; status 3 if none ever came.
+    Each second, a line shows rate, latency (median and 95th percentile, from the stamp and from
+    the arrival of a scan to the end of the outputs) and skipped scans. Ctrl-C or SIGTERM ends
+    with a summary. If no scan arrives, the topics found are listed; status 3 if none ever came.
     """
     from lidar_core import runs
 
@@ -221,7 +220,7 @@ def live_config(domain: int | None, stream: Sequence[str]) -> "LiveConfig":
         config = LiveConfig.load(set_by_name)
     except ConfigError as error:
         known = ", ".join(LiveConfig.model_fields)
-        raise ConfigError(f"--stream {error}; known are {known}") from error
+        raise ConfigError(f"--stream {error}; known names: {known}") from error
     return config if domain is None else LiveConfig.load({"domain": domain} | set_by_name)
 
 

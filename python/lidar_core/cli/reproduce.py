@@ -22,18 +22,19 @@ if TYPE_CHECKING:
     from lidar_core.reproduce import Item, Result
 
 ALL = "all"
-FRESH = "Make every part again, also those that an earlier run of this build finished."
+FRESH = "Compute every part again, even those that an earlier run of this build finished."
 
 
 def command(
     item: Annotated[
-        str | None, typer.Argument(help="What to run, or all; without it the list.")
+        str | None, typer.Argument(help="Item to run, or all; without it, the items are listed.")
     ] = None,
     *,
     scans: Annotated[
-        int | None, typer.Option(min=1, help="Length; fewer for a quick look.")
+        int | None,
+        typer.Option(min=1, help="Length of the run; a small number gives a quick look."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for ITEM.png, ITEM.json, ITEM.toml.")
     ] = Path("runs/reproduce"),
@@ -42,12 +43,12 @@ def command(
     threads: Threads,
     json: JsonFile = None,
 ) -> None:
-    """Run tables and figures of the papers again: paper | paper mode | best mode.
+    """Reproduce a table or figure of the papers: paper's value, paper mode, best mode.
 
-    Paper mode is the algorithm as printed; where its equations contradict each other, a column
-    shows them corrected, too.
+    Paper mode is the algorithm as published. If its equations contradict each other, one more
+    column shows the result with corrected equations.
 
-    Ctrl-C leaves whole files; the same command goes on where it stopped.
+    Ctrl-C leaves complete files; the same command continues where it stopped.
     """
     from lidar_core.reproduce import item_named, items
     from lidar_core.runs.reproduction import ReproduceJob

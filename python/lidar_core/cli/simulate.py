@@ -48,7 +48,8 @@ def command(
         ),
     ],
     sensor: Annotated[
-        str | None, typer.Option(help="LiDAR instead of the scene's, such as vlp-16 or tim571.")
+        str | None,
+        typer.Option(help="LiDAR to use instead of that of the scene, such as vlp-16 or tim571."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of noise and random motions.")] = 0,
     scans: Annotated[
@@ -56,11 +57,11 @@ def command(
     ] = None,
     threads: Annotated[
         int | None,
-        typer.Option(min=1, show_default="1", help="Threads; the result is the same."),
+        typer.Option(min=1, show_default="1", help="Number of threads; the result is the same."),
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Simulate SCENE into a recording; beside it truth.csv, scene.toml and run.toml."""
+    """Simulate SCENE; write a recording and, beside it, truth.csv, scene.toml and run.toml."""
     if scene == OVERFLIGHT:
         for name in given_options({"sensor": sensor, "threads": threads}):
             raise ConfigError(f"--{name}: does not apply to overflight")

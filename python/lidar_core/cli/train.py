@@ -38,7 +38,7 @@ def circles(
     config: Annotated[Path, typer.Option("--config", "-c", help="TOML file of the training.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")],
 ) -> None:
-    """Train a circle detector as CONFIG says; the same command goes on where a run stopped.
+    """Train a circle detector as CONFIG states; the same command continues a stopped run.
 
     The folder gets data, checkpoints, metrics.csv after every epoch, curves.png, and test.json
     at the end.
@@ -109,7 +109,7 @@ def export(
     run: Annotated[Path, typer.Argument(help="Folder of a finished run of `lidar-core train`.")],
     model: Annotated[Path, typer.Argument(help="ONNX file to write; its card comes beside it.")],
 ) -> None:
-    """Write the best weights of RUN as MODEL, checked against torch, with a card (JSON)."""
+    """Export the best weights of RUN as MODEL, checked against torch, with a card (JSON)."""
     write = training("export").export
     if not run.is_dir():
         check_regular(run)  # says what else it is

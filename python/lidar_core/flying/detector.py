@@ -439,7 +439,9 @@ def _arrays_of(posed: PosedScan[Any], given: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `process` that a posed scan stands for."""
     beside = [name for name, value in given.items() if value is not None]
     if set(beside) - {"points_lidar", "sensor"}:
-        raise InputError(f"{beside[1]}: expected nothing but `sensor` beside a posed scan")
+        raise InputError(
+            f"{beside[1]}: a posed scan holds it already; only `sensor` may be given as well"
+        )
     scan = posed.scan
     if not isinstance(scan, Scan):
         raise InputError(f"scan: expected a Scan, got {type(scan).__name__}")

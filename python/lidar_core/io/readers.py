@@ -136,9 +136,9 @@ def register_reader(
     ends = tuple(suffix.lower() for suffix in suffixes)
     for end in ends:
         if not end.startswith(".") or len(end) < 2:
-            raise ConfigError(f"reader {name!r}: expected endings such as '.toy', got {end!r}")
+            raise ConfigError(f"reader {name!r}: expected suffixes such as '.toy', got {end!r}")
     if not ends:
-        raise ConfigError(f"reader {name!r}: expected at least one ending")
+        raise ConfigError(f"reader {name!r}: expected at least one suffix")
 
     def register(opener: OpenT) -> OpenT:
         READERS.add(

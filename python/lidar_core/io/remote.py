@@ -62,7 +62,7 @@ def fetched(address: str, folder: Path) -> Path:
             return place
     names = files.find(path)
     if not names:
-        raise FileNotFoundError(f"{address}: nothing is there")
+        raise FileNotFoundError(f"{address}: no such file or folder")
     root = str(files._strip_protocol(path)).rstrip("/")
     for name in names:
         inner = PurePosixPath(str(name).removeprefix(root).lstrip("/"))

@@ -21,7 +21,7 @@ def unit_quaternion(quaternion: NDArray[np.float64], *, place: str) -> NDArray[n
     # Plain sums, not BLAS: its kernels, and so the last bit, differ from CPU to CPU.
     length = math.sqrt(sum(part * part for part in quaternion.tolist()))
     if not abs(length - 1) <= UNIT_TOLERANCE:
-        raise FormatError(f"{place}: quaternion {quaternion.tolist()} is no rotation")
+        raise FormatError(f"{place}: quaternion {quaternion.tolist()} is not a rotation")
     return quaternion / length
 
 

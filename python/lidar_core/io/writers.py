@@ -115,9 +115,9 @@ def register_writer(
     ends = tuple(suffix.lower() for suffix in suffixes)
     for end in ends:
         if end and (not end.startswith(".") or len(end) < 2):
-            raise ConfigError(f"writer {name!r}: expected endings such as '.toy', got {end!r}")
+            raise ConfigError(f"writer {name!r}: expected suffixes such as '.toy', got {end!r}")
     if not ends:
-        raise ConfigError(f"writer {name!r}: expected at least one ending")
+        raise ConfigError(f"writer {name!r}: expected at least one suffix")
 
     def register(write: WriteT) -> WriteT:
         module = registering_module()
@@ -127,7 +127,9 @@ def register_writer(
         for other in () if is_own else WRITERS.registered():
             if other.takes == takes and other.name != made.name:
                 for end in set(ends) & set(other.suffixes):
-                    raise ConfigError(f"writer {name!r}: {end!r} is taken by {other.module}")
+                    raise ConfigError(
+                        f"writer {name!r}: suffix {end!r} is already registered by {other.module}"
+                    )
         WRITERS.add(made)
         return write
 
@@ -164,6 +166,6 @@ def writer_of(path: Path, takes: Takes) -> Writer:
         listed = ", ".join(dict.fromkeys(map(str, known.values())))
         broken = "".join(f"; {error}" for error in WRITERS.broken())
         raise ConfigError(
-            f"{path}: unknown ending {suffix!r}; {SOURCES[takes]} becomes: {listed}{broken}"
+            f"{path}: unknown suffix {suffix!r}; formats for {SOURCES[takes]}: {listed}{broken}"
         )
     return known[suffix]

@@ -42,7 +42,8 @@ class ScanOdometry:
         """
         if not isinstance(scan, Scan):
             raise ConfigError(
-                "pose: kiss places clouds, not 2D scans; expected auto or static for a stream of"
+                "pose: kiss works for clouds, not for 2D scans; expected auto or static for a"
+                " stream of"
                 " 2D scans"
             )
         lidar = scan.topic, scan.frame_id
@@ -51,8 +52,8 @@ class ScanOdometry:
         if lidar != self._lidar:
             first, other = (" ".join(filter(None, one)) for one in (self._lidar, lidar))
             raise ConfigError(
-                f"pose: kiss places the scans of one LiDAR ({first}), got those of another"
-                f" ({other}); choose one with clouds=[TOPIC]"
+                f"pose: kiss works for one LiDAR, got scans of {first} and {other}; choose one"
+                " with clouds=[TOPIC]"
             )
         try:
             placed = self._odometry.place(scan)

@@ -130,8 +130,8 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
             session.close()
             raise LinkError(
                 f"zenoh: no router reachable at {endpoint} within {timeout:g} s; start the router"
-                " of rmw_zenoh (ros2 run rmw_zenoh_cpp rmw_zenohd) or zenoh-bridge-ros2dds, or name"
-                " another place: zenoh:tcp/HOST:PORT"
+                " of rmw_zenoh (ros2 run rmw_zenoh_cpp rmw_zenohd) or zenoh-bridge-ros2dds, or"
+                " give another endpoint: zenoh:tcp/HOST:PORT"
             )
         time.sleep(0.05)
     return session

@@ -309,7 +309,7 @@ def _begin(folder: Path, record: JobRecord) -> None:
     """An empty folder that says whose it is, also before it is emptied."""
     if folder.exists() and not all(is_temporary(one.name) for one in folder.iterdir()):
         if not (folder / NOTE).is_file():
-            raise FileExistsError(f"{folder}: holds files that no job wrote")
+            raise FileExistsError(f"{folder}: holds files that no job wrote; choose another folder")
         record.write(folder)
         for one in folder.iterdir():
             if one.name != NOTE:

@@ -79,7 +79,7 @@ class Checkpoints:
             return 0
         kept = unpacked(content, run.KINDS)
         if not isinstance(kept, dict) or not {"done", "parts", "run"} <= kept.keys():
-            raise FormatError(f"{place}: no checkpoint of a run")
+            raise FormatError(f"{place}: not a checkpoint of a run")
         rows: list[Any] = []
         for number, checksum in enumerate(kept["parts"]):
             part = _content(self._part(number))
@@ -107,10 +107,12 @@ class Checkpoints:
             (length,) = _LENGTH.unpack_from(content)
             was = json.loads(content[_LENGTH.size : _LENGTH.size + length])
         except (struct.error, ValueError):
-            raise FormatError(f"{place}: no checkpoint of a run") from None
+            raise FormatError(f"{place}: not a checkpoint of a run") from None
         # Before anything else is read: runs of other commands keep objects of other classes.
         for name, (before, now) in _changes(was, self._named()).items():
-            raise InputError(f"{place}: of a run with another {name}: {before}, now {now}; {AGAIN}")
+            raise InputError(
+                f"{place}: it is of a run with another {name} ({before}, now {now}); {AGAIN}"
+            )
         return content[_LENGTH.size + length :]
 
     def take(self, run: Resumable, done: int) -> None:

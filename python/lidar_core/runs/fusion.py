@@ -11,7 +11,7 @@ from lidar_core.config import checked
 from lidar_core.errors import InputError
 from lidar_core.fusion import FusionConfig, MultiTargetConfig
 from lidar_core.io import Span
-from lidar_core.run_folder import fingerprint, remove_checkpoint
+from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.recording import folder_to_write
 from lidar_core.runs.result import RunResult, draw, no_mcap_of
@@ -143,24 +143,38 @@ def fuse(
         if resume:
             checkpoints({}).refuse("of another run: that of one target writes none")
         folder.begin()
+    notes = [f"note: {run.doubt}"] if run.doubt else []
+    if fit_noise and isinstance(run, TargetRun):
+        notes.append(f"note: {text_of_fit(run.config, names_told(config, job.ways))}")
+    if keeps and not is_kept:
+        notes.append("note: one target: no checkpoint is written; a killed run starts again")
+    if writes_mcap and (lacks_mcap := no_mcap_of(run.stamps)) and not mcap:
+        notes.append(lacks_mcap)
+        writes_mcap = False
+    return _write_run(run, folder, recording, notes, mcap=writes_mcap, picture=picture)
+
+
+def _write_run(
+    run: TargetRun | ManyRun,
+    folder: RunFolder,
+    recording: str | PathLike[str],
+    notes: list[str],
+    *,
+    mcap: bool,
+    picture: bool,
+) -> RunResult:
+    """Write everything that a finished run leaves, and remove its checkpoint."""
+    source = Path(recording)
     files = run.write(folder)
     summary = {"command": "fuse", "recording": str(recording), **run.summary()}
     folder.write_summary(summary)
     folder.write_note({"recording": fingerprint(source)}, run.configs)
-    notes = [f"note: {run.doubt}"] if run.doubt else []
-    if fit_noise and isinstance(run, TargetRun):
-        notes.append(f"note: {text_of_fit(run.config, names_told(config, job.ways))}")
-    lacks_mcap = no_mcap_of(run.stamps)
-    if writes_mcap and (mcap or not lacks_mcap):
+    if mcap:
         files.append(run.write_mcap(folder))
-    elif writes_mcap and lacks_mcap:
-        notes.append(lacks_mcap)
-    if keeps and not is_kept:
-        notes.append("note: one target: no checkpoint is written; a killed run starts again")
     if picture:
         drawn, missing = draw(run.pictures(folder, source.name))
         files += drawn
-        notes += missing
+        notes = [*notes, *missing]
     files = sorted([*files, "run.toml", "summary.json"])
     remove_checkpoint(folder.path)
     return RunResult(folder.path, summary, tuple(files), tuple(notes))

@@ -224,10 +224,15 @@ def folder_to_write(
         `mcap` is true, and the package for it is not installed.
     """
     if overwrite and resume:
-        raise ConfigError("resume=True goes on with a run, overwrite=True replaces it: one of them")
+        raise ConfigError(
+            "resume=True continues a run, overwrite=True replaces it; give one of them"
+        )
     if checkpoint is not None or resume:
         if mcap:
-            raise ConfigError("mcap=True: a run.mcap that was cut cannot go on; no checkpoint=...")
+            raise ConfigError(
+                "mcap=True: an interrupted run.mcap cannot be continued; leave out"
+                " mcap=True, or checkpoint and resume"
+            )
         mcap = False
     writes_mcap = wants_mcap(mcap)
     folder = RunFolder(Path(output), overwrite=overwrite, reads=reads, resume=resume)

@@ -30,8 +30,8 @@ def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
         )
     if not path.parent.is_dir():
         raise ConfigError(
-            f"static_map: {path.parent} is no folder; the folder of a run is made later: name a"
-            " place beside it"
+            f"static_map: {path.parent} is not a folder; choose an existing one, but not the"
+            " folder of this run, which is made later"
         )
     if (path.parent / RUN_FILE).is_file() and path.name in OF_RUNS:
         raise ConfigError(f"static_map: {path} is the map that a run writes; choose another name")
@@ -41,7 +41,7 @@ def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
         one is not None and one.exists() and (path.samefile(one) or _is_within(path, one))
         for one in reads
     ):
-        raise ConfigError(f"static_map: {path} is read by this run, and would be replaced")
+        raise ConfigError(f"static_map: {path} is an input of this run; choose another name")
     if suffix == ".pcd":
         require("pypcd4", extra="io", purpose="writing PCD")
 

@@ -166,7 +166,7 @@ def _unpickled(cls: type[FullState], content: bytes, options: dict[str, Any]) ->
 def _opened(content: bytes) -> tuple[dict[str, Any], bytes]:
     """Head and state of the core of what `to_bytes` returned."""
     if content[:4] != MAGIC:
-        raise FormatError("byte 0: expected a saved state (magic LCST); this is something else")
+        raise FormatError("byte 0: expected a saved state (magic LCST), got other data")
     body = content[: -_CHECKSUM.size]
     if len(body) < _HEAD.size or content[len(body) :] != _CHECKSUM.pack(zlib.crc32(body)):
         raise FormatError(f"byte {len(body)}: the checksum is wrong: damaged or cut off")

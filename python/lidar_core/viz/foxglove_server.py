@@ -125,8 +125,8 @@ class FoxgloveServer:
             )
         except OSError as error:
             raise LinkError(
-                f"foxglove: port {port} cannot be opened ({error}); end the program that uses it,"
-                f" or choose another one: {option}{port + 1 if port < LAST_PORT else 0}"
+                f"foxglove: port {port} cannot be opened ({error}); stop the program that uses"
+                f" it, or choose another port: {option}{port + 1 if port < LAST_PORT else 0}"
             ) from error
         self.port = int(self._server.socket.getsockname()[1])
         self._thread = Thread(target=self._server.serve_forever, daemon=True)

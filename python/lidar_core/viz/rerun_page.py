@@ -88,8 +88,8 @@ class RerunPage:
             self._server = _Server((LOCAL, port), partial(_Handler, feed=feed, viewer=viewer))
         except OSError as error:
             raise LinkError(
-                f"rerun's page: port {port} cannot be opened ({error}); end the program that uses"
-                f" it, or choose another one: {option}{port + 1 if port < LAST_PORT else 0}"
+                f"rerun's page: port {port} cannot be opened ({error}); stop the program that"
+                f" uses it, or choose another port: {option}{port + 1 if port < LAST_PORT else 0}"
             ) from error
         self.address = f"http://{LOCAL}:{self._server.server_port}"
         self._thread = Thread(target=self._server.serve_forever, daemon=True)

@@ -32,7 +32,7 @@ pub enum Error {
         expected: &'static str,
         /// Row of the first bad entry.
         index: usize,
-        /// That entry.
+        /// Value of the entry.
         got: String,
     },
     /// A coordinate is not finite or too far away to be indexed.
@@ -51,7 +51,7 @@ pub enum Error {
     },
     /// Memory that cannot be had.
     Memory {
-        /// What needs it, and how much.
+        /// Object that needs the memory, and its size.
         what: String,
     },
     /// A covariance lost symmetry or positive definiteness.

@@ -54,7 +54,7 @@ pub(crate) struct Tree {
     bvh: Bvh,
     /// Middle of everything: coordinates are taken from here before they are rounded.
     center: [f64; 3],
-    /// Of the sphere around everything [m].
+    /// Radius of the sphere around everything [m].
     radius: f64,
 }
 

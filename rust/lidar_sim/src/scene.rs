@@ -29,7 +29,7 @@ pub struct Sway {
 /// A shape at rest, or swaying.
 #[derive(Clone, Debug)]
 pub struct SceneObject {
-    /// Its surface.
+    /// Surface of the object.
     pub shape: Shape,
     /// Pose of the body.
     pub world_from_shape: Transform,
@@ -44,7 +44,7 @@ pub struct SceneObject {
 /// A moving shape.
 #[derive(Clone, Debug)]
 pub struct Mover {
-    /// Its surface.
+    /// Surface of the object.
     pub shape: Shape,
     /// Trajectory of the shape.
     pub trajectory: Trajectory,

@@ -270,7 +270,7 @@ def test_a_pipeline_with_an_estimator_is_not_loaded_without_one(tmp_path):
 
     pipeline = lc.circles.CirclePipeline(estimator=estimator)
     pipeline.save(tmp_path / "state")
-    with pytest.raises(ConfigError, match="hand it over"):
+    with pytest.raises(ConfigError, match="pass it again"):
         lc.circles.CirclePipeline.load(tmp_path / "state")
     lc.circles.CirclePipeline.load(tmp_path / "state", estimator=estimator)
 

@@ -145,7 +145,7 @@ def test_a_package_adds_writers(install, tmp_path):
     objects = lc.io.RunObjects([(1, None), (2, None)], "bird", ("lidar",), "world", {})
     writer_of(tmp_path / "run.toyrun", "objects")(tmp_path / "run.toyrun", objects)
     assert (tmp_path / "run.toyrun").read_text() == "bird 2"
-    with pytest.raises(ConfigError, match=r"unknown ending '\.x'; .*\.toyrun \(Toy\)"):
+    with pytest.raises(ConfigError, match=r"unknown suffix '\.x'; .*\.toyrun \(Toy\)"):
         writer_of(tmp_path / "a.x", "objects")
 
 
@@ -357,7 +357,8 @@ def test_a_choice_that_there_is_not_is_refused():
     with pytest.raises(ConfigError, match="metric 'x': of: expected one of tracks, detections"):
         lc.evaluation.register_metric("x", "", of="track")
     with pytest.raises(
-        ConfigError, match=r"writer 'x': '\.npz' is taken by lidar_core\.io\.write\.npz"
+        ConfigError,
+        match=r"suffix '\.npz' is already registered by lidar_core\.io\.write\.npz",
     ):
         lc.io.register_writer("x", [".npz"], takes="messages")(print)
 
@@ -367,11 +368,15 @@ def test_a_name_belongs_to_one_part():
         ConfigError, match=r"reader 'PCD': already registered by lidar_core\.io\.formats\.pcd"
     ):
         lc.io.register_reader("PCD", [".pcd2"])(object)
-    with pytest.raises(ConfigError, match=r"reader 'x': expected endings such as '\.toy', got 'x'"):
+    with pytest.raises(
+        ConfigError, match=r"reader 'x': expected suffixes such as '\.toy', got 'x'"
+    ):
         lc.io.register_reader("x", ["x"])
-    with pytest.raises(ConfigError, match=r"reader 'x': expected at least one ending"):
+    with pytest.raises(ConfigError, match=r"reader 'x': expected at least one suffix"):
         lc.io.register_reader("x", [])
-    with pytest.raises(ConfigError, match=r"writer 'x': expected endings such as '\.toy', got '.'"):
+    with pytest.raises(
+        ConfigError, match=r"writer 'x': expected suffixes such as '\.toy', got '.'"
+    ):
         lc.io.register_writer("x", ["."], takes="points")
     with pytest.raises(ConfigError, match="did you mean PCD"):
         READERS.get("PCd")

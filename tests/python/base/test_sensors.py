@@ -215,7 +215,7 @@ def test_circles_takes_a_file_of_a_preset_for_any_recording(name, tmp_path):
 def test_a_model_without_presets_says_so():
     out = CliRunner().invoke(app, ["config", "show", "--model", "poses", "--preset", "vlp-16"])
     assert isinstance(out.exception, ConfigError)
-    assert "poses has none; flying, circles and scene have" in str(out.exception)
+    assert "poses has no presets; flying, circles and scene have" in str(out.exception)
 
 
 @pytest.mark.parametrize(("scene", "name"), [("demo", "xt32"), ("circles", "tim551")])

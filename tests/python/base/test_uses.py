@@ -61,8 +61,11 @@ def test_a_use_goes_with_a_sensor_and_with_a_file(tmp_path):
         ),
         (["--use", "boats"], "got 'boats'"),
         (["--use", "posts", "--model", "flying"], "posts is for circles, got --model flying"),
-        (["--use", "posts", "--mode", "paper"], "posts is of best mode, got --mode paper"),
-        (["--use", "turning-sensor", "--preset", "vlp-16"], "preset: fusion has none"),
+        (["--use", "posts", "--mode", "paper"], "posts works only in best mode, got --mode paper"),
+        (
+            ["--use", "turning-sensor", "--preset", "vlp-16"],
+            "preset: the model fusion has no presets",
+        ),
     ],
 )
 @pytest.mark.parametrize("command", ["show", "init"])
@@ -115,7 +118,7 @@ def test_a_turning_sensor_is_for_recordings_without_poses(tmp_path):
     plain = ("--no-picture", "--no-mcap", "--config", config)
     done = run("fuse", table, "-o", tmp_path / "run", *plain)
     assert isinstance(done.exception, ConfigError)
-    assert "ctrv-drone is for measurements without poses of the platform" in str(done.exception)
+    assert "ctrv-drone does not use poses of the platform" in str(done.exception)
     assert not (tmp_path / "run").exists()
     rows = [line.split(",") for line in table.read_text().splitlines()]
     kept = [k for k, name in enumerate(rows[0]) if not name.startswith(("pose", "true"))]

@@ -284,7 +284,7 @@ def test_files_in_memory_are_listed_fetched_and_stored(tmp_path):
     (place / "z.txt").unlink()
     remote.stored(place, "memory://c", is_replaced=False)
     assert memory.find("/c") == ["/c/b/y.csv", "/c/x.csv", "/c/y.csv"]
-    with pytest.raises(FileNotFoundError, match="memory://none: nothing is there"):
+    with pytest.raises(FileNotFoundError, match="memory://none: no such file or folder"):
         remote.fetched("memory://none", tmp_path)
     with pytest.raises(FormatError, match="nosuch://a"):
         remote.matching("nosuch://a/*")

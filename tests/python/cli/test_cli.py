@@ -157,7 +157,7 @@ def test_ctrl_c_is_told_with_its_exit_status(monkeypatch, tmp_path):
     (tmp_path / "a.npz").write_bytes(b"x")
     done = CliRunner().invoke(app, ["convert", str(tmp_path / "a.npz"), str(tmp_path / "b.npz")])
     assert done.exit_code == 130
-    assert done.stderr == "interrupted: files that are there are whole\n"
+    assert done.stderr == "interrupted: the files that exist are complete\n"
 
 
 def test_help_needs_no_heavy_import():
@@ -308,7 +308,7 @@ def test_doctor_tells_the_machine_and_where_recordings_are(monkeypatch, tmp_path
     assert 1 <= report["threads"] <= report["cores"]
     assert report["cpu"]["architecture"]
     assert report["recordings"] == {"variable": "LIDAR_CORE_DATA", "folder": None, "exists": False}
-    for folder, said in ((tmp_path, str(tmp_path)), (tmp_path / "x", "which is no folder")):
+    for folder, said in ((tmp_path, str(tmp_path)), (tmp_path / "x", "which is not a folder")):
         monkeypatch.setenv("LIDAR_CORE_DATA", str(folder))
         assert said in output_of("doctor")
 

@@ -157,7 +157,11 @@ def test_limits_and_values_come_from_the_configuration(recording, tmp_path):
         (["--scan", "/none"], ConfigError, "scan: no topic '/none' with 2D scans"),
         (["--mounting", "a b c"], ConfigError, "PARENT FRAME x y z"),
         (["--pose", "nowhere.txt"], FileNotFoundError, "nowhere.txt"),
-        (["--set", "scanner.n_beams=5"], ConfigError, "scanner.n_beams: expected no value"),
+        (
+            ["--set", "scanner.n_beams=5"],
+            ConfigError,
+            "scanner.n_beams: the recording states this value",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_refused_before_anything_is_written(
@@ -303,7 +307,7 @@ def test_a_topic_is_named_once(recording, tmp_path):
 def test_a_scanner_of_one_ray_is_named_with_its_recording(tmp_path):
     out = run_command(log_of(tmp_path / "onebeam.clf", [1]), "-o", tmp_path / "run")
     assert isinstance(out.exception, FormatError)
-    assert "onebeam.clf: FLASER: scans that cannot be used: " in str(out.exception)
+    assert "onebeam.clf: FLASER: its scans cannot be used: " in str(out.exception)
 
 
 def test_a_missing_file_is_told_without_the_number_of_the_error(tmp_path, monkeypatch, capsys):

@@ -468,7 +468,7 @@ def test_a_static_map_does_not_replace_what_is_read(recording, tmp_path):
     before = known.read_bytes()
     result = run_command(recording, "-o", tmp_path / "run", "--map", known, "--static-map", known)
     assert isinstance(result.exception, ConfigError)
-    assert "replaced" in str(result.exception)
+    assert "is an input of this run" in str(result.exception)
     assert known.read_bytes() == before
 
 
@@ -482,7 +482,7 @@ def test_a_static_map_replaces_neither_a_scan_nor_the_map_of_a_run(recording, tm
         scans, "-o", tmp_path / "a", "--pose", "static", "--scan-rate", 10, "--static-map", place
     )
     assert isinstance(result.exception, ConfigError)
-    assert "replaced" in str(result.exception)
+    assert "is an input of this run" in str(result.exception)
     assert place.read_bytes() == before
     run = tmp_path / "run"
     result_of(recording, "-o", run, "--end", 0.2, "--no-mcap", "--no-picture")

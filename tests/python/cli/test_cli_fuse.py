@@ -303,7 +303,7 @@ def test_broken_tables_are_told(tmp_path, change, text):
         (("--clock", "radar=late"), ConfigError, "expected seconds"),
         (("--lag", "-1"), InputError, "lag"),
         (("--association", "any"), ConfigError, "association"),
-        (("--topic", "radar=/front"), ConfigError, "--topic says nothing about a table"),
+        (("--topic", "radar=/front"), ConfigError, "--topic does not apply to a table"),
         (("--set", "on_bad_scan=count"), ConfigError, "on_bad_scan"),
     ],
 )
@@ -346,7 +346,7 @@ def test_options_of_other_recordings_are_refused(tmp_path, name, option, value):
     (tmp_path / name).write_text("")
     out = command(tmp_path / name, "-o", tmp_path / "run", option, value)
     assert isinstance(out.exception, ConfigError)
-    assert f"{name}: {option} says nothing about" in str(out.exception)
+    assert f"{name}: {option} does not apply to" in str(out.exception)
 
 
 def test_a_run_without_matplotlib_says_what_brings_the_picture(table, tmp_path, monkeypatch):
@@ -509,7 +509,9 @@ def test_a_fit_does_not_take_a_mistake_for_noise(recordings, tmp_path, change, s
     words = [line.split() for line in lines_of(recordings) if line.strip()]
     place = tmp_path / "wrong.txt"
     place.write_text("\n".join("\t".join(change(one)) for one in words) + "\n")
-    with pytest.raises(InputError, match=rf"mistake\. The data shows: .*{shown}"):
+    with pytest.raises(
+        InputError, match=rf"mistake that noise cannot explain\. The data shows: .*{shown}"
+    ):
         lc.runs.fit_config(place, model="ct")
     with pytest.raises(InputError, match="mistake"):
         lc.runs.fuse(place, None, tmp_path / "run", fit_noise=True)
@@ -543,7 +545,7 @@ def test_config_fit_does_not_replace_what_it_reads(tmp_path):
     kept = place.read_text()
     done = fit(place, "-o", place, "--overwrite")
     assert isinstance(done.exception, ConfigError)
-    assert "is read" in str(done.exception)
+    assert "is also an input" in str(done.exception)
     assert place.read_text() == kept
 
 

@@ -42,7 +42,7 @@ def test_the_command_writes_the_same_bytes_again(tmp_path):
 def test_the_command_refuses_what_it_cannot_write(tmp_path):
     out = run_command("demo", "-o", tmp_path / "x.las")
     assert isinstance(out.exception, ConfigError)
-    assert "x.las: unknown ending '.las'; a recording becomes: .mcap" in str(out.exception)
+    assert "x.las: unknown suffix '.las'; formats for a recording: .mcap" in str(out.exception)
     assert list(tmp_path.iterdir()) == []
     out = run_command(tmp_path / "none.toml", "-o", tmp_path / "x.npz")
     assert isinstance(out.exception, FileNotFoundError)
@@ -138,7 +138,7 @@ def test_two_simulations_into_one_recording_the_second_is_refused_and_names_the_
             assert done.returncode == 2, told
             told = " ".join(told.split())
             assert f"process {other.pid} (lidar-core simulate demo -o same.npz --seed 1)" in told
-            assert "is writing there; wait for its end, or choose another output" in told
+            assert "is writing there; wait until it ends, or choose another output" in told
             assert [file.name for file in tmp_path.iterdir()] == [".same.lock"]
         assert run_command("demo", "-o", tmp_path / "free.npz", "--scans", 1).exit_code == 0
     finally:

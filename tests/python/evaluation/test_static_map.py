@@ -88,5 +88,5 @@ def test_what_is_no_labelled_cloud_is_refused(tmp_path):
     with pytest.raises(FormatError, match="other numbers"):
         read_labelled_cloud(tmp_path / "odd.pcd")
     both = invoke("evaluate", tmp_path / "bare.pcd", tmp_path, "--static", tmp_path)
-    assert "no other TRUTH" in str(both.exception)
+    assert "cannot be combined with TRUTH" in str(both.exception)
     assert "--static" in str(invoke("evaluate", tmp_path / "bare.pcd").exception)

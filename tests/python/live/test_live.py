@@ -313,7 +313,7 @@ def test_scans_that_cannot_be_used_do_not_end_the_run():
     loop = LiveLoop(Played(*items), lambda sort: pipeline, poses, [Picky("paper")], LiveConfig())
     loop.run(PATIENCE_S)
     first, second = loop.summary()["rejected"]
-    assert first.startswith("/scan: scans that cannot be used: ")
+    assert first.startswith("/scan: its scans cannot be used: ")
     assert second == "paper: no such time"
 
 
@@ -325,7 +325,7 @@ def test_two_scanners_are_both_known_before_the_first_scan_is_taken():
     rear = LaserScan(0, np.full(20, 3.0, np.float32), -1, 0.1, 0.1, 20, topic="/rear")
     assert pipeline.is_ready(rear)
     assert not isinstance(pipeline.take(posed, "world"), str)
-    with pytest.raises(ConfigError, match=r"scanner\.n_beams: expected no value"):
+    with pytest.raises(ConfigError, match=r"scanner\.n_beams: the recording states this value"):
         CirclesLive(CirclesConfig(scanner={"n_beams": 7}), n_scanners=1)
 
 
@@ -1184,7 +1184,7 @@ def test_a_replay_never_replaces_what_it_plays(circles, tmp_path):
         app, ["live", "--replay", str(played), "--out", f"mcap:{tmp_path}/./a.mcap", "--overwrite"]
     )
     assert isinstance(refused.exception, ConfigError)
-    assert "expected another file than the one to read" in str(refused.exception)
+    assert "is also the input; choose another file to write" in str(refused.exception)
     assert played.read_bytes() == before
 
 
@@ -1259,7 +1259,8 @@ def test_a_folder_of_a_live_run_is_checked_first(circles, tmp_path):
     twice = CliRunner().invoke(app, [*arguments, "--out", f"mcap:{folder}/run.mcap"])
     assert isinstance(twice.exception, ConfigError)
     assert str(twice.exception) == (
-        f"--out mcap:{folder}/run.mcap: {folder} gets this file; leave it out"
+        f"--out mcap:{folder}/run.mcap: the run writes this file into {folder} anyway;"
+        " leave this output out"
     )
 
 
@@ -1311,8 +1312,8 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
             app, ["live", "--replay", str(circles), "--out", f"foxglove:{port}"]
         )
     assert isinstance(refused.exception, LinkError)
-    text = f"foxglove: port {port} cannot be opened .*; end the program that uses it, or choose"
-    assert re.search(f"{text} another one: foxglove:[0-9]+$", str(refused.exception))
+    text = f"foxglove: port {port} cannot be opened .*; stop the program that uses it, or choose"
+    assert re.search(f"{text} another port: foxglove:[0-9]+$", str(refused.exception))
 
 
 @pytest.mark.parametrize(
@@ -1324,21 +1325,21 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         (["--in", "hesai:2368"], "one of zenoh.*; of this sensor run the driver, and listen to"),
         (["--in", "ouster"], "--in ouster: expected ouster:HOST or ouster:FILE.json"),
         (["--in", "udp:0", "--metrics", "a:b"], "metrics: expected a port"),
-        (["--in", "udp:0", "--rate", "2"], "--rate: says nothing about a stream"),
+        (["--in", "udp:0", "--rate", "2"], "--rate: does not apply to a stream"),
         (["--in", "udp:nowhere"], "--in udp: expected a port from 0 to 65535, got 'nowhere'"),
         (["--in", "udp:0", "--out", "paper"], r"--out paper: expected one of foxglove\["),
         (["--in", "udp:0", "--out", "mcap"], "--out mcap: expected one of"),
         (["--in", "udp:0", "--out", "rerun:web:x"], "--out rerun:web: expected a port"),
         (["--in", "udp:0", "--allow-origin", "*"], "allow-origin: expected the scheme and the"),
         (["--in", "udp:0", "--pose", "a.txt"], "expected auto, static or kiss for a live stream"),
-        (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one sort"),
+        (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one kind"),
         (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),
         (["--in", "udp:0", "--map", "a.pcd", "--scan", "/b"], "map: applies only to flying objec"),
         (["--in", "udp:0", "--map", "a.pcd", "--capability", "circles"], "map: applies only to f"),
         (["--in", "foxglove:http://a"], "expected an address such as ws://.*, got 'http://a'"),
         (
             ["--in", "udp:0", "--stream", "bogus=1"],
-            "--stream bogus: .*; known are pose_wait, max_",
+            "--stream bogus: .*; known names: pose_wait, max_",
         ),
         (
             ["--in", "udp:0", "--stream", "bogus"],

@@ -136,7 +136,7 @@ def test_packets_of_another_ouster_are_told(recordings):
     sensor = sensor_at(str(recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.json"), ReadOptions())
     stream = OusterStream(sensor, ReadOptions(), Findings())
     packet = next(item.data for item in datagrams(recordings / f"{DRIVE}.pcap"))
-    with pytest.raises(FormatError, match="8448 bytes are no packet of 24832"):
+    with pytest.raises(FormatError, match="8448 bytes are not a packet of 24832"):
         stream.scan(0, packet, place="a")
     own = next(iter(datagrams(recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap"))).data
     changed = own[:7] + bytes([own[7] ^ 1]) + own[8:]
@@ -236,5 +236,5 @@ def test_another_clock_is_moved_by_the_fastest_way():
 
 def test_json_of_a_sensor_may_be_any_file(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"a": 1}))
-    with pytest.raises(FormatError, match="no metadata of an Ouster sensor"):
+    with pytest.raises(FormatError, match="not the metadata of an Ouster sensor"):
         sensor_at(str(tmp_path / "a.json"), ReadOptions())

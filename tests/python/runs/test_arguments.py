@@ -83,8 +83,8 @@ def test_errors_of_functions_name_arguments(tmp_path):
     (tmp_path / "a.csv").write_text("t_ns,x,y\n0,1,2\n")
     (tmp_path / "a.txt").write_text("L 1 2 0 1 2 0 0\n")
     for name, values, told in (
-        ("a.txt", {"association": "nearest"}, "one target; association is for many"),
-        ("a.csv", {"topics": {"radar": ["/front"]}}, "topics says nothing about a table"),
+        ("a.txt", {"association": "nearest"}, "association applies only to many targets"),
+        ("a.csv", {"topics": {"radar": ["/front"]}}, "topics does not apply to a table"),
     ):
         with pytest.raises(ConfigError, match=told):
             runs.fuse(tmp_path / name, None, tmp_path / "run", **values)
@@ -109,7 +109,7 @@ def test_errors_of_functions_name_arguments(tmp_path):
         ("for any scanner, as in set detector=taubin", "as in --set detector=taubin"),
         ("values: voxel_size: expected name=value", "--set voxel_size: expected name=value"),
         ("source: x: expected one of zenoh", "--in x: expected one of"),
-        ("say so: allow_untrusted=True", "say so: --trust-model"),
+        ("source, use allow_untrusted=True", "source, use --trust-model"),
         ("a frame=3 and a_pose=4 stay", "a frame=3 and a_pose=4 stay"),
     ],
 )

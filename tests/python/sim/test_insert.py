@@ -132,7 +132,7 @@ def test_noise_moves_points_along_their_rays(scan):
 
 
 def test_without_free_space_there_is_no_flight(scan):
-    with pytest.raises(InputError, match="no circle of free space"):
+    with pytest.raises(InputError, match="no free space for a flight"):
         next(with_target([scan], InsertedFlight(clearance=12.0), seed=0))
     bare = replace(scan, no_return=None, directions=None)
     assert next(with_target([bare], InsertedFlight(circle=(1.0, 2.0)), seed=0)).truth.hits[0] > 0

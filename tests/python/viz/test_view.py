@@ -258,7 +258,9 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         other.listen()
         refused = invoke("view", circles, "--foxglove", "--port", other.getsockname()[1])
     assert isinstance(refused.exception, LinkError)
-    assert "end the program that uses it, or choose another one: --port " in str(refused.exception)
+    assert "stop the program that uses it, or choose another port: --port " in str(
+        refused.exception
+    )
 
 
 @needs_rerun

@@ -73,7 +73,7 @@ class CircleNetwork:
             metadata = self._session.get_modelmeta().custom_metadata_map
             self.kind = _kind_of(self.path, self._session, metadata)
         except UnicodeDecodeError as error:  # onnxruntime decodes names when it is asked for them
-            raise FormatError(f"{self.path}: a name in it is no UTF-8: {error}") from error
+            raise FormatError(f"{self.path}: a name in the model is not UTF-8: {error}") from error
         if self.kind == "scans":
             self._scanner, self._limits, self._variance = _trained_on(self.path, metadata)
             beams = self._session.get_inputs()[0].shape[2]
@@ -199,7 +199,7 @@ class CircleNetwork:
         if np.bincount(owner[inside], minlength=count).min(initial=1) == 0:
             raise InputError(
                 f"bearings: {self.path.name} covers {np.degrees(known.field_of_view):.0f} degrees"
-                f" from {np.degrees(known.angle_min):.0f} on; an object is outside of this range"
+                f" from {np.degrees(known.angle_min):.0f} on; an object lies outside"
             )
         scans = np.full((count, known.n_beams), np.inf, np.float32)
         place = owner[inside], beam[inside]

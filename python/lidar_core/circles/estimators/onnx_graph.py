@@ -45,7 +45,9 @@ def check_graph(path: Path, content: bytes) -> None:
         fields = list(_fields(path, data))
         counted += len(fields)
         if counted > MOST_FIELDS:
-            raise FormatError(f"{path}: more than {MOST_FIELDS} entries are no circle detector")
+            raise FormatError(
+                f"{path}: more than {MOST_FIELDS} entries, which no circle detector has"
+            )
         _check_message(path, kind, fields)
         has_graph |= kind == "graph"
         inner = _MESSAGES.get(kind, {})
@@ -55,15 +57,17 @@ def check_graph(path: Path, content: bytes) -> None:
             if number in inner and isinstance(value, bytes)
         ]
     if not has_graph:
-        raise FormatError(f"{path}: expected an ONNX model: there is no graph in it")
+        raise FormatError(f"{path}: expected an ONNX model: it holds no graph")
 
 
 def _check_message(path: Path, kind: str, fields: list[tuple[int, int | bytes]]) -> None:
     numbers = {number for number, _ in fields}
     if kind == "inner":
-        raise FormatError(f"{path}: control flow (Loop, Scan, If) is refused: a graph in a graph")
+        raise FormatError(
+            f"{path}: control flow (Loop, Scan, If) is refused; export the model without it"
+        )
     if kind in ("function", "training"):
-        raise FormatError(f"{path}: expected one graph, got also a {kind}")
+        raise FormatError(f"{path}: expected only a graph, got also a {kind}")
     is_external = any(number == _DATA_LOCATION and value != 0 for number, value in fields)
     if kind == "tensor" and (is_external or _EXTERNAL_DATA in numbers):
         raise FormatError(f"{path}: weights in another file (external data) are refused")
@@ -71,7 +75,9 @@ def _check_message(path: Path, kind: str, fields: list[tuple[int, int | bytes]])
         named = dict(fields)
         operator, domain = (_text(named.get(number, b"")) for number in (_OPERATOR, _DOMAIN))
         if domain not in STANDARD:
-            raise FormatError(f"{path}: operator {operator} of {domain!r} is none of ONNX's own")
+            raise FormatError(
+                f"{path}: operator {operator} of {domain!r} is not a standard ONNX operator"
+            )
 
 
 def _text(value: int | bytes) -> str:
@@ -95,11 +101,12 @@ def _fields(path: Path, data: bytes) -> Iterator[tuple[int, int | bytes]]:
         elif wire in (_FIXED32, _FIXED64):
             size = 4 if wire == _FIXED32 else 8
         else:
-            raise FormatError(f"{path}: expected an ONNX model: entry of sort {wire} at byte {at}")
+            raise FormatError(
+                f"{path}: expected an ONNX model: unknown wire type {wire} at byte {at}"
+            )
         if size > len(data) - at:
             raise FormatError(
-                f"{path}: expected an ONNX model: {size} bytes are promised, "
-                f"{len(data) - at} follow"
+                f"{path}: expected an ONNX model: {size} bytes are stated, {len(data) - at} follow"
             )
         yield number, data[at : at + size]
         at += size

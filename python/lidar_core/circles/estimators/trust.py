@@ -70,8 +70,9 @@ def check_trusted(path: Path, content: bytes, *, allow_untrusted: bool) -> None:
     if digest in _shipped() or (place is not None and digest in _listed(place)):
         return
     raise ConfigError(
-        f"{path}: a foreign model is a program, and this one (SHA-256 {digest[:12]}...) was neither"
-        " shipped nor exported here; if you trust where it comes from, say so: allow_untrusted=True"
+        f"{path}: lidar_core did not export this model on this machine (SHA-256"
+        f" {digest[:12]}...). A model is a program; if you trust its source, use"
+        " allow_untrusted=True"
     )
 
 

@@ -19,16 +19,16 @@ ModelOption = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help=f"{', '.join(MODELS)}; without it that of the use or of FILE, else flying.",
+        help=f"{', '.join(MODELS)}; default: that of USE or FILE, otherwise flying.",
     ),
 ]
-ModeOption = Annotated[Mode, typer.Option(help="Whose defaults.")]
+ModeOption = Annotated[Mode, typer.Option(help="Mode whose defaults apply.")]
 
 PresetOption = Annotated[
     str | None,
     typer.Option(
-        help="A LiDAR, such as vlp-16 or tim571, for flying, circles or scene; or for scene a"
-        " built-in one, such as demo or circles-lab."
+        help="A LiDAR, such as vlp-16 or tim571 (flying, circles, scene), or a built-in scene,"
+        " such as demo or circles-lab (scene)."
     ),
 ]
 
@@ -48,11 +48,11 @@ def show(
     use: UseOption = None,
     preset: PresetOption = None,
     changed: Annotated[
-        bool, typer.Option("--changed", help="Only values that differ from the defaults.")
+        bool, typer.Option("--changed", help="List only values that differ from the defaults.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Every value in force, FILE's over those of PRESET, USE and MODE; marked if no default."""
+    """List every value; FILE overrides PRESET, USE and MODE. Changed values are marked."""
     from lidar_core.runs.settings import file_values, loaded, merged, model_of
 
     if model is None and use is None and file is not None:
@@ -83,7 +83,7 @@ def show(
 def init(
     *,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; without it printed.")
+        Path | None, typer.Option("--output", "-o", help="File to write; default: standard output.")
     ] = None,
     model: ModelOption = None,
     mode: ModeOption = "best",
@@ -91,7 +91,7 @@ def init(
     preset: PresetOption = None,
     overwrite: OverwriteFile = False,
 ) -> None:
-    """Write a file with every parameter, its meaning, unit and range."""
+    """Write a configuration file with every parameter, its meaning, unit and range."""
     from lidar_core.parameters import commented_toml
 
     text = commented_toml(_chosen(model, mode, use, preset)[1])
@@ -102,14 +102,14 @@ def migrate(
     file: Annotated[Path, typer.Argument(help="TOML file, a run.toml, or its folder.")],
     *,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; without it printed.")
+        Path | None, typer.Option("--output", "-o", help="File to write; default: standard output.")
     ] = None,
     model: ModelOption = None,
     overwrite: OverwriteFile = False,
 ) -> None:
-    """Write FILE, of an earlier version, without the parameters that are gone.
+    """Convert FILE of an earlier version: parameters that no longer exist are removed.
 
-    Values that have moved go along; comments do not.
+    Values of moved parameters are kept; comments are lost.
     """
     import tomli_w
 
@@ -172,7 +172,7 @@ def _of_use(name: str, model: str | None, mode: Mode) -> tuple[str, "Config"]:
     if model not in (None, use.model):
         raise ConfigError(f"use: {name} is for {use.model}, got --model {model}")
     if mode != "best":
-        raise ConfigError(f"use: {name} is of best mode, got --mode {mode}")
+        raise ConfigError(f"use: {name} works only in best mode, got --mode {mode}")
     return use.model, use.config()
 
 
@@ -189,7 +189,7 @@ def _with_preset(model: str, config: "Config", preset: str) -> "Config":
         return config.model_copy(update={"scanner": Scanner.load({"preset": preset})})
     if model == "flying":
         return config.model_copy(update={"sensor": SensorConfig.preset(preset)})
-    raise ConfigError(f"preset: {model} has none; flying, circles and scene have")
+    raise ConfigError(f"preset: the model {model} has no presets; flying, circles and scene have")
 
 
 def _of_mode(model: str, mode: Mode) -> "Config":

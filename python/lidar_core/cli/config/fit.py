@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lidar_core.fusion import FusionConfig
     from lidar_core.util.rows import Row
 
-FORCE = "Take mistakes in the measurements for noise."
+FORCE = "Continue even if the measurements contain mistakes; the fit treats them as noise."
 FACTOR = 1000
 """How far a fit may go from where it begins, up or down."""
 RECORDINGS = (
@@ -40,7 +40,7 @@ def command(
     *,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write; without it, or with -, printed."),
+        typer.Option("--output", "-o", help="File to write; default, or with -: standard output."),
     ] = None,
     model: Model = None,
     method: Method = None,
@@ -52,16 +52,16 @@ def command(
     clock: Clocks = [],  # noqa: B006
     start: Start = 0.0,
     end: End = None,
-    mode: Annotated[Mode, typer.Option(help="Whose defaults.")] = "best",
+    mode: Annotated[Mode, typer.Option(help="Mode whose defaults apply.")] = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
     force: Annotated[bool, typer.Option("--force", help=FORCE)] = False,
     overwrite: OverwriteFile = False,
 ) -> None:
-    """Find the noise of motion and sensors that explains the recordings best.
+    """Fit the noise of motion and sensors to recordings.
 
-    No truth is needed. The file that is written is for `fuse --config`. Measurements that
-    contradict one another by a mistake, such as exchanged axes, end the fit.
+    No ground truth is needed. `fuse --config` takes the file that is written. Mistakes in the
+    measurements, such as exchanged axes, end the fit with an error.
     """
     from lidar_core import runs
     from lidar_core.errors import ConfigError
@@ -78,7 +78,7 @@ def command(
             raise ConfigError(f"{output}: exists; --overwrite replaces it")
         check_place(output)
         if any(output.exists() and one.exists() and output.samefile(one) for one in recordings):
-            raise ConfigError(f"{output}: is read; name another file to write")
+            raise ConfigError(f"{output}: is also an input; choose another file to write")
     choice = runs.ConfigChoice(mode, config, tuple(values))
     fitted = runs.fit_config(
         recordings,

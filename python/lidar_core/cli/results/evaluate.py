@@ -30,17 +30,20 @@ if TYPE_CHECKING:
 PREDICTED = (
     "Run folder of detect, circles or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
 )
-TRUE = "NAME.truth.csv of simulate, the recording beside it, a demo's folder, or such a table."
-GATE = "An estimate further from every target is false \\[m]."
-MAX_DISTANCE = "Targets further from the sensor do not count \\[m]."
-MIN_HITS = "Targets with fewer points do not count."
-BURN_IN = "Number of first scans that do not count; default: the burn-in of the run."
-SET = "Single value of the configuration, such as order=1; may be repeated."
-STATIC = (
-    "Labelled cloud: PCD whose intensity is 1 for what moved, or a folder with gt_cloud.pcd. PRED"
-    " is then a map: a run folder of detect, or .lcvm, .pcd, .ply."
+TRUE = (
+    "Ground truth: NAME.truth.csv of simulate, the recording beside it, a demo's folder, or a"
+    " table as for PRED."
 )
-IDENTITIES = "HOTA, MOTA and IDF1; default: yes, if the extra `eval` is installed."
+GATE = "Largest distance between an estimate and its target \\[m]."
+MAX_DISTANCE = "Ignore targets farther from the sensor \\[m]."
+MIN_HITS = "Ignore targets with fewer points."
+BURN_IN = "Ignore this many scans at the start; default: the burn-in of the run."
+SET = "Set one value of the configuration, such as order=1; may be repeated."
+STATIC = (
+    "Score a static map: labelled cloud (PCD with intensity 1 for moving points), or a folder"
+    " with gt_cloud.pcd. PRED is the map: a run folder of detect, or .lcvm, .pcd, .ply."
+)
+IDENTITIES = "Compute HOTA, MOTA and IDF1; default: yes, if the extra `eval` is installed."
 
 
 def command(
@@ -58,7 +61,7 @@ def command(
 ) -> None:
     """Score the tracks and detections in PRED against the targets in TRUTH, or a map with --static.
 
-    What each figure means is in the guide, under "Evaluation".
+    The page "Evaluation" of the guide explains each value.
     """
     from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
     from lidar_core.evaluation.score_rows import consistency_warnings
@@ -122,7 +125,7 @@ def _static(predicted: Path, true: Path | None, labelled: Path, json: Path | Non
     )
 
     if true is not None:
-        raise InputError("--static: expected no other TRUTH beside it")
+        raise InputError("--static: cannot be combined with TRUTH; give one of them")
     points, resolution = read_static_map(predicted)
     scores = score_static_map(points, *read_labelled_cloud(labelled), resolution=resolution)
     out, _ = consoles(json)

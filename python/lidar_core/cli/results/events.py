@@ -36,9 +36,9 @@ def command(
     overwrite: OverwriteFile = False,
     json: JsonFile = None,
 ) -> None:
-    """List the rows of TABLE for which QUERY is true: what happened, when, how near.
+    """List the events in TABLE for which QUERY is true.
 
-    Events are first_sight, closest_approach and lost. With `all` as QUERY every row is listed.
+    Events are first_sight, closest_approach and lost. The QUERY `all` lists every row.
     """
     from tempfile import TemporaryDirectory
 

@@ -20,7 +20,7 @@ def command(
 ) -> None:
     """Write RUN as one HTML file: 3-D view, pictures, errors, NEES, NIS, times, configuration.
 
-    The file needs no network and sends nothing.
+    The file works offline and sends no data.
     """
     from lidar_core.viz.report import write_report
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 RERUN_FILE, PAGE_PORT = "run.rrd", 9090
 ALLOW_ORIGIN = (
-    "Web page that may connect to the Foxglove server beside those of this machine, such as"
+    "Web page of another machine that may connect to the Foxglove server, such as"
     " https://app.foxglove.dev; may be repeated."
 )
 
@@ -21,33 +21,41 @@ def command(
     run: Annotated[Path, typer.Argument(help="Folder that detect, circles, fuse or demo wrote.")],
     *,
     rerun: Annotated[
-        bool, typer.Option("--rerun", help="In rerun's window (extra rerun); the default.")
+        bool,
+        typer.Option(
+            "--rerun", help="Show it in rerun's window (extra rerun); this is the default."
+        ),
     ] = False,
     web: Annotated[
-        bool, typer.Option("--web", help="In the browser: rerun's viewer, served on 127.0.0.1.")
+        bool,
+        typer.Option("--web", help="Show it in the browser: rerun's viewer, served on 127.0.0.1."),
     ] = False,
     rrd: Annotated[
-        Path | None, typer.Option(help="Write rerun's recording to this file, show nothing.")
+        Path | None, typer.Option(help="Write a recording for rerun to this file instead.")
     ] = None,
     foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Play it to Foxglove on 127.0.0.1, again and again.")
+        bool, typer.Option("--foxglove", help="Play the run to Foxglove on 127.0.0.1, in a loop.")
     ] = False,
     port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Of --web (9090) or --foxglove (8765).")
+        int | None,
+        typer.Option(
+            min=0, max=65535, help="Port of --web (default 9090) or --foxglove (default 8765)."
+        ),
     ] = None,
     allow_origin: Annotated[list[str], typer.Option(help=ALLOW_ORIGIN)] = [],  # noqa: B006
     png: Annotated[
-        Path | None, typer.Option(help="Draw one time into this file; needs no display.")
+        Path | None,
+        typer.Option(help="Draw the scene at one time into this file; needs no display."),
     ] = None,
     at: Annotated[
         float | None,
-        typer.Option(min=0, help="Time of --png from the start on \\[s]."),
+        typer.Option(min=0, help="Time of --png, since the start \\[s]."),
     ] = None,
     film: Annotated[
-        Path | None, typer.Option(help="Draw the run into this .gif, or .mp4 with ffmpeg.")
+        Path | None, typer.Option(help="Draw the run as a film: .gif, or .mp4 (needs ffmpeg).")
     ] = None,
 ) -> None:
-    """Show RUN: scans by class, objects with numbers, 2 sigma ellipses, velocities and trails."""
+    """Show RUN: classified scans, objects with numbers, 2 sigma ellipses, velocities and trails."""
     from lidar_core.cli.shared.common import consoles, shown_progress
     from lidar_core.errors import ConfigError
     from lidar_core.viz.playback import Playback

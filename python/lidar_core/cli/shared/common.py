@@ -43,7 +43,7 @@ Threads: TypeAlias = Annotated[
         default_factory=all_threads,
         show_default="all",
         envvar="LIDAR_CORE_THREADS",
-        help="Threads; the result is the same.",
+        help="Number of threads; the result is the same.",
     ),
 ]
 OverwriteFile: TypeAlias = Annotated[
@@ -87,7 +87,7 @@ def help_text(command: Callable[..., None]) -> str:
     return "\n\n".join(" ".join(one.split()) for one in paragraphs)
 
 
-_TRUSTED = "Read files in this process; otherwise a process with limits parses what libraries read."
+_TRUSTED = "Parse files in this process, without limits; only for files that you trust."
 
 OPTIONS = {
     **{
@@ -99,6 +99,7 @@ OPTIONS = {
             "fixed_frame",
             "force",
             "gate",
+            "mcap",
             "metadata",
             "mounting",
             "odom",
@@ -133,7 +134,7 @@ PREFIXES = {
     "values": "--set",
 }
 UNUSED = re.compile(
-    r"(: |; )(column|topic|time_unit|angle_unit|azimuth|clock|association)s? (says|is for)"
+    r"(: |; )(column|topic|time_unit|angle_unit|azimuth|clock|association)s? (does not|applies)"
 )
 PREFIX = re.compile(rf"^({'|'.join(PREFIXES)}): ")
 VALUE = re.compile(r'\bset (?=[\w."]+=)')
@@ -162,7 +163,7 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
         try:
             command(*arguments, **options)
         except KeyboardInterrupt:
-            print("interrupted: files that are there are whole", file=sys.stderr)
+            print("interrupted: the files that exist are complete", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
         except (LidarCoreError, FileExistsError) as error:
             if error.args and isinstance(error.args[0], str):

@@ -8,14 +8,18 @@ from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import READ
 from lidar_core.errors import ConfigError
 
-_MODEL = "How targets move, such as cv, ctrv or paper; all: lidar-core config init --model fusion."
+_MODEL = "Motion model, such as cv, ctrv or paper; `config init --model fusion` lists all."
 _METHOD = "Filter: kf, ekf, ukf, ckf, imm."
-_COLUMN = "Name of a table's column, such as x=pos_x; may be repeated."
+_COLUMN = "Column of a table, such as x=pos_x; may be repeated."
 _TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be repeated."
 _TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
 _ANGLE_UNIT = "Unit of a table's angles: rad or deg."
-_AZIMUTH = "What counts clockwise or by the compass in a table: bearing=clockwise; may be repeated."
-_CLOCK = "How far a sensor's clock is ahead in a table, such as radar=0.5 \\[s]; may be repeated."
+_AZIMUTH = (
+    "Angles in a table that are clockwise or compass, such as bearing=clockwise; may be repeated."
+)
+_CLOCK = (
+    "Seconds by which a sensor's clock in a table is ahead, such as radar=0.5; may be repeated."
+)
 
 Model: TypeAlias = Annotated[str | None, typer.Option(help=_MODEL)]
 Method: TypeAlias = Annotated[str | None, typer.Option(help=_METHOD)]

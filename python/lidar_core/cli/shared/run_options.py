@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 
 _POSE = (
     "auto: transforms or odometry of the recording; static: the sensor does not move; kiss:"
-    " by KISS-ICP; else a poses file, KITTI or TUM."
+    " KISS-ICP; or a file of poses (KITTI, TUM)."
 )
 _MOUNTING = "Mounting of a sensor: PARENT FRAME x y z roll pitch yaw \\[m, rad]; may be repeated."
-_SET = "Single value, as SECTION.NAME=VALUE of `config show`; may be repeated."
+_SET = "Set a value: SECTION.NAME=VALUE, as in `config show`; may be repeated."
 _CONFIG = "TOML file; the run.toml of an earlier run is also accepted."
 _START = "Start this long after the first stamp \\[s]."
 _END = "End this long after the first stamp \\[s]."
 _MCAP = "Write run.mcap for viewers; default: yes, if the extra `viz` is installed."
 
-_POINT_TIME = "Time of each point as field:unit:reference, auto or none."
-_NO_RETURN = "Mark of rays without return: auto, zero, nan, max or none."
-_METADATA = "JSON file of an Ouster capture, if not beside it."
-_RECOVER = "Read the complete parts of an MCAP that was cut or not closed."
+_POINT_TIME = "How points state their times: FIELD:UNIT:REFERENCE, auto or none."
+_NO_RETURN = "What marks a ray without return: auto, zero, nan, max or none."
+_METADATA = "JSON metadata of an Ouster capture, if it is not beside the capture."
+_RECOVER = "Read the complete parts of an MCAP file that is cut off or was not closed."
 
-_STAMPS = "Times of scans: own, recorded (when they were stored) or counted (by --scan-rate)."
+_STAMPS = "Times of scans: own (as stated), recorded (when stored) or counted (by --scan-rate)."
 _SCAN_RATE = "Scans per second for counted times, or for a folder without times \\[Hz]."
 
 RecordingPath: TypeAlias = Annotated[Path, typer.Argument(help="File or folder to read.")]
@@ -56,7 +56,9 @@ FixedFrame: TypeAlias = Annotated[
     str | None, typer.Option(help="Frame of the map.", rich_help_panel=READ)
 ]
 Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING, rich_help_panel=READ)]
-ChosenMode: TypeAlias = Annotated[Mode, typer.Option(help="What works best, or the paper.")]
+ChosenMode: TypeAlias = Annotated[
+    Mode, typer.Option(help="best: what works best; paper: as published.")
+]
 ConfigFile: TypeAlias = Annotated[Path | None, typer.Option(help=_CONFIG)]
 Values: TypeAlias = Annotated[list[str], typer.Option("--set", help=_SET)]
 Mcap: TypeAlias = Annotated[bool | None, typer.Option(help=_MCAP, rich_help_panel=WRITTEN)]
@@ -73,13 +75,17 @@ Checkpoint: TypeAlias = Annotated[
     float | None,
     typer.Option(
         metavar="SECONDS",
-        help="Write what it takes to go on, this often \\[s]; leaves out run.mcap.",
+        help="Time between checkpoints, for --resume \\[s]; no run.mcap is written.",
         rich_help_panel=WRITTEN,
     ),
 ]
 Resume: TypeAlias = Annotated[
     bool,
-    typer.Option("--resume", help="Go on with a run that was cut off.", rich_help_panel=WRITTEN),
+    typer.Option(
+        "--resume",
+        help="Continue an interrupted run.",
+        rich_help_panel=WRITTEN,
+    ),
 ]
 
 

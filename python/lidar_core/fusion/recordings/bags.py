@@ -132,8 +132,8 @@ def _sensors(place: Path, topics: Sequence[Topic], options: BagOptions) -> dict[
         fitting = [n for n, t in types.items() if t in BY_ITSELF[sensor] and n not in found]
         if sensor == "pose" and len(fitting) > 1:
             raise ConfigError(
-                f"{place}: topics: several with poses, {', '.join(sorted(fitting))};"
-                ' name that of the platform with topics={"pose": ["NAME"]}'
+                f"{place}: topics: several hold poses, {', '.join(sorted(fitting))};"
+                ' choose that of the platform with topics={"pose": ["NAME"]}'
             )
         found |= dict.fromkeys(fitting, sensor)
     return found

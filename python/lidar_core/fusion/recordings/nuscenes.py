@@ -180,8 +180,8 @@ def _times(place: Path, boxes: Mapping[str, Any]) -> dict[str, int]:
     if all(token.isdecimal() and len(token) < 19 for token in boxes):
         return {token: int(token) for token in boxes}
     raise FormatError(
-        f"{place}: tokens of samples tell no times; put {SAMPLES} of the tables of nuScenes"
-        " (v1.0-trainval) beside it"
+        f"{place}: the file states no times; put {SAMPLES} of nuScenes' tables (v1.0-trainval)"
+        " beside it"
     )
 
 

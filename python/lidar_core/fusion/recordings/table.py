@@ -231,8 +231,8 @@ def _in_metres(place: Path, columns: Columns) -> tuple[Columns, tuple[float, flo
         return columns, None
     if "" in given and ("pose_" in given or "pose_x" in columns):
         raise InputError(
-            f"{place}: lat and lon of the target are places in the world, and LiDAR and radar"
-            " measure from the platform: leave one of lat, lon and the poses out"
+            f"{place}: lat and lon are positions in the world, but LiDAR and radar measure from"
+            " the platform; leave out lat and lon, or the poses"
         )
     start = given[0]
     names = [f"{start}{name}" for name in ("lat", "lon", "alt")]

@@ -122,7 +122,7 @@ class ReaderLink:
             self._child, self._link = _FORKER.fork(path)
         except (OSError, EOFError) as error:
             raise FormatError(
-                f"{path}: no process can be started to read it ({sys.executable}: {error});"
+                f"{path}: its reader process cannot be started ({sys.executable}: {error});"
                 f" {_TRUST}"
             ) from error
         self._end = weakref.finalize(self, self._link.close)
@@ -165,11 +165,11 @@ class ReaderLink:
             answer = wire.receive(self._link)
             if isinstance(answer, dict):
                 return answer
-            raise FormatError(f"{self._path}: the reader of it sent no answer")
+            raise FormatError(f"{self._path}: its reader sent no answer")
         except TimeoutError as error:
             self.close()
             raise LimitError(
-                f"{self._path}: no answer for {limits.CLOCK} s from the reader of it; {_TRUST}"
+                f"{self._path}: no answer for {limits.CLOCK} s from its reader; {_TRUST}"
             ) from error
         except (EOFError, OSError) as error:
             raise self._fate() from error
@@ -182,17 +182,17 @@ class ReaderLink:
         status = _FORKER.ended(self._child, is_gone=True)
         place = str(self._path)
         if status is None or not os.WIFSIGNALED(status):
-            return FormatError(f"{place}: the reader of it ended without an answer; {_TRUST}")
+            return FormatError(f"{place}: its reader ended without an answer; {_TRUST}")
         number = os.WTERMSIG(status)
         if number == signal.SIGXCPU:
             return LimitError(
-                f"{place}: takes more than {limits.cpu_for(self._path)} s of processor time"
-                f" between two messages; {_TRUST}"
+                f"{place}: its reader took more than {limits.cpu_for(self._path)} s of processor"
+                f" time between two messages; {_TRUST}"
             )
         if number == signal.SIGKILL:
-            return LimitError(f"{place}: the reader of it was killed: memory ran out; {_TRUST}")
+            return LimitError(f"{place}: its reader was killed because memory ran out; {_TRUST}")
         return FormatError(
-            f"{place}: cannot be read: it broke its reader ({signal.Signals(number).name})"
+            f"{place}: cannot be read: its reader crashed ({signal.Signals(number).name})"
         )
 
 

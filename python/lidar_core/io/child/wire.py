@@ -194,7 +194,7 @@ def _dtype(name: str) -> np.dtype[Any]:
 def told_error(error: BaseException, place: str) -> dict[str, Any]:
     """An error as a value; those that no reader should raise become a `FormatError`."""
     if isinstance(error, MemoryError):
-        error = LimitError(f"{place}: takes more memory than there is")
+        error = LimitError(f"{place}: takes more memory than available")
     if isinstance(error, OSError) and not isinstance(error, LidarCoreError) and error.errno:
         return {"class": "OSError", "args": [error.errno, error.strerror, error.filename]}
     if isinstance(error, LidarCoreError | FileNotFoundError | IsADirectoryError):

@@ -143,6 +143,7 @@ def check_ratio(size: int, packed: int, place: str) -> None:
     """
     if size > max(FREE_BYTES, MOST_RATIO * packed):
         raise LimitError(
-            f"{place}: {packed} compressed bytes become more than {MOST_RATIO} times as many, which"
-            " recordings do not; if you trust it, decompress it with another program first"
+            f"{place}: {packed} compressed bytes become more than {MOST_RATIO} times as many"
+            " bytes, which is suspicious; if you trust the file, decompress it with another"
+            " program first"
         )

@@ -29,7 +29,7 @@ def reading(place: str) -> Iterator[None]:
     except MemoryError as error:
         text = str(error).strip().rstrip(".")
         raise LimitError(
-            f"{place}: takes more memory than there is" + (f" ({text})" if text else "")
+            f"{place}: takes more memory than available" + (f" ({text})" if text else "")
         ) from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno not in _FILES_FAULT:

@@ -123,7 +123,9 @@ def _head(place: str, data: bytes) -> Head:
         (count,) = struct.unpack("<Q", data[_COUNT_AT:_COUNT_END])
     is_packed, point_format = bool(kind & 0x80), kind & 0x3F
     if point_format >= len(_RAW_BYTES) or length < _RAW_BYTES[point_format]:
-        raise FormatError(f"{place}: {length} bytes a point are no point of format {point_format}")
+        raise FormatError(
+            f"{place}: points of {length} bytes do not fit point format {point_format}"
+        )
     if not _SCALES_AT + 48 <= size <= points_at <= len(data):
         raise FormatError(
             f"{place}: header of {size} bytes, points at byte {points_at}, in a file of {len(data)}"
@@ -139,8 +141,8 @@ def _plain(place: str, data: bytes, head: Head) -> NDArray[np.uint8]:
     needed, held = head.n_points * head.point_bytes, len(data) - head.points_at
     if needed > held:
         raise FormatError(
-            f"{place}: {head.n_points} points of {head.point_bytes} bytes are"
-            f" promised, {held} bytes follow"
+            f"{place}: {head.n_points} points of {head.point_bytes} bytes are stated, {held}"
+            " bytes follow"
         )
     rows = np.frombuffer(data, np.uint8, needed, head.points_at)
     return rows.reshape(head.n_points, head.point_bytes)
@@ -232,8 +234,8 @@ def _check_ratio(place: str, head: Head, packed: int) -> None:
     size = head.n_points * head.point_bytes
     if head.n_points > POINTS_PER_BYTE * packed or size > MOST_RATIO * packed:
         raise LimitError(
-            f"{place}: {head.n_points} points ({size} bytes) are promised by {packed} compressed"
-            f" bytes; one byte may promise {POINTS_PER_BYTE} points and {MOST_RATIO} bytes"
+            f"{place}: {head.n_points} points ({size} bytes) in {packed} compressed bytes; the"
+            f" limit is {POINTS_PER_BYTE} points and {MOST_RATIO} bytes per compressed byte"
         )
 
 
@@ -256,7 +258,7 @@ def _chunks(
         if not 0 < count <= left or begun > most:
             raise FormatError(
                 f"{place}: chunk {begun} at byte {at} holds {count} points, {left}"
-                f" are left, at most {most} chunks are read"
+                f" are left, at most {most} chunks are possible"
             )
         yield at, stop, count
         at, left = stop, left - count
@@ -291,8 +293,8 @@ def _pointwise_chunks(
     # A chunk holds at least its first point, so the bytes bound how many there can be.
     if not 0 < n_chunks <= min(most, (end - start) // head.point_bytes):
         raise FormatError(
-            f"{place}: {n_chunks} chunks are promised by {end - start} compressed bytes and"
-            f" {head.n_points} points, at most {most} are read"
+            f"{place}: {n_chunks} chunks for {end - start} compressed bytes and {head.n_points}"
+            f" points, at most {most} are possible"
         )
     record = packing.record[:_CHUNK_SIZE_AT] + struct.pack("<I", packing.chunk_points)
     record += packing.record[_CHUNK_SIZE_AT + 4 :]

@@ -21,7 +21,9 @@ def load_mesh(path: Path, suffix: str, options: ReadOptions) -> Any:
         count = len(loaded.vertices)
         faces = getattr(loaded, "faces", None)
         if faces is not None and len(faces) and not 0 <= np.min(faces) <= np.max(faces) < count:
-            raise FormatError(f"{path}: a face names a vertex that is none of its {count}")
+            raise FormatError(
+                f"{path}: a face refers to a vertex that does not exist; there are {count}"
+            )
     check_size(
         str(path), count, limit=options.max_points, key="max_points", what="a cloud of points"
     )

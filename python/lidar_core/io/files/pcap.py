@@ -70,7 +70,7 @@ def _magic(path: Path) -> bytes:
     with path.open("rb") as file:
         magic = file.read(4)
     if magic != pcapng.MAGIC and magic not in _ORDERS:
-        raise FormatError(f"{path}: no packet capture: it begins with {magic!r}")
+        raise FormatError(f"{path}: not a packet capture: it begins with {magic!r}")
     return magic
 
 
@@ -81,7 +81,7 @@ def _places(path: Path, data: mmap.mmap, order: str) -> Iterator[tuple[int, int]
     while position + _PACKET_HEADER <= end:
         captured = header.unpack_from(data, position)[2]
         if captured > _LARGEST_PACKET:
-            raise FormatError(f"{path}, byte {position}: a packet of {captured} bytes")
+            raise FormatError(f"{path}, byte {position}: a packet of {captured} bytes is too large")
         following = position + _PACKET_HEADER + captured
         if following > end:
             break

@@ -70,7 +70,7 @@ def _blocks(path: Path, data: mmap.mmap) -> Iterator[tuple[int, str, int, bytes]
         if data[position : position + 4] == MAGIC:
             order = _ORDERS.get(data[position + 8 : position + 12], "")
         if not order or end - position < _LEAST_BLOCK:
-            raise FormatError(f"{path}, byte {position}: no block of pcapng")
+            raise FormatError(f"{path}, byte {position}: not a block of pcapng")
         kind, size = struct.unpack_from(f"{order}II", data, position)
         if not _LEAST_BLOCK <= size <= _LARGEST_BLOCK or size % 4:
             raise FormatError(f"{path}, byte {position}: a block of {size} bytes")
@@ -85,7 +85,7 @@ def _packet(body: bytes, order: str, clocks: list[_Clock]) -> Packet:
     if captured > len(body) - _PACKET_HEAD:
         raise ValueError(f"a packet of {captured} bytes")
     if interface >= len(clocks):
-        raise ValueError(f"a packet of interface {interface}, which no block describes")
+        raise ValueError(f"a packet of interface {interface}, which the file does not describe")
     stamp_ns = clocks[interface].ns(high << 32 | low)
     if not 0 <= stamp_ns < _LATEST_NS:
         raise ValueError(f"a packet at {stamp_ns} ns")

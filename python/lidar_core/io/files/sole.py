@@ -49,7 +49,7 @@ def _lock(place: Path, path: Path) -> int | None:
             other = os.pread(held, LARGEST, 0).decode("utf-8", "replace").strip()
             os.close(held)
             raise FileExistsError(
-                f"{path}: {other or 'another process'} is writing there; wait for its end, or"
+                f"{path}: {other or 'another process'} is writing there; wait until it ends, or"
                 " choose another output"
             ) from None
         except OSError:  # a file system without locks

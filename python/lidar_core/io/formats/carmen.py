@@ -71,7 +71,7 @@ class _Line(NamedTuple):
         try:
             values = np.array(words, np.float64)
         except ValueError:
-            raise FormatError(f"{self.place}: {self.name} holds a word for a number") from None
+            raise FormatError(f"{self.place}: {self.name} holds text instead of a number") from None
         if len(words) != count:
             raise FormatError(
                 f"{self.place}: {self.name} ends early, {len(self.words)} values follow its name"
@@ -200,7 +200,7 @@ class CarmenRecording(Recording):
         if not self._counts.keys() & KINDS.keys():
             found = f"found none of {', '.join(KINDS)}"
             raise FormatError(
-                "; ".join(self.findings.notes) or f"{self.path}: no CARMEN log: {found}"
+                "; ".join(self.findings.notes) or f"{self.path}: not a CARMEN log: {found}"
             )
         greatest = max(readings, default=0.0)
         if greatest >= NEAREST_LIMIT and readings[greatest] >= FEWEST_AT_LIMIT:

@@ -27,8 +27,8 @@ class KittiRecording(SequenceRecording):
         size = file.stat().st_size
         if size % POINT.itemsize:
             raise FormatError(
-                f"{file}: {size} bytes are no multiple of {POINT.itemsize}, a point's"
-                " x, y, z, intensity in float32"
+                f"{file}: {size} bytes are not a multiple of {POINT.itemsize}, the size of a"
+                " point (x, y, z, intensity as float32)"
             )
         check_size(
             str(file),

@@ -234,7 +234,7 @@ class McapRecording(Recording):
             self._file.seek(offset)
             chunk = next(self._stream(emit_chunks=True).records, None)
             if not isinstance(chunk, self._records.Chunk):
-                raise FormatError(f"{place}: the index points to something else")
+                raise FormatError(f"{place}: the index points here, but there is no chunk")
             limit = self.options.max_record_bytes
             check_size(
                 place,
@@ -265,7 +265,7 @@ class McapRecording(Recording):
         topic = self._topics.get(message.channel_id)
         if topic is None:
             raise FormatError(
-                f"{self.path}, message {number}: channel {message.channel_id} unknown"
+                f"{self.path}, message {number}: unknown channel {message.channel_id}"
             )
         place = f"{self.path}, message {number} on {topic.name}"
         decode = partial(self._decode, message, topic, place)

@@ -44,7 +44,7 @@ def metadata_beside(path: Path) -> Path | None:
 def read_sensor(path: Path, options: ReadOptions) -> Sensor:
     """Sensor of a JSON file; errors as of `parse_sensor`."""
     if path.stat().st_size > MOST_METADATA_BYTES:
-        raise FormatError(f"{path}: no metadata of an Ouster sensor: the file is too large")
+        raise FormatError(f"{path}: not the metadata of an Ouster sensor: the file is too large")
     return parse_sensor(path.read_bytes(), str(path), max_points=options.max_points)
 
 

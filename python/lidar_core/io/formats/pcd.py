@@ -71,7 +71,7 @@ class PcdRecording(SequenceRecording):
             raise FormatError(f"{file}: {size_text} is not {header.points} points")
         size = header.build_dtype().itemsize * header.points
         if header.data.value == "binary" and left < size:
-            raise FormatError(f"{file}: {left} bytes of points, the header promises {size}")
+            raise FormatError(f"{file}: {left} bytes of points, the header states {size}")
         limit = self.options.max_record_bytes
         check_size(str(file), size, limit=limit, key="max_record_bytes", what="points of bytes")
         if header.data.value == "binary_compressed":

@@ -125,7 +125,7 @@ def _header(path: Path, data: bytes) -> tuple[float, int]:
     with reading(str(path)):
         resolution = float(values["res"])
     if not 0 < resolution < np.inf:
-        raise FormatError(f"{path}: resolution of {resolution} m")
+        raise FormatError(f"{path}: expected a finite resolution > 0, got {resolution} m")
     return resolution, position
 
 

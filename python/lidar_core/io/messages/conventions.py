@@ -136,11 +136,11 @@ def _nanoseconds(values: NDArray[Any], scale: int, place: str) -> NDArray[np.int
     if np.issubdtype(values.dtype, np.integer):
         bound = np.iinfo(np.int64).max // scale
         if values.size and (int(values.max()) > bound or int(values.min()) < -bound):
-            raise FormatError(f"{place}: point times beyond the years that int64 [ns] can hold")
+            raise FormatError(f"{place}: point times exceed the range of int64 [ns]")
         return values.astype(np.int64) * np.int64(scale)
     whole = np.where(np.isfinite(values), values, 0).astype(np.float64)
     if whole.size and np.abs(whole).max() * scale >= 2.0**63:
-        raise FormatError(f"{place}: point times beyond the years that int64 [ns] can hold")
+        raise FormatError(f"{place}: point times exceed the range of int64 [ns]")
     seconds = np.floor(whole)
     rest = np.rint((whole - seconds) * scale)
     return seconds.astype(np.int64) * np.int64(scale) + rest.astype(np.int64)

@@ -90,7 +90,9 @@ class FoxgloveDecoder:
                 self._factory = module.DecoderFactory()
             parser = self._factory.decoder_for("protobuf", schema)
             if parser is None:
-                raise FormatError(f"schema {schema.name} of encoding {schema.encoding!r}")
+                raise FormatError(
+                    f"schema {schema.name}: expected encoding protobuf, got {schema.encoding!r}"
+                )
             self._parsers[schema.id] = parser
         return self._parsers[schema.id]
 
@@ -103,7 +105,9 @@ class FoxgloveDecoder:
             fields.append(Field(item.name, code, item.offset))
         step = message.point_stride
         if step == 0 or len(message.data) % step:
-            raise FormatError(f"{place}: {len(message.data)} bytes in points of {step} bytes")
+            raise FormatError(
+                f"{place}: {len(message.data)} bytes of data do not fit points of {step} bytes"
+            )
         count = len(message.data) // step
         layout = Layout(fields, step, count * step, count, 1, is_bigendian=False)
         data = np.frombuffer(message.data, np.uint8)

@@ -155,8 +155,8 @@ def _check(raw: LaserScan, place: str) -> None:
     span = abs(raw.angle_increment) * len(raw.ranges)
     if not np.isfinite(angles).all() or raw.angle_increment == 0 or span > FULL_TURN:
         raise FormatError(
-            f"{place}: {len(raw.ranges)} rays from {raw.angle_min} by {raw.angle_increment} rad"
-            " are no scan of one turn or less"
+            f"{place}: {len(raw.ranges)} rays from {raw.angle_min} by {raw.angle_increment} rad:"
+            " expected finite angles, an increment other than 0 and at most one turn"
         )
     if not 0 <= raw.range_min < raw.range_max:
         raise FormatError(

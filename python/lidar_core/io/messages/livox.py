@@ -47,7 +47,7 @@ def livox_cloud(raw: bytes, version: int, *, place: str, max_points: int) -> Liv
     try:
         return _cloud1(raw, place, max_points) if version == 1 else _cloud2(raw, place, max_points)
     except (struct.error, UnicodeDecodeError) as error:
-        raise FormatError(f"{place}: no CustomMsg of Livox: {error}") from error
+        raise FormatError(f"{place}: not a CustomMsg of Livox: {error}") from error
 
 
 def _cloud1(raw: bytes, place: str, max_points: int) -> LivoxCloud:
@@ -80,5 +80,5 @@ def _rows(
     dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     found = data[position + 4 : position + 4 + count * step]
     if len(found) < count * step - (step - _ROW_BYTES):
-        raise FormatError(f"{place}: {count} points of Livox in {len(found)} bytes")
+        raise FormatError(f"{place}: {count} points do not fit {len(found)} bytes")
     return np.frombuffer(found.ljust(count * step, b"\0"), dtype)

@@ -91,15 +91,15 @@ class LivoxStream:
 def _decode(packet: bytes, place: str) -> _Part | None:
     """Points of a packet; None for one of the IMU."""
     if len(packet) < _HEAD.size:
-        raise FormatError(f"{place}: {len(packet)} bytes are no packet of a Mid-360 or HAP")
+        raise FormatError(f"{place}: {len(packet)} bytes are not a packet of a Mid-360 or HAP")
     _, length, interval, count, _, _, kind, _, _, stamp_ns = _HEAD.unpack_from(packet)
     if kind == _IMU and length == len(packet):
         return None
     layout = _LAYOUTS.get(kind)
     if layout is None or length != len(packet) or length != _HEAD.size + count * layout.itemsize:
         raise FormatError(
-            f"{place}: a packet of {len(packet)} bytes with {count} points of kind {kind} is none"
-            " of a Mid-360 or HAP; older sensors of Livox need their driver"
+            f"{place}: a packet of {len(packet)} bytes with {count} points of kind {kind} is not"
+            " from a Mid-360 or HAP; older Livox sensors need their driver"
         )
     stored = np.frombuffer(packet, layout, count, _HEAD.size)
     rows = np.zeros(count, _ROWS)

@@ -70,7 +70,7 @@ def decode_pngs(images: Sequence[bytes], shape: tuple[int, int], place: str) -> 
 def decode_zpng(data: bytes, shape: tuple[int, int], place: str) -> Image:
     """Numbers per pixel of a Zpng image of this shape, (height, width); errors as of PNG."""
     if len(data) < _ZPNG_HEAD.size or not data.startswith(ZPNG_MAGIC):
-        raise FormatError(f"{place}: could not decode a field: no PNG, no Zpng")
+        raise FormatError(f"{place}: could not decode a field: neither PNG nor Zpng")
     _, width, height, channels, depth = _ZPNG_HEAD.unpack_from(data)
     size = channels * depth
     if (height, width) != shape or not 1 <= size <= 8:

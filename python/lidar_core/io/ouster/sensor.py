@@ -118,7 +118,9 @@ def parse_sensor(text: str | bytes, place: str, *, max_points: int) -> Sensor:
     with reading(f"{place}: metadata of an Ouster sensor"):
         stored = json.loads(text)
         if not isinstance(stored, dict):
-            raise FormatError(f"{place}: no metadata of an Ouster sensor: no object of JSON")
+            raise FormatError(
+                f"{place}: not the metadata of an Ouster sensor: expected a JSON object"
+            )
         return _sensor(_Entries(stored), place, max_points)
 
 
@@ -206,7 +208,7 @@ def _first_shifts(rows: int, columns: int) -> NDArray[np.int64]:
 def _angles(entries: _Entries, name: str, place: str) -> FloatArray:
     degrees = np.asarray(entries.get(name, []), np.float64)
     if degrees.size == 0 or not np.isfinite(degrees).all():
-        raise FormatError(f"{place}: no metadata of an Ouster sensor: no {name}")
+        raise FormatError(f"{place}: not the metadata of an Ouster sensor: no {name}")
     return np.radians(degrees)
 
 

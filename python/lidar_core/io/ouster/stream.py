@@ -72,7 +72,7 @@ class OusterStream:
         layout = self._layout
         if not layout.is_lidar(packet):
             raise FormatError(
-                f"{place}: {len(packet)} bytes are no packet of {layout.size}, as of"
+                f"{place}: {len(packet)} bytes are not a packet of {layout.size} bytes of"
                 f" {layout.sensor.profile}: is the JSON file of another sensor or mode?"
             )
         serial, known = layout.serial(packet), layout.sensor.serial

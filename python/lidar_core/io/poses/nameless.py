@@ -70,8 +70,8 @@ def carrier_of(
     chain = _buffer(item for item in known if item.is_static)
     if parents := {item.frame_id for item in poses} & set(carriers):
         raise ConfigError(
-            f"odom: poses of {topic!r} are in frame {min(parents)!r}, in which the recording's"
-            f" static transforms keep {frame!r} in one place; they are not the sensor's: leave"
+            f"odom: poses of {topic!r} are in frame {min(parents)!r}, but static transforms of the"
+            f" recording fix {frame!r} in that frame, so these poses are not the sensor's; leave"
             ' odom out and use pose="static"'
         )
     if not carriers:

@@ -138,7 +138,8 @@ class PosedScans(Generic[ScanT]):
         """Clouds placed by KISS-ICP, one after the other: in the frame of the first scan's end."""
         if self._sort is not Scan:
             raise ConfigError(
-                "pose: kiss places clouds, not 2D scans; name poses or a topic of them"
+                "pose: kiss works for clouds, not for 2D scans; give a poses file, or a topic of"
+                " poses with odom=TOPIC"
             )
         from lidar_core.io.poses.odometry import placed_scans
 
@@ -260,9 +261,9 @@ class PosedScans(Generic[ScanT]):
         return FormatError(
             f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
             f" {reason}. Found transforms: {listed(edges)}; odometry topics: {listed(odometry)}."
-            " Name a frame with fixed_frame=FRAME, a topic with odom=TOPIC, a poses file with"
-            f' pose=FILE, where the sensor sits with mounting={mounting}, or pose="static" for a'
-            " sensor that does not move"
+            " Give one of: a frame with fixed_frame=FRAME, a topic with odom=TOPIC, a poses file"
+            f" with pose=FILE, the mounting of the sensor with mounting={mounting}, or"
+            ' pose="static" for a sensor that does not move'
         )
 
 

@@ -152,7 +152,7 @@ def _check_names(path: Path, names: Sequence[str], used: str) -> None:
         )
     twice = [name for place, name in enumerate(names) if name.strip() and name in names[:place]]
     if twice:
-        raise FormatError(f"{path}: column {twice[0]!r} is there twice; leave one of them out")
+        raise FormatError(f"{path}: column {twice[0]!r} appears twice; remove one of them")
 
 
 def _uneven(path: Path, names: Sequence[str], row: Sequence[str], used: str, number: int) -> str:
@@ -238,7 +238,10 @@ def _read_mcap(path: Path) -> Columns:
             for entity in message.entities:
                 bodies = [*entity.cubes, *entity.cylinders]
                 if not entity.id.isdecimal() or len(entity.id) > 18 or not bodies:
-                    raise FormatError(f"{place}: entity {entity.id!r} is no track with a body")
+                    raise FormatError(
+                        f"{place}: entity {entity.id!r}: expected the number of a"
+                        " track and a cube or cylinder"
+                    )
                 stamp, position = entity.timestamp, bodies[0].pose.position
                 rows.append((stamp.seconds * 1_000_000_000 + stamp.nanos, int(entity.id)))
                 places.append((position.x, position.y, position.z))

@@ -162,8 +162,8 @@ class FoxgloveSource(Source):
     def _unreachable(self) -> LinkError:
         return LinkError(
             f"foxglove: no server at {self._address} within {CONNECT_TIMEOUT:g} s"
-            f" ({self._error}); start foxglove_bridge on the robot, or name"
-            " another address: foxglove:ws://HOST:PORT"
+            f" ({self._error}); start foxglove_bridge on the robot, or give another address:"
+            " foxglove:ws://HOST:PORT"
         )
 
     def _listen(self, link: Any, inbox: Inbox) -> None:

@@ -68,8 +68,8 @@ class UdpSource(Source):
         except OSError as error:
             self._socket.close()
             raise LinkError(
-                f"{kind}: port {port} cannot be opened ({error.strerror}); end the program that has"
-                " it, or have the sensor send elsewhere and name that: udp:PORT"
+                f"{kind}: port {port} cannot be opened ({error.strerror}); stop the program that"
+                " uses it, or let the sensor send to another port and give it here: udp:PORT"
             ) from error
         self.port = int(self._socket.getsockname()[1])
         self.name = f"{kind}, port {self.port}"

@@ -62,7 +62,7 @@ def check_commands(job: BatchJob) -> None:
         if outside:
             raise ConfigError(
                 f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}, as the"
-                f" beginning of {outside[0]}: what it writes elsewhere is no part of the job"
+                f" beginning of {outside[0]}; files elsewhere are not part of the job"
             )
 
 

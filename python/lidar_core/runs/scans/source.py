@@ -64,9 +64,9 @@ class ScanSource(Generic[ScanT]):
             )
         if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
             raise ConfigError(
-                "pose: static puts several LiDARs at one place; say where each sits with"
-                " mounting=..., or leave it out, and name the frame that they are mounted on with"
-                " fixed_frame=FRAME"
+                "pose: static would put several LiDARs at one place; give the mounting of each"
+                " with mounting=..., or leave pose out and give the frame that they are mounted"
+                " on with fixed_frame=FRAME"
             )
         self._read = read
         self._repeat = repeat

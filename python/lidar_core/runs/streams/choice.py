@@ -49,7 +49,7 @@ class PipelineChoice:
     def __post_init__(self) -> None:
         """Refuse options that contradict each other."""
         if self.clouds and self.scans:
-            raise ConfigError("cloud, scan: expected topics of one sort, got both")
+            raise ConfigError("cloud, scan: expected topics of one kind, got both")
         for wanted, named in (("flying", self.scans), ("circles", self.clouds)):
             if named and self.capability == wanted:
                 raise ConfigError(f"capability: {wanted} does not read {', '.join(named)}")
@@ -127,7 +127,7 @@ def open_source(
 
         return ReplaySource(replay, read, rate=rate or 1.0, topics=topics)
     if rate is not None:
-        raise ConfigError("rate: says nothing about a stream; it is for replay=FILE")
+        raise ConfigError("rate: does not apply to a stream, only to replay=FILE")
     kind, _, place = str(text).partition(":")
     if kind == "zenoh":
         from lidar_core.live.sources.zenoh import ZenohSource
@@ -212,7 +212,10 @@ def check_files(
     partial = [partial_path(path) for path in places if path.suffix.lower() == ".mcap"]
     for path in (*places, *of_run, *partial):
         if path in of_run and counts[path.resolve()]:
-            raise ConfigError(f"outputs: mcap:{path}: {folder} gets this file; leave it out")
+            raise ConfigError(
+                f"outputs: mcap:{path}: the run writes this file into {folder}"
+                " anyway; leave this output out"
+            )
         if counts[path.resolve()] > 1:
             raise ConfigError(
                 f"outputs: {path}: expected once, it is given {counts[path.resolve()]} times"
@@ -220,7 +223,7 @@ def check_files(
         if not path.exists():
             continue
         if replayed is not None and path.resolve().is_relative_to(replayed.resolve()):
-            raise ConfigError(f"{path}: expected another file than the one to read")
+            raise ConfigError(f"{path}: is also the input; choose another file to write")
         if not overwrite:
             left = (
                 f", left by a run that was killed, if none is at it: lidar-core convert {path}"

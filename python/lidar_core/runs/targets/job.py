@@ -75,7 +75,9 @@ class FuseJob:
         """
         found, _ = self._found()
         if not isinstance(found, MeasurementLog):
-            raise ConfigError(f"{self.recording}: many targets; noise is found from one")
+            raise ConfigError(
+                f"{self.recording}: holds many targets; noise can be fitted only to one target"
+            )
         return self._within(found)
 
     def _found(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
@@ -113,13 +115,15 @@ class FuseJob:
 
     def _one(self, log: MeasurementLog, reading: Mapping[str, Config]) -> TargetRun:
         if self._of_many:
-            raise ConfigError(f"{self.recording}: one target; association is for many")
+            raise ConfigError(
+                f"{self.recording}: holds one target; association applies only to many targets"
+            )
         chosen = config_of_run(with_ways(self.config, self.ways), FusionConfig, "fusion")
         kept = self._within(log)
         if chosen.model == "ctrv-drone" and any(m.sensor == "pose" for m in kept.measurements):
             raise ConfigError(
-                f"{self.recording}: model ctrv-drone is for measurements without poses"
-                " of the platform, which are here; ctrv takes them in"
+                f"{self.recording}: model ctrv-drone does not use poses of the platform, which"
+                " this recording holds; use model ctrv"
             )
         if self.fit_noise:
             told = names_told(self.config, self.ways)
@@ -127,7 +131,7 @@ class FuseJob:
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen)
         if doubt is not None and not self.force:
-            raise InputError(f"{self.recording}: {doubt}. force=True goes on nevertheless")
+            raise InputError(f"{self.recording}: {doubt}. force=True continues anyway")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
     def _many(self, found: TargetScans) -> tuple[list[DetectionScan], MultiTargetConfig]:
@@ -136,8 +140,8 @@ class FuseJob:
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
         of_one = self.lag is not None or self.fit_noise
         if of_one or is_paper or isinstance(choice, FusionConfig):
-            told = "lag, fit_noise and mode paper are for one"
-            raise ConfigError(f"{self.recording}: many targets; {told}")
+            told = "lag, fit_noise and mode paper apply only to one target"
+            raise ConfigError(f"{self.recording}: holds many targets; {told}")
         base = MultiTargetConfig.boats() if found.source == "Autoferry" else MultiTargetConfig()
         if "model" in self.ways and "method" not in self.ways and base.target.method == "imm":
             # Interacting models have models of their own: the one that was asked for would do
@@ -178,7 +182,7 @@ class FuseJob:
         """Refuse options of reading that would do nothing."""
         for name in self.read:
             if name not in used:
-                raise ConfigError(f"{self.recording}: {name} says nothing about {what}")
+                raise ConfigError(f"{self.recording}: {name} does not apply to {what}")
 
 
 def with_ways(config: Any, ways: Mapping[str, str]) -> Any:

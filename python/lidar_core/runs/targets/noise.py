@@ -88,7 +88,8 @@ def fitted(
         mistake = mistaken_for_noise(measurements, config, found)
         if mistake is not None:
             raise InputError(
-                f"{place}: noise would have to explain a mistake. The data shows: {mistake}."
-                " force=True goes on nevertheless"
+                f"{place}: the measurements contain a mistake that noise cannot explain. The data"
+                f" shows: {mistake}."
+                " force=True continues anyway"
             )
     return found

@@ -43,7 +43,7 @@ pub struct PipelineParameters {
 }
 
 impl PipelineParameters {
-    /// True if the noise of ranges is estimated: by all but the stages as published.
+    /// True if the noise of ranges is estimated; the stages as published do not estimate it.
     pub(super) fn estimates_noise(&self) -> bool {
         matches!(self.map.filter, ElementFilter::Independent(_)) && !self.fit.method.is_algebraic()
     }

@@ -73,7 +73,7 @@ impl GivenPose {
     }
 }
 
-/// A measurement of what stands, in the level frame.
+/// Measurement of a standing circle, in the level frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct StandingCircle {
     element: i64,
@@ -98,7 +98,7 @@ pub(super) struct PoseOffset {
     /// Poses of the two last scans.
     before: Option<GivenPose>,
     last: Option<GivenPose>,
-    /// What stands in the last scan; the motion at its time is known after the next one.
+    /// Standing circles of the last scan; the motion at its time is known after the next one.
     waiting: Vec<StandingCircle>,
     things: BTreeMap<i64, Thing>,
     /// Sums of products of innovations over their variance: rates, both, places; and their number.

@@ -72,7 +72,7 @@ impl Scanner {
         self.hear(noise)
     }
 
-    /// Fit with a noise of the ranges.
+    /// Use this noise of the ranges in the fit.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a deviation that is not positive.

@@ -10,13 +10,13 @@ pub enum PointClass {
     /// Ignored.
     #[default]
     Invalid = 0,
-    /// On something that belongs to the environment.
+    /// A point on something that belongs to the environment.
     Background = 1,
-    /// On a flying object.
+    /// A point on a flying object.
     Flying = 2,
     /// Neither background nor known to fly.
     Unknown = 3,
-    /// On something that moves on the ground; maps take it as unknown.
+    /// A point on something that moves on the ground; maps take it as unknown.
     Moving = 4,
 }
 

@@ -4,7 +4,7 @@
 //! the Python package, which document each value.
 
 use super::filter::paper::{Paper, Reading};
-use super::model::Model;
+use super::model::{Model, switches};
 use super::models::motion::{NoiseForm, Prior};
 use super::models::platform::GyroUse;
 use super::parameters::{FusionParameters, Method, Strengths};
@@ -136,7 +136,7 @@ impl Default for ManyParameters {
         Self {
             filter: FusionParameters {
                 method: Method::Interacting {
-                    models: [true, false, false, false, false, true, false, false, false],
+                    models: switches(&[Model::ConstantVelocity, Model::Standing]),
                     sojourn: 2.0,
                     quiet: Some(0.1),
                 },

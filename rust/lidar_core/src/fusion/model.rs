@@ -17,23 +17,23 @@ use super::sensors::sight::SeenMotion;
 /// Motion model of the targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Model {
-    /// [x, y, vx, vy].
+    /// Constant velocity: [x, y, vx, vy].
     ConstantVelocity,
-    /// [x, y, vx, vy, ax, ay].
+    /// Constant acceleration: [x, y, vx, vy, ax, ay].
     ConstantAcceleration,
-    /// [x, y, vx, vy, w].
+    /// Coordinated turn: [x, y, vx, vy, w].
     CoordinatedTurn,
-    /// [x, y, v, theta, w].
+    /// Constant turn rate and velocity: [x, y, v, theta, w].
     Ctrv,
-    /// [x, y, v, theta, w, a].
+    /// Constant turn rate and acceleration: [x, y, v, theta, w, a].
     Ctra,
     /// [x, y, vx, vy], of which the velocity is zero.
     Standing,
-    /// [x, y, z, vx, vy, vz].
+    /// Constant velocity in space: [x, y, z, vx, vy, vz].
     SpaceVelocity,
-    /// [x, y, z, vx, vy, vz, ax, ay, az].
+    /// Constant acceleration in space: [x, y, z, vx, vy, vz, ax, ay, az].
     SpaceAcceleration,
-    /// [x, y, z, v, theta, w, vz].
+    /// CTRV with a climb: [x, y, z, v, theta, w, vz].
     ClimbingCtrv,
     /// [x, y, v, theta, w] in the frame of a sensor that moves; with the bias and delay of a gyro
     /// that is an input, with nothing more if it has none, with w_d without such a gyro.
@@ -144,6 +144,11 @@ pub const MIXABLE: [Model; 9] = [
     Model::ClimbingCtrv,
 ];
 
+/// Switches of [`super::Method::Interacting`] that mix these models of [`MIXABLE`].
+pub(crate) fn switches(models: &[Model]) -> [bool; MIXABLE.len()] {
+    MIXABLE.map(|model| models.contains(&model))
+}
+
 /// Computation that needs the motion of a model, whatever its number of states.
 pub(crate) trait ForMotion {
     type Output;
@@ -231,7 +236,7 @@ impl Model {
         })
     }
 
-    /// The same of a model in space.
+    /// `task` with the motion of this model; none for one that is not in [`MIXABLE`], or in the plane.
     pub(crate) fn with_mixable_in_space<T: ForMixable<Space>>(self, task: T) -> Option<T::Output> {
         Some(match self {
             Self::SpaceVelocity => task.run(SpaceVelocity),

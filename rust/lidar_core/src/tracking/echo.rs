@@ -38,7 +38,7 @@ const FEWEST: u32 = 3;
 pub struct PolarPlace {
     /// Counter-clockwise from x [rad].
     pub bearing: f64,
-    /// [m].
+    /// Distance of the track from the sensor [m].
     pub range: f64,
 }
 
@@ -139,7 +139,7 @@ impl EchoTrace {
     }
 }
 
-/// Of which nearer targets a track may be an echo.
+/// Nearer targets of which a track may be an echo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrackEchoes {
     traces: BTreeMap<i64, EchoTrace>,

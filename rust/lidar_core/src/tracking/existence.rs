@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Largest probability of existence, so that misses can always lower it.
 pub const MOST_CERTAIN: f64 = 1.0 - 1e-9;
 
-/// What is known of the target of a track: there is none, it can be measured, or it is hidden.
+/// Probabilities that a track has no target, one that can be measured, or a hidden one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Presence {
     /// Probability that there is a target.
@@ -49,7 +49,7 @@ impl Presence {
         if self.existence > 0.0 { (self.hidden + self.returned) / self.existence } else { 0.0 }
     }
 
-    /// The same after `dt` [s] without a scan.
+    /// Presence after `dt` [s] without a scan.
     ///
     /// # Source
     /// Markov chain two of Musicki, Evans & Stankovic, "Integrated probabilistic data
@@ -67,7 +67,7 @@ impl Presence {
         Self { existence: kept * self.existence, hidden: kept * hidden, returned: kept * returned }
     }
 
-    /// The same after something was seen that a target which can be measured makes `observable` times,
+    /// Presence after something was seen that a target which can be measured makes `observable` times,
     /// and a hidden one `hidden` times, as likely as no target does.
     ///
     /// # Source
@@ -82,7 +82,7 @@ impl Presence {
         Self { existence, hidden, returned: observable * self.returned / total }
     }
 
-    /// Of two histories that exclude each other.
+    /// Presence by two histories that exclude each other.
     #[must_use]
     pub fn united(&self, other: &Self) -> Self {
         let existence = self.existence + other.existence;
@@ -98,7 +98,7 @@ impl Presence {
 /// A track before a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictedTrack {
-    /// What is known of its target, predicted to the time of the scan.
+    /// Presence of its target, predicted to the time of the scan.
     pub presence: Presence,
     /// Probability that the scan measures the target within its gate if it is observable.
     pub detection: f64,
@@ -119,10 +119,10 @@ pub struct GatedPair {
     pub log_ratio: f64,
 }
 
-/// What a scan says about tracks.
+/// Evidence of one scan about tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointEvidence {
-    /// What is known of the target of every track.
+    /// Presence of the target of every track.
     pub presence: Vec<Presence>,
     /// Probability of every pair: the target exists, and the measurement is of it.
     pub pair: Vec<f64>,

@@ -49,7 +49,7 @@ pub struct KindBelief {
 }
 
 impl KindBelief {
-    /// Of a new track. `shares` say how often each kind is met; only their ratios count.
+    /// Belief about a new track. `shares` say how often each kind is met; only their ratios count.
     #[must_use]
     pub fn prior(shares: [f64; KINDS]) -> Self {
         let even = [0.0; KINDS];
@@ -58,7 +58,7 @@ impl KindBelief {
         if prior.log == even { Self::normalised(even) } else { prior }
     }
 
-    /// The same after something was seen that each kind makes with its `likelihood` >= 0.
+    /// Belief after something was seen that each kind makes with its `likelihood` >= 0.
     ///
     /// Only ratios count. Likelihoods that are negative or not a number, or all zero, say nothing.
     #[must_use]

@@ -15,9 +15,9 @@ const MOST_ALIKE: f64 = 0.9;
 pub struct Slope {
     /// Velocity [m/s].
     pub velocity: f64,
-    /// Its variance [m^2/s^2].
+    /// Variance of the velocity [m^2/s^2].
     pub variance: f64,
-    /// Degrees of freedom of that variance.
+    /// Degrees of freedom of the variance.
     pub freedom: f64,
 }
 
@@ -25,7 +25,7 @@ pub struct Slope {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct PlaceAt {
     stamp_ns: i64,
-    /// [m].
+    /// Measured place [m].
     place: [f64; 3],
     /// Variance along every axis that the sensor is told to have [m^2].
     told: [f64; 3],

@@ -24,7 +24,7 @@ pub struct NoiseFactor {
     information: f64,
 }
 
-/// What an innovation says about one measured value.
+/// Statistics of the innovations of one measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InnovationStatistics {
     /// Measured minus expected, squared.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 const OLDER_NS: i64 = 10_000_000_000;
 /// Scans without a measurement with which every place begins.
 const PRIOR: f64 = 10.0;
-/// Scans of so long are kept [ns], the more apart the more measurements they have.
+/// Time for which scans are kept [ns]; the more measurements they have, the fewer of them are kept.
 const KEPT_NS: i64 = 60_000_000_000;
 /// Largest numbers of scans and of measurements of a scanner that are kept.
 const MOST_SCANS: usize = 300;
@@ -15,7 +15,7 @@ const MOST_PLACES: usize = 4096;
 /// No log has dropped more: saved states say otherwise only if they are forged.
 const FARTHEST: u64 = u64::MAX / 2;
 
-/// What a scanner has measured, kept once for all states of a tracker that know parts of it.
+/// Measurements of a scanner, kept once for all states of a tracker that know parts of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaceLog {
     /// Times of scans [ns], in order.

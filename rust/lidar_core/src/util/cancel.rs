@@ -41,7 +41,7 @@ impl Cancel {
     }
 }
 
-/// What a long loop looks at. It may go to other threads.
+/// Flag that a long loop looks at. It may be sent to other threads.
 #[derive(Clone, Default)]
 pub struct Watch(Option<Cancel>);
 

@@ -104,7 +104,7 @@ impl FusionConfig {
         })
     }
 
-    /// Of x, y and z; of y for a z that is not told.
+    /// Standard deviations of x, y and z; without one of z, that of y.
     fn lidar(&self) -> Result<[f64; 3], Error> {
         match self.lidar_std[..] {
             [x, y] => Ok([x, y, y]),
@@ -123,7 +123,7 @@ impl FusionConfig {
         }
     }
 
-    /// Of x, y, z, roll, pitch and yaw; zero for what is not told.
+    /// Standard deviations of x, y, z, roll, pitch and yaw; zero for missing ones.
     fn pose(&self) -> Result<[f64; 6], Error> {
         match self.pose_std[..] {
             [x, y, yaw] => Ok([x, y, 0.0, 0.0, 0.0, yaw]),

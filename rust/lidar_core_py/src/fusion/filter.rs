@@ -28,7 +28,7 @@ const SENSORS: [(&str, Sensor); 5] = [
     ("pose-3d", Sensor::SpacePose),
 ];
 
-/// In the order of the numbers that arrays have for them.
+/// Names of the outcomes, in the order of their numbers in arrays.
 const OUTCOMES: [(&str, Outcome); 9] = [
     ("updated", Outcome::Updated),
     ("started", Outcome::Started),
@@ -243,7 +243,7 @@ impl PyMeasurements {
         Self(measurements.iter().map(|m| m.0).collect())
     }
 
-    /// From arrays; rows of values are cut to what the sensor of the row gives.
+    /// Measurements from arrays; rows of values are cut to what the sensor of the row gives.
     #[staticmethod]
     #[pyo3(signature = (stamps_ns, sensors, values, *, counts, covariances))]
     fn from_arrays(

@@ -74,7 +74,10 @@ def test_a_leaf_above_the_lowest_level_stands_for_all_below(tmp_path):
     [
         (b"# Octomap OcTree file\nid OcTree\ndata\n", "expected a binary OcTree of OctoMap"),
         (b"# Octomap OcTree binary file\nid ColorOcTree\nres 1\ndata\n", "expected a binary"),
-        (b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n", "resolution of nan m"),
+        (
+            b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n",
+            "expected a finite resolution > 0, got nan m",
+        ),
         (b"# Octomap OcTree binary file\nid OcTree\nres x\ndata\n", "cannot be read"),
         (
             b"# Octomap OcTree binary file\nid OcTree\nres 1\ndata\n\x03\x00",
@@ -211,7 +214,7 @@ def test_a_map_becomes_known_to_the_detector(tmp_path):
 
 def test_what_cannot_be_written_or_read_is_refused(tmp_path):
     with pytest.raises(
-        ConfigError, match=r"unknown ending '\.xyz'; a cloud becomes: \.bt \(OctoMap\), \.pcd"
+        ConfigError, match=r"unknown suffix '\.xyz'; formats for a cloud: \.bt \(OctoMap\), \.pcd"
     ):
         lc.io.write_cloud(tmp_path / "a.xyz", [[0, 0, 0]])
     with pytest.raises(InputError, match=r"resolution: \.bt needs the edge"):

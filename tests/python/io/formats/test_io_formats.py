@@ -473,7 +473,7 @@ def test_an_unset_quaternion_is_counted_not_used(tmp_path):
     with lc.io.open_recording(path) as recording:
         info = recording.info()
     assert "/odom: 1 messages rejected" in info.defects
-    assert any("is no rotation" in defect for defect in info.defects)
+    assert any("is not a rotation" in defect for defect in info.defects)
 
 
 def test_definitions_in_a_file_are_not_compiled(tmp_path, monkeypatch):
@@ -579,7 +579,7 @@ def pcd_header(**changes):
     ("changes", "error", "text"),
     [
         ({"POINTS": "4000000001", "WIDTH": "4000000001"}, LimitError, "max_points"),
-        ({"POINTS": "3", "WIDTH": "3"}, FormatError, "24 bytes of points, the header promises 36"),
+        ({"POINTS": "3", "WIDTH": "3"}, FormatError, "24 bytes of points, the header states 36"),
         ({"HEIGHT": "2"}, FormatError, "width 2 x height 2 is not 2 points"),
         ({"SIZE": "4 4 3"}, FormatError, "cannot be read"),
         ({"FIELDS": "x y"}, FormatError, "0.pcd"),
@@ -637,7 +637,7 @@ def test_kitti_without_calibration_takes_the_poses_as_they_are(tmp_path):
 
 def test_kitti_file_of_another_layout(tmp_path):
     np.zeros(35, "<f4").tofile(tmp_path / "0.bin")
-    with pytest.raises(FormatError, match="140 bytes are no multiple of 16"):
+    with pytest.raises(FormatError, match="140 bytes are not a multiple of 16"):
         read_all(tmp_path / "0.bin")
 
 
@@ -667,7 +667,7 @@ def test_captures_of_other_packets_are_refused_with_a_cure(tmp_path):
     with pytest.raises(FormatError, match="byte 24: a packet of 4294967295 bytes"):
         lc.io.open_recording(path)
     path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(40))
-    with pytest.raises(FormatError, match="byte 0: no block of pcapng"):
+    with pytest.raises(FormatError, match="byte 0: not a block of pcapng"):
         lc.io.open_recording(path)
 
 

@@ -289,7 +289,7 @@ def test_a_configuration_of_a_sensor_whose_name_is_no_text_is_refused():
 
 
 def test_a_library_that_runs_out_of_memory_is_a_limit():
-    with pytest.raises(LimitError, match=r"a\.pcd: takes more memory than there is"):  # noqa: SIM117
+    with pytest.raises(LimitError, match=r"a\.pcd: takes more memory than available"):  # noqa: SIM117
         with reading("a.pcd"):
             np.empty(2**62, np.uint8)
 
@@ -306,7 +306,7 @@ def test_a_command_that_runs_out_of_memory_says_so_in_a_line(monkeypatch, capsys
     assert ended.value.code == 2
     assert (
         capsys.readouterr().err
-        == "error: takes more memory than there is: Unable to allocate 7 EiB\n"
+        == "error: takes more memory than available: Unable to allocate 7 EiB\n"
     )
 
 

@@ -117,9 +117,9 @@ def test_the_time_of_a_sweep_is_used_if_it_can_be(step, kept, verdict):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"angle_increment": 0.0}, "no scan of one turn"),
-        ({"angle_increment": 3.0}, "no scan of one turn"),
-        ({"angle_min": NAN}, "no scan of one turn"),
+        ({"angle_increment": 0.0}, "at most one turn"),
+        ({"angle_increment": 3.0}, "at most one turn"),
+        ({"angle_min": NAN}, "at most one turn"),
         ({"range_max": 0.1}, "expected 0 <= range_min < range_max"),
         ({"range_min": -1.0}, "expected 0 <= range_min < range_max"),
         ({"range_max": NAN}, "expected 0 <= range_min < range_max"),
@@ -345,7 +345,7 @@ def test_newer_scans_state_their_scanner(tmp_path):
         ("FLASER x 1 2 3\n", "line 4: FLASER states 'x' readings"),
         ("FLASER\n", "line 4: FLASER states 'no' readings"),
         ("FLASER 2 1 2 0 0 0 0\n", "line 4: FLASER ends early"),
-        ("FLASER 2 1 b 0 0 0 0 0 0 1 h 1\n", "line 4: FLASER holds a word"),
+        ("FLASER 2 1 b 0 0 0 0 0 0 1 h 1\n", "line 4: FLASER holds text"),
         ("ODOM 1 2 nan 0 0 0 1.0 h 1\n", "line 4: pose 1.0 2.0 nan is not finite"),
         ("ODOM 1 2 3 0 0 0\n", "line 4: ODOM ends early"),
         ("FLASER 2 1 2 0 0 0 0 0 0 inf h 1\n", "line 4: FLASER has no time"),
@@ -369,7 +369,7 @@ def test_a_log_with_nothing_but_broken_lines_is_refused(tmp_path):
 
 
 def test_other_texts_and_long_lines_are_refused(tmp_path):
-    with pytest.raises(FormatError, match="no CARMEN log: found none of ODOM, FLASER"):
+    with pytest.raises(FormatError, match="not a CARMEN log: found none of ODOM, FLASER"):
         lc.io.open_recording(log(tmp_path, "hello\n" * 2000))
     with pytest.raises(LimitError, match="line 1: a line of more than 100 bytes"):
         lc.io.open_recording(log(tmp_path, "x" * 1000), max_record_bytes=100)
@@ -411,7 +411,7 @@ def posed(path, **options):
 def test_a_mounting_stands_in_for_a_missing_transform(tmp_path):
     path = tmp_path / "a.npz"
     lc.io.write_npz(path, moving())
-    with pytest.raises(FormatError, match="where the sensor sits with mounting="):
+    with pytest.raises(FormatError, match="the mounting of the sensor with mounting="):
         posed(path)
     items, scans = posed(path, mounting=["body laser 0.5 0 1 0 0 1.5707963267948966"])
     assert scans.fixed_frame == "map"

@@ -132,5 +132,5 @@ def test_recordings_give_scans_with_the_time_of_every_point(tmp_path, version, s
 
 
 def test_a_message_of_another_type_behind_the_name_is_refused(tmp_path):
-    with pytest.raises(FormatError, match="a: no CustomMsg of Livox"):
+    with pytest.raises(FormatError, match="a: not a CustomMsg of Livox"):
         livox_cloud(struct.pack("<IIII", 0, 0, 0, 2**32 - 1), 1, place="a", max_points=10)

@@ -336,9 +336,9 @@ def test_kiss_is_refused_for_2d_scans(tmp_path):
     lc.io.write_npz(tmp_path / "r.npz", [sweep()])
     with lc.io.open_recording(tmp_path / "r.npz") as recording:
         scans = lc.io.posed_laser_scans(recording, pose="kiss")
-        with pytest.raises(ConfigError, match="kiss places clouds, not 2D scans"):
+        with pytest.raises(ConfigError, match="kiss works for clouds, not for 2D scans"):
             list(scans)
-    with pytest.raises(ConfigError, match="kiss places clouds, not 2D scans"):
+    with pytest.raises(ConfigError, match="kiss works for clouds, not for 2D scans"):
         LivePoses(lc.io.PoseOptions(pose="kiss"), LiveConfig()).posed(sweep())
 
 
@@ -359,7 +359,7 @@ def test_a_stream_is_placed_as_its_scans_come(flight):
     with pytest.raises(NoTransformError, match="not later than the one before"):
         poses.posed(items[4].scan)
     other = replace(items[5].scan, frame_id="second")
-    with pytest.raises(ConfigError, match=r"one LiDAR .*choose one with clouds="):
+    with pytest.raises(ConfigError, match=r"one LiDAR, got scans of .*choose one with clouds="):
         poses.posed(other)
     empty = Scan(items[6].scan.stamp_ns, np.full((100, 3), np.nan, np.float32))
     empty = replace(empty, frame_id=items[0].scan.frame_id, topic=items[0].scan.topic)

@@ -347,7 +347,7 @@ def test_tum_poses_by_time(tmp_path):
     [
         ("1 2 3\n", "expected 12 .* or 8 .* got 3"),
         ("", "no poses"),
-        ("0 0 0 0 0 0 0 0\n", "is no rotation"),
+        ("0 0 0 0 0 0 0 0\n", "is not a rotation"),
         ("0 0 0 0 0 0 0 nan\n", "not finite"),
         ("2 0 0 0 0 1 0 0 0 0 1 0\n", "pose 0: .*expected a"),
         ("a b c\n", "cannot be read"),

@@ -134,7 +134,7 @@ def test_of_two_frames_the_one_that_transforms_move_is_meant(tmp_path):
 
 def test_a_sensor_that_stands_in_the_frame_of_the_poses_is_not_moved(tmp_path):
     path = bag(tmp_path, static=[("odom", "laser", AHEAD)])
-    with pytest.raises(ConfigError, match=r"keep 'laser' in one place.*pose=.static"):
+    with pytest.raises(ConfigError, match=r"fix 'laser' in that frame.*pose=.static"):
         poses_of(path, odom="/odom")
 
 

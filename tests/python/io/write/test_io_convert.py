@@ -175,7 +175,7 @@ def test_times_that_ros_cannot_hold_are_refused(tmp_path, item, text):
 def test_folders_and_endings_are_checked_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match="exists already; a ROS 2 recording is a new folder"):
         lc.io.write_recording(tmp_path, everything())
-    with pytest.raises(ConfigError, match=r"unknown ending '\.las'; a recording becomes: \.mcap"):
+    with pytest.raises(ConfigError, match=r"suffix '\.las'; formats for a recording: \.mcap"):
         lc.io.write_recording(tmp_path / "a.las", everything())
     assert list(tmp_path.iterdir()) == []
 
@@ -212,7 +212,7 @@ def test_the_command_says_what_is_wrong(source, tmp_path):
     assert "found /points, /scan" in str(refused.exception)
     same = convert(source, source)
     assert isinstance(same.exception, InputError)
-    assert "expected another file than the one to read" in str(same.exception)
+    assert "is also the input; choose another file to write" in str(same.exception)
     assert not (tmp_path / "b.mcap").exists()
 
 

@@ -307,7 +307,7 @@ def test_an_ending_that_a_run_cannot_become_is_refused(run, tmp_path):
     out = CliRunner().invoke(app, ["convert", str(run), str(tmp_path / "r.pcd")])
     assert isinstance(out.exception, ConfigError)
     assert (
-        "r.pcd: unknown ending '.pcd'; a run becomes: .txt (MOTChallenge), .json (nuScenes)"
+        "r.pcd: unknown suffix '.pcd'; formats for a run: .txt (MOTChallenge), .json (nuScenes)"
         in str(out.exception)
     )
 

@@ -55,7 +55,7 @@ pub struct SegmentWindow<'a> {
 pub struct WindowFrame {
     /// Bearing of its x axis [rad].
     pub bearing: f64,
-    /// Its unit [m].
+    /// Unit of length of the window [m].
     pub scale: f64,
     /// First guess: distance of the centre, which is on the x axis, and radius [m].
     pub guess: [f64; 2],

@@ -21,7 +21,7 @@ const MISFIT: f64 = 4.0;
 const KNOWN: f64 = 0.05;
 
 impl FitParameters {
-    /// The same for a circle of which a side is seen.
+    /// The circle of which only a side is seen, as one that is seen whole.
     pub(in crate::circles) fn of_whole(&self) -> Self {
         let [least, most] = self.radius;
         Self { radius: [least, WHOLE * most], ..*self }

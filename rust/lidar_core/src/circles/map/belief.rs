@@ -44,7 +44,7 @@ const RESTING: f64 = -0.1;
 /// Longest time that one scan speaks for about the kind [s].
 const LONGEST: f64 = 0.5;
 
-/// What is known of the cause of an element.
+/// Probabilities of the causes of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ElementBelief {
     /// Probability that it was an object when it was measured last.
@@ -160,7 +160,7 @@ impl ElementBelief {
         self.kinds = self.kinds.weighed([1.0, moving, moving, standing, moving]);
     }
 
-    /// Of two elements of one object, the more probable.
+    /// The more probable of two beliefs about elements of one object.
     pub(super) fn united(self, other: Self) -> Self {
         if other.existence() > self.existence() { other } else { self }
     }

@@ -19,7 +19,7 @@ pub(super) trait Measures<const N: usize, const M: usize> {
 pub(super) struct CircleMeasurement {
     /// Centre and radius [m].
     pub(super) z: Vector3<f64>,
-    /// Their covariance.
+    /// Covariance of the measured values.
     pub(super) R: Matrix3<f64>,
     /// Time of the measurement after the stamp of the scan [s].
     pub(super) delay: f64,

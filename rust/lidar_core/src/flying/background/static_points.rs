@@ -19,7 +19,7 @@ use std::hash::BuildHasherDefault;
 /// Coordinates are summed up as integers, so that the order of the points cannot matter.
 const UNITS_PER_METRE: f64 = 65_536.0;
 
-/// What stands misses so many scans one after the other, where rays show that nothing is there, with at most
+/// A standing object misses so many scans one after the other, where rays show that nothing is there, with at most
 /// this probability: it has come, or gone.
 const NOT_BY_CHANCE: f64 = 0.01;
 /// Of the voxels of a cluster that moves, so many have come. A large one covers others all the time.

@@ -23,7 +23,7 @@ const LARGEST: f64 = 1.6;
 /// A scan in which targets are looked for.
 #[derive(Clone, Copy)]
 pub(crate) struct ExpectedIn<'a> {
-    /// Those near structure; the others need no help.
+    /// Expected targets near structure; other targets need no help.
     targets: &'a [ExpectedTarget],
     pub(crate) points: &'a [[f32; 3]],
     /// Time of every point after the stamp [s].

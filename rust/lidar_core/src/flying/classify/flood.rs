@@ -40,7 +40,7 @@ pub(crate) fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32
 /// Longest search [voxels].
 const MOST_STEPS: f64 = 128.0;
 
-/// A distance in voxels: searches grow with its cube.
+/// Check a search distance in voxels; the cost of a search grows with its cube.
 pub(crate) fn check_steps(
     name: &'static str,
     distance: f64,
@@ -91,7 +91,7 @@ impl<'a> Flood<'a> {
         Self { map, cursor, radius, open_border, expand_own, memory, watch }
     }
 
-    /// With a search distance [m] of its own, cut to what a search may cost.
+    /// The search with another distance [m], at most as large as its cost allows.
     pub(crate) fn wider(
         map: &'a VoxelMap,
         distance: f64,

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// A flying object in one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// Its centre, or the centroid of its points (eq. 19) [m].
+    /// Centre of the object, or the centroid of its points (eq. 19) [m].
     pub position: [f64; 3],
     /// Covariance of the object's centre [m^2].
     pub covariance: [[f64; 3]; 3],

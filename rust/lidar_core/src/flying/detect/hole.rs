@@ -154,9 +154,9 @@ fn has_hole(
 struct Counted<'a> {
     rest: std::iter::Peekable<std::slice::Iter<'a, (f64, f64, &'a Seen)>>,
     half: f64,
-    /// At the level of a hole, in it and on both sides.
+    /// Returns at the level of a hole, in it and on both sides.
     level: f64,
-    /// In it, at another range.
+    /// Returns inside of the hole at another range.
     lit: f64,
 }
 

@@ -16,7 +16,7 @@ use crate::geometry::transform::{dot, minus, norm};
 const BESIDE: f64 = 0.02;
 const BEHIND: f64 = 1.0;
 
-/// Clusters with their classes, those of one large target as one.
+/// Classified clusters; the clusters of one large target are united.
 pub(crate) struct UnitedClusters<'c> {
     /// Made only where a large target has parts.
     united: Option<Clusters>,
@@ -107,7 +107,7 @@ fn side(cluster: &Cluster<'_>) -> f64 {
     cluster.extent().into_iter().fold(0.0, f64::max)
 }
 
-/// From box to box [m].
+/// Distance from box to box [m].
 fn gap(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
     let away = |axis: usize| {
         (one.low[axis] - other.high[axis]).max(other.low[axis] - one.high[axis]).max(0.0)
@@ -189,7 +189,7 @@ impl TargetSpan {
         span
     }
 
-    /// Of the points of both.
+    /// The cluster of the points of both.
     fn united(&self, other: &Self) -> Self {
         Self {
             low: std::array::from_fn(|at| self.low[at].min(other.low[at])),

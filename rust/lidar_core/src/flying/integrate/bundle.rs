@@ -37,7 +37,7 @@ pub(super) struct Bundle {
 }
 
 impl Bundle {
-    /// Of rays that go nowhere.
+    /// A bundle of rays that go nowhere.
     pub(super) const NONE: Self = Self {
         wall: [[NEVER; LANES]; 3],
         pace: [[0; LANES]; 3],

@@ -76,11 +76,11 @@ pub struct IntegrateStats {
     pub skipped: usize,
     /// Rays cast, with and without return, or represented by one that is cast.
     pub rays: usize,
-    /// Of these, rays without return.
+    /// Rays without return among the cast rays.
     pub no_return_rays: usize,
     /// Voxels crossed by rays, each crossing counted.
     pub visits: u64,
-    /// Of these, crossings that rays passed in one step
+    /// Crossings among the visits that rays passed in one step
     /// ([`Skip`](crate::flying::map::parameters::Skip)).
     pub visits_skipped: u64,
     /// Voxels that points lie in or that rays visited, without those that they passed.

@@ -24,7 +24,7 @@ const BLOCKS_AT_A_TIME: usize = 256;
 pub(crate) struct CubeMap {
     sight: EyeView,
     layers: Layers,
-    /// Those that other threads draw.
+    /// Layers that other threads draw.
     others: Vec<Layers>,
     /// Indices of the blocks with live cells that rays may reach.
     near: Vec<u32>,

@@ -144,7 +144,7 @@ pub(super) fn grid_at(slope: f64) -> u32 {
     whole(on_grid(slope).floor())
 }
 
-/// The same with a fraction: never below 0.
+/// Place on the grid with a fraction: never below 0.
 #[inline(always)]
 fn on_grid(slope: f64) -> f64 {
     const HALF: f64 = GRID as f64 / 2.0;

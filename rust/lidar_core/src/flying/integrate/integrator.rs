@@ -45,7 +45,7 @@ pub struct Integrator {
     passes_always: bool,
 }
 
-/// On the calling thread.
+/// An integrator that works on the calling thread.
 impl Default for Integrator {
     fn default() -> Self {
         Self::on(Workers::default())

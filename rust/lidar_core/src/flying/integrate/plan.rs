@@ -135,7 +135,7 @@ impl Plan {
         noted
     }
 
-    /// Without branches: which entry asks for what cannot be foreseen.
+    /// Append entries to the plan, without branches: the kinds of entries cannot be predicted.
     #[inline(always)]
     fn push(&mut self, flags: &EntryFlags, [x, y, z]: &[[i32; LANES]; 3], index: &Indices) {
         let (mut points, mut rays) = ([([0; 3], 0); LANES], [Ray { index: 0, count: 1 }; LANES]);

@@ -181,9 +181,9 @@ pub struct PoseParameters {
 
 /// Uncertainty of the points of a scan that comes from its pose.
 pub(crate) struct PoseNoise {
-    /// For detections and tracks; None if nothing is known.
+    /// Errors of the pose for detections and tracks; None if they are unknown.
     pub(crate) spread: Option<PoseSpread>,
-    /// For the update of the map; None if it ignores poses.
+    /// Errors of the pose for the update of the map; None if the map ignores them.
     pub(crate) error: Option<PoseError>,
 }
 

@@ -22,7 +22,7 @@ const RUN: usize = 8;
 pub(crate) struct CastTask<'a> {
     pub(crate) window: &'a Window,
     pub(crate) source: &'a Source<'a>,
-    /// Cells outside which rays leave nothing, if these are passed.
+    /// Cells that rays may change; rays skip the other ones. None: rays visit every cell.
     pub(crate) live: Option<&'a CubeMap>,
 }
 
@@ -82,7 +82,7 @@ impl Cast<'_> {
     }
 }
 
-/// Steps that are written down: 8 x 8 of 32 lanes, 8 KiB each, both fit the first cache.
+/// Buffered steps of rays: 8 x 8 of 32 lanes, 8 KiB each; both buffers fit the first cache.
 struct Buffers {
     places: [[Lanes; STEPS]; RUN],
     lengths: [[Lanes; STEPS]; RUN],

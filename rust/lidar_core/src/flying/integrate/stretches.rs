@@ -49,7 +49,7 @@ impl Stretches {
         self.stretches.len()
     }
 
-    /// Find the stretches of `rays`, which are `segments`, through `live` layers.
+    /// Find the stretches of `rays` through `live` layers; `segments` are their starts and ends.
     #[inline(always)]
     pub(super) fn find(
         &mut self,
@@ -168,7 +168,7 @@ struct Layered {
     pace: Lanes,
     /// Walls that every ray crosses.
     walls: Lanes,
-    /// Its direction in the map.
+    /// Direction of the rays in the map.
     direction: Lanes,
 }
 

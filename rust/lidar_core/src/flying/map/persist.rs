@@ -247,12 +247,12 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
         max_range,
         end_margin,
         rays,
-        skip: MapParameters::default().skip,
         settles,
         ray_unit,
         ray_gain,
         bounds,
         max_voxels,
+        ..MapParameters::default() // what files do not state
     })
 }
 

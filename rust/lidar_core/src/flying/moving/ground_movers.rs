@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// What stands for longer where it has moved to is background [s].
+/// An object that stands for longer where it has moved to is background [s].
 const STANDS: f64 = 10.0;
 /// A mover that was not seen for so long may be seen again [s].
 const HIDDEN: f64 = 2.0;
@@ -46,7 +46,7 @@ impl Stay {
     }
 }
 
-/// What is below a voxel.
+/// State of the space below a voxel.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Below {
     /// Something is occupied there.
@@ -91,7 +91,7 @@ struct PointsByVoxel {
 }
 
 impl PointsByVoxel {
-    /// Of pairs in ascending order.
+    /// The table of pairs in ascending order.
     fn of(pairs: &[(Voxel, u32)]) -> Self {
         let (mut voxels, mut starts) = (Vec::new(), Vec::new());
         for (at, (voxel, _)) in pairs.iter().enumerate() {
@@ -278,7 +278,7 @@ impl GroundMovers {
         saved
     }
 
-    /// From a saved state.
+    /// Restore the voxels of a saved state.
     pub(crate) fn restored(saved: Vec<(Place, Stay)>) -> Self {
         Self { entered: saved.into_iter().collect(), ..Self::default() }
     }

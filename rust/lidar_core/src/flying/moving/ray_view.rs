@@ -56,7 +56,7 @@ fn azimuth([x, y, _]: [f64; 3]) -> f64 {
     }
 }
 
-/// The same of the elevation: 0 straight down, 1 level, 2 straight up.
+/// Number of an elevation on an even scale: 0 straight down, 1 level, 2 straight up.
 fn elevation([x, y, z]: [f64; 3]) -> f64 {
     let level = (x * x + y * y).sqrt();
     let sum = z.abs() + level;
@@ -74,7 +74,7 @@ fn sector(way: [f64; 3]) -> usize {
 }
 
 impl RayView {
-    /// Of a scan; None without rays.
+    /// View of a scan; None without rays.
     pub(super) fn of(scan: &Prepared) -> Option<Self> {
         let rays: Vec<ViewedRay> =
             (0..scan.points.len()).filter_map(|row| ViewedRay::of(scan, row)).collect();
@@ -140,7 +140,7 @@ struct ViewedRay {
 }
 
 impl ViewedRay {
-    /// Of a row; None if that tells nothing.
+    /// View of a row of a scan; None if the row holds no ray.
     fn of(scan: &Prepared, row: usize) -> Option<Self> {
         let (start, is_return) = (scan.origin(row), !scan.no_return[row]);
         if !is_return {

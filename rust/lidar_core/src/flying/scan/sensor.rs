@@ -256,7 +256,7 @@ impl Sensor {
         self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
     }
 
-    /// Remember what an accepted scan told about the sensor.
+    /// Learn properties of the sensor from an accepted scan.
     fn learn(
         &mut self,
         stamp_ns: i64,

@@ -35,7 +35,7 @@ pub(crate) static GRID: LazyLock<Grid> = LazyLock::new(Grid::new);
 
 /// The cells.
 pub(crate) struct Grid {
-    /// Unit vectors.
+    /// Directions of the centres of the cells, as unit vectors.
     pub(crate) centers: Vec<[f64; 3]>,
     /// Solid angles [sr].
     pub(crate) solid_angles: Vec<f64>,

@@ -85,7 +85,7 @@ pub(crate) struct Sky {
 }
 
 impl Sky {
-    /// For a sensor whose rays without return have to be found; None where they are given.
+    /// The sky of a sensor whose rays without return have to be found; None if they are given.
     pub(crate) fn of(beams: &Beams) -> Option<Self> {
         let known = match beams {
             Beams::Given => return None,

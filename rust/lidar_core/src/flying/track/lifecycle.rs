@@ -47,7 +47,7 @@ pub(super) struct SetOfDetections<'a> {
     pub(super) fed: &'a [(usize, Evidence)],
     /// Place of the first new track.
     pub(super) known: usize,
-    /// What is expected of it.
+    /// Clutter that is expected around it.
     pub(super) around: ExpectedClutter,
     /// What was detected before, and where.
     pub(super) visits: &'a Visits,

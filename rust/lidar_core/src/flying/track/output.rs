@@ -57,9 +57,9 @@ impl Track {
 /// A target that a track predicts, at the stamp of a scan.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ExpectedTarget {
-    /// [m].
+    /// Position of the target [m].
     pub(crate) position: [f64; 3],
-    /// [m/s].
+    /// Velocity of the target [m/s].
     pub(crate) velocity: [f64; 3],
     /// Half of the sides of the box around all places where a part of it may be [m].
     pub(crate) half: [f64; 3],

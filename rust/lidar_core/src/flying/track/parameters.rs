@@ -92,7 +92,7 @@ pub enum Association {
 /// When a track is reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Confirmation {
-    /// Once `hits` of the last `window` sets of detections held it, and from then on.
+    /// For good, once `hits` of the last `window` sets of detections contained the track.
     Counts {
         /// Sets that held the track, >= 1.
         hits: u32,

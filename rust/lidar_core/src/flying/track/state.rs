@@ -169,7 +169,7 @@ impl PointTrack {
         self.belief.existence(self.is_among_strays())
     }
 
-    /// The same at another time, without anything seen.
+    /// Probability of existence at another time, without anything seen.
     pub(super) fn existence_at(&self, stamp_ns: i64) -> f64 {
         self.belief.at(stamp_ns).existence(self.is_among_strays())
     }

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_STATES: usize = 9;
 /// Most values of an innovation that are recorded.
 pub const MAX_INNOVATION: usize = 4;
-/// Those that are recorded of the five of the paper's radar.
+/// Number of values that are recorded of the five of the paper's radar.
 const OF_PAPER: usize = 3;
 
 /// Difference of a measurement from its prediction.
@@ -33,7 +33,7 @@ pub struct Innovation {
     pub nis: f64,
     /// Natural logarithm of the determinant of its covariance.
     pub log_determinant: f64,
-    /// Its variances, those of `values`.
+    /// Variances of `values`.
     pub variances: [f64; MAX_INNOVATION],
 }
 

@@ -65,7 +65,7 @@ fn step_back(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
     step_back_in::<MAX_STATES>(earlier, link, later)
 }
 
-/// The same with states padded to S.
+/// One smoother step with states padded to S.
 fn step_back_in<const S: usize>(earlier: &Output, link: &Link, later: &Output) -> Option<Output> {
     let (m, P) = padded::<S>(earlier);
     let (ms, Ps) = padded::<S>(later);

@@ -30,17 +30,17 @@ pub enum Noise {
 /// Variances of the states before the second measurement of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
-    /// Of the position, per axis [m^2].
+    /// Variance of the position, per axis [m^2].
     pub position: f64,
-    /// Of the speed, or of the velocity per axis [m^2/s^2].
+    /// Variance of the speed, or of the velocity per axis [m^2/s^2].
     pub speed: f64,
-    /// Of the heading [rad^2].
+    /// Variance of the heading [rad^2].
     pub heading: f64,
-    /// Of the turn rate [rad^2/s^2].
+    /// Variance of the turn rate [rad^2/s^2].
     pub turn_rate: f64,
-    /// Of the acceleration, per axis [m^2/s^4].
+    /// Variance of the acceleration, per axis [m^2/s^4].
     pub acceleration: f64,
-    /// Of the turn rate of the platform, where it is estimated [rad^2/s^2].
+    /// Variance of the turn rate of the platform, where it is estimated [rad^2/s^2].
     pub platform_rate: f64,
 }
 
@@ -51,9 +51,9 @@ pub struct First {
     pub position: [f64; 3],
     /// Speed away from the sensor [m/s]; zero where it is not measured.
     pub speed: f64,
-    /// Direction of that speed, counter-clockwise from x [rad].
+    /// Direction of the speed, counter-clockwise from x [rad].
     pub heading: f64,
-    /// Same above the plane of x and y [rad].
+    /// Elevation of the direction above the plane of x and y [rad].
     pub elevation: f64,
     /// Covariance of the position [m^2]; None for the variances of the prior.
     pub noise: Option<Matrix3<f64>>,

@@ -35,11 +35,11 @@ pub struct Platform {
     pub slope: f64,
     /// The last reading of the gyro.
     pub gyro: Option<GyroReading>,
-    /// Variance of that rate [rad^2/s^2].
+    /// Variance of the turn rate [rad^2/s^2].
     pub rate_variance: f64,
     /// Velocity of the platform's origin, axes of the platform [m/s].
     pub velocity: [f64; 2],
-    /// From the platform's origin to the sensor, axes of the platform [m].
+    /// Vector from the platform's origin to the sensor, axes of the platform [m].
     pub lever: [f64; 3],
 }
 
@@ -63,14 +63,14 @@ pub enum GyroUse {
     Ignored,
 }
 
-/// What a gyro said last.
+/// Last reading of a gyro.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GyroReading {
     /// Time of the reading [ns].
     pub stamp_ns: i64,
     /// Turn rate [rad/s].
     pub rate: f64,
-    /// Its change since the reading before [rad/s^2].
+    /// Change of the rate since the previous reading [rad/s^2].
     pub slope: f64,
 }
 

@@ -29,7 +29,7 @@ pub struct ClimbingCtrv;
 
 /// States of [`ClimbingCtrv`] that are those of [`Ctrv`].
 const LEVEL: [usize; 5] = [0, 1, 3, 4, 5];
-/// Its states that are the height and the climb.
+/// Indices of the states height and climb.
 const UP: [usize; 2] = [2, 6];
 /// Entries of [x, y, z, vx, vy, vz, ax, ay, az] that are those of the plane.
 const LEVEL_WIDE: [usize; 6] = [0, 1, 3, 4, 6, 7];

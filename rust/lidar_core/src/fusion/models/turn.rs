@@ -14,9 +14,9 @@ const SHORT_UP_TO: f64 = 0.03;
 /// turn rate are moments 1 and 2, each turned by a further quarter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turn<const K: usize> {
-    /// Along the start's heading [s^(k + 1)].
+    /// Displacement along the heading at the start [s^(k + 1)].
     pub along: [f64; K],
-    /// To its left [s^(k + 1)].
+    /// Displacement to the left of that heading [s^(k + 1)].
     pub aside: [f64; K],
 }
 

@@ -15,7 +15,7 @@ pub struct LineOfSight<'a, const N: usize, M> {
     state: &'a SVector<f64, N>,
     platform: &'a Platform,
     sensor: Option<&'a SensorPose>,
-    /// In the frame of the sensor [m].
+    /// Position of the target in the frame of the sensor [m].
     pub(super) position: Vector2<f64>,
 }
 
@@ -34,7 +34,7 @@ impl<'a, const N: usize, M: PlaneMotion<N>> LineOfSight<'a, N, M> {
         Self { motion, state, platform, sensor, position }
     }
 
-    /// The same of another state.
+    /// The line of sight to another state.
     pub(super) fn of(&self, state: &'a SVector<f64, N>) -> Self {
         Self::new(self.motion, state, self.platform, self.sensor)
     }

@@ -43,11 +43,11 @@ pub struct PolarValues {
 impl PolarValues {
     /// Place of the range among all four values.
     pub const RANGE: usize = 0;
-    /// Of the bearing.
+    /// Place of the bearing among all four values.
     pub const BEARING: usize = 1;
-    /// Of the elevation.
+    /// Place of the elevation among all four values.
     pub const ELEVATION: usize = 2;
-    /// Of the range rate.
+    /// Place of the range rate among all four values.
     pub const RANGE_RATE: usize = 3;
     /// Range, bearing and range rate.
     pub const FLAT: Self =
@@ -246,7 +246,7 @@ impl Measurement {
         self.sensor
     }
 
-    /// What a radar measures.
+    /// Values that a radar measures.
     #[must_use]
     pub fn measures(&self) -> PolarValues {
         self.measures

@@ -31,7 +31,7 @@ pub enum Observation {
     Part {
         /// Measured; zero what is not.
         z: Vector3<f64>,
-        /// Its covariance; zero of what is not measured.
+        /// Covariance of the values; zero for values that are not measured.
         R: Matrix3<f64>,
         /// Which of the three are measured, and how many.
         rows: ([usize; 3], usize),
@@ -40,7 +40,7 @@ pub enum Observation {
     Rate {
         /// Measured [rad/s].
         z: f64,
-        /// Its variance.
+        /// Variance of the turn rate.
         R: f64,
     },
 }
@@ -69,7 +69,7 @@ impl Sensing {
         }
     }
 
-    /// The same of a radar that does not measure just range, bearing and range rate.
+    /// Observation of a radar that measures other values than range, bearing and range rate.
     fn in_parts(&self, m: &Measurement, range: f64) -> Option<Observation> {
         let measures = m.measures();
         let (z, R) = levelled(m, &self.all_radar_noise(m))?;

@@ -12,9 +12,9 @@ use nalgebra::{SMatrix, SVector};
 
 /// K measured values, and their model near the state for which it was made.
 pub trait SeenValues<const N: usize, const K: usize> {
-    /// What was measured.
+    /// Measured values.
     fn measured(&self) -> SVector<f64, K>;
-    /// What a sensor would measure of `s`.
+    /// Values that the sensor is expected to measure of `s`.
     fn expected(&self, s: &SVector<f64, N>) -> SVector<f64, K>;
     /// That of the state for which the model was made, and its Jacobian.
     fn linear(&self) -> (SVector<f64, K>, SMatrix<f64, K, N>);
@@ -26,7 +26,7 @@ pub trait SeenValues<const N: usize, const K: usize> {
 
 /// Computation with the values of a measurement, whatever their number.
 pub trait Observer<const N: usize> {
-    /// Its result.
+    /// Result of the computation.
     type Output;
     /// Compute.
     fn observe<const K: usize, V: SeenValues<N, K>>(self, seen: &V) -> Self::Output;

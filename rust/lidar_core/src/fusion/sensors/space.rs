@@ -20,7 +20,7 @@ struct SpaceSight<'a, const N: usize, M> {
     motion: &'a M,
     state: &'a SVector<f64, N>,
     sensor: Option<&'a SpaceSensorPose>,
-    /// In the frame of the sensor [m].
+    /// Position of the target in the frame of the sensor [m].
     position: Vector3<f64>,
 }
 

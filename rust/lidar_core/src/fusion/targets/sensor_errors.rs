@@ -15,9 +15,9 @@ const IN_ORDER: [usize; 4] = [0, 1, 2, 3];
 /// own are believed as they are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SensorErrors {
-    /// Of x, y and z.
+    /// Factors on the noise of x, y and z.
     lidar: [NoiseFactor; 3],
-    /// Of range, bearing, elevation and range rate.
+    /// Factors on the noise of range, bearing, elevation and range rate.
     radar: [NoiseFactor; 4],
 }
 

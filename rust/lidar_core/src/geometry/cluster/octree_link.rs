@@ -87,7 +87,7 @@ pub(super) fn check_extent(points: &[[f32; 3]], largest: f64) -> Result<(), Erro
 /// Octants of one cube that hold points.
 struct Cube<K> {
     key: K,
-    /// Its octants, as bits.
+    /// Occupied octants of the cube, as bits.
     octants: u64,
     /// Number of the first one.
     first: u32,

@@ -17,7 +17,7 @@ static AXES: LazyLock<[[f64; 2]; DIRECTIONS]> = LazyLock::new(|| {
 /// Of the points of one object in one scan, those that reach farthest in directions all around.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Hull {
-    /// In the world as seen from above [m].
+    /// Points of the hull in the world, seen from above [m].
     points: [[f64; 2]; DIRECTIONS],
     /// Something nearer hides one side of the object.
     is_covered: bool,

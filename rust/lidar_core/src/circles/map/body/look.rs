@@ -21,7 +21,7 @@ const PLACES: [usize; 3] = [0, 1, 4];
 /// Largest share of the covariance of a fit that such errors have.
 const MOST: f64 = 0.9;
 
-/// From where, and with which rays, an object was seen.
+/// Place of the scanner, and its rays, when an object was seen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Look {
     /// Place of the scanner [m], and its yaw [rad].

@@ -41,7 +41,7 @@ pub(in crate::circles::map) struct BodyMeasurement {
     pub(in crate::circles::map) time_ns: i64,
     /// Direction from the sensor to it, of length one.
     pub(in crate::circles::map) sight: [f64; 2],
-    /// From where and with which rays it was seen; None: unknown.
+    /// Place of the scanner, and its rays; None: unknown.
     pub(in crate::circles::map) look: Option<Look>,
     /// How far its points reach; None: unknown.
     pub(in crate::circles::map) hull: Option<Hull>,

@@ -25,7 +25,7 @@ const AFTER: [(usize, f64); 2] = [(3, 0.85), (6, 0.7)];
 const REACH: f64 = 0.6;
 const ROUNDS: usize = 12;
 const NARROWER: f64 = 0.85;
-/// What keeps a motion along a single wall at zero.
+/// Damping that keeps a motion along a single wall at zero.
 const DAMPING: f64 = 1e-3;
 
 /// Motion in the plane: a turn about the scanner, then a shift [m].

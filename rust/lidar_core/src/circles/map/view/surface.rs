@@ -133,7 +133,7 @@ impl SortedView {
     }
 }
 
-/// What is nearest to a point of the surfaces that were looked at.
+/// The nearest piece to a point, of the surfaces that were looked at.
 struct NearestPiece {
     point: [f64; 2],
     /// Square of the distance, or of how far is looked [m^2].

@@ -19,15 +19,15 @@ const SPACED: f64 = 3.0;
 /// The centre of a closed body lies behind the centroid by this share of the radius; a ball would
 /// have 0.68.
 const CLOSED_SHIFT: f64 = 0.40;
-/// That of an open frame, seen from where its whole disc shows, and from its own height, where near
+/// The same shift of an open frame: seen from where its whole disc shows, and from its own height, where near
 /// rims hide the far ones.
 const OPEN_SHIFTS: [f64; 2] = [0.12, 0.25];
 /// Sine of the elevation from which on, above or below, the whole disc shows.
 const WHOLE_DISC: f64 = 0.25;
-/// Standard deviation of that shift, as a share of the radius, for one point: the points are draws
+/// Standard deviation of the shift of the centre, as a share of the radius, for one point: the points are draws
 /// from the depth of the target. No more than the second number: some may be on one side of it.
 const SHIFT_STD: [f64; 2] = [0.5, 0.2];
-/// From its own height the centre lies above the centroid by this share: skids hang below a frame.
+/// Seen from its own height, a frame's centre lies above the centroid by this share: skids hang below it.
 const LIFT: f64 = 0.06;
 /// Part of the standard deviation across the line of sight that no number of points removes [m].
 const ASIDE_STD: f64 = 0.02;
@@ -167,7 +167,7 @@ fn ends(values: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
 struct SeenExtent {
     /// Distance of the points from their middle [m].
     reach: f64,
-    /// Between neighbouring rays at the target [m].
+    /// Distance between neighbouring rays at the target [m].
     ray_gap: f64,
     /// The same, or the spacing of the points themselves if that is less [m].
     least_gap: f64,

@@ -31,7 +31,7 @@ use sphere::Sphere;
 pub struct Center {
     /// Position [m].
     pub position: Vector3<f64>,
-    /// Its covariance [m^2].
+    /// Covariance of the centre [m^2].
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,

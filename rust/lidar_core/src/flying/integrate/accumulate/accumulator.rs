@@ -37,7 +37,7 @@ pub(crate) struct Accumulator {
     /// Slots of the blocks that are added to those of this one.
     sources: Vec<u32>,
     visits: u64,
-    /// Of these, those in which a ray left its length.
+    /// Touched voxels in which a ray left its length.
     walked: u64,
     /// Most blocks that one scan may touch.
     most: usize,
@@ -268,7 +268,7 @@ impl Accumulator {
         self.visits
     }
 
-    /// Of these, those in which a ray left its length.
+    /// Touched voxels in which a ray left its length.
     pub(crate) fn walked(&self) -> u64 {
         self.walked
     }

@@ -11,15 +11,15 @@ pub(in crate::flying::integrate) const ALL: CellBits = CellBits::MAX;
 #[derive(Default)]
 pub(crate) struct LiveCells {
     blocks: Vec<CellBits>,
-    /// CellBits that are passed.
+    /// Number of cells that rays skip.
     n_inert: usize,
-    /// CellBits of the blocks that the map holds or refuses.
+    /// Number of cells of the blocks that the map holds or refuses.
     n_known: usize,
     /// Cubes in which cells are drawn that are not passed.
     n_cubes: usize,
 }
 
-/// What it takes to draw a cube, in visits of a ray.
+/// Cost of drawing a cube, in visits of a ray.
 const VISITS_PER_CUBE: usize = 32;
 /// Cells of the first brick of 2 x 2 x 2 cells in a block.
 const BRICK: CellBits = 0x0033_0033;

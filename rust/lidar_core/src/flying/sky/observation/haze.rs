@@ -40,7 +40,7 @@ const TABLE: usize = 256;
 /// return anything.
 const FULL_SHARE: f64 = 0.03;
 const FULL_SECTORS: f64 = 0.75;
-/// Droplets do not stay: of those further than this [m], at least this share lies where the map has
+/// Droplets do not stay: at least the share `LEAST_FREE` of those further than this [m] lies where the map has
 /// seen free space.
 const JUDGED_FROM: f64 = 2.0;
 const LEAST_FREE: f64 = 0.5;
@@ -57,7 +57,7 @@ static LIMITS: LazyLock<[[u32; 2]; TABLE]> = LazyLock::new(|| {
     })
 });
 
-/// What a return seems to be of, by the returns beside it.
+/// Probable cause of a return, by the returns beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Seems {
     Droplet,
@@ -113,7 +113,7 @@ pub(super) struct Air<'a> {
     pub(super) points: &'a [[f32; 3]],
     pub(super) map_from_lidar: &'a Transform,
     pub(super) stamp_ns: i64,
-    /// What is lower is no droplet, above the sensor [m].
+    /// Height above the sensor below which nothing is a droplet [m].
     pub(super) ground: f64,
     /// The map before the scan.
     pub(super) map: &'a VoxelMap,
@@ -257,7 +257,7 @@ impl Haze {
         self.of_bins.iter().position(is_reached).unwrap_or(0)
     }
 
-    /// What a return in the bin `at` seems to be of.
+    /// Probable cause of a return in the bin `at`.
     fn seems(&self, at: usize) -> Seems {
         let (others, nearer) = around(&self.counts, at, self.first);
         let nearer = nearer.unwrap_or_else(|| self.usual_before(at));

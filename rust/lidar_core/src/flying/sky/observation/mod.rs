@@ -16,7 +16,7 @@ use crate::geometry::transform::{Transform, dot, norm};
 pub(super) use haze::RecentReturns;
 use haze::{Air, Haze};
 
-/// What was cast longer ago counts less: time constant [s].
+/// Time constant of the weights of older rays [s].
 const EVIDENCE_TIME: f64 = 1.0;
 /// More rays tell no more.
 const MOST_RAYS: f32 = 50.0;

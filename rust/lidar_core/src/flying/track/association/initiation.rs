@@ -11,14 +11,14 @@ const SPEEDS: [f64; 2] = [8.0, 60.0];
 /// Time between the two detections [s]: within a scan they may be of the same sweep.
 const TIMES: [f64; 2] = [0.02, 0.25];
 
-/// From one detection to the next.
+/// Way from one detection to the next.
 pub(super) struct Way {
     velocity: Vector3<f64>,
     time: f64,
 }
 
 impl Way {
-    /// [m].
+    /// Length of the way [m].
     pub(super) fn length(&self) -> f64 {
         self.velocity.norm() * self.time
     }

@@ -40,7 +40,7 @@ impl PendingTrack {
         self.offset_to(self.track.position_after(detection.delay), covariance, detection)
     }
 
-    /// As if the target had turned since it was seen.
+    /// The offset as if the target had turned since it was seen.
     fn if_turned(&self, detection: &MeasuredPlace) -> Option<Offset> {
         let std = self.strayed?;
         self.offset_to(self.track.seen_at, Matrix3::identity() * (std * std), detection)

@@ -114,7 +114,7 @@ const JOINED: CauseLikelihoods = [0.033, 0.033, 0.5, 0.033];
 /// Of having more points around it than its own.
 const AMONG_STRAYS: f64 = 0.02;
 
-/// What is known of the causes of a track.
+/// Probabilities of the causes of a track.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct TrackBelief {
     pub(super) presence: Presence,
@@ -158,7 +158,7 @@ impl TrackBelief {
         }
     }
 
-    /// Of two tracks of one target.
+    /// The more probable belief of two tracks of one target.
     pub(in crate::flying::track) fn more_probable(self, other: Self) -> Self {
         if other.presence.existence > self.presence.existence { other } else { self }
     }

@@ -118,10 +118,10 @@ impl Mean {
     }
 }
 
-/// What is known of the kind of a target.
+/// Probabilities of the kinds of a target.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct Kinds {
-    /// From what was seen in every set of detections.
+    /// Belief from what was seen in every set of detections.
     seen: KindBelief,
     /// Of the logarithms of its radius [m], and of how much of it is filled.
     radius: Mean,
@@ -139,7 +139,7 @@ pub(in crate::flying::track) struct Kinds {
 }
 
 impl Kinds {
-    /// Of a new track.
+    /// Belief about the kind of a new track.
     pub(in crate::flying::track) fn new() -> Self {
         let (radius, filled) = (Mean::default(), Mean::default());
         let seen = KindBelief::prior(SHARES);

@@ -9,7 +9,7 @@ use crate::tracking::existence::Presence;
 /// Of a first detection around which surfaces give more returns than it does: the parts of a surface that
 /// come into view do so beside the rest of it, few targets do.
 const AMONG_SURFACES: CauseLikelihoods = [0.18, 0.18, 1.0, 0.6];
-/// Of having moved.
+/// Likelihood of having moved, per cause.
 const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
 /// What comes and goes does so anywhere in the gate of a track; what is there is found near its
 /// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
@@ -23,7 +23,7 @@ const NEAR_THIRD: f64 = 10.0;
 /// Of two detections that only a fast target explains: few targets are that fast.
 const IS_FAST: CauseLikelihoods = [0.3, 0.3, 1.0, 1.0];
 
-/// What is believed of a new track.
+/// Initial beliefs about a new track.
 pub(in crate::flying::track) fn born(
     around: ExpectedClutter,
     track: &PointTrack,

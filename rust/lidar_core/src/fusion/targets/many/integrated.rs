@@ -296,7 +296,7 @@ impl Tracks {
     }
 }
 
-/// What a scanner is thought to do before its scans show it.
+/// Assumptions about a scanner before its scans show its properties.
 pub(super) fn prior_of(existence: &ExistenceParameters, sensor: Sensor) -> ScannerPrior {
     let clutter = existence.clutter[usize::from(sensor == Sensor::Radar)];
     ScannerPrior { detection: existence.detection, clutter, share: SHARE }

@@ -31,10 +31,10 @@ const FEWEST_OF_CLIMB: usize = 6;
 /// Share of the time for which what flies neither climbs nor sinks.
 const CRUISES: f64 = 0.5;
 
-/// What is known of the kind of a target.
+/// Probabilities of the kinds of a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct TargetKinds {
-    /// From motion alone.
+    /// Belief from motion alone.
     seen: KindBelief,
     trend: PlaceTrend,
     /// Probability that its last measurements are clutter; None where the association does not tell.

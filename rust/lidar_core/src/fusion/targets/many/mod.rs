@@ -53,7 +53,7 @@ pub struct ManyTargets {
     tracks: Tracks,
     /// Scans of the last `buffer_ns`, ordered by time.
     history: VecDeque<Past>,
-    /// What scanners have measured, of which the tracks and those of `history` know parts.
+    /// Measurements of the scanners; the tracks, also those of `history`, know parts of them.
     places: BTreeMap<u8, PlaceLog>,
     next_id: i64,
     work: TrackingWork,
@@ -234,7 +234,7 @@ impl ManyTargets {
         self.tracks.at(stamp_ns)
     }
 
-    /// What the scans have cost so far; a tracker from a saved state begins anew.
+    /// Cost of the scans so far; a tracker from a saved state begins anew.
     #[must_use]
     pub fn work(&self) -> TrackingWork {
         self.work

@@ -68,7 +68,7 @@ struct SensorIndex {
     native: NearIndex,
     /// Positions of the radar's ranges and bearings.
     converted: NearIndex,
-    /// Largest variances of these positions.
+    /// Largest variances of the converted positions, per axis [m^2].
     widest: [f64; 2],
 }
 

@@ -40,9 +40,9 @@ pub struct Assigned {
 /// Numbers of the tracks that a scan starts; they are kept when the scan is processed again.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct NewNumbers {
-    /// Of tracks that a measurement starts alone, by measurement.
+    /// Numbers of tracks that a measurement starts alone, by measurement.
     pub of_column: Vec<Option<i64>>,
-    /// Of tracks through an older one's place and a measurement, by number and measurement.
+    /// Numbers of tracks through an older one's place and a measurement, by number and measurement.
     pub of_pair: BTreeMap<(i64, usize), i64>,
 }
 
@@ -55,11 +55,11 @@ pub struct Births {
     pub ids: NewNumbers,
 }
 
-/// What tracks of all times have in common, while a scan is processed.
+/// Data that tracks of all times share while a scan is processed.
 pub(super) struct Shared<'a> {
     pub(super) births: &'a mut Births,
     pub(super) work: &'a mut TrackingWork,
-    /// What every scanner has measured, for densities of clutter that stands.
+    /// Measurements of every scanner, for densities of clutter that stands.
     pub(super) places: &'a mut BTreeMap<u8, PlaceLog>,
 }
 
@@ -80,13 +80,13 @@ pub struct TrackState {
     pub confirmed: bool,
     /// Probability that there is a target; None where the association does not estimate it.
     pub existence: Option<f64>,
-    /// What the track follows.
+    /// Kind of target that the track follows.
     pub kind: TrackKind,
     /// Probability of every kind, in the order of `TrackKind::ALL`.
     pub kind_probability: [f64; KINDS],
 }
 
-/// What scans have cost so far.
+/// Cost of the scans so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrackingWork {
     /// Scans processed; a late scan counts those after it again.
@@ -112,7 +112,7 @@ pub type Sighting = (i64, u8, usize);
 pub struct Belief {
     /// Whether there is a target.
     pub presence: Presence,
-    /// Time of these probabilities [ns].
+    /// Time of the probabilities [ns].
     pub stamp_ns: i64,
     /// The last two measurements that were most likely of the track.
     pub last: [Option<Sighting>; 2],
@@ -171,7 +171,7 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) belief: Belief,
     pub(super) way: RecentPath,
     pub(super) score: TrackScore,
-    /// Of the measurements near it; none where targets are points.
+    /// Spread of the measurements near the track; none where targets are points.
     pub(super) spread: MeasuredSpread,
     pub(super) kinds: TargetKinds,
     pub(super) echoes: TrackEchoes,
@@ -275,7 +275,7 @@ impl TargetTrack {
         self.is_of_target() && !self.echoes.is_echo
     }
 
-    /// The same where echoes count as targets.
+    /// True if the track has a target, where echoes count as targets.
     pub(super) fn is_of_target(&self) -> bool {
         self.confirmed && !self.way.is_left_out() && self.score.is_credible
     }

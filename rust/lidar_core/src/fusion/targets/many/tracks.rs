@@ -32,11 +32,11 @@ pub struct Tracks {
     /// Filter without a target that holds the motion of the platform.
     pub(super) unseen: Filter,
     pub(super) all: Vec<TargetTrack>,
-    /// What is known about every scanner, of its LiDAR and its radar measurements.
+    /// Knowledge about every scanner, for its LiDAR and its radar measurements.
     pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
     /// How long targets stay.
     pub(super) population: Population,
-    /// What stands, by scanner; nothing where targets may stand.
+    /// Standing clutter, by scanner; none where targets may stand.
     pub(super) standing: BTreeMap<u8, StandingClutter>,
     /// Scanners that have told the place of a radar, one bit each.
     pub(super) radars: u64,
