@@ -9,7 +9,7 @@
 #![allow(non_snake_case)] // textbook letters
 
 use super::RoundBody;
-use super::leg_shares::shared_out;
+use super::leg_shares::{HIDDEN, difference, shared_out};
 use super::measurement::{BodyMeasurement, Legs};
 use super::places::{apart, are_alike};
 use nalgebra::Vector3;
@@ -104,7 +104,8 @@ fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
             let (Some(first), Some(second)) = (seen[one].trace, seen[two].trace) else { continue };
             let far = apart(&seen[one].circle.z, &seen[two].circle.z);
             let moved = first.max(second) < EACH && 0.5 * (first + second) < BOTH;
-            if moved && far < STEP && best.is_none_or(|(least, _)| far < least) {
+            let is_pair = moved && difference(&seen[one], &seen[two]) < HIDDEN;
+            if is_pair && far < STEP && best.is_none_or(|(least, _)| far < least) {
                 best = Some((far, [one, two]));
             }
         }
