@@ -14,8 +14,12 @@ const REACH: f64 = 0.6;
 /// [m]: of two legs the steps are not even, and one may be half hidden.
 const SPREAD: f64 = 0.25;
 /// Costs of a leg that is not seen, and of a person of whom none is: -2 ln of their probabilities.
-const HIDDEN: f64 = 6.0;
+pub(super) const HIDDEN: f64 = 6.0;
 const NOBODY: f64 = 18.0;
+/// Radius up to which a limb may be a leg, whatever the radius of the other one, and the standard deviation
+/// of a radius beyond it [m].
+const THICK: f64 = 0.1;
+const ALIKE: f64 = 0.02;
 /// Most people of a group and most legs of a person for which all ways are compared.
 const MOST_PEOPLE: usize = 4;
 const MOST_LEGS: usize = 6;
@@ -82,11 +86,19 @@ fn choices_of(
         for &(_, two) in &near[number + 1..] {
             if apart(&place(one), &place(two)) < step {
                 let far = apart(middle, &((place(one) + place(two)) * 0.5));
-                choices.push(LegChoice { cost: cost(far), person, legs: vec![one, two] });
+                let cost = cost(far) + difference(&seen[one], &seen[two]);
+                choices.push(LegChoice { cost, person, legs: vec![one, two] });
             }
         }
     }
     choices
+}
+
+/// Cost of two radii for a pair: an arm beside a trunk, which is thicker than any leg, is none.
+pub(super) fn difference(one: &BodyMeasurement, two: &BodyMeasurement) -> f64 {
+    let [first, second] = [one, two].map(|one| one.circle.z[2]);
+    let off = (first.max(second) - first.min(second).max(THICK)).max(0.0);
+    off * off / (one.circle.R[(2, 2)] + two.circle.R[(2, 2)] + ALIKE * ALIKE)
 }
 
 /// People who may share legs, in groups.
@@ -167,6 +179,21 @@ mod tests {
         // The front leg of the first person is where the second one is expected.
         let legs = [[-0.3, 0.0], [0.3, 0.0], [0.2, 0.1], [0.4, -0.1]];
         assert_eq!(shares(&[[0.0, 0.0], [0.3, 0.0]], &legs), [vec![0, 1], vec![2, 3]]);
+    }
+
+    #[test]
+    fn an_arm_and_a_trunk_are_no_pair_unless_their_radii_are_guesses() {
+        let pair = |radii: [f64; 2], variance: f64| {
+            let mut seen = vec![leg(-0.1, 0.0, 0.0), leg(0.1, 0.0, 0.0)];
+            for (one, radius) in seen.iter_mut().zip(radii) {
+                (one.circle.z[2], one.circle.R[(2, 2)]) = (radius, variance);
+            }
+            shared_out(&[Vector3::new(0.0, 0.0, 0.2)], &seen, &[0, 1], 0.75)[0].len()
+        };
+        assert_eq!(pair([0.045, 0.16], 1e-5), 1);
+        assert_eq!(pair([0.045, 0.16], 0.01), 2); // half hidden
+        assert_eq!(pair([0.045, 0.1], 1e-5), 2); // a leg of which little is seen
+        assert_eq!(pair([0.15, 0.16], 1e-5), 2); // wide trousers
     }
 
     #[test]

@@ -3,14 +3,15 @@
 //! Near the ground a scan meets two legs, which go in turns: one stands while the other swings twice
 //! as fast as the person walks. Where both were free space a moment ago, two legs near each other are
 //! put together: their middle moves steadily. A person who is known takes the legs that are near,
-//! also a single one in front of the other.
+//! also a single one in front of the other. Higher up, a scan meets two arms that swing, and the trunk
+//! between them.
 
 #![allow(non_snake_case)] // textbook letters
 
 use super::RoundBody;
-use super::leg_shares::shared_out;
+use super::leg_shares::{HIDDEN, difference, shared_out};
 use super::measurement::{BodyMeasurement, Legs};
-use super::places::apart;
+use super::places::{apart, are_alike};
 use nalgebra::Vector3;
 
 /// Largest radius of the circle that a leg shows [m]; trousers, and few rays.
@@ -50,10 +51,14 @@ pub(super) fn put_together(
         .collect();
     let people: Vec<Vector3<f64>> =
         bodies.iter().filter(|body| body.person.has_legs()).map(|body| body.place()).collect();
-    for own in shared_out(&people, seen, &free, STEP) {
+    let shares = shared_out(&people, seen, &free, STEP);
+    // What stands between two legs, and legs of others, are no trunk.
+    let mut others: Vec<usize> = shares.concat();
+    others.extend((0..seen.len()).filter(|&one| bodies.iter().any(|body| body.is_at(&seen[one]))));
+    for own in shares {
         match own[..] {
             [one, two, ..] => {
-                join(seen, wholes, [one, two]);
+                join(seen, wholes, [one, two], &others);
                 free.retain(|&leg| leg != one && leg != two);
             }
             [one, ..] if wholes[one] == one => {
@@ -70,7 +75,7 @@ pub(super) fn put_together(
         }
     }
     while let Some([one, two]) = next_pair(seen, &free) {
-        join(seen, wholes, [one, two]);
+        join(seen, wholes, [one, two], &others);
         free.retain(|&leg| leg != one && leg != two);
     }
 }
@@ -84,6 +89,11 @@ impl RoundBody {
             && !(self.stands && seen.trace.is_some_and(|trace| trace < BOTH))
             && apart(&self.place(), &seen.circle.z) < OWN
     }
+
+    /// True if a measurement is of this body, which stands and is no person.
+    fn is_at(&self, seen: &BodyMeasurement) -> bool {
+        self.is_fixture() && apart(&self.place(), &seen.circle.z) < OWN
+    }
 }
 
 /// The two nearest legs that may be of one person.
@@ -94,7 +104,8 @@ fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
             let (Some(first), Some(second)) = (seen[one].trace, seen[two].trace) else { continue };
             let far = apart(&seen[one].circle.z, &seen[two].circle.z);
             let moved = first.max(second) < EACH && 0.5 * (first + second) < BOTH;
-            if moved && far < STEP && best.is_none_or(|(least, _)| far < least) {
+            let is_pair = moved && difference(&seen[one], &seen[two]) < HIDDEN;
+            if is_pair && far < STEP && best.is_none_or(|(least, _)| far < least) {
                 best = Some((far, [one, two]));
             }
         }
@@ -102,8 +113,14 @@ fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
     best.map(|(_, pair)| pair)
 }
 
-/// Make one measurement of two legs, in the place of the first.
-fn join(seen: &mut [BodyMeasurement], wholes: &mut [usize], [one, two]: [usize; 2]) {
+/// Make one measurement of two legs, or arms, in the place of the first. What is between them is a part of
+/// the person: a trunk, unless it is one of the `others`.
+fn join(
+    seen: &mut [BodyMeasurement],
+    wholes: &mut [usize],
+    [one, two]: [usize; 2],
+    others: &[usize],
+) {
     let (left, right) = (seen[one], seen[two]);
     let (a, b) = (left.circle, right.circle);
     let mut person = left;
@@ -122,8 +139,15 @@ fn join(seen: &mut [BodyMeasurement], wholes: &mut [usize], [one, two]: [usize; 
     (person.is_face, person.legs) = (false, Legs::Two);
     seen[one] = person;
     wholes[one] = one;
-    for whole in wholes.iter_mut().filter(|whole| **whole == two) {
-        *whole = one;
+    let far = apart(&a.z, &b.z);
+    let is_between = |other: usize| {
+        let z = &seen[other].circle.z;
+        are_alike(z[2], radius) && apart(&middle, z) < 0.5 * far && !others.contains(&other)
+    };
+    for other in (0..seen.len()).filter(|&other| other != one) {
+        if other == two || wholes[other] == other && is_between(other) {
+            wholes.iter_mut().filter(|whole| **whole == other).for_each(|whole| *whole = one);
+        }
     }
 }
 
@@ -174,6 +198,27 @@ pub(super) mod tests {
         assert_eq!(joined(vec![leg(2.0, 0.0, 1.0), leg(2.3, 0.0, 1.0)]).1, [0, 1]);
         assert_eq!(joined(vec![leg(2.0, 0.0, 0.0), leg(2.3, 0.0, 1.0)]).1, [0, 1]);
         assert_eq!(joined(vec![leg(2.0, 0.0, 0.0), leg(2.9, 0.0, 0.0)]).1, [0, 1]);
+    }
+
+    #[test]
+    fn a_trunk_between_two_arms_is_a_part_of_the_person() {
+        let of = |middle: [f64; 2], radius: f64| {
+            let mut seen = vec![leg(2.0, -0.25, 0.0), leg(2.0, 0.25, 0.0), leg(0.0, 0.0, 0.0)];
+            (seen[2].circle.z[0], seen[2].circle.z[1]) = (middle[0], middle[1]);
+            seen[2].circle.z[2] = radius;
+            joined(seen).1
+        };
+        assert_eq!(of([2.0, 0.05], 0.2), [0, 0, 0]);
+        assert_eq!(of([2.6, 0.0], 0.2), [0, 0, 2]); // somebody in front
+        assert_eq!(of([2.2, 0.0], 1.5), [0, 0, 2]); // a column
+    }
+
+    #[test]
+    fn what_belongs_to_others_is_no_trunk() {
+        let mut seen = vec![leg(2.0, -0.25, 0.0), leg(2.0, 0.25, 0.0), leg(2.0, 0.05, 0.0)];
+        let mut wholes = vec![0, 1, 2];
+        join(&mut seen, &mut wholes, [0, 1], &[2]);
+        assert_eq!(wholes, [0, 0, 2]);
     }
 
     #[test]
