@@ -80,7 +80,7 @@ def outline(points, origin, passing):
 
 
 def frame(points, origin, passing, std):
-    """Centre, covariance, radius by rays, and by points, too, and solid share; where a ball starts."""
+    """Centre, covariance, radius by rays, by points, too, and solid share; where a ball starts."""
     count, centroid = len(points), points.mean(axis=0)
     sight, flat, rays = seen_from(points, origin, passing)
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
@@ -189,7 +189,10 @@ def target_outline(points, origins, passing):
 
 
 def target_center(points, origins, passing, std):
-    """Position, covariance, radius; `origins` of the hits, `passing` as `Rays`."""
+    """Position, covariance, radius, and that by the spacing of the points.
+
+    `origins` are of the hits, `passing` is `Rays`.
+    """
     points = np.asarray(points, float)
     hits = Rays(origins, points - origins)
     middle, reach = region(points)
@@ -205,5 +208,5 @@ def target_center(points, origins, passing, std):
     offset = center - position
     mixed = weight * spread + (1 - weight) * covariance
     mixed += weight * (1 - weight) * np.outer(offset, offset)
-    size = min(size, 1.5 * least)
-    return position + weight * offset, mixed, weight * size + (1 - weight) * least
+    by_points = weight * min(size, 1.5 * least) + (1 - weight) * least
+    return position + weight * offset, mixed, weight * size + (1 - weight) * radius, by_points

@@ -225,10 +225,10 @@ class Detector:
                 covariance = (own - place).T @ (own - place) / len(own) ** 2
                 covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
                 covariance += self.c.range_std**2 * np.eye(3)
-                radius = diagonal(own) / 2
+                radius = least = diagonal(own) / 2
                 self.outline = np.nan, None
             else:
-                place, covariance, radius, _ = self.center_of(own)
+                place, covariance, radius, least, _ = self.center_of(own)
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
             found.append(
                 {
@@ -239,7 +239,7 @@ class Detector:
                     "n_points": len(own),
                     "confidence": clearance(self.map, own) * sure * (label not in only_tracked),
                     "delay": delays[labels == label].astype(float).mean(),
-                    "shape": (radius, *self.outline, False),
+                    "shape": (radius, least, *self.outline, False),
                 }
             )
         return found
@@ -276,7 +276,7 @@ class Detector:
         self.tracker.view = view
 
         def center_of(own):
-            place, spread, _, is_cut = self.center_of(own)
+            place, spread, *_, is_cut = self.center_of(own)
             return place, spread, is_cut
 
         self.tracker.center = center_of

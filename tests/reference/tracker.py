@@ -56,6 +56,11 @@ LIFETIME, VISIBLE, HIDDEN = 30.0, 5.0, 0.3  # [s]
 MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
 # Kinds: unknown, flying, ground, static, clutter; likelihoods of what a detection shows, sorts of
 # targets: their share, and mean and standard deviation of ln(radius) and ln(filled share).
+RECURS = np.array([0.2, 0.02, 1, 1, 1])  # where things came and went before
+HANGS = np.array([0.3, 0.1, 0.3, 1, 1])  # beside structure, where it began
+VISIT_REACH, VISITS_HALF = 0.5, 2  # m; visits
+VISIT_BEFORE, VISIT, VISITS_KEPT = 10**9, 2 * 10**9, 60 * 10**9  # ns
+BESIDE, RAISED, AWAY = 2.0, 1.0, 1.0  # m
 KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
 BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
 NOT_FREE_AT_FIRST = (0.7, 0.08, 1.5, 1.0, 0.08)
@@ -82,16 +87,23 @@ def weighed(probability, likelihood):
     return after
 
 
-class MeanLog:
-    """Mean of logarithms, of the last ones more than of the first."""
+class Mean:
+    """Mean of values, of the last ones more than of the first."""
 
     def __init__(self):
         self.count, self.mean = 0, 0.0
 
     def add(self, value):
+        self.count = min(self.count + 1, MOST_SHAPES)
+        self.mean += (value - self.mean) / self.count
+
+
+class MeanLog(Mean):
+    """Mean of logarithms."""
+
+    def add(self, value):
         if value > 0:
-            self.count = min(self.count + 1, MOST_SHAPES)
-            self.mean += (np.log(value) - self.mean) / self.count
+            super().add(np.log(value))
 
     def density(self, mean, std):
         if not self.count:
@@ -100,6 +112,12 @@ class MeanLog:
 
 
 USUAL, CLUTTER_BOUNDS = 0.1, (0.5, 1.8)
+
+
+def is_beside(place, occupied):
+    """Whether structure is beside a place or above it."""
+    away = np.reshape(occupied, (-1, 3)) - place - [0, 0, RAISED]
+    return bool((np.linalg.norm(away, axis=1) <= BESIDE).any())
 
 
 def is_part(one, other):
@@ -165,8 +183,12 @@ class Track:
     known_below: bool = False
     agility: float = 0.0
     radius: MeanLog = field(default_factory=MeanLog)
+    least_radius: MeanLog = field(default_factory=MeanLog)
+    recurs: Mean = field(default_factory=Mean)
+    hangs: Mean = field(default_factory=Mean)
     filled: MeanLog = field(default_factory=MeanLog)
-    # radius, filled share, whether free below, whether over unseen space; of its first detection
+    # of its first detection: radius, radius by its points, filled share, whether free below,
+    # whether over unseen space
     shape: tuple = None
     shape_before: tuple = None
 
@@ -176,17 +198,22 @@ class Track:
 
     @property
     def kinds(self):
-        """Probabilities of the kinds, with what is known of the shape."""
+        """Probabilities of the kinds, with what is known of the shape and of the place."""
+        radius, hangs = MeanLog(), self.hangs.mean
+        radius.count = self.radius.count
+        radius.mean = (1 - hangs) * self.radius.mean + hangs * self.least_radius.mean
         flying, clutter = (
             sum(
-                share * self.radius.density(*radius) * self.filled.density(*filled)
-                for share, radius, filled in sorts
+                share * radius.density(*size) * self.filled.density(*filled)
+                for share, size, filled in sorts
             )
             for sorts in (SORTS["flying"], SORTS["clutter"])
         )
         other = (flying + clutter) / 2
         after = weighed(self.seen_kinds, (other, flying, other, other, clutter))
-        return weighed(after, 1 - AGILE_SHARES + AGILE_SHARES * np.exp(self.agility))
+        after = weighed(after, 1 - AGILE_SHARES + AGILE_SHARES * np.exp(self.agility))
+        sways = hangs / (1 + np.exp(self.agility))
+        return weighed(weighed(after, RECURS**self.recurs.mean), HANGS**sways)
 
     def feel(self, expected, seconds):
         """Enter its acceleration: likelihood of the measured part if it manoeuvres, over if not."""
@@ -204,8 +231,9 @@ class Track:
         """Enter the shape of a detection."""
         if shape is None:
             return
-        radius, filled, is_free_below, is_over_unseen = shape
+        radius, least, filled, is_free_below, is_over_unseen = shape
         self.radius.add(radius)
+        self.least_radius.add(least)
         self.filled.add(filled)
         if is_over_unseen and is_free_below is False:
             if not self.known_below:
@@ -271,6 +299,7 @@ class Tracker:
         self.tracks = []
         self.next_id = 0
         self.births = Births()
+        self.visits = []  # time, number of the track, place
         self.gate = chi2.ppf(config.gate_probability, 3)
         self.alone = -2 * np.log(config.clutter_density) - 3 * np.log(2 * np.pi)
 
@@ -580,7 +609,7 @@ class Tracker:
         fresh = [track for track in fresh if self.radius(track.P) <= self.c.radius_limits[1]]
         known = len(self.tracks)
         fed = self.join_nearest(fresh) if self.c.association == "paper" else self.join(fresh)
-        return self.finish(fed, known, stamp)
+        return self.finish(fed, known, stamp, occupied)
 
     def join_nearest(self, fresh):
         fed = []
@@ -709,7 +738,7 @@ class Tracker:
         is_seen = self.c.merge_distance is not None and any(is_part(one, new) for one in large)
         return is_near or is_seen
 
-    def finish(self, fed, known, stamp):
+    def finish(self, fed, known, stamp, occupied):
         events = Events()
         for track in self.tracks[known:]:
             track.id = self.next_id
@@ -726,6 +755,11 @@ class Tracker:
                 track.history.append(index in shown)
             showed, shape = shown.get(index, (None, None))
             self.believe(track, index >= known, showed, shape, stamp, *around)
+            if showed or index >= known:
+                std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
+                stays = np.linalg.norm(track.r - track.place) <= AWAY + 2 * std
+                track.recurs.add(self.visited(track))
+                track.hangs.add(float(stays and is_beside(track.r, occupied)))
             report = self.c.report_existence
             if report is None:
                 hits = sum(track.history[-self.c.confirm_window :])
@@ -736,10 +770,33 @@ class Tracker:
                 events.confirmed.append(track.id)
             track.confirmed = is_confirmed
             track.was_confirmed |= is_confirmed
+        numbers = [self.tracks[index].id for index, _ in fed]
         explained = self.explain(events)
         events.removed = self.remove(self.is_gone)
         events.merged = explained + self.merge()
+        for number in [*numbers, *events.born]:
+            self.remember(number, stamp)
         return events
+
+    def visited(self, track):
+        """How often something else was at the place of a track, long before it began."""
+        visits = {
+            time // VISIT
+            for time, number, place in self.visits
+            if number != track.id
+            and time <= track.born - VISIT_BEFORE
+            and np.linalg.norm(place - track.r) <= VISIT_REACH
+        }
+        return len(visits) / (len(visits) + VISITS_HALF)
+
+    def remember(self, number, stamp):
+        """Remember a detection that fed a track, unless its target flies or is on the ground."""
+        for track in [track for track in self.tracks if track.id == number]:
+            if track.kind == 1 and track.confirmed:
+                self.visits = [visit for visit in self.visits if visit[1] != number]
+            elif track.kind != 2:
+                self.visits.append((stamp, number, track.r.copy()))
+                self.visits = [v for v in self.visits if v[0] >= stamp - VISITS_KEPT]
 
     def explain(self, events):
         """A confirmed track of a fast target ends those of the single detections it was made of."""

@@ -49,7 +49,7 @@ def place(rng, low=5.0, high=20.0):
 def assert_agrees(points, origin, passing, std):
     found = target_center(points, origin, passing_directions=passing, range_std=std)
     rays = reference.Rays(origin, passing)
-    position, covariance, radius = reference.target_center(points, origin, rays, std)
+    position, covariance, radius, _ = reference.target_center(points, origin, rays, std)
     np.testing.assert_allclose(found.position, position, rtol=0, atol=ORACLE)
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-4, atol=ORACLE)
     assert found.radius == pytest.approx(radius, abs=ORACLE)

@@ -6,11 +6,21 @@ from flying_scenes import YARD, feed, lidar, scans_of, wall, yard
 
 from lidar_core import TrackKind
 from lidar_core.flying import FlyingObjectDetector
-from lidar_core.sim import Circle, Hexacopter, Person, Sphere, Target, Waypoints
+from lidar_core.sim import (
+    Circle,
+    Hexacopter,
+    Person,
+    Simulator,
+    Sphere,
+    Target,
+    Waypoints,
+    scenes,
+)
 
 FINE = lidar(rows=128, columns=1024)
 HOVER_S = 2.0
 BURN_IN_SCANS = 10
+FRONT = 11.5  # of a wall of the yard [m]
 
 
 def frames_of(scene):
@@ -98,6 +108,26 @@ def test_insects_are_clutter_and_small_targets_fly(shape, kind):
     assert {number for tracks in found for number in tracks.kind.tolist()} == expected
     for tracks in found:
         np.testing.assert_allclose(tracks.kind_probability.sum(axis=1), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize(("sensor", "seed"), [("vlp-16", 1001), ("hdl-32e", 1000)])
+def test_leaves_in_the_wind_do_not_fly(sensor, seed):
+    """Trees of 60 leaves of 6 cm that sway by 25 cm, from a sensor that drives past."""
+    scene = scenes.windy_trees(seed, scans=100, sensor=sensor)
+    detector = FlyingObjectDetector()
+    frames = [detector.process(made, sensor=sensor) for made in Simulator(scene, seed=seed)]
+    assert any(len(frame.tracks) for frame in frames[BURN_IN_SCANS:])  # they are seen
+    assert not {number for frame in frames for number in frame.tracks.flying.id.tolist()}
+
+
+@pytest.mark.parametrize("shape", [Sphere(radius=0.15), Hexacopter(radius=0.325)])
+def test_a_target_that_begins_beside_structure_and_stays_there_flies(shape):
+    """On a circle of 0.4 m, 1.2 m before a wall: it is larger than a leaf."""
+    place = (FRONT - 1.2, 3.0, 3.2)
+    way = Circle(center=place, radius=0.4, speed=1.5)
+    frames = frames_of(yard(Target(shape=shape, motion=way), scans=40, lidar=FINE))
+    found = [len(frame.tracks.flying) for frame in frames[25:]]
+    assert sum(found) >= 0.9 * len(found)
 
 
 def test_a_person_whose_feet_are_out_of_view_does_not_fly():

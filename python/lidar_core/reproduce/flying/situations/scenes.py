@@ -29,7 +29,7 @@ DRONE = 0.325
 """Radius of the targets, if nothing else is said [m]."""
 HOVERS, MOVES = 4.0, 3.0
 """A target hovers for so long from the first scan on [s], then it moves [m/s]."""
-FALSE = ("people", "cars", "insects", "dust", "rain", "lamp")
+FALSE = ("people", "cars", "insects", "dust", "rain", "leaves", "lamp")
 """Scenes in which nothing flies."""
 SWARM = 50
 
@@ -205,19 +205,46 @@ def _false(
 ) -> tuple[tuple[Target, ...], tuple[Body, ...], tuple[Particles, ...]]:
     """What moves and does not fly."""
     seconds = scans * 0.1
-    if name == "rain":
-        return (), (), (sim.Rain(),)
-    if name == "dust":
-        return (), (), tuple(_puff(rng, seconds) for _ in range(6))
-    if name == "insects":
-        return tuple(_insect(rng) for _ in range(20)), (), ()
-    if name == "lamp":
-        angle = rng.uniform(0, 2 * np.pi)
-        (place,) = _turned([(6.0, 0.0, HEIGHT + 1.0)], angle)
-        return (), (Body(shape=sim.Sphere(radius=0.2), position=place),), ()
-    if name == "people":
-        return tuple(_walker(rng, seconds) for _ in range(6)), (), ()
-    return tuple(_car(rng, seconds, lane) for lane in (-7.0, 5.0, 8.0)), (), ()
+    air: dict[str, Callable[[], list[Particles]]] = {
+        "rain": lambda: [sim.Rain()],
+        "dust": lambda: [_puff(rng, seconds) for _ in range(6)],
+    }
+    bodies: dict[str, Callable[[], list[Body]]] = {
+        "leaves": lambda: [_tree(rng) for _ in range(6)],
+        "lamp": lambda: [_lamp(rng)],
+    }
+    targets: dict[str, Callable[[], list[Target]]] = {
+        "insects": lambda: [_insect(rng) for _ in range(20)],
+        "people": lambda: [_walker(rng, seconds) for _ in range(6)],
+        "cars": lambda: [_car(rng, seconds, lane) for lane in (-7.0, 5.0, 8.0)],
+    }
+    return (
+        tuple(targets[name]() if name in targets else ()),
+        tuple(bodies[name]() if name in bodies else ()),
+        tuple(air[name]() if name in air else ()),
+    )
+
+
+def _lamp(rng: np.random.Generator) -> Body:
+    """A ball that hangs in free air."""
+    angle = rng.uniform(0, 2 * np.pi)
+    (place,) = _turned([(6.0, 0.0, HEIGHT + 1.0)], angle)
+    return Body(shape=sim.Sphere(radius=0.2), position=place)
+
+
+def _tree(rng: np.random.Generator) -> Body:
+    """A tree of few small leaves that sway in the wind."""
+    angle, distance = rng.uniform(0, 2 * np.pi), rng.uniform(5.0, 14.0)
+    (place,) = _turned([(float(distance), 0.0, 0.0)], angle)
+    tree = sim.Tree(
+        trunk_height=rng.uniform(3, 5),
+        crown_radius=rng.uniform(1.3, 2.2),
+        leaves=60,
+        leaf_radius=0.06,
+        sway=0.25,
+        seed=int(rng.integers(2**31)),
+    )
+    return Body(shape=tree, position=place)
 
 
 def _walker(rng: np.random.Generator, seconds: float) -> Target:

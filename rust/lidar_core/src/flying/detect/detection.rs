@@ -19,6 +19,8 @@ pub struct Detection {
     pub covariance: [[f64; 3]; 3],
     /// Radius of the sphere around it [m].
     pub radius: f64,
+    /// The radius if rays pass it as near to each other as its points are [m].
+    pub least_radius: f64,
     /// Edges of the box around its points [m].
     pub extent: [f64; 3],
     /// Mean time of its points after the stamp of the scan [s].
@@ -75,6 +77,7 @@ impl Detection {
             position: cluster.centroid,
             covariance: centroid_covariance(scan, cluster, range_std),
             radius: 0.5 * cluster.diagonal(),
+            least_radius: 0.5 * cluster.diagonal(),
             extent: cluster.extent(),
             delay: scan.delays.as_ref().map_or(0.0, |delays| {
                 cluster.members.iter().map(|&row| f64::from(delays[row as usize])).sum::<f64>()
@@ -96,6 +99,7 @@ impl Detection {
             position: center.position.into(),
             covariance: center.covariance.into(),
             radius: center.radius,
+            least_radius: center.least_radius,
             filled_share: center.filled_share,
             is_free_below: center.is_free_below,
             ..self
@@ -105,8 +109,8 @@ impl Detection {
     /// Size and filling; a radius is that of a centre, which knows what the rays beside it did not
     /// meet.
     pub(crate) fn shape(&self) -> TargetShape {
-        let Self { radius, filled_share, is_free_below, is_over_unseen, .. } = *self;
-        TargetShape { radius, filled_share, is_free_below, is_over_unseen }
+        let Self { radius, least_radius, filled_share, is_free_below, is_over_unseen, .. } = *self;
+        TargetShape { radius, least_radius, filled_share, is_free_below, is_over_unseen }
     }
 
     /// Detection in another frame.

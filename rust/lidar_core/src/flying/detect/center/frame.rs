@@ -127,10 +127,10 @@ impl OpenFrame {
     }
 
     pub(super) fn into_center(self, is_cut: bool) -> Center {
-        let Self { position, covariance, filled_share, is_free_below, .. } = self;
-        let radius = self.least_radius;
+        let Self { position, radius, least_radius, .. } = self;
+        let Self { covariance, filled_share, is_free_below, .. } = self;
         let covariance = symmetrised(covariance);
-        Center { position, covariance, radius, filled_share, is_free_below, is_cut }
+        Center { position, covariance, radius, least_radius, filled_share, is_free_below, is_cut }
     }
 }
 

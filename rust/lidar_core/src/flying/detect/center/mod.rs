@@ -35,6 +35,9 @@ pub struct Center {
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,
+    /// The radius if rays pass it as near to each other as its points are [m]: no more than `radius`, and less
+    /// where it is not known which rays passed.
+    pub least_radius: f64,
     /// Share of the rays inside the ellipse of its points that hit, 0 to 1: small for what is loose.
     pub filled_share: f64,
     /// Whether rays pass below it; None if nothing tells.
@@ -128,7 +131,8 @@ impl Center {
                     + (1.0 - weight) * frame.covariance
                     + weight * (1.0 - weight) * offset * offset.transpose(),
             ),
-            radius: weight * ball.radius.min(LARGEST_BALL * frame.least_radius)
+            radius: weight * ball.radius + (1.0 - weight) * frame.radius,
+            least_radius: weight * ball.radius.min(LARGEST_BALL * frame.least_radius)
                 + (1.0 - weight) * frame.least_radius,
             filled_share: frame.filled_share,
             is_free_below: frame.is_free_below,

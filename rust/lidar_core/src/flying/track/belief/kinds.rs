@@ -46,8 +46,8 @@ const MOST_AGILITY: f64 = 8.0;
 /// Of what was seen where things came and went before, at all of its detections, as far as one of them tells: few
 /// targets come just there.
 const RECURS: [f64; KINDS] = [0.2, 0.02, 1.0, 1.0, 1.0];
-/// Of what stays beside structure, at all of its detections: leaves, wires and flags hang on something; few targets
-/// begin beside structure and stay there.
+/// Of what stays beside structure, at all of its detections, and does not manoeuvre: leaves, wires and flags hang on
+/// something and sway; few targets begin beside structure, stay there, and hardly accelerate.
 const HANGS: [f64; KINDS] = [0.3, 0.1, 0.3, 1.0, 1.0];
 
 /// What a detection shows of a target itself.
@@ -55,6 +55,8 @@ const HANGS: [f64; KINDS] = [0.3, 0.1, 0.3, 1.0, 1.0];
 pub struct TargetShape {
     /// Radius of the sphere around it [m].
     pub radius: f64,
+    /// The radius if rays pass it as near to each other as its points are [m].
+    pub least_radius: f64,
     /// Share of the rays inside the ellipse of its points that hit; not a number if unknown.
     pub filled_share: f64,
     /// Whether rays pass below it; None if nothing tells.
@@ -125,6 +127,7 @@ pub(in crate::flying::track) struct Kinds {
     seen: KindBelief,
     /// Of the logarithms of its radius [m], and of how much of it is filled.
     radius: Mean,
+    least_radius: Mean,
     filled: Mean,
     /// How much came and went before where it was detected, 0 to 1.
     recurs: Mean,
@@ -141,11 +144,21 @@ pub(in crate::flying::track) struct Kinds {
 impl Kinds {
     /// Belief about the kind of a new track.
     pub(in crate::flying::track) fn new() -> Self {
-        let (radius, filled) = (Mean::default(), Mean::default());
+        let [radius, least_radius, filled] = [Mean::default(); 3];
         let seen = KindBelief::prior(SHARES);
         let (is_known_below, is_over_unseen) = (false, false);
         let (recurs, hangs) = (Mean::default(), Mean::default());
-        Self { seen, radius, filled, recurs, hangs, is_known_below, is_over_unseen, agility: 0.0 }
+        Self {
+            seen,
+            radius,
+            least_radius,
+            filled,
+            recurs,
+            hangs,
+            is_known_below,
+            is_over_unseen,
+            agility: 0.0,
+        }
     }
 
     /// Enter how likely something that moves, and something that stands, makes what was seen.
@@ -162,6 +175,7 @@ impl Kinds {
     /// was never seen, says nothing more.
     pub(super) fn measure(&mut self, shape: TargetShape, is_led: bool) {
         self.radius.add_log(shape.radius);
+        self.least_radius.add_log(shape.least_radius);
         self.filled.add_log(shape.filled_share);
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
             if !self.is_known_below {
@@ -209,9 +223,15 @@ impl Kinds {
 
     /// Probabilities of the kinds.
     pub(in crate::flying::track) fn belief(&self) -> KindBelief {
+        let hangs = self.hangs.mean;
+        // Between leaves it is not known which rays passed. The spacing of the points tells the size there.
+        let radius = Mean {
+            mean: (1.0 - hangs) * self.radius.mean + hangs * self.least_radius.mean,
+            ..self.radius
+        };
         let density = |sorts: &[Sort]| {
             let of = |sort: &Sort| {
-                sort.share * self.radius.density(sort.radius) * self.filled.density(sort.filled)
+                sort.share * radius.density(sort.radius) * self.filled.density(sort.filled)
             };
             sorts.iter().map(of).sum::<f64>()
         };
@@ -227,7 +247,7 @@ impl Kinds {
             .weighed([other, flying, other, other, clutter])
             .weighed(moves)
             .weighed(power(RECURS, self.recurs.mean))
-            .weighed(power(HANGS, self.hangs.mean))
+            .weighed(power(HANGS, hangs / (1.0 + times)))
     }
 }
 
@@ -239,8 +259,13 @@ mod tests {
     fn kind(shapes: &[(f64, f64)]) -> TrackKind {
         let mut kinds = Kinds::new();
         for &(radius, filled_share) in shapes {
-            let shape =
-                TargetShape { radius, filled_share, is_free_below: None, is_over_unseen: false };
+            let shape = TargetShape {
+                radius,
+                least_radius: radius,
+                filled_share,
+                is_free_below: None,
+                is_over_unseen: false,
+            };
             kinds.measure(shape, false);
         }
         kinds.belief().kind()
@@ -268,6 +293,7 @@ mod tests {
     fn what_touches_the_ground_does_not_fly() {
         let person = TargetShape {
             radius: 0.4,
+            least_radius: 0.4,
             filled_share: 0.7,
             is_free_below: Some(false),
             is_over_unseen: false,
@@ -295,6 +321,7 @@ mod tests {
     fn over_unseen(acceleration: [f64; 3], scans: usize) -> Kinds {
         let shape = TargetShape {
             radius: 0.35,
+            least_radius: 0.35,
             filled_share: 0.8,
             is_free_below: Some(false),
             is_over_unseen: true,
@@ -322,6 +349,7 @@ mod tests {
         // Over a road that returns nothing it needs not, since nothing hides what is below it.
         let shape = TargetShape {
             radius: 0.35,
+            least_radius: 0.35,
             filled_share: 0.8,
             is_free_below: None,
             is_over_unseen: true,
@@ -333,6 +361,7 @@ mod tests {
         let mut kinds = over_unseen([0.0; 3], 5);
         let seen = |is_free| TargetShape {
             radius: 0.35,
+            least_radius: 0.35,
             filled_share: 0.8,
             is_free_below: Some(is_free),
             is_over_unseen: false,
@@ -358,6 +387,39 @@ mod tests {
         kinds.feel([[4.0, 1.0]; 3], 3.0, 0.2);
         (0..2).for_each(|_| other.feel([[4.0, 1.0]; 3], 3.0, 0.1));
         assert!((kinds.agility - other.agility).abs() < 1e-12 && kinds.agility > 0.0);
+    }
+
+    /// Kind after ten detections with a radius, and what is told of the place, at an acceleration.
+    fn at_place(radius: f64, share: f64, hangs: bool, acceleration: f64) -> TrackKind {
+        let shape = TargetShape {
+            radius: 0.25,
+            least_radius: radius,
+            filled_share: 0.5,
+            is_free_below: None,
+            is_over_unseen: false,
+        };
+        let mut kinds = Kinds::new();
+        for _ in 0..10 {
+            kinds.measure(shape, false);
+            kinds.visit(share, hangs);
+            kinds.feel([[acceleration, 1.0]; 3], 3.0, 0.1);
+        }
+        kinds.belief().kind()
+    }
+
+    #[test]
+    fn what_hangs_beside_structure_is_clutter_if_it_is_small_and_sways() {
+        assert_eq!(at_place(0.1, 0.0, true, 1.0), TrackKind::Clutter);
+        // The opposites: away from structure, much larger, or with hard manoeuvres.
+        assert_eq!(at_place(0.1, 0.0, false, 1.0), TrackKind::Flying);
+        assert_eq!(at_place(0.5, 0.0, true, 1.0), TrackKind::Unknown); // it may hover
+        assert_eq!(at_place(0.2, 0.0, true, 6.0), TrackKind::Flying);
+    }
+
+    #[test]
+    fn what_comes_where_things_often_came_and_went_does_not_fly() {
+        assert_ne!(at_place(0.25, 0.8, false, 1.0), TrackKind::Flying);
+        assert_eq!(at_place(0.25, 0.3, false, 1.0), TrackKind::Flying);
     }
 
     #[test]

@@ -43,8 +43,12 @@ impl Visits {
             let apart = [0, 1, 2].map(|axis| (visit.place[axis] - place[axis]).powi(2));
             visit.id != id && visit.stamp_ns <= until && apart.iter().sum::<f64>() <= REACH * REACH
         };
-        let times: BTreeSet<i64> =
-            self.last.iter().filter(is_at).map(|visit| visit.stamp_ns / VISIT_NS).collect();
+        let times: BTreeSet<i64> = self
+            .last
+            .iter()
+            .filter(is_at)
+            .map(|visit| visit.stamp_ns.div_euclid(VISIT_NS))
+            .collect();
         times.len() as f64 / (times.len() as f64 + HALF)
     }
 
