@@ -114,6 +114,12 @@ class MeanLog(Mean):
 USUAL, CLUTTER_BOUNDS = 0.1, (0.5, 1.8)
 
 
+def renamed(number, merged):
+    for stays, gone in merged:
+        number = stays if number == gone else number
+    return number
+
+
 def is_beside(place, occupied):
     """Whether structure is beside a place or above it."""
     away = np.reshape(occupied, (-1, 3)) - place - [0, 0, RAISED]
@@ -201,7 +207,8 @@ class Track:
         """Probabilities of the kinds, with what is known of the shape and of the place."""
         radius, hangs = MeanLog(), self.hangs.mean
         radius.count = self.radius.count
-        radius.mean = (1 - hangs) * self.radius.mean + hangs * self.least_radius.mean
+        least = self.least_radius if self.least_radius.count else self.radius
+        radius.mean = (1 - hangs) * self.radius.mean + hangs * least.mean
         flying, clutter = (
             sum(
                 share * radius.density(*size) * self.filled.density(*filled)
@@ -554,6 +561,7 @@ class Tracker:
             events.corrected = self.update(self.tracks, stamp, points, occupied, delays)
             events.removed = self.remove(lambda track: self.is_lost(track, stamp))
             events.merged = self.merge()
+            self.visits = [(at, renamed(n, events.merged), place) for at, n, place in self.visits]
         self.buffer.append((stamp, points, delays))
         self.buffer.sort(key=lambda cloud: cloud[0])
         self.buffer = self.buffer[-self.c.buffer_size :]
@@ -691,7 +699,8 @@ class Tracker:
             "shape_before": other.shape,
             "made_of": [other.id],
         }
-        changes |= {"radius": MeanLog(), "filled": MeanLog()}
+        changes |= {"radius": MeanLog(), "least_radius": MeanLog(), "filled": MeanLog()}
+        changes |= {"recurs": Mean(), "hangs": Mean()}
         x = np.r_[r, velocity, np.zeros(3)]
         return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
@@ -774,20 +783,22 @@ class Tracker:
         explained = self.explain(events)
         events.removed = self.remove(self.is_gone)
         events.merged = explained + self.merge()
-        for number in [*numbers, *events.born]:
+        self.visits = [(at, renamed(n, events.merged), place) for at, n, place in self.visits]
+        for number in sorted({renamed(n, events.merged) for n in (*numbers, *events.born)}):
             self.remember(number, stamp)
         return events
 
     def visited(self, track):
         """How often something else was at the place of a track, long before it began."""
         visits = {
-            time // VISIT
+            time
             for time, number, place in self.visits
             if number != track.id
             and time <= track.born - VISIT_BEFORE
             and np.linalg.norm(place - track.r) <= VISIT_REACH
         }
-        return len(visits) / (len(visits) + VISITS_HALF)
+        count = sum(np.diff(sorted(visits)) >= VISIT) + bool(visits)
+        return count / (count + VISITS_HALF)
 
     def remember(self, number, stamp):
         """Remember a detection that fed a track, unless its target flies or is on the ground."""

@@ -73,7 +73,7 @@ class Scanner(Config):
         if not 0 < self.field_of_view <= 2 * math.pi + abs(self.angle_increment):
             raise ValueError(
                 "expected angle_increment other than 0 and at most one turn in all, got a sweep"
-                " of {self.field_of_view:.4g} rad"
+                f" of {self.field_of_view:.4g} rad"
             )
         if self.range_min >= self.range_max:
             raise ValueError("expected range_min < range_max")

@@ -121,5 +121,5 @@ def _text(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, MemoryError):
-        return f"takes more memory than there is: {error}".rstrip(": ")
+        return f"takes more memory than available: {error}".rstrip(": ")
     return str(error)

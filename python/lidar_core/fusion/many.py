@@ -153,7 +153,9 @@ class MultiTargetTracker(FullState):
             raise InputError(f"source: expected a name, got {type(source).__name__}")
         number = self._sources.get(source, len(self._sources))
         if number >= MAX_SOURCES:
-            raise LimitError(f"source: {source!r} exceeds the limit of {MAX_SOURCES} scanners")
+            raise LimitError(
+                f"source: expected at most {MAX_SOURCES} scanners, got one more: {source!r}"
+            )
         result = self._tracker.process(stamp, number, as_measurements(measurements)._core)
         self._sources[source] = number
         return ScanResult(*result)

@@ -21,7 +21,7 @@ from lidar_core.run_folder import CHECKPOINT, build_digest, remove_checkpoint
 from lidar_core.util.packed import packed, unpacked
 
 _CHECKSUM, _LENGTH = struct.Struct("<I"), struct.Struct("<Q")
-AGAIN = "run without resume, with overwrite=True, starts again"
+AGAIN = "run it again without resume, with overwrite=True"
 MOST_BYTES = 2**34
 """Largest file that is read [bytes]. Source: limits table of SECURITY.md."""
 

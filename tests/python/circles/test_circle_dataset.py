@@ -78,7 +78,7 @@ def test_a_dataset_is_the_same_made_at_once_or_in_parts(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         dataset.generate(SMALL, tmp_path / "parts", seed=5, on_shard=stop)
     assert not dataset.open_dataset(tmp_path / "parts").is_complete
-    with pytest.raises(FormatError, match="not complete"):
+    with pytest.raises(FormatError, match="the dataset is incomplete"):
         dataset.open_dataset(tmp_path / "parts").read()
     parts = dataset.generate(SMALL, tmp_path / "parts", seed=5)
     assert len(parts.shards) == 3
@@ -206,3 +206,8 @@ def test_a_note_of_a_dataset_with_wrong_values_is_refused(tmp_path, name, value)
     (tmp_path / "dataset.json").write_text(json.dumps(note | {name: value}))
     with pytest.raises(FormatError, match=r"dataset\.json"):
         dataset.open_dataset(tmp_path)
+
+
+def test_a_scanner_that_turns_more_than_once_is_refused():
+    with pytest.raises(ConfigError, match=r"at most one turn in all, got a sweep of 12\.53 rad"):
+        Scanner(0.0, math.radians(2), 360, 0.1, 12.0)

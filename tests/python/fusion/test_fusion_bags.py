@@ -209,7 +209,7 @@ def test_topics_are_chosen_by_name(tmp_path):
             ("/near", 2, ros.point(2, (5, 6))),
         ],
     )
-    with pytest.raises(ConfigError, match=r"several with poses, /ours, /target"):
+    with pytest.raises(ConfigError, match=r"several hold poses, /ours, /target"):
         read_bag(path)
     scans = read_bag(path, BagOptions(topics={"pose": ("/ours",), "lidar": ("/target", "/near")}))
     found = {scan.source: scan.measurements[0] for scan in scans}

@@ -153,7 +153,7 @@ def boxes(tokens, **other):
 def test_boxes_of_nuscenes_have_the_times_of_their_samples(tmp_path):
     path = tmp_path / "detections.json"
     path.write_text(json.dumps(boxes(["ab", "cd"])))
-    with pytest.raises(FormatError, match=r"put sample\.json of the tables"):
+    with pytest.raises(FormatError, match=r"put sample\.json of nuScenes' tables"):
         read_nuscenes_boxes(path)
     times = [{"token": "cd", "timestamp": 1_500_000}, {"token": "ab", "timestamp": 2_000_000}]
     (tmp_path / "sample.json").write_text(json.dumps(times))
@@ -208,7 +208,7 @@ def test_tables_are_read_whatever_their_ending_and_separator(tmp_path, name, tex
         ("t_ns x y\n0 1 2\n", "expected commas, semicolons or tabs between the names of columns"),
         ("t_ns|x|y\n0|1|2\n", "expected commas between the names of columns, got 't_ns|x|y'"),
         ("t_ns;x,y\n0;1,2\n", "expected commas between the names of columns, got 't_ns;x,y'"),
-        ("t_ns,x,x\n0,1,2\n", "column 'x' is there twice"),
+        ("t_ns,x,x\n0,1,2\n", "column 'x' appears twice"),
         (
             "t_ns,x,y\n0,1,2\n1;2;3\n",
             "row 2: expected 3 values with commas between them, as the names of columns have,"

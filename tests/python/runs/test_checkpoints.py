@@ -226,7 +226,7 @@ def test_another_command_neither_goes_on_nor_destroys(sweeps, flight, radar_tabl
     head, *rows = radar_table.read_text().splitlines()
     one_target.write_text("\n".join([head, *rows[::2]]) + "\n")
     for table, association in ((radar_table, "integrated"), (one_target, None)):
-        with pytest.raises(InputError, match=r"run.checkpoint: of .*overwrite=True, starts again"):
+        with pytest.raises(InputError, match=r"run.checkpoint: it is of .*overwrite=True"):
             runs.fuse(table, None, folder, association=association, resume=True)
     assert results_of_checkpoint(folder) == before
 

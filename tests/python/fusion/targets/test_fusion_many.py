@@ -287,7 +287,7 @@ def test_too_many_scanners_are_refused():
     tracker = MultiTargetTracker(SMALL)
     for number in range(64):
         tracker.process(0, [], source=str(number))
-    with pytest.raises(LimitError, match="more than 64"):
+    with pytest.raises(LimitError, match="at most 64 scanners, got one more: "):
         tracker.process(0, [], source="64")
     tracker.process(0, [], source="3")
 

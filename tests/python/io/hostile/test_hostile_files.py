@@ -241,7 +241,7 @@ def test_a_name_to_write_that_is_no_utf8_is_refused(tmp_path, command):
         check=False,
     )
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith(b"error: expected a name in UTF-8 to write")
+    assert done.stderr.startswith(b"error: expected a file name in UTF-8")
     assert done.stderr.count(b"\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["in.npz"]
 

@@ -32,12 +32,12 @@ RECORDED = (
     *("3d/nebula/velodyne/vlp16/1673400471837873222", "3d/nebula/velodyne/vlp16"),
 )
 BREAKS = {
-    "abort": ("os.abort()", FormatError, r"broke its reader \(SIGABRT\)"),
+    "abort": ("os.abort()", FormatError, r"its reader crashed \(SIGABRT\)"),
     "crash": ("signal.raise_signal(signal.SIGSEGV)", FormatError, r"\(SIGSEGV\)"),
     "cpu": ("signal.raise_signal(signal.SIGXCPU)", LimitError, "s of processor time"),
     "killed": ("os.kill(os.getpid(), signal.SIGKILL)", LimitError, "memory ran out"),
     "exit": ("os._exit(0)", FormatError, "ended without an answer"),
-    "memory": ("[bytearray(2**28) for _ in range(9)]", LimitError, "more memory than there is"),
+    "memory": ("[bytearray(2**28) for _ in range(9)]", LimitError, "more memory than available"),
     "bug": ("{}['key']", FormatError, "KeyError: 'key'"),
     "system": ("os._exit", FormatError, "cannot be read"),
     "loud": ("print('x' * 10**6); os.write(2, b'x' * 10**6); 1 / 0", FormatError, "ZeroDiv"),

@@ -87,8 +87,11 @@ impl PointCloudTracker {
         if count > MAX_TRACKS || !numbers.all(is_numbered) || !more.all(is_numbered) {
             return Err(impossible("tracks that were never numbered"));
         }
-        if !visits.is_possible() {
-            return Err(impossible("more detections than are kept"));
+        let is_made = |track: &PointTrack| {
+            track.made_of.len() <= 2 && track.made_of.iter().all(|&id| is_numbered(id))
+        };
+        if !visits.is_possible(next_id) || !tracks.iter().all(is_made) {
+            return Err(impossible("detections of tracks that were never numbered"));
         }
         self.buffer.restore(clouds)?;
         (self.keeps_points, self.births, self.visits) = (keeps_points, births, visits);

@@ -12,9 +12,10 @@ use super::visibility::occupancy::Occupancy;
 use crate::flying::large_targets::{LARGE, PART_GAP};
 use crate::tracking::kind::TrackKind;
 use nalgebra::Vector3;
+use std::collections::BTreeSet;
 
-/// Structure in a ball of this radius around a place is beside it [m]. The ball is raised by so much: what flies
-/// low is above the ground, not beside it.
+/// Structure in a ball of this radius around a place is beside it [m]. The ball is raised by so much: ground that is
+/// further below than the rest of the radius is not beside it.
 const BESIDE: f64 = 2.0;
 const RAISED: f64 = 1.0;
 
@@ -159,11 +160,11 @@ pub(super) fn explain(
         let parts: Vec<i64> =
             tracks.iter().filter(|track| is_part(track)).map(|track| track.id).collect();
         tracks.retain(|track| !is_part(track));
-        confirmed.retain(|number| !parts.contains(number) && (eldest.is_none() || *number != id));
         let number = eldest.unwrap_or(id);
         tracks.iter_mut().filter(|track| track.id == id).for_each(|track| track.id = number);
-        let gone = parts.into_iter().chain([id]).filter(|&gone| gone != number);
-        merged.extend(gone.map(|gone| [number, gone]));
+        let gone: Vec<i64> = parts.into_iter().chain([id]).filter(|&id| id != number).collect();
+        confirmed.retain(|id| !gone.contains(id));
+        merged.extend(gone.into_iter().map(|gone| [number, gone]));
     }
     merged
 }
@@ -173,10 +174,10 @@ pub(super) fn explain(
 pub(super) fn remember(
     visits: &mut Visits,
     tracks: &[PointTrack],
-    shown: impl Iterator<Item = i64>,
+    shown: &BTreeSet<i64>,
     stamp_ns: i64,
 ) {
-    for id in shown {
+    for &id in shown {
         let Some(track) = tracks.iter().find(|track| track.id == id) else { continue };
         match track.belief.kinds().kind() {
             TrackKind::Flying if track.confirmed => visits.forget(id),

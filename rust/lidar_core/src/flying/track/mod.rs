@@ -41,7 +41,7 @@ use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::util::budget::check_points;
 use belief::existence::{FalseBirths, Sight};
 use belief::standing::{self, UnmovedTarget};
-use belief::visits::Visits;
+use belief::visits::{Visits, renamed};
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
 use measurement::CloudScan;
@@ -123,6 +123,7 @@ impl PointCloudTracker {
             stats.removed =
                 lifecycle::remove_uncertain(&mut tracks, &mut births, parameters, stamp_ns);
             stats.merged = self.merge(&mut tracks);
+            self.visits.rename(&stats.merged);
             (self.tracks, self.births) = (tracks, births);
             stats.removed.extend(standing::look(&mut self.standing, &scan));
         }
@@ -169,8 +170,12 @@ impl PointCloudTracker {
         tracks.sort_by_key(|track| track.id);
         let removed = lifecycle::remove_unconfirmed(&mut tracks, &mut births, self.parameters());
         merged.extend(self.merge(&mut tracks));
-        let shown = fed.into_iter().chain(born.iter().copied());
-        lifecycle::remember(&mut self.visits, &tracks, shown, stamp_ns);
+        self.visits.rename(&merged);
+        if let Confirmation::Existence { .. } = self.parameters().confirmation {
+            let shown = fed.into_iter().chain(born.iter().copied());
+            let shown = shown.map(|id| renamed(id, &merged)).collect();
+            lifecycle::remember(&mut self.visits, &tracks, &shown, stamp_ns);
+        }
         let rejected = matches.rejected;
         let stats = Stats { born, confirmed, removed, merged, rejected, ..Stats::default() };
         (self.tracks, self.next_id, self.births) = (tracks, next_id, births);

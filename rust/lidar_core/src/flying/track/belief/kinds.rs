@@ -225,10 +225,9 @@ impl Kinds {
     pub(in crate::flying::track) fn belief(&self) -> KindBelief {
         let hangs = self.hangs.mean;
         // Between leaves it is not known which rays passed. The spacing of the points tells the size there.
-        let radius = Mean {
-            mean: (1.0 - hangs) * self.radius.mean + hangs * self.least_radius.mean,
-            ..self.radius
-        };
+        let least = if self.least_radius.count > 0.0 { self.least_radius } else { self.radius };
+        let radius =
+            Mean { mean: (1.0 - hangs) * self.radius.mean + hangs * least.mean, ..self.radius };
         let density = |sorts: &[Sort]| {
             let of = |sort: &Sort| {
                 sort.share * radius.density(sort.radius) * self.filled.density(sort.filled)

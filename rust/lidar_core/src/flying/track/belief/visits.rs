@@ -5,14 +5,14 @@
 //! else was there, long before the track began.
 
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 /// Detections this near to a place were at it [m].
 const REACH: f64 = 0.5;
 /// Only what was there so long before a track began counts [ns]: before, it may have been the target itself.
 const BEFORE_NS: i64 = 1_000_000_000;
-/// Detections within so long are one visit [ns]: what passes once, such as a person or a puff of dust, is not
-/// many.
+/// A place that was empty for so long [ns] between two detections had two visits. What passes once, such as a person
+/// or a puff of dust, and what stays for a while, is one.
 const VISIT_NS: i64 = 2_000_000_000;
 /// So many visits tell as much as all others together could.
 const HALF: f64 = 2.0;
@@ -43,13 +43,13 @@ impl Visits {
             let apart = [0, 1, 2].map(|axis| (visit.place[axis] - place[axis]).powi(2));
             visit.id != id && visit.stamp_ns <= until && apart.iter().sum::<f64>() <= REACH * REACH
         };
-        let times: BTreeSet<i64> = self
-            .last
-            .iter()
-            .filter(is_at)
-            .map(|visit| visit.stamp_ns.div_euclid(VISIT_NS))
-            .collect();
-        times.len() as f64 / (times.len() as f64 + HALF)
+        let mut times: Vec<i64> =
+            self.last.iter().filter(is_at).map(|visit| visit.stamp_ns).collect();
+        times.sort_unstable();
+        let is_apart = |pair: &&[i64]| pair[1].saturating_sub(pair[0]) >= VISIT_NS;
+        let gaps = times.windows(2).filter(is_apart).count();
+        let visits = (gaps + usize::from(!times.is_empty())) as f64;
+        visits / (visits + HALF)
     }
 
     /// Take in a detection at a place that fed track `id`.
@@ -68,14 +68,27 @@ impl Visits {
         self.last.retain(|visit| visit.id != id);
     }
 
-    /// True if no tracker keeps more.
-    pub(in crate::flying::track) fn is_possible(&self) -> bool {
-        self.last.len() <= MOST
+    /// Give the detections of tracks the numbers that their targets have now: pairs of the number that stays and
+    /// the one that goes.
+    pub(in crate::flying::track) fn rename(&mut self, merged: &[[i64; 2]]) {
+        if !merged.is_empty() {
+            self.last.iter_mut().for_each(|visit| visit.id = renamed(visit.id, merged));
+        }
+    }
+
+    /// True if a tracker that has given numbers below `next_id` may keep them.
+    pub(in crate::flying::track) fn is_possible(&self, next_id: i64) -> bool {
+        self.last.len() <= MOST && self.last.iter().all(|visit| (0..next_id).contains(&visit.id))
     }
 
     pub(in crate::flying::track) fn clear(&mut self) {
         self.last.clear();
     }
+}
+
+/// The number that a target has now.
+pub(in crate::flying::track) fn renamed(id: i64, merged: &[[i64; 2]]) -> i64 {
+    merged.iter().fold(id, |id, &[stays, gone]| if id == gone { stays } else { id })
 }
 
 #[cfg(test)]
@@ -100,6 +113,12 @@ mod tests {
         // What was there lately may be the target itself, and one pass is one visit.
         assert_eq!(leaves.share([5.0, 1.0, 4.0], 9, 15 * SECOND), 3.0 / 5.0);
         assert_eq!(seen(&[4, 5, 5, 5], [0.0; 3]).share([0.0; 3], 9, 20 * SECOND), 1.0 / 3.0);
+        // However long something stays, it is one visit, and the clock may show any time.
+        for start in [-7, 0, 1, 3] {
+            let times: Vec<i64> = [0, 1, 2, 3, 4, 5, 9].map(|second| second + start).to_vec();
+            let share = seen(&times, [0.0; 3]).share([0.0; 3], 9, 30 * SECOND);
+            assert_eq!(share, 2.0 / 4.0, "{start}");
+        }
     }
 
     #[test]
@@ -107,7 +126,10 @@ mod tests {
         let mut visits = Visits::default();
         (0..10).for_each(|second| visits.add(second * SECOND, 3, [0.0; 3]));
         assert_eq!(visits.share([0.0; 3], 3, 20 * SECOND), 0.0);
-        assert!(visits.share([0.0; 3], 4, 20 * SECOND) > 0.6);
+        assert_eq!(visits.share([0.0; 3], 4, 20 * SECOND), 1.0 / 3.0);
+        visits.rename(&[[5, 3], [4, 5]]); // it is 5 now, and then 4
+        assert_eq!(visits.share([0.0; 3], 4, 20 * SECOND), 0.0);
+        visits.rename(&[[3, 4]]);
         visits.forget(3);
         assert_eq!(visits.share([0.0; 3], 4, 20 * SECOND), 0.0);
     }
@@ -119,6 +141,6 @@ mod tests {
         assert_eq!(visits.last.len(), MOST);
         visits.add(KEPT_NS + 20_000, 0, [0.0; 3]);
         assert_eq!(visits.last.len(), 1);
-        assert!(visits.is_possible());
+        assert!(visits.is_possible(1) && !visits.is_possible(0));
     }
 }
