@@ -1,6 +1,5 @@
 """`lidar-core events`: rows of the tables of runs and batches for which a query is true."""
 
-import re
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -65,7 +64,9 @@ def command(
 
 def _unknown(columns: "Columns", query: str) -> list[str]:
     """Columns that the query names and that hold no value: no comparison is true of them."""
-    named = set(re.findall(r"[A-Za-z_]\w*", query))
+    from lidar_core.runs.catalogue import columns_named
+
+    named = columns_named(query)
     return [
         name
         for name, values in columns.items()

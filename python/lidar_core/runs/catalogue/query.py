@@ -81,12 +81,7 @@ def matching_rows(columns: Columns, query: str) -> Columns:
     ConfigError
         Not such a query, or a column that is not there.
     """
-    if len(query) > MOST_LETTERS:
-        raise ConfigError(f"query: expected {MOST_LETTERS} letters at most, got {len(query)}")
-    try:
-        tree = ast.parse(query.strip(), mode="eval").body
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        raise ConfigError(f"query: cannot read {query!r}: {error}; {_EXAMPLE}") from None
+    tree = _parsed(query)
     count = len(next(iter(columns.values()), ()))
     with np.errstate(all="ignore"):
         chosen = _value(tree, columns, query, 0)
@@ -94,6 +89,26 @@ def matching_rows(columns: Columns, query: str) -> Columns:
         raise ConfigError(f"query: expected a comparison, got {query!r}; {_EXAMPLE}")
     rows = np.broadcast_to(np.asarray(chosen), (count,))
     return {name: values[rows] for name, values in columns.items()}
+
+
+def columns_named(query: str) -> set[str]:
+    """Names of the columns that a query asks for; words inside its texts are none.
+
+    Raises
+    ------
+    ConfigError
+        No query.
+    """
+    return {node.id for node in ast.walk(_parsed(query)) if isinstance(node, ast.Name)}
+
+
+def _parsed(query: str) -> ast.expr:
+    if len(query) > MOST_LETTERS:
+        raise ConfigError(f"query: expected {MOST_LETTERS} letters at most, got {len(query)}")
+    try:
+        return ast.parse(query.strip(), mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        raise ConfigError(f"query: cannot read {query!r}: {error}; {_EXAMPLE}") from None
 
 
 _EXAMPLE = "an example is: distance < 20 and event == 'closest_approach'"

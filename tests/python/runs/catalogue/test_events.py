@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.io import read_columns
-from lidar_core.runs.catalogue import EVENTS, OBJECTS, events_of, matching_rows, objects_of
+from lidar_core.runs.catalogue import (
+    EVENTS,
+    OBJECTS,
+    columns_named,
+    events_of,
+    matching_rows,
+    objects_of,
+)
 from lidar_core.runs.catalogue.query import MOST_LETTERS, read_table
 
 
@@ -197,3 +204,17 @@ def test_a_column_that_no_row_knows_is_named(runs, tmp_path):
     assert "unknown" not in other.stderr
     known = invoke("events", "distance < 20", runs / "flying")
     assert "unknown" not in known.stderr
+
+
+def test_words_inside_a_text_are_no_columns(tmp_path):
+    """Only what the query asks for is told to be unknown."""
+    (tmp_path / "a.csv").write_text("event,distance\nlost distance,nan\nlost,nan\n")
+    inside = invoke("events", "event == 'lost distance'", tmp_path / "a.csv")
+    assert inside.exit_code == 0, inside.output
+    assert "1 of 2 rows" in inside.output
+    assert "unknown" not in inside.stderr
+    both = invoke("events", "event == 'speed' or distance < 20", tmp_path / "a.csv")
+    assert "note: distance: unknown in all rows" in both.stderr
+    assert columns_named("event in ('speed', \"x\") and not -distance < 2") == {"event", "distance"}
+    with pytest.raises(ConfigError, match="cannot read"):
+        columns_named("distance <")
