@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -41,6 +40,7 @@ from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import build_digest, lock, note_of, unlock
 from lidar_core.runs.catalogue import EVENTS
 from lidar_core.runs.jobs.commands import check_commands
+from lidar_core.runs.jobs.passage import passage
 from lidar_core.runs.jobs.run import TRACKS, Workplace, run_job, told_error
 from lidar_core.runs.result import OnProgress, RunResult
 from lidar_core.util.threads import all_threads
@@ -118,8 +118,8 @@ def batch(
     if not is_remote(target):
         work = Batch.of(Path(target), made_jobs, is_fresh=fresh)
         return _run_jobs(work, config, file, executor, workers, on_progress, on_job)
-    with tempfile.TemporaryDirectory(prefix="lidar-core-batch-") as folder:
-        work = Batch.of(Path(folder), made_jobs, is_fresh=fresh, remote=target)
+    with passage() as folder:
+        work = Batch.of(folder, made_jobs, is_fresh=fresh, remote=target)
         return _run_jobs(work, config, file, executor, workers, on_progress, on_job)
 
 

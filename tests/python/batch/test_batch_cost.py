@@ -2,6 +2,10 @@
 
 import os
 import resource
+import subprocess
+import sys
+import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -10,9 +14,11 @@ from commands import invoke
 import lidar_core as lc
 from lidar_core.batch import JobRecord, jobs_of
 from lidar_core.batch.config import BatchConfig
+from lidar_core.io import remote
 from lidar_core.io.files import atomic
-from lidar_core.io.files.atomic import synced_together, written_whole
+from lidar_core.io.files.atomic import synced_together, unsynced, written_whole
 from lidar_core.runs.batch_jobs import Batch, _begin
+from lidar_core.runs.jobs.passage import PREFIX, passage, remove_abandoned
 
 MOST = 1.05
 """Of the time of a bare loop. Source: goal of a batch of 1,000 short recordings."""
@@ -107,6 +113,42 @@ def test_a_job_waits_for_the_disk_as_often_as_its_runs_and_last_for_its_record(t
     assert len(synced) <= bare
 
 
+@posix
+@pytest.mark.skipif(find_spec("fsspec") is None, reason="fsspec is not installed")
+def test_a_job_whose_results_go_elsewhere_does_not_wait_for_this_disk(tmp_path, synced):
+    """Its folder is removed here. What is written here afterwards is on the disk again."""
+    file = recording(tmp_path, 3)
+    jobs = jobs_of(
+        BatchConfig.read(batch_of(tmp_path, file, 1, " --no-picture --no-mcap")), tmp_path
+    )
+    batch = Batch.of(tmp_path / "out", jobs, is_fresh=True, remote="memory://elsewhere")
+    (name,) = batch.jobs
+    _begin(batch.folder / name, batch._record(name))
+    synced.clear()
+    task = batch._task(name, 1)
+    record = task.function(**task.arguments)
+    assert (record.status, record.error) == ("done", "")
+    assert synced == []
+    held = remote.matching(f"memory://elsewhere/{name}/**/*.*")
+    assert {one.rpartition("/")[2] for one in held} >= {"job.json", "log.txt", "run.toml"}
+    write(tmp_path / "a", "1")
+    assert len(synced) == 2
+
+
+def test_unsynced_ends_with_its_block(tmp_path, synced):
+    @unsynced()
+    def failing():
+        write(tmp_path / "a", "1")
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        failing()
+    assert synced == []
+    assert (tmp_path / "a").read_text() == "1"
+    write(tmp_path / "b", "2")
+    assert synced[-1] == tmp_path
+
+
 @pytest.mark.parametrize("is_first", [True, False])
 def test_a_record_is_never_seen_half_written(tmp_path, monkeypatch, is_first):
     record = JobRecord("a", "group", "key", "running")
@@ -149,6 +191,50 @@ def test_a_job_that_begins_again_is_marked_before_its_files_go(tmp_path, monkeyp
         list(batch.run(executor="local", workers=1))
     monkeypatch.undo()
     assert not Batch.of(tmp_path / "out", jobs, is_fresh=False).kept
+
+
+def abandoned(folder, name):
+    """A folder as a killed batch leaves it, some time ago."""
+    made = folder / name
+    (made / "job" / "input").mkdir(parents=True)
+    (made / "job" / "input" / "a.bag").write_text("large")
+    os.utime(made, (1e9, 1e9))
+    return made
+
+
+@posix
+def test_what_killed_batches_left_on_this_machine_goes(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left = abandoned(tmp_path, f"{PREFIX}dead")
+    with passage() as folder:
+        assert not left.exists()
+        assert folder.parent == tmp_path
+        assert folder.name.startswith(PREFIX)
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_folders_of_running_batches_and_of_others_stay(tmp_path):
+    """Those that are locked, too young to be locked, named otherwise, or links."""
+    held = abandoned(tmp_path, f"{PREFIX}held")
+    foreign = abandoned(tmp_path, "mine")
+    (tmp_path / f"{PREFIX}link").symlink_to(foreign)
+    young = tmp_path / f"{PREFIX}young"
+    young.mkdir()
+    code = (
+        "import sys; from pathlib import Path; from lidar_core.run_folder import lock;"
+        "lock(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", code, held]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline().strip() == b"held"
+        before = sorted(tmp_path.rglob("*"))
+        remove_abandoned(tmp_path)
+        assert sorted(tmp_path.rglob("*")) == before
+        other.stdin.close()
+        other.wait()
+    remove_abandoned(tmp_path)
+    assert not held.exists()
 
 
 @pytest.mark.nightly

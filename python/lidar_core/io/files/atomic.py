@@ -89,11 +89,12 @@ def _lives(process: int) -> bool:
 def commit(temporary: Path, path: Path) -> None:
     """Put a finished temporary file in its place, on the disk and not only in memory.
 
-    Within `synced_together` it is on the disk at the end of that block.
+    Within `synced_together` it is on the disk at the end of that block, within `unsynced` not.
     """
-    if _waiting is not None:
+    if _is_unsynced or _waiting is not None:
         temporary.replace(path)
-        _waiting[path.absolute()] = None
+        if _waiting is not None:
+            _waiting[path.absolute()] = None
         return
     _sync(temporary)
     temporary.replace(path)
@@ -114,6 +115,8 @@ def synced_together() -> Iterator[None]:
         files = {path: None for path in _waiting if path.is_file()}
     finally:
         _waiting = None
+    if _is_unsynced:
+        return
     for path in files:
         _sync(path)
     for folder in dict.fromkeys(path.parent for path in files):
@@ -122,6 +125,24 @@ def synced_together() -> Iterator[None]:
 
 _waiting: dict[Path, None] | None = None
 """What `synced_together` has to bring to the disk; None outside of it."""
+
+
+@contextmanager
+def unsynced() -> Iterator[None]:
+    """Files that the block writes are whole, but nothing waits until they are on the disk.
+
+    For files that are sent to another machine and removed here: a loss of power takes the process
+    that would send them, too. The block is for one thread of a process.
+    """
+    global _is_unsynced  # noqa: PLW0603 all writers of the process look at it
+    before, _is_unsynced = _is_unsynced, True
+    try:
+        yield
+    finally:
+        _is_unsynced = before
+
+
+_is_unsynced = False
 
 
 def _sync(path: Path) -> None:

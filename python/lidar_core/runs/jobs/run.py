@@ -5,7 +5,7 @@ import os
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -17,7 +17,7 @@ from lidar_core.batch import JobRecord
 from lidar_core.batch.results import NOTE, flat
 from lidar_core.errors import ConfigError, FormatError, LidarCoreError
 from lidar_core.io.child.trust import trusted_files
-from lidar_core.io.files.atomic import synced_together
+from lidar_core.io.files.atomic import synced_together, unsynced
 from lidar_core.io.remote import fetched, is_remote, joined, removed, stored, stored_file
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import RUN_FILE, build_digest
@@ -102,6 +102,19 @@ def run_job(
     What they print goes into log.txt. Files of other machines are fetched first. All objects of
     its runs go into one table.
     """
+    # What goes to another machine is only passed through the disk of this one.
+    with nullcontext() if workplace.remote is None else unsynced():
+        return _run_and_deliver(record, commands, workplace, place, threads, build)
+
+
+def _run_and_deliver(
+    record: JobRecord,
+    commands: Sequence[Sequence[str]],
+    workplace: Workplace,
+    place: Path,
+    threads: int,
+    build: str,
+) -> JobRecord:
     start = perf_counter()
     folder = workplace.folder
     numbers: dict[str, Any] = {}

@@ -29,7 +29,7 @@ from lidar_core.util.rows import Row
 from lidar_core.viz.playback import Playback
 from lidar_core.viz.playback_picture import draw_moment
 from lidar_core.viz.report.charts import error_chart, nis_chart, timing_chart
-from lidar_core.viz.report.scene import scene_of
+from lidar_core.viz.report.scene import map_note, scene_of
 from lidar_core.viz.report.tables import (
     MOST_OBJECTS,
     nis_rows,
@@ -95,7 +95,10 @@ def write_report(
     start_ns = first[0]
     held_against = _held_against(folder, truth)
     told = [*_texts(summary.get("warnings"))]
-    sections = [_view_section(), _picture_section(played)]
+    known = {} if held_against is None else held_against.ways(start_ns)
+    has_known_map = bool(made_by.get("input", {}).get("map"))
+    scene = scene_of(played, known, start_ns=start_ns, has_known_map=has_known_map)
+    sections = [_view_section(map_note(scene)), _picture_section(played)]
     if held_against is not None:
         warnings, section = held_against.section(start_ns)
         told += [text for text in warnings if text not in told]
@@ -107,13 +110,12 @@ def write_report(
         _table_section("Summary", summary_rows(summary)),
         _note_section(note),
     ]
-    known = {} if held_against is None else held_against.ways(start_ns)
     page = _page(
         title=f"{folder.resolve().name}: {played.capability}",
         command=str(made_by.get("command", "")),
         warnings=told,
         sections=sections,
-        scene=scene_of(played, known, start_ns=start_ns),
+        scene=scene,
     )
     place.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(place) as temporary:
@@ -181,8 +183,9 @@ def _held_against(folder: Path, truth: str | PathLike[str] | None) -> _HeldAgain
     return _HeldAgainst(folder, targets, config)
 
 
-def _view_section() -> _Section:
-    return _Section("View", _resource("view.html"))
+def _view_section(note: str) -> _Section:
+    told = f'<p class="note">{escape(note)}</p>' if note else ""
+    return _Section("View", _resource("view.html") + told)
 
 
 def _picture_section(run: Playback) -> _Section:

@@ -1,7 +1,7 @@
 """Data of the 3-D view of a report: map, points and objects over time, as small numbers."""
 
-from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from base64 import b64decode, b64encode
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_core.messages import ShownClass
 from lidar_core.viz.playback import Moment, Playback
+from lidar_core.viz.report.seen import first_seen
 
 MOST_MOMENTS = 300
 """Times that the slider has: more are thinned evenly."""
@@ -23,7 +24,7 @@ STEPS = 65_000
 
 
 def scene_of(
-    run: Playback, truth: dict[int, NDArray[np.float64]], *, start_ns: int
+    run: Playback, truth: dict[int, NDArray[np.float64]], *, start_ns: int, has_known_map: bool
 ) -> dict[str, Any]:
     """Everything that the 3-D view draws, as plain values.
 
@@ -35,23 +36,28 @@ def scene_of(
         Time since `start_ns` [s] and true position [m] of each target.
     start_ns : int
         Time that the slider calls 0 [ns].
+    has_known_map : bool
+        Whether the run began with a map, which is shown from the start.
 
     Returns
     -------
     scene : dict
-        Times [s], and for each time the objects, outlines and points. Positions are in the world
-        frame [m]; those of points and voxels are steps of a lattice, in base64.
+        Times [s], and for each time the objects, outlines and points; for each voxel the index of
+        the time from which on it is shown. Positions are in the world frame [m]; those of points
+        and voxels are steps of a lattice, in base64.
     """
     moments = list(_picked(run))
-    voxels = _voxels(run.voxel_map)
+    voxels, voxel_size = _voxels(run.voxel_map)
     per_scan = MOST_POINTS // max(1, sum(len(moment.points) > 0 for moment in moments))
     clouds = [_thinned(moment, per_scan) for moment in moments]
+    measured = [] if has_known_map else [moment.points for moment in moments]
     lattice = _Lattice([voxels, *(points for points, _ in clouds)])
     return {
         "planar": run.capability != "flying",
         "times": [round((moment.stamp_ns - start_ns) * 1e-9, 4) for moment in moments],
         "lattice": {"origin": lattice.origin.tolist(), "step": lattice.step},
         "voxels": lattice.packed(voxels),
+        "seen": _base64(first_seen(voxels, voxel_size, measured).astype("<u2")),
         "scans": [
             {"points": lattice.packed(points), "classes": _base64(classes)}
             for points, classes in clouds
@@ -68,6 +74,18 @@ def scene_of(
             np.round(way[_rows(len(way), MOST_PLACES)], 3).tolist() for way in truth.values()
         ],
     }
+
+
+def map_note(scene: Mapping[str, Any]) -> str:
+    """What the map of a scene is, at the times of the slider; "" where there is none."""
+    if not scene["voxels"]:
+        return ""
+    if not any(b64decode(scene["seen"])):
+        return "The map is that of the end of the run, at all times."
+    return (
+        "The map is that of the end of the run. Each place of it appears with the first scan that"
+        " measured it."
+    )
 
 
 def _picked(run: Playback) -> Iterator[Moment]:
@@ -92,14 +110,16 @@ def _thinned(moment: Moment, most: int) -> tuple[NDArray[np.float32], NDArray[np
     return moment.points[rows], moment.point_class[rows]
 
 
-def _voxels(path: Path | None) -> NDArray[np.float64]:
-    """Centres of occupied voxels of the map of a run, thinned evenly, shape (V, 3) [m]."""
+def _voxels(path: Path | None) -> tuple[NDArray[np.float64], float]:
+    """Centres (V, 3) [m] of occupied voxels of the map of a run, thinned evenly; their side."""
     if path is None:
-        return np.empty((0, 3))
+        return np.empty((0, 3)), 1.0
     from lidar_core.flying.voxel_map import VoxelMap
 
-    centers = VoxelMap.load(path).occupied_points()
-    return centers[:: max(1, -(-len(centers) // MOST_VOXELS))]
+    kept = VoxelMap.load(path)
+    centers = kept.occupied_points()
+    thinned = centers[:: max(1, -(-len(centers) // MOST_VOXELS))]
+    return thinned, float(kept.config.voxel_size)
 
 
 def _objects(moment: Moment) -> list[dict[str, Any]]:

@@ -23,6 +23,8 @@
   }
 
   const voxels = unpacked(scene.voxels);
+  const first = new DataView(bytes(scene.seen).buffer);
+  const isSeen = (n, at) => first.getUint16(2 * n, true) <= at;
   // Bounds of the heights that have a colour each.
   const heights = voxels.filter((_, i) => i % 3 === 2).sort();
   const steps = HEIGHTS.map((_, n) => heights[Math.floor((n * heights.length) / HEIGHTS.length)]);
@@ -113,7 +115,7 @@
     if (element("voxels").checked) {
       const size = Math.max(1.5, Math.min(5, scale * 0.12));
       HEIGHTS.forEach((colour, k) => dots(voxels, size, colour,
-        (n) => voxels[3 * n + 2] >= steps[k] && (k + 1 === HEIGHTS.length || voxels[3 * n + 2] < steps[k + 1])));
+        (n) => isSeen(n, at) && voxels[3 * n + 2] >= steps[k] && (k + 1 === HEIGHTS.length || voxels[3 * n + 2] < steps[k + 1])));
     }
     if (element("points").checked) {
       const { points, classes } = scan(at);
@@ -228,6 +230,7 @@
     draw();
   }, { passive: false });
 
+  element("voxels").parentElement.hidden = !voxels.length;
   const turned = (yaw, tilt) => () => { camera.yaw = yaw; camera.tilt = tilt; draw(); };
   element("top").addEventListener("click", turned(0, Math.PI / 2));
   element("side").addEventListener("click", turned(0, 0));
