@@ -283,10 +283,12 @@ def _curves(view: CirclesView) -> dict[int, list[tuple[float, float, float]]]:
 def _counts(axes: Any, view: CirclesView) -> None:
     time = _seconds(view)
     elements = [len(state.id) for state in view.maps]
-    axes.plot(
-        time, view.n_circles, color="#f59e0b", lw=1.2, label="circles found", drawstyle="steps-mid"
-    )
-    axes.plot(time, elements, color=COLOURS[0], lw=1.8, label="elements", drawstyle="steps-mid")
+    # Wide below narrow: where both counts are equal, both lines are seen.
+    for counts, name, colour, width in (
+        (view.n_circles, "circles found", "#f59e0b", 4.0),
+        (elements, "elements", COLOURS[0], 1.8),
+    ):
+        axes.plot(time, counts, color=colour, lw=width, label=name, drawstyle="steps-mid")
     top = max([1, *elements, *view.n_circles.tolist()])
     axes.set(
         title="circles and elements per scan", xlabel="time [s]", ylim=(-0.05 * top, 1.3 * top)

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around
 from lidar_core.viz.drawing.labels import Label, draw_labels
-from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark, sigma_ellipse
+from lidar_core.viz.drawing.marks import (
+    TRACK_COLOURS,
+    WAY,
+    ring,
+    scale_bar,
+    sensor_mark,
+    sigma_ellipse,
+)
 from lidar_core.viz.drawing.voxels import draw_voxels, visible_rows
 from lidar_core.viz.figure import (
     INK,
@@ -31,7 +38,6 @@ CLOUDS = (
     ("flying, all scans", FLYING, 1.0),
 )
 """Name, colour and size of the points of each class."""
-TRACK_COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
 MOST_POINTS = 40_000  # drawn of a cloud or map: more only makes the picture heavy
 NOTHING_MOVES = 36.0  # width of what is shown around the sensor where there are no tracks [m]
 MOST_NUMBERS = 40  # tracks with a number beside them, the longest
@@ -229,10 +235,12 @@ def _recall(axes: Any, view: FlyingView) -> None:
 def _counts(axes: Any, view: FlyingView) -> None:
     time = _seconds(view, view.stamp_ns)
     tracks = [len(item.id) for item in view.tracks]
-    axes.plot(
-        time, view.n_detections, color=UNKNOWN, lw=1.4, label="detections", drawstyle="steps-mid"
-    )
-    axes.plot(time, tracks, color=TRACK_COLOURS[0], lw=2.0, label="tracks", drawstyle="steps-mid")
+    # Wide below narrow: where both counts are equal, both lines are seen.
+    for counts, name, colour, width in (
+        (view.n_detections, "detections", UNKNOWN, 4.0),
+        (tracks, "tracks", TRACK_COLOURS[0], 1.8),
+    ):
+        axes.plot(time, counts, color=colour, lw=width, label=name, drawstyle="steps-mid")
     top = max([1, *tracks, *view.n_detections.tolist()])
     axes.set(title="detections and tracks per scan", xlim=_span(time), ylim=(-0.1 * top, 1.2 * top))
     axes.grid(visible=True)

@@ -69,7 +69,7 @@ class Moment:
     outlines : tuple of Outline
         Walls, ellipses and rectangles of a map of circles.
     sensor : ndarray, shape (3,), float64, or None
-        Where the sensor was, world frame [m]; None between scans.
+        Where the sensor was, world frame [m]; None between scans, or where the run does not know.
     """
 
     stamp_ns: int
@@ -205,6 +205,16 @@ class Playback:
         )
         return dict(zip(names.tolist(), parts, strict=False))
 
+    @cached_property
+    def _sensors(self) -> dict[int, NDArray[np.float64]]:
+        """Where the sensor was, by time [ns]: also in runs that kept no scans."""
+        timing = self._tables("timing")
+        columns = read_columns(timing[0]) if timing else {}
+        if "sensor_x" not in columns:
+            return {}
+        places = np.stack([columns[f"sensor_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
+        return dict(zip(columns["t_ns"].tolist(), places, strict=True))
+
     def _views(self) -> Iterator[_WorldScan]:
         """Scans, and between them the times that have estimates alone."""
         stamps = sorted(self._rows.keys() | self._shape_rows.keys())
@@ -233,6 +243,8 @@ class Playback:
             )
         )
         objects = _objects(self._columns, rows, least=SMALLEST)
+        if sensor is None:
+            sensor = self._sensors.get(stamp_ns)
         return Moment(stamp_ns, points, classes, objects, outlines, sensor)
 
     def _scans(self) -> Iterator[_WorldScan]:

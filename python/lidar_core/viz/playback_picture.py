@@ -13,7 +13,7 @@ from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
-from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
+from lidar_core.viz.drawing.marks import TRACK_COLOURS, WAY, ring, scale_bar, sensor_mark
 from lidar_core.viz.drawing.voxels import draw_voxels
 from lidar_core.viz.figure import INK, opaque_legend, write_figure
 from lidar_core.viz.film import write_film
@@ -30,7 +30,7 @@ POINT_COLOURS = {
     ShownClass.OWN_BODY: "#a855f7",
 }
 """Colours of points by class; INVALID is that of points without one."""
-OBJECT, BAND, WALL = "#c2410c", "#0369a1", "#0f766e"
+BAND, WALL = INK, "#0f766e"
 SIGMAS, CORNERS = 2.0, 36
 TRAIL = 50  # positions of an object that stay in view; of fused targets, which have no scan, all
 MOST_POINTS = 40_000
@@ -60,8 +60,8 @@ def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> 
     MissingExtraError
         matplotlib is not installed.
     """
-    times = _times(run)
-    seconds = (np.array(times) - times[0]) * 1e-9
+    times, start_ns = _times(run)
+    seconds = (np.array(times) - start_ns) * 1e-9
     number = len(times) - 1 if at is None else int(np.argmin(np.abs(seconds - at)))
     moment, trails = shown = _followed(run, times[number : number + 1])[0]
     scene = _Scene.of(run, [shown])
@@ -105,7 +105,7 @@ def draw_film(
     MissingExtraError
         matplotlib or, for .mp4, ffmpeg is not installed.
     """
-    times = _times(run)
+    times, start_ns = _times(run)
     picked = _followed(run, times[:: max(1, -(-len(times) // frames))])
     scene = _Scene.of(run, picked)
 
@@ -113,7 +113,7 @@ def draw_film(
         for number, (moment, trails) in enumerate(picked):
             on_frame(number, len(picked))
             figure.clear()
-            seconds = (moment.stamp_ns - times[0]) * 1e-9
+            seconds = (moment.stamp_ns - start_ns) * 1e-9
             _compose(figure, scene, moment, trails, seconds)
             yield
         on_frame(len(picked), len(picked))
@@ -121,12 +121,13 @@ def draw_film(
     return write_film(path, paint, size=SIZE, dpi=FILM_DPI, rate=rate)
 
 
-def _times(run: Playback) -> list[int]:
-    """Times [ns] that can be drawn."""
+def _times(run: Playback) -> tuple[list[int], int]:
+    """Times [ns] that can be drawn, and that of the first scan, also where the run kept none."""
     times = run.times()
     if not times:
         raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
-    return times
+    first, _ = next(run.steps(), (times[0], None))
+    return times, min(first, times[0])
 
 
 def _followed(run: Playback, times: Sequence[int]) -> list[tuple[Moment, Trails]]:
@@ -233,10 +234,14 @@ def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds
         _panel(side, moment, trails, (0, 2), elevation, depth=middle)
         side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
     above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
-    if above.get_legend_handles_labels()[1]:
-        corner = plan.corner_away_from(() if planar else [one[:, :2] for one in scene.around])
+    rest = figure.add_subplot(grid[-1, 1])
+    _list(rest, moment)
+    keys = above.get_legend_handles_labels()
+    if keys[1] and planar:  # beside the picture: ways and maps may be everywhere in it
+        rest.legend(*keys, loc="lower left", fontsize=8)
+    elif keys[1]:
+        corner = plan.corner_away_from([one[:, :2] for one in scene.around])
         opaque_legend(above, corner, ncols=2)
-    _list(figure.add_subplot(grid[-1, 1]), moment)
 
 
 def _panel(
@@ -261,14 +266,16 @@ def _panel(
     ways = [trails[name][:, axes] for name in names]
     draw_labels(
         panel,
-        [Label(str(name), way[-1], OBJECT) for name, way in zip(names, ways, strict=True)],
+        [Label(str(name), way[-1], colour_of(name)) for name, way in zip(names, ways, strict=True)],
         ways,
     )
     if moment.sensor is not None:
         sensor_mark(panel, window, moment.sensor[list(axes)])
     scale_bar(panel, window)
+    if moment.sensor is not None:
+        panel.plot([], [], marker="^", ls="", ms=6, color=INK, label="sensor")
     if names:
-        panel.plot([], [], "-", color=OBJECT, label="object and its way")
+        panel.plot([], [], "-", color=colour_of(names[0]), label="object and its way")
         panel.plot([], [], "-", color=BAND, label="2σ of the position")
         arrow = {"ls": "", "marker": r"$\rightarrow$", "ms": 12, "mew": 0.4}
         panel.plot([], [], color=INK, label="way of one second", **arrow)
@@ -290,8 +297,9 @@ def _draw_points(
     rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
     for kind, colour in POINT_COLOURS.items():
         chosen = flat[rows[moment.point_class[rows] == kind]]
-        if kind != ShownClass.INVALID and (moment.point_class == kind).any():
-            name = kind.name.lower().replace("_", " ")
+        if (moment.point_class == kind).any():
+            is_plain = kind == ShownClass.INVALID
+            name = "scan" if is_plain else kind.name.lower().replace("_", " ")
             panel.plot([], [], ".", ms=6, color=colour, label=name)
         size = 1 + 2 * (kind > ShownClass.BACKGROUND)
         panel.plot(*chosen.T, ".", ms=size, color=colour, rasterized=True)
@@ -303,16 +311,22 @@ def _draw_object(
     """Way, outline, 2 sigma ellipse, velocity, and a ring around what is small."""
     objects = moment.objects
     at, velocity = objects.position[row][axes], objects.velocity[row][axes]
-    panel.plot(*trail[:, axes].T, "-", lw=1.6, color=OBJECT, alpha=0.7, gid=WAY)
+    colour = colour_of(int(objects.id[row]))
+    panel.plot(*trail[:, axes].T, "-", lw=1.6, color=colour, alpha=0.7, gid=WAY)
     sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) / 2 * objects.size[row][axes]
     around = objects.outline(row)[:, axes] if axes == [0, 1] else at + sides
-    panel.plot(around[:, 0], around[:, 1], "-", lw=1.2, color=OBJECT)
+    panel.plot(around[:, 0], around[:, 1], "-", lw=1.2, color=colour)
     band = at + ellipse(objects.covariance[row][np.ix_(axes, axes)], SIGMAS, CORNERS)
     panel.plot(*np.vstack([band, band[:1]]).T, "-", lw=1.0, color=BAND)
-    ring(panel, at, OBJECT, size=float(np.ptp(around, axis=0).min()))
+    ring(panel, at, colour, size=float(np.ptp(around, axis=0).min()))
     if np.linalg.norm(velocity) > SLOWEST:
         arrow = {"arrowstyle": "->", "color": INK}
         panel.annotate("", at + velocity, at, arrowprops=arrow, annotation_clip=True)
+
+
+def colour_of(number: int) -> str:
+    """Colour of an object, the same at all times."""
+    return TRACK_COLOURS[number % len(TRACK_COLOURS)]
 
 
 def _list(panel: Any, moment: Moment) -> None:

@@ -19,6 +19,7 @@ from lidar_core.messages import ShownClass
 from lidar_core.viz import Moment, Objects, Playback, write_report
 from lidar_core.viz.report.charts import MOST_DRAWN
 from lidar_core.viz.report.scene import MOST_MOMENTS, MOST_PLACES, _thinned
+from lidar_core.viz.report.seen import first_seen
 
 SCANS = 15
 needs_chromium = pytest.mark.skipif(
@@ -118,6 +119,59 @@ def test_the_view_shows_what_the_run_holds(demo, tmp_path):
     np.testing.assert_allclose(shown, occupied[::stride], atol=scene["lattice"]["step"])
     assert len(scene["truth"]) == 2
     assert not scene["planar"]
+
+
+def looped(centers, size, clouds):
+    """Index of the first cloud with a point in each voxel, by comparing each with each."""
+    found = []
+    for center in centers:
+        hits = [
+            number
+            for number, points in enumerate(clouds)
+            if (np.abs(points - center) <= size / 2).all(axis=1).any()
+        ]
+        found.append(hits[0] if hits else None)
+    return found
+
+
+def test_places_of_the_map_appear_when_they_are_first_measured():
+    rng, size = np.random.default_rng(1000), 0.25
+    cells = np.unique(rng.integers(-40, 40, (300, 3)), axis=0)
+    centers = (cells + 0.5) * size + [100.0, -20.0, 3.0]
+    clouds = [
+        centers[rng.integers(0, len(centers), 60)] + rng.uniform(-0.12, 0.12, (60, 3))
+        for _ in range(6)
+    ]
+    expected, first = looped(centers, size, clouds), first_seen(centers, size, clouds)
+    known = [row for row, index in enumerate(expected) if index is not None]
+    assert 100 < len(known) < len(centers)
+    assert first[known].tolist() == [expected[row] for row in known]
+
+
+def test_places_that_no_shown_scan_measured_take_the_time_of_their_surroundings():
+    size = 0.25
+    centers = np.array([[0.125, 0.125, 0.125], [0.375, 0.125, 0.125], [50.0, 0.0, 0.0]])
+    nothing, near = np.empty((0, 3)), centers[:1]
+    assert first_seen(centers, size, [nothing, near]).tolist() == [1, 1, 0]
+    assert first_seen(centers, size, []).tolist() == [0, 0, 0]
+    assert first_seen(np.empty((0, 3)), size, [near]).tolist() == []
+
+
+def test_the_map_of_a_view_grows_unless_the_run_began_with_it(tmp_path):
+    made("simulate", "demo", "-o", tmp_path / "a.npz", "--scans", SCANS)
+    made("detect", tmp_path / "a.npz", "-o", tmp_path / "run", "--no-picture")
+    page = Page(write_report(tmp_path / "run"))
+    first = np.frombuffer(base64.b64decode(page.scene["seen"]), "<u2")
+    assert len(first) == len(unpacked(page.scene, page.scene["voxels"]))
+    assert (first == 0).any()
+    assert (first > SCANS // 2).any()
+    assert first.max() < SCANS
+    assert any("appears with the first scan" in text for text in page.texts["p"])
+    known = ("--map", tmp_path / "run" / "map.lcvm", "--no-picture")
+    made("detect", tmp_path / "a.npz", "-o", tmp_path / "again", *known)
+    page = Page(write_report(tmp_path / "again"))
+    assert not any(base64.b64decode(page.scene["seen"]))
+    assert any("at all times" in text for text in page.texts["p"])
 
 
 def test_scans_of_a_recording_are_in_the_view(circles, tmp_path):

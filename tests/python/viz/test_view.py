@@ -19,6 +19,7 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
 from lidar_core.viz import Objects, Playback, draw_film, draw_moment
+from lidar_core.viz.drawing.marks import TRACK_COLOURS
 from lidar_core.viz.film import film_ending
 from lidar_core.viz.playback import Moment
 from lidar_core.viz.rerun_log import RerunLog
@@ -173,8 +174,9 @@ def test_pictures_show_points_and_objects(kind, request, tmp_path):
     assert (early != late).any()
     grey = (np.abs(early - [148, 163, 184]).max(axis=2) < 30).sum()
     assert grey > 200
-    if kind == "circles":  # outlines in the colour of objects
-        assert (np.abs(early - [194, 65, 12]).max(axis=2) < 40).sum() > 100
+    if kind == "circles":  # outlines in the colour of the first object
+        colour = np.array([int(TRACK_COLOURS[0][at : at + 2], 16) for at in (1, 3, 5)])
+        assert (np.abs(early - colour).max(axis=2) < 40).sum() > 100
 
 
 def test_films_have_a_frame_per_scan_or_fewer(circles, tmp_path):

@@ -10,6 +10,8 @@ from lidar_core.viz.drawing.frame import Window
 from lidar_core.viz.figure import INK, PURPOSE
 
 SIGMAS = 2.0
+TRACK_COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
+"""Of tracks, in turn: each can be told from its neighbours, and from the classes of points."""
 WAY = "way"
 """Mark of the lines of tracks, by which tests find them."""
 RING = 20.0
