@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.messages import ShownClass
-from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around
+from lidar_core.viz.drawing.frame import (
+    Window,
+    bulk_of,
+    panel_tallness,
+    window_around,
+    window_over,
+)
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import (
     TRACK_COLOURS,
@@ -39,7 +45,7 @@ CLOUDS = (
 )
 """Name, colour and size of the points of each class."""
 MOST_POINTS = 40_000  # drawn of a cloud or map: more only makes the picture heavy
-NOTHING_MOVES = 36.0  # width of what is shown around the sensor where there are no tracks [m]
+SMALLEST = 4.0  # width of what is shown where there are no tracks [m]
 MOST_NUMBERS = 40  # tracks with a number beside them, the longest
 ELLIPSES = 8  # at most, per track
 
@@ -91,13 +97,17 @@ def _compose(figure: Any, view: FlyingView) -> None:
 
 
 def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
-    """What a panel shows: tracks in its middle, or else targets; the sensor, if that is near."""
+    """What a panel shows: tracks in its middle, or else targets; the sensor, if that is near.
+
+    Where nothing moves, most of what the last scan measured and the sensor.
+    """
     columns = list(plane)
     tracks = [item.position[:, columns] for item in view.tracks]
     moving = tracks if sum(map(len, tracks)) else [way[:, columns] for way in view.truth.values()]
     sensor = view.sensor[-1:, columns]
     if not sum(map(len, moving)):
-        return window_around([sensor], tall, smallest=NOTHING_MOVES)
+        known = view.cloud if len(view.cloud) else view.occupied
+        return window_over([bulk_of(known)[:, columns], sensor], tall, smallest=SMALLEST)
     return window_around(moving, tall, also=[sensor])
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.messages import ShownClass
-from lidar_core.viz.drawing.frame import Window, panel_tallness, window_around, window_over
+from lidar_core.viz.drawing.frame import Window, bulk_of, panel_tallness, window_around, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import TRACK_COLOURS, WAY, ring, scale_bar, sensor_mark
 from lidar_core.viz.drawing.voxels import draw_voxels
@@ -36,7 +36,7 @@ TRAIL = 50  # positions of an object that stay in view; of fused targets, which 
 MOST_POINTS = 40_000
 MOST_NUMBERS, MOST_ROWS = 40, 12  # objects with a number, and lines of the list
 SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
-BULK, SMALLEST = (0.02, 0.98), 4.0  # of what is shown: quantiles of the points, [m]
+SMALLEST = 4.0  # width of what is shown [m]
 MOVED = 1.0  # objects that moved this far are in the middle [m]
 MARGINS = {"left": 0.065, "right": 0.985, "top": 0.88, "bottom": 0.1, "hspace": 0.32}
 
@@ -168,13 +168,13 @@ class _Scene:
         """All ways of the moments; of a map of circles, those of what moved."""
         ways = [way for _, trails in shown for way in trails.values()]
         points = np.concatenate([moment.points[::20] for moment, _ in shown]).astype(np.float64)
-        bulk = np.quantile(points, BULK, axis=0) if len(points) else np.empty((0, 3))
+        bulk = bulk_of(points)
         outlines = [one.points for moment, _ in shown for one in moment.outlines]
         sensors = [moment.sensor[None] for moment, _ in shown if moment.sensor is not None]
         if run.capability == "circles":
             moved = [way for way in ways if np.linalg.norm(np.ptp(way, axis=0)) > MOVED]
             return cls(run.folder.name, True, False, moved, [*ways, *outlines, bulk, *sensors])
-        around = sensors[-1:] if ways else [bulk]
+        around = sensors[-1:] if ways else [bulk, *sensors[-1:]]
         is_fused = run.capability == "fusion"
         return cls(run.folder.name, is_fused, is_fused, ways, around, *_map_of(run))
 
@@ -332,6 +332,13 @@ def colour_of(number: int) -> str:
 def _list(panel: Any, moment: Moment) -> None:
     """Number, place, speed and uncertainty of the objects, as text."""
     objects = moment.objects
+    panel.set_axis_off()
+    text = {"fontsize": 8.5, "family": "DejaVu Sans Mono", "color": INK, "linespacing": 1.35}
+    if not len(objects.id):
+        panel.text(
+            0.02, 1.0, "no objects at this time", transform=panel.transAxes, va="top", **text
+        )
+        return
     planar = not objects.position[:, 2].any()
     heads = "   id       x       y" + ("" if planar else "       z") + "   speed     2σ"
     units = "          [m]     [m]" + ("" if planar else "     [m]") + "   [m/s]    [m]"
@@ -346,6 +353,4 @@ def _list(panel: Any, moment: Moment) -> None:
         lines.append(f"{name:5d}{places}{speed:8.2f}{two_sigma:7.3f}")
     if len(objects.id) > MOST_ROWS:
         lines.append(f"and {len(objects.id) - MOST_ROWS} more")
-    panel.set_axis_off()
-    text = {"fontsize": 8.5, "family": "DejaVu Sans Mono", "color": INK, "linespacing": 1.35}
     panel.text(0.02, 1.0, "\n".join(lines), transform=panel.transAxes, va="top", **text)

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -262,3 +263,33 @@ def test_a_map_is_behind_flying_objects(drawn, case):
     for axes in drawn[case].axes[:2]:
         seen = len(axes.images)
         assert seen == (case[0] in {"demo", "flying"} and "from" in axes.get_title(loc="left"))
+
+
+@pytest.mark.parametrize("ahead", [True, False])
+def test_where_nothing_moves_the_measured_world_and_the_sensor_fill_the_picture(ahead):
+    """A sensor that looks to one side left half of the picture empty; a room was a tenth of it."""
+    rng = np.random.default_rng(1000)
+    low, high = ([9.0, -10.0, -2.0], [60.0, 12.0, 8.0]) if ahead else ([-3.0] * 3, [3.0] * 3)
+    cloud = rng.uniform(low, high, (3000, 3))
+    cloud[:10] *= 40  # a few points far away
+    view = SimpleNamespace(
+        tracks=[], truth={}, sensor=np.zeros((1, 3)), cloud=cloud, occupied=np.empty((0, 3))
+    )
+    window = flying_picture._window(view, (0, 1), 1.0)
+    assert window.holds(np.zeros(2))
+    share = np.mean([window.holds(point[:2]) for point in cloud])
+    assert share > 0.9
+    extent = np.ptp([*np.quantile(cloud[:, :2], (0.02, 0.98), axis=0), np.zeros(2)], axis=0).max()
+    assert window.high[0] - window.low[0] < 1.3 * extent
+
+
+def test_a_run_without_objects_says_so(tmp_path):
+    scene = tmp_path / "a.npz"
+    assert invoke("simulate", "demo", "-o", scene, "--scans", 2).exit_code == 0
+    assert invoke("detect", scene, "-o", tmp_path / "run", "--no-picture").exit_code == 0
+    figures = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(playback, "write_figure", kept_in(figures))
+        playback.draw_moment(Playback(tmp_path / "run"), tmp_path / "a.png")
+    told = [text.get_text() for axes in figures["last"].axes for text in axes.texts]
+    assert "no objects at this time" in told

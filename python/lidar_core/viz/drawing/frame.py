@@ -19,6 +19,8 @@ THIRD = 2.8
 """One over the share from the border to the middle third, with some reserve."""
 EDGE = 1.2
 """Room at the border, where the picture grows to show something."""
+BULK = (0.02, 0.98)
+"""Quantiles of the points that are shown where nothing moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +136,13 @@ def window_over(
     wider_low = np.maximum(np.minimum(low, (THIRD * centre - high) / (THIRD - 1)), high - size)
     wider_high = np.minimum(np.maximum(high, (THIRD * centre - low) / (THIRD - 1)), low + size)
     return window_around([wider_low, wider_high], tall, times=1.0, smallest=smallest)
+
+
+def bulk_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners (2, K) of the box that holds most points (N, K); none where there are no points."""
+    if not len(points):
+        return np.empty((0, points.shape[1]))
+    return np.asarray(np.quantile(points, BULK, axis=0))
 
 
 def panel_tallness(axes: Any) -> float:
