@@ -64,7 +64,14 @@ class SequenceRecording(Recording):
             key="max_record_bytes",
             what="a file of bytes",
         )
-        scan: Scan = self._decoder.scan(self._rows(file), stamp_ns, FRAME, place=str(file))
+        try:
+            rows = self._rows(file)
+        except FormatError as error:
+            if len(self._files) == 1:
+                raise
+            others = f"the other {len(self._files) - 1} files of the folder"
+            raise FormatError(f"{error}; to read {others}, move this one out of it") from error
+        scan: Scan = self._decoder.scan(rows, stamp_ns, FRAME, place=str(file))
         return [scan]
 
     def _pose(self, number: int, stamp_ns: int) -> list[Message]:

@@ -246,3 +246,24 @@ def test_files_that_are_no_recordings_are_told_apart(tmp_path, name, cure):
     (tmp_path / name).write_bytes(b"x")
     with pytest.raises(FormatError, match=cure):
         lc.io.open_recording(tmp_path / name)
+
+
+def test_a_cut_file_of_a_folder_says_how_the_others_are_read(tmp_path):
+    """A single cut file has no others. Moved away, the rest is read."""
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    for number in range(3):
+        lc.io.write_cloud(folder / f"{number}.pcd", np.ones((50, 3)) * (number + 1))
+    cut = folder / "1.pcd"
+    cut.write_bytes(cut.read_bytes()[:-300])
+    with (
+        lc.io.open_recording(folder) as recording,
+        pytest.raises(FormatError, match=r"1\.pcd.*; to read the other 2 files .* move this one"),
+    ):
+        list(recording)
+    moved = cut.rename(tmp_path / "1.pcd")
+    with lc.io.open_recording(folder) as recording:
+        assert sum(isinstance(one, Scan) for one in recording) == 2
+    with lc.io.open_recording(moved) as alone, pytest.raises(FormatError) as told:
+        list(alone)
+    assert "move this one" not in str(told.value)
