@@ -98,11 +98,14 @@ def _compose(figure: Any, view: CirclesView) -> None:
     grid = two_columns(figure, view.title, widths=(1.35, 1.0), heights=(1.3, 1.0), hspace=0.36)
     above = figure.add_subplot(grid[:, 0])
     _earlier(above, view)
-    _above(above, view, len(view.maps) - 1, _window(view, panel_tallness(above)))
+    window = _window(view, panel_tallness(above))
+    _above(above, view, len(view.maps) - 1, window)
     time = _seconds(view)
     above.set_title(f"from above, at {time[-1]:.1f} s" if len(time) else "from above")
     if view.maps:
-        opaque_legend(above, "upper left")
+        ways = [line[:, :2] for line in view.truth.values()]
+        places = [view.maps[-1].center, view.sensor[-1:], *_ways(view, len(view.maps) - 1).values()]
+        opaque_legend(above, window.corner_away_from([*places, *ways]))
     _radii(figure.add_subplot(grid[0, 1]), view)
     _counts(figure.add_subplot(grid[1, 1]), view)
 

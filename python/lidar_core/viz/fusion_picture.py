@@ -90,7 +90,7 @@ def _above(axes: Any, view: FusionView) -> None:
     axes.set(title=_above_title(view), xlabel="x [m]", ylabel="y [m]")
     axes.grid(visible=True)
     if view.seen or view.tracks:
-        opaque_legend(axes, "upper left", ncols=2)
+        opaque_legend(axes, window.corner_away_from(ways or view.seen.values()), ncols=2)
 
 
 def _above_title(view: FusionView) -> str:

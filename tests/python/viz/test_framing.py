@@ -293,3 +293,15 @@ def test_a_run_without_objects_says_so(tmp_path):
         playback.draw_moment(Playback(tmp_path / "run"), tmp_path / "a.png")
     told = [text.get_text() for axes in figures["last"].axes for text in axes.texts]
     assert "no objects at this time" in told
+
+
+def test_legends_take_the_emptiest_corner():
+    window = window_around([np.array([[-10.0, -10.0], [10.0, 10.0]])], 1.0, times=1.0)
+    upper_left, upper_right = np.array([[-8.0, 8.0]]), np.array([[8.0, 8.0]])
+    assert window.corner_away_from([]) == "upper left"
+    assert window.corner_away_from([np.zeros((9, 2)), -upper_left, -upper_right]) == "upper left"
+    assert window.corner_away_from([upper_left]) == "upper right"
+    assert window.corner_away_from([upper_left, upper_right]) == "lower right"
+    assert window.corner_away_from([100 * upper_left]) == "upper right"
+    crowd = np.repeat(upper_left, 3, axis=0)
+    assert window.corner_away_from([crowd, upper_right, -upper_left, -upper_left]) == "upper right"

@@ -19,6 +19,8 @@ THIRD = 2.8
 """One over the share from the border to the middle third, with some reserve."""
 EDGE = 1.2
 """Room at the border, where the picture grows to show something."""
+LEGEND = 0.25
+"""Share of the height that a legend takes at most, on half of the width."""
 BULK = (0.02, 0.98)
 """Quantiles of the points that are shown where nothing moves."""
 
@@ -46,10 +48,19 @@ class Window:
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def corner_away_from(self, places: Iterable[NDArray[np.float64]]) -> str:
-        """Corner for a legend: the upper left, or the lower right if a place is there."""
-        rows = _finite(places)
-        is_upper_left = (rows[:, 0] < self.middle[0]) & (rows[:, 1] > self.middle[1])
-        return "lower right" if is_upper_left.any() else "upper left"
+        """Corner for a legend: the emptiest, first of all the upper left.
+
+        The scale bar is at the lower left. Places outside count where their direction meets the
+        border, for there an arrow points to them.
+        """
+        rows = np.clip((_finite(places) - self.low) / (self.high - self.low), 0.0, 1.0)
+        is_right, is_top, is_low = rows[:, 0] > 0.5, rows[:, 1] > 1 - LEGEND, rows[:, 1] < LEGEND
+        held = {
+            "upper left": ~is_right & is_top,
+            "upper right": is_right & is_top,
+            "lower right": is_right & is_low,
+        }
+        return min(held, key=lambda corner: int(held[corner].sum()))
 
     def apply(self, axes: Any) -> None:
         """Show this part of the world in a panel of the same shape."""
