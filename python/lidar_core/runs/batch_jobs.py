@@ -212,7 +212,8 @@ class Batch:
         """Do what is left; yield each record as the job ends."""
         left = [name for name in self.jobs if name not in self.kept]
         threads = max(1, all_threads() // workers)
-        for name in left:
+        # A folder that is passed through is new, and what an address holds says what is done.
+        for name in left if self.remote is None else ():
             _begin(self.folder / name, self._record(name))
         tasks = [self._task(name, threads) for name in left]
         with closing(completed(tasks, workers=workers, executor=executor)) as ends:

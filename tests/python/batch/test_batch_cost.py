@@ -12,12 +12,14 @@ import pytest
 from commands import invoke
 
 import lidar_core as lc
-from lidar_core.batch import JobRecord, jobs_of
+from lidar_core.batch import BatchJob, Failure, JobRecord, jobs_of
 from lidar_core.batch.config import BatchConfig
+from lidar_core.errors import ConfigError
 from lidar_core.io import remote
 from lidar_core.io.files import atomic
 from lidar_core.io.files.atomic import synced_together, unsynced, written_whole
 from lidar_core.runs.batch_jobs import Batch, _begin
+from lidar_core.runs.jobs.commands import check_commands
 from lidar_core.runs.jobs.passage import PREFIX, passage, remove_abandoned
 
 MOST = 1.05
@@ -123,7 +125,6 @@ def test_a_job_whose_results_go_elsewhere_does_not_wait_for_this_disk(tmp_path, 
     )
     batch = Batch.of(tmp_path / "out", jobs, is_fresh=True, remote="memory://elsewhere")
     (name,) = batch.jobs
-    _begin(batch.folder / name, batch._record(name))
     synced.clear()
     task = batch._task(name, 1)
     record = task.function(**task.arguments)
@@ -133,6 +134,30 @@ def test_a_job_whose_results_go_elsewhere_does_not_wait_for_this_disk(tmp_path, 
     assert {one.rpartition("/")[2] for one in held} >= {"job.json", "log.txt", "run.toml"}
     write(tmp_path / "a", "1")
     assert len(synced) == 2
+
+
+@pytest.mark.skipif(find_spec("fsspec") is None, reason="fsspec is not installed")
+def test_a_job_whose_process_died_before_it_began_is_told_at_the_address(tmp_path):
+    jobs = jobs_of(BatchConfig.read(batch_of(tmp_path, recording(tmp_path, 3), 1)), tmp_path)
+    batch = Batch.of(tmp_path / "out", jobs, is_fresh=True, remote="memory://dead")
+    (name,) = batch.jobs
+    batch._failed(name, Failure(ChildProcessError("no result")))
+    (held,) = remote.texts(f"memory://dead/{name}/job.json").values()
+    assert JobRecord.parsed(held).status == "failed"
+
+
+def test_the_parser_of_a_command_forgets_the_arguments_of_other_jobs():
+    def check(*command):
+        check_commands(BatchJob("g", {}, (command,)))
+
+    check("detect", "a.bag", "-o", "{output}/run", "--json", "{output}/a.json")
+    check("detect", "a.bag", "-o", "{output}/run")
+    check("train", "circles", "-o", "{output}/run")
+    with pytest.raises(ConfigError, match=r"expected \{output\}"):
+        check("detect", "a.bag", "-o", "elsewhere/run")
+    with pytest.raises(ConfigError, match=r"expected \{output\}"):
+        check("detect", "a.bag")
+    check("detect", "a.bag", "-o", "{output}/run")
 
 
 def test_unsynced_ends_with_its_block(tmp_path, synced):

@@ -71,14 +71,13 @@ def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
 
     An option that is not there has its default, which is no place of the job: None.
     """
-    known, name, arguments = _commands()[command[0]], command[0], list(command[1:])
+    known = _commands()[command[0]]
     below: Mapping[str, Any] = getattr(known, "commands", {})
-    if arguments and arguments[0] in below:
-        known, name, arguments = below[arguments[0]], arguments[0], arguments[1:]
-    context = known.make_context(name, [], resilient_parsing=True)
-    context.resilient_parsing = False
+    words = 2 if len(command) > 1 and command[1] in below else 1
+    known, parser = _parser(*command[:words])
+    arguments = list(command[words:])
     try:
-        values = known.make_parser(context).parse_args(arguments)[0]
+        values = parser.parse_args(arguments)[0]
     except UsageError:
         return []  # the job itself says what is wrong with its options
     found = []
@@ -89,6 +88,17 @@ def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
         elif "--json" in one.opts and value not in (None, False, True) and str(value) != "-":
             found.append(("--json", str(value)))
     return found
+
+
+@cache
+def _parser(name: str, below: str | None = None) -> tuple[Any, Any]:
+    """A command, or one below it, and what parses its arguments: made once for all jobs."""
+    known = _commands()[name]
+    if below is not None:
+        known = known.commands[below]
+    context = known.make_context(below or name, [], resilient_parsing=True)
+    context.resilient_parsing = False
+    return known, known.make_parser(context)
 
 
 def _is_inside(value: str | None) -> bool:

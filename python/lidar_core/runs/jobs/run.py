@@ -79,6 +79,7 @@ class Workplace:
                 stored_file(table, address)
             elif is_replaced:
                 removed(address)
+        self.folder.mkdir(parents=True, exist_ok=True)
         record.write(self.folder)
         target = joined(self.remote, self.job)
         stored(self.folder, target, last=(NOTE,), is_replaced=is_replaced)
