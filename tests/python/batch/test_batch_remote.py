@@ -174,7 +174,8 @@ def done_despite_kills(file, out, *, kills, seed, calm_s):
     that the batch takes without kills. So all of them meet it on machines of any speed, and half of
     them where the machine becomes faster meanwhile.
     """
-    draw, left, passes, until = random.Random(seed), kills, 0, time.monotonic() + PATIENCE_S + kills
+    patience = PATIENCE_S + kills + 10 * calm_s
+    draw, left, passes, until = random.Random(seed), kills, 0, time.monotonic() + patience
     status = None
     while status != 0:
         assert time.monotonic() < until
@@ -193,7 +194,7 @@ def done_despite_kills(file, out, *, kills, seed, calm_s):
             if runs:
                 left -= 1
                 runs = ended_by_chance(process, draw)
-        status = process.wait(PATIENCE_S)
+        status = process.wait(patience)
         assert status in {0, 1, -signal.SIGKILL}
     assert left <= kills // 2
     return passes
