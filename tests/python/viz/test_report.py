@@ -119,6 +119,8 @@ def test_the_view_shows_what_the_run_holds(demo, tmp_path):
     np.testing.assert_allclose(shown, occupied[::stride], atol=scene["lattice"]["step"])
     assert len(scene["truth"]) == 2
     assert not scene["planar"]
+    for moment, place in zip(moments, scene["sensors"], strict=True):
+        np.testing.assert_allclose(place, moment.sensor, atol=1e-3)
 
 
 def looped(centers, size, clouds):

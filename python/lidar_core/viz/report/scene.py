@@ -42,9 +42,9 @@ def scene_of(
     Returns
     -------
     scene : dict
-        Times [s], and for each time the objects, outlines and points; for each voxel the index of
-        the time from which on it is shown. Positions are in the world frame [m]; those of points
-        and voxels are steps of a lattice, in base64.
+        Times [s], and for each time sensor, objects, outlines and points; for each voxel the index
+        of the time from which on it is shown. Positions are in the world frame [m]; those of
+        points and voxels are steps of a lattice, in base64.
     """
     moments = list(_picked(run))
     voxels, voxel_size = _voxels(run.voxel_map)
@@ -61,6 +61,10 @@ def scene_of(
         "scans": [
             {"points": lattice.packed(points), "classes": _base64(classes)}
             for points, classes in clouds
+        ],
+        "sensors": [
+            None if moment.sensor is None else np.round(moment.sensor, 3).tolist()
+            for moment in moments
         ],
         "objects": [_objects(moment) for moment in moments],
         "outlines": [

@@ -131,6 +131,7 @@
       }
     }
     for (const one of scene.objects[at] ?? []) object(one, line, across, down, right, up);
+    if (scene.sensors[at]) sensor(across(...scene.sensors[at]), down(...scene.sensors[at]));
     scaleBar(width, height, scale);
     element("clock").textContent = `${(scene.times[at] ?? 0).toFixed(2)} s, ${(scene.objects[at] ?? []).length} objects`;
   }
@@ -160,6 +161,13 @@
       context.fillStyle = colour;
       context.fillText(text, px + 11, py - 8);
     }
+  }
+
+  function sensor(x, y) {
+    context.fillStyle = INK;
+    context.beginPath();
+    [[0, -7], [6, 5], [-6, 5]].forEach(([dx, dy]) => context.lineTo(x + dx, y + dy));
+    context.fill();
   }
 
   // Outline of SIGMAS standard deviations, as it is seen from this side.
@@ -249,6 +257,7 @@
     dot.style.background = colour;
     element("legend").append(dot, `${name} `);
   }
+  if (scene.sensors.some((place) => place)) element("legend").append("\u25b2 sensor");
 
   slider.max = Math.max(0, scene.times.length - 1);
   slider.value = slider.max;
