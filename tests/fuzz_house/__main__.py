@@ -84,8 +84,7 @@ def turns(chosen: list[str], minutes: float, folder: Path, seed: int) -> Iterato
         driver = rust.build(folder / "build")
         seeds.fresh(folder)
         share = 1.0 if chosen else SHARES["rust"]
-        for name, part in rust.shares(wanted).items():
-            told = rust.run(driver, name, 60 * minutes * share * part, folder, seed)
+        for name, told in rust.run_all(driver, wanted, 60 * minutes * share, folder, seed):
             yield f"rust {name}", vars(told)
     if chosen and set(chosen) <= set(names):
         return
