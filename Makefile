@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight memory nightly coverage wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight soak memory nightly coverage wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -110,6 +110,12 @@ KM ?= 50
 METRES ?= 2.5
 flight: ## Fly straight on with a map of 200 MB: KM=n, METRES=n between two scans.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.flight --km $(KM) --step $(METRES)
+
+# An hour of a LiDAR, and several hours of one core.
+SCANS ?= 36000
+POINTS ?= 131072
+soak: ## Fly one loop for hours: memory and time per scan must not grow: SCANS=n, POINTS=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.soak --scans $(SCANS) --points $(POINTS)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory

@@ -174,8 +174,8 @@ def _assignments() -> Iterator[bytes]:
 def _rooms() -> Iterator[bytes]:
     """A sensor in one room: at rest, and on its way."""
     for room in (0, 2):
-        yield b"\0\x80" + 8 * bytes([10, 0, room, 0, 0])
-        steps = (_number(0.1 * step) for step in range(8))
+        yield b"\0\x80" + 16 * bytes([10, 0, room, 0, 0])
+        steps = (_number(0.1 * step) for step in range(16))
         ways = (bytes([10, 7, 0, 0]) + step + b"\xf0\xf0" for step in steps)
         yield b"\0\x80" + b"".join(way + bytes([room, 0, 0]) for way in ways)
 
