@@ -141,14 +141,18 @@ def _plain(target: str, longest: int) -> list[bytes]:
     ]
 
 
-def _single_numbers(choice: bytes) -> list[bytes]:
+SLOW = ("state_detector", "state_pipeline")
+"""Targets of which a run takes milliseconds: fewer places of them are tried from the start."""
+
+
+def _single_numbers(choice: bytes, places: int) -> list[bytes]:
     """Inputs that put one number into a state, after nothing and after one step, at every place."""
     kinds, number = (2, 5), (7).to_bytes(8, "little")
     signs = (0, 0x80)
     return [
         choice + bytes([kind, at, 0, sign]) + number
         for kind in kinds
-        for at in range(24)
+        for at in range(places)
         for sign in signs
     ]
 
@@ -174,8 +178,8 @@ def _assignments() -> Iterator[bytes]:
 def _rooms() -> Iterator[bytes]:
     """A sensor in one room: at rest, and on its way."""
     for room in (0, 2):
-        yield b"\0\x80" + 16 * bytes([10, 0, room, 0, 0])
-        steps = (_number(0.1 * step) for step in range(16))
+        yield b"\0\x80" + 12 * bytes([10, 0, room, 0, 0])
+        steps = (_number(0.1 * step) for step in range(12))
         ways = (bytes([10, 7, 0, 0]) + step + b"\xf0\xf0" for step in steps)
         yield b"\0\x80" + b"".join(way + bytes([room, 0, 0]) for way in ways)
 
@@ -216,7 +220,8 @@ def fresh(folder: Path) -> None:
     for target, contents in known.items():
         place = folder / "corpus" / target
         place.mkdir(parents=True, exist_ok=True)
-        short = _single_numbers(CHOICES.get(target, b"")) if target.startswith("state_") else []
+        choice, places = CHOICES.get(target, b""), 24 if target in SLOW else 64
+        short = _single_numbers(choice, places) if target.startswith("state_") else []
         longest = LONGEST.get(target, USUAL)
         fitting = [one for one in (*contents, *short) if len(one) <= longest]
         for number, content in enumerate(fitting):

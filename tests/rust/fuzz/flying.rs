@@ -248,7 +248,7 @@ pub fn rooms(bytes: &[u8]) {
     parameters.mismatch_share = Some(input.share());
     let Ok(mut detector) = FlyingObjectDetector::new(parameters, 1) else { return };
     let mut stamp_ns = 0;
-    for _ in 0..16 {
+    for _ in 0..12 {
         if input.is_empty() {
             break;
         }
@@ -276,7 +276,7 @@ pub fn rooms(bytes: &[u8]) {
 /// Walls, floor and ceiling around the sensor, a return in every voxel: as many as decide about a
 /// pose, and close enough together to be background.
 fn room(input: &mut Input<'_>) -> Vec<[f32; 3]> {
-    let cells = input.one_of(&[3_u8, 3, 7]);
+    let cells = input.one_of(&[4_u8, 4, 9]);
     let half = f32::from(cells) / 4.0;
     let place = move |cell: u8| (f32::from(cell) + 0.5) / 4.0 - half;
     let across = 0..2 * cells;
