@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight memory nightly coverage wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight soak memory nightly coverage wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -78,9 +78,10 @@ coverage: test-env ## Lines that tests reach: of Python by PART, of Rust with ca
 # kept in target/hostile.
 COUNT ?= 20000
 SEED ?= 1
-hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: COUNT=n, SEED=n.
+hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: COUNT=n, SEED=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile --count $(COUNT) \
-	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile
+	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile $(if $(EVIDENCE),--evidence)
+	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
 
 # One good file per format, cut at every STEP-th offset and with every byte there damaged.
 STEP ?= 1
@@ -104,10 +105,17 @@ kills: ## Kill commands that write at any time, and look at what they leave: KIL
 signals: ## Press Ctrl-C in calls of two million points.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.signals
 
-# Some two hours of one core; KM=5 takes a tenth.
+# Some two hours of one core; KM=5 takes a tenth, METRES=5 between two scans half.
 KM ?= 50
-flight: ## Fly straight on with a map of 200 MB: KM=n.
-	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.flight --km $(KM)
+METRES ?= 2.5
+flight: ## Fly straight on with a map of 200 MB: KM=n, METRES=n between two scans.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.flight --km $(KM) --step $(METRES)
+
+# An hour of a LiDAR, and several hours of one core.
+SCANS ?= 36000
+POINTS ?= 131072
+soak: ## Fly one loop for hours: memory and time per scan must not grow: SCANS=n, POINTS=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.soak --scans $(SCANS) --points $(POINTS)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory

@@ -84,8 +84,7 @@ def turns(chosen: list[str], minutes: float, folder: Path, seed: int) -> Iterato
         driver = rust.build(folder / "build")
         seeds.fresh(folder)
         share = 1.0 if chosen else SHARES["rust"]
-        for name, part in rust.shares(wanted).items():
-            told = rust.run(driver, name, 60 * minutes * share * part, folder, seed)
+        for name, told in rust.run_all(driver, wanted, 60 * minutes * share, folder, seed):
             yield f"rust {name}", vars(told)
     if chosen and set(chosen) <= set(names):
         return
@@ -119,8 +118,12 @@ def main() -> int:
         canaries |= told.get("canaries", set())
         findings += [f"{name}: {one}" for one in told["findings"]]
         bad = len(told["findings"])
+        met = "".join(f", planted bug {number}" for number in sorted(told.get("canaries", ())))
         counts[name] = {"ok": told["executions"] - bad, "untyped": bad}
-        print(f"{name}: {told['executions']:,} executions, {told['edges']:,} edges, {bad} findings")
+        print(
+            f"{name}: {told['executions']:,} executions, {told['edges']:,} edges,"
+            f" {bad} findings{met}"
+        )
         sys.stdout.flush()
     if chosen.keep is not None:
         driver = rust.build(chosen.folder / "build")
@@ -129,8 +132,10 @@ def main() -> int:
                 f"{name}: {rust.minimised(driver, name, chosen.folder, chosen.keep)} files in git"
             )
     total = sum(sum(one.values()) for one in counts.values())
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(
-        f"{total:,} executions of {len(counts)} targets, seed {chosen.seed};"
+        f"{total:,} executions of {len(counts)} targets, seed {chosen.seed},"
+        f" {(spent.ru_utime + spent.ru_stime) / 60:.1f} minutes of processor time;"
         f" {len(findings)} findings"
     )
     print(f"{len(canaries)} of {CANARIES} planted bugs found: {sorted(canaries)}")

@@ -2,10 +2,11 @@
 
 import os
 import re
-import resource
 import shutil
 import subprocess
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +27,7 @@ MOST_FINDINGS = 3
 """Of one target in one run: the rest is most likely the same bug."""
 MEMORY = 3 * 2**30
 """Address space of a run [bytes]; what does not fit is refused, as it is on a small machine."""
+LIMITED = ("/bin/sh", "-c", f'ulimit -c 0; ulimit -v {MEMORY // 1024}; exec "$0" "$@"')
 
 
 @dataclass
@@ -70,6 +72,21 @@ def build(folder: Path) -> Path:
     return folder / "release" / "lidar_core_fuzz"
 
 
+def run_all(
+    driver: Path, wanted: list[str], seconds: float, folder: Path, seed: int
+) -> Iterator[tuple[str, Told]]:
+    """Run all these targets for `seconds`, one on every core; each result when it is there."""
+    cores = len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(min(cores, len(wanted))) as pool:
+        slowest_first = sorted(shares(wanted).items(), key=lambda item: -item[1])
+        works = {}
+        for name, part in slowest_first:
+            own = min(seconds, seconds * part * min(cores, len(wanted)))
+            works[pool.submit(run, driver, name, own, folder, seed)] = name
+        for done in as_completed(works):
+            yield works[done], done.result()
+
+
 def run(driver: Path, target: str, seconds: float, folder: Path, seed: int) -> Told:
     """Run `target` for `seconds`; its corpus in `folder` grows from run to run."""
     grown, found = folder / "corpus" / target, folder / "findings" / target
@@ -90,13 +107,13 @@ def run(driver: Path, target: str, seconds: float, folder: Path, seed: int) -> T
         }
         done = subprocess.run(
             [
+                *LIMITED,
                 driver,
                 grown,
                 CORPUS / target,
                 *(f"-{key}={value}" for key, value in options.items()),
             ],
             env=os.environ | {"LIDAR_CORE_TARGET": target, "RUST_BACKTRACE": "1"},
-            preexec_fn=_limited,
             capture_output=True,
             text=True,
             errors="replace",
@@ -144,8 +161,3 @@ def minimised(driver: Path, target: str, folder: Path, most: int) -> int:
     for path in sorted(small.iterdir(), key=lambda path: path.stat().st_size)[-most:]:
         shutil.copy(path, kept / path.name[:12])
     return len(list(kept.iterdir()))
-
-
-def _limited() -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

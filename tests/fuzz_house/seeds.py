@@ -1,5 +1,6 @@
 """First inputs of the Rust targets: contents of valid states and maps, and plain bytes."""
 
+import struct
 import zlib
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -140,10 +141,69 @@ def _plain(target: str, longest: int) -> list[bytes]:
     ]
 
 
-def _single_numbers(choice: bytes) -> list[bytes]:
+SLOW = ("state_detector", "state_pipeline")
+"""Targets of which a run takes milliseconds: fewer places of them are tried from the start."""
+
+
+def _single_numbers(choice: bytes, places: int) -> list[bytes]:
     """Inputs that put one number into a state, after nothing and after one step, at every place."""
-    kinds = (2, 5)
-    return [choice + bytes([kind, at, 0, 0, 7, 0, 0, 0]) for kind in kinds for at in range(24)]
+    kinds, number = (2, 5), (7).to_bytes(8, "little")
+    signs = (0, 0x80)
+    return [
+        choice + bytes([kind, at, 0, sign]) + number
+        for kind in kinds
+        for at in range(places)
+        for sign in signs
+    ]
+
+
+def _number(value: float) -> bytes:
+    """As targets read a number (`Input::f64`)."""
+    return b"\xef" + struct.pack("<d", value)
+
+
+def _positive(value: float) -> bytes:
+    """As `Input::positive` reads it: a multiple of 1/32."""
+    return bytes([0, round(32 * value) - 1])
+
+
+def _assignments() -> Iterator[bytes]:
+    """Full square tables with any costs, of which all rows can be assigned."""
+    rng = np.random.default_rng(1)
+    for size in range(1, 9):
+        costs = b"".join(bytes([0, cost]) for cost in rng.integers(0, 256, size * size))
+        yield bytes([size, size, 1]) + costs + _number(2.0)
+
+
+def _rooms() -> Iterator[bytes]:
+    """A sensor in one room: at rest, and on its way."""
+    for room in (0, 2):
+        yield b"\0\x80" + 12 * bytes([10, 0, room, 0, 0])
+        steps = (_number(0.1 * step) for step in range(12))
+        ways = (bytes([10, 7, 0, 0]) + step + b"\xf0\xf0" for step in steps)
+        yield b"\0\x80" + b"".join(way + bytes([room, 0, 0]) for way in ways)
+
+
+def _scenes() -> Iterator[bytes]:
+    """One body of each shape at the origin, which rays along the axes meet."""
+    rays = b"".join(
+        b"".join(_number(5.0 * side) for side in sides)
+        + b"".join(_number(-side) for side in sides)
+        + _number(0.0)
+        + _positive(1.0)
+        for sides in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1))
+    )
+    still = bytes([0, 0, 0]) + 3 * _number(0.0) + b"\0"
+    for shape, sizes in enumerate((2, 3, 2, 3, 1)):
+        yield bytes([0, 0, 1, shape]) + sizes * _positive(1.0) + still + b"\0" + rays
+
+
+TYPICAL: dict[str, Callable[[], Iterator[bytes]]] = {
+    "assignment": _assignments,
+    "rooms": _rooms,
+    "scenes": _scenes,
+}
+"""Inputs of ordinary use, where arbitrary bytes seldom are: a mutation of them goes deeper."""
 
 
 def fresh(folder: Path) -> None:
@@ -155,11 +215,13 @@ def fresh(folder: Path) -> None:
         known["state_tracker"].append(prefix("state_tracker") + _tracker_after(detections))
     for target in targets():
         if target not in known:
-            known[target] = _plain(target, USUAL)
+            typical = TYPICAL.get(target, lambda: iter(()))
+            known[target] = [*typical(), *_plain(target, USUAL)]
     for target, contents in known.items():
         place = folder / "corpus" / target
         place.mkdir(parents=True, exist_ok=True)
-        short = _single_numbers(CHOICES.get(target, b"")) if target.startswith("state_") else []
+        choice, places = CHOICES.get(target, b""), 24 if target in SLOW else 64
+        short = _single_numbers(choice, places) if target.startswith("state_") else []
         longest = LONGEST.get(target, USUAL)
         fitting = [one for one in (*contents, *short) if len(one) <= longest]
         for number, content in enumerate(fitting):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hostile import entries
+from hostile import entries, evidence
 from hostile.child import Outcome, run_limited
 from hostile.mutators import mutated
 from hostile.seeds import Seed, data_folder, seeds_of
@@ -177,6 +177,7 @@ def main() -> int:
     parser.add_argument("--format", action="append", default=[], help="only these endings")
     parser.add_argument("--keep", type=Path, help="folder for the files that ended badly")
     parser.add_argument("--generated-only", action="store_true", help="without LIDAR_CORE_DATA")
+    parser.add_argument("--evidence", action="store_true", help="add the counts to docs/evidence")
     chosen = parser.parse_args()
     start = time.monotonic()
     totals, by_format, bad, slowest = run(
@@ -189,6 +190,11 @@ def main() -> int:
     )
     for line in sorted(by_format.items()):
         print(*line)
+    if chosen.evidence:
+        counts: dict[str, dict[str, int]] = {}
+        for told, count in by_format.items():
+            counts.setdefault(told.split()[0], {})[told.split()[1]] = count
+        evidence.add("broken files", counts)
     told = ", ".join(
         f"{totals[kind]} {kind}" for kind in ("ok", "typed", "untyped", "abort", "hang", "memory")
     )

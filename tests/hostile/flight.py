@@ -13,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-STEP = 2.5
-"""Way between two scans [m]: 25 m/s at 10 Hz."""
 EVERY = 1000
 """Metres between two lines."""
 SEEN = 0.85
@@ -84,18 +82,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m hostile.flight", description=__doc__)
     parser.add_argument("--km", type=float, default=50.0)
     parser.add_argument("--budget", type=float, default=200.0, help="of the map [MB]")
+    parser.add_argument("--step", type=float, default=2.5, help="way between two scans [m]")
     parser.add_argument("--columns", type=int, default=450, help="rays of one row")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--growth", type=float, default=16.0, help="from the budget on [MiB]")
     chosen = parser.parse_args()
     config = FlyingConfig.load({"voxel_map": {"max_voxels": int(chosen.budget * 1e6 / BYTES)}})
     detector = FlyingObjectDetector(config)
+    step = chosen.step
     rays, noise = sights(chosen.columns), np.random.default_rng(chosen.seed)
     pose, refused, seen, total = np.eye(4), 0, 0, 0
     full_at, least, peak, lost = None, np.inf, 0.0, 0
     begin = time.process_time()
-    for number in range(int(1000 * chosen.km / STEP)):
-        x, phase = STEP * number, number / 40
+    for number in range(int(1000 * chosen.km / step)):
+        x, phase = step * number, number / 40
         pose[:3, 3] = x, 0.0, HEIGHT
         ball = np.array([x + 7 + np.sin(phase), 2 * np.sin(0.7 * phase), HEIGHT + np.cos(phase)])
         points = scan(x, ball, rays, noise)
@@ -108,7 +108,7 @@ def main() -> int:
         total += 1
         flying = frame.tracks.flying.position
         seen += bool(len(flying)) and np.linalg.norm(flying - ball, axis=1).min() < 1.0
-        if (number + 1) % int(EVERY / STEP) == 0:
+        if (number + 1) % int(EVERY / step) == 0:
             held, size = resident(), detector.map_memory_bytes / 1e6
             full = detector.health().n_voxels_forgotten > 0
             if full and full_at is None:
@@ -117,11 +117,11 @@ def main() -> int:
                 peak = max(peak, held)
             pace = 1e3 * (time.process_time() - begin) / total
             print(
-                f"{(x + STEP) / 1000:5.0f} km: ball {seen / EVERY * STEP:.3f}, map {size:.1f} MB,"
+                f"{(x + step) / 1000:5.0f} km: ball {seen / EVERY * step:.3f}, map {size:.1f} MB,"
                 f" process {held:.1f} MiB, refused {refused}, {pace:.0f} ms of CPU per scan",
                 flush=True,
             )
-            lost += number > EVERY / STEP and seen < SEEN * EVERY / STEP
+            lost += number > EVERY / step and seen < SEEN * EVERY / step
             seen = 0
     growth = peak - least if full_at is not None else 0.0
     print(

@@ -175,16 +175,56 @@ def test_one_version_everywhere():
     assert re.search(r"^## \[?Unreleased", text_of("CHANGELOG.md"), re.MULTILINE)
 
 
+RUST_LIMITS = {
+    "lidar_core/src/util/budget.rs": ("MAX_POINTS", "MAX_VOXELS_PER_RAY", "MAX_SENSORS"),
+    "lidar_core/src/util/threads.rs": ("MAX_THREADS",),
+    "lidar_core/src/flying/track/parameters.rs": ("MAX_TRACKS",),
+    "lidar_core/src/fusion/targets/many/parameters.rs": ("MAX_TARGETS",),
+    "lidar_core/src/circles/map/parameters.rs": ("MAX_ELEMENTS",),
+    "lidar_sim/src/mesh.rs": ("MAX_FACES",),
+}
+PYTHON_LIMITS = {
+    "batch.config": ("MOST_JOBS", 1, ""),
+    "files": ("MOST_TEXT_BYTES", 2**20, " MiB"),
+    "io.child.limits": ("MEMORY", 2**30, " GiB"),
+    "io.formats.carmen": ("MAX_UNPACKED_BYTES", 2**30, " GiB"),
+    "io.formats.ros": ("MAX_TOPICS", 1, ""),
+    "io.messages.cloud": ("MAX_POINT_BYTES", 1, ""),
+    "io.poses.pose_files": ("MAX_FILE_BYTES", 2**20, " MiB"),
+    "live.config": ("MAX_POSES", 1, ""),
+    "live.sources.inbox": ("MAX_TOPICS", 1, ""),
+    "runs.checkpoints": ("MOST_BYTES", 2**30, " GiB"),
+}
+
+
 def test_the_limits_of_the_security_paper_are_those_of_the_code():
-    paper = text_of("SECURITY.md")
-    budget = text_of("rust/lidar_core/src/util/budget.rs")
-    for name in ["MAX_POINTS", "MAX_VOXELS_PER_RAY"]:
-        value = int(re.search(rf"{name}: usize = ([\d_]+);", budget)[1].replace("_", ""))
-        assert f"{value:,}" in paper
+    paper = text_of("SECURITY.md").partition("\n## Limits\n")[2]
+    told = set(re.findall(r"[\d,]*\d(?: [MG]iB)?", paper))
+    for file, names in RUST_LIMITS.items():
+        for name in names:
+            value = re.search(rf"{name}: usize = ([\d_]+);", text_of(f"rust/{file}"))[1]
+            assert f"{int(value.replace('_', '')):,}" in told, (file, name)
+    for module, (name, unit, word) in PYTHON_LIMITS.items():
+        value = getattr(importlib.import_module(f"lidar_core.{module}"), name)
+        assert f"{value // unit:,}{word}" in told, (module, name)
     read, flying = model_named("read")(), model_named("flying")()
-    assert f"{read.max_record_bytes // 2**20} MiB" in paper
+    assert f"{read.max_record_bytes // 2**20} MiB" in told
     for value in [read.max_points, flying.voxel_map.max_voxels]:
-        assert f"{value:,}" in paper
+        assert f"{value:,}" in told
+
+
+def test_the_attacks_of_the_security_paper_are_those_of_the_code():
+    from hostile.kills import works
+
+    paper = " ".join(text_of("SECURITY.md").split())
+    assert len(works(1)) == 15
+    assert "`make kills` kills fifteen commands" in paper
+    planted = {int(number) for number in re.findall(r"canary_(\d+)", text_of("Cargo.toml"))}
+    assert planted == set(range(1, 11))
+    assert "in a build with ten planted bugs" in paper
+    stopped = re.search(r"CALLS = \((.*)\)", text_of("tests/python/base/test_stop.py"))[1]
+    assert stopped.count(",") + 1 == 7
+    assert "in seven kinds of calls with two million points each" in paper
 
 
 # Configuration

@@ -248,7 +248,7 @@ pub fn rooms(bytes: &[u8]) {
     parameters.mismatch_share = Some(input.share());
     let Ok(mut detector) = FlyingObjectDetector::new(parameters, 1) else { return };
     let mut stamp_ns = 0;
-    for _ in 0..8 {
+    for _ in 0..12 {
         if input.is_empty() {
             break;
         }

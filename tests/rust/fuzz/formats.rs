@@ -93,7 +93,7 @@ fn states_of<O>(
 
 /// A state with a checksum that is right, and the head of a valid one. The first byte says what its
 /// content is: `bytes` as they are, or that of one of `bases` with bytes or whole numbers changed at
-/// places of which `bytes` tells.
+/// places of which `bytes` tells; the highest bit of a place says that the number has a sign.
 fn forged(bases: &[Vec<u8>], bytes: &[u8]) -> Vec<u8> {
     let [kind, bytes @ ..] = bytes else { return Vec::new() };
     let Some(valid) = bases.get(usize::from(kind / 3) % bases.len().max(1)) else {
@@ -116,9 +116,12 @@ fn forged(bases: &[Vec<u8>], bytes: &[u8]) -> Vec<u8> {
         }
         _ => {
             let mut changed = content.to_vec();
-            for &[low, middle, high, a, b, c, d] in bytes.as_chunks().0 {
-                let value = i32::from_le_bytes([a, b, c, d]);
-                put_number(&mut changed, at(low, middle, high), value);
+            // Eight bytes a number, as the program compares it: libFuzzer can put in what it is compared with.
+            for &[low, middle, high, ref value @ ..] in bytes.as_chunks::<11>().0 {
+                let value = i64::from_le_bytes(*value);
+                let signed = (value << 1 ^ value >> 63).cast_unsigned();
+                let number = if high & 0x80 == 0 { value.cast_unsigned() } else { signed };
+                put_number(&mut changed, at(low, middle, high & 0x7F), number);
             }
             forged.extend(changed);
         }
@@ -127,11 +130,10 @@ fn forged(bases: &[Vec<u8>], bytes: &[u8]) -> Vec<u8> {
 }
 
 /// Replace the number that begins at a place, as postcard writes one: seven bits a byte, the lowest
-/// first, the sign below them.
-fn put_number(content: &mut Vec<u8>, at: usize, value: i32) {
+/// first.
+fn put_number(content: &mut Vec<u8>, at: usize, mut left: u64) {
     let Some(rest) = content.get(at..) else { return };
     let old = rest.iter().take_while(|&&byte| byte >= 0x80).count() + 1;
-    let mut left = (value << 1 ^ value >> 31) as u32;
     let mut new = Vec::new();
     while left >= 0x80 {
         new.push(left as u8 | 0x80);

@@ -1,6 +1,6 @@
 //! Filters of one target and of many: every model and method, late and odd measurements.
 
-use super::input::Input;
+use super::input::{Input, one_thread};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::SimplexSearch;
 use lidar_core::fusion::model::models;
@@ -10,7 +10,6 @@ use lidar_core::fusion::{
     Filter, FusionParameters, ManyParameters, ManyTargets, Measurement, Method, Sensor,
     TargetAssociation, run, run_batch, smooth,
 };
-use lidar_core::util::threads::pool;
 
 fn parameters(input: &mut Input<'_>) -> FusionParameters {
     let usual = match input.below(4) {
@@ -183,8 +182,8 @@ pub fn runs(bytes: &[u8]) {
     let _ = run(&parameters, &rows);
     let lag_ns = input.maybe(|input| i64::from(input.byte()) << 24);
     let _ = smooth(&parameters, &rows, lag_ns);
-    if let Ok(pool) = pool(1) {
-        let _ = run_batch(&pool, &parameters, &[&rows, &[]]);
+    if let Ok(pool) = one_thread() {
+        let _ = run_batch(pool, &parameters, &[&rows, &[]]);
     }
     if input.rarely() {
         let targets = [rows];

@@ -1,6 +1,6 @@
 //! Lattice, rays, transforms, motion, spherical caps, clusters.
 
-use super::input::Input;
+use super::input::{Input, one_thread};
 use lidar_core::Error;
 use lidar_core::geometry::caps::{Cap, Directions};
 use lidar_core::geometry::cluster::angular_gap::{AngularGap, SeenLabeller, label_seen};
@@ -12,7 +12,6 @@ use lidar_core::geometry::transform::{
     rotation_from_quaternion,
 };
 use lidar_core::geometry::traverse::{traverse, voxel_count};
-use lidar_core::util::threads::pool;
 use std::ops::ControlFlow;
 
 pub fn functions(bytes: &[u8]) {
@@ -79,7 +78,7 @@ fn caps(input: &mut Input<'_>) -> Result<(), Error> {
         let _ = cap.area();
     }
     let _ = directions.is_empty();
-    let _ = directions.covered(&pool(1)?, input.share(), &caps);
+    let _ = directions.covered(one_thread()?, input.share(), &caps);
     Ok(())
 }
 
@@ -103,7 +102,7 @@ fn labelled(input: &mut Input<'_>) -> Result<(), Error> {
     assert_eq!(labeller.labels(), found);
     let seen = label_seen(&points, &gap, &clustering, None)?;
     let mut labeller = SeenLabeller::default();
-    assert_eq!(labeller.label(&points, &gap, &clustering, Some(&pool(1)?))?, seen);
+    assert_eq!(labeller.label(&points, &gap, &clustering, Some(one_thread()?))?, seen);
     assert_eq!(labeller.labels(), seen);
     Ok(())
 }

@@ -1,5 +1,17 @@
 //! Values from bytes: plausible ones most of the time, and those that break arithmetic.
 
+use lidar_core::Error;
+use lidar_core::util::threads::pool;
+use rayon::ThreadPool;
+use std::sync::LazyLock;
+
+/// A pool of one thread, which all runs share: to make one takes longer than many a run.
+pub fn one_thread() -> Result<&'static ThreadPool, Error> {
+    static POOL: LazyLock<Option<ThreadPool>> = LazyLock::new(|| pool(1).ok());
+    let missing = || Error::Io(std::io::Error::other("no thread can be had"));
+    POOL.as_ref().ok_or_else(missing)
+}
+
 /// What is left of the bytes; when nothing is left, every value is zero.
 pub struct Input<'a> {
     bytes: &'a [u8],

@@ -1,9 +1,8 @@
 //! The simulator: shapes, scenes, trajectories, sensors.
 
-use super::input::Input;
+use super::input::{Input, one_thread};
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, direction_of};
-use lidar_core::util::threads::pool;
 use lidar_sim::air::Particles;
 use lidar_sim::circle_beams::Beams;
 use lidar_sim::circle_samples::{Disturbance, Source, lattice, make};
@@ -160,7 +159,7 @@ fn seen(input: &mut Input<'_>) -> Result<(), Error> {
         scan: scan_number,
         seed: 7,
     };
-    scan(&pool(1)?, &task)?;
+    scan(one_thread()?, &task)?;
     let motion = RandomMotion {
         bounds: BoundingBox { min: [-5.0; 3], max: [5.0; 3] },
         speed_max: input.positive(),
@@ -231,9 +230,9 @@ fn samples(input: &mut Input<'_>) -> Result<(), Error> {
         mixed_share: input.share(),
         cut_margins: [0.05, 0.1],
     };
-    let pool = pool(1)?;
-    make(&pool, &beams, Source::Given(&circles, 1), &disturbance, 5, 0..3)?;
+    let pool = one_thread()?;
+    make(pool, &beams, Source::Given(&circles, 1), &disturbance, 5, 0..3)?;
     let radius = [input.positive(), input.positive()];
-    make(&pool, &beams, Source::Drawn { reach: 3.0, radius }, &disturbance, 5, 0..3)?;
+    make(pool, &beams, Source::Drawn { reach: 3.0, radius }, &disturbance, 5, 0..3)?;
     Ok(())
 }

@@ -103,6 +103,19 @@ pub(crate) fn impossible(what: &str) -> Error {
     damaged(0, &format!("no object has such a state: {what}"))
 }
 
+/// The number of the next object, of a saved state.
+///
+/// # Errors
+/// [`Error::Format`] for one that no object ever had, and that would leave no room for those to come.
+pub(crate) fn next_number(saved: i64) -> Result<i64, Error> {
+    const MOST: i64 = 1 << 62;
+    if (0..=MOST).contains(&saved) {
+        Ok(saved)
+    } else {
+        Err(impossible("numbers below 0 or beyond 2^62"))
+    }
+}
+
 fn damaged(offset: usize, what: &str) -> Error {
     Error::Format { what: what.into(), offset: offset as u64 }
 }
@@ -146,6 +159,17 @@ mod tests {
     use super::*;
 
     type Content = (Vec<f64>, Option<u32>);
+
+    /// Found by `make fuzz`: the number after the largest one was a panic.
+    #[test]
+    fn numbers_that_leave_no_room_are_refused() {
+        for saved in [0, 7, 1 << 62] {
+            assert!(matches!(next_number(saved), Ok(found) if found == saved));
+        }
+        for saved in [-1, i64::MIN, (1 << 62) + 1, i64::MAX] {
+            assert!(matches!(next_number(saved), Err(Error::Format { .. })), "{saved}");
+        }
+    }
 
     fn sample() -> Content {
         (vec![1.5, f64::NEG_INFINITY, -0.0], Some(7))

@@ -14,12 +14,16 @@ pub const MAX_THREADS: usize = 256;
 /// # Errors
 /// [`Error::Parameter`] if `threads` is outside that range, [`Error::Io`] if the system refuses.
 pub fn pool(threads: usize) -> Result<ThreadPool, Error> {
-    require((1..=MAX_THREADS).contains(&threads), "threads", "1 to 256", threads)?;
+    check_threads(threads)?;
     ThreadPoolBuilder::new()
         .num_threads(threads)
         .thread_name(|index| format!("lidar_core-{index}"))
         .build()
         .map_err(|error| Error::Io(std::io::Error::other(error)))
+}
+
+fn check_threads(threads: usize) -> Result<(), Error> {
+    require((1..=MAX_THREADS).contains(&threads), "threads", "1 to 256", threads)
 }
 
 /// Threads that several stages share. With one, the calling thread does all the work.
@@ -33,8 +37,9 @@ impl Workers {
     /// As [`pool`] and [`vector_unit::used`].
     pub fn new(threads: usize) -> Result<Self, Error> {
         vector_unit::used()?;
-        let pool = pool(threads)?;
-        Ok(Self((threads > 1).then(|| Arc::new(pool))))
+        check_threads(threads)?;
+        let pool = if threads > 1 { Some(Arc::new(pool(threads)?)) } else { None };
+        Ok(Self(pool))
     }
 
     /// The pool, if there are several threads.

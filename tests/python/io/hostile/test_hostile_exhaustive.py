@@ -91,5 +91,17 @@ def test_counts_add_up_and_the_guide_shows_them(tmp_path):
     known = json.loads(file.read_text())
     assert known == {"attack": {"a": {"abort": 2, "ok": 4}, "b": {"typed": 4}}}
     page = evidence.PAGE.read_text()
-    assert "| attack | `a` | 6 | 4 | 0 | 2 |" in evidence.shown(page, known)
+    assert "| attack | `a` | 6 | 4 | 0 | 0 | 2 |" in evidence.shown(page, known)
     assert evidence.shown(page, json.loads(evidence.FILE.read_text())) == page
+
+
+def test_mended_bugs_count_on_and_those_found_later_are_open(tmp_path):
+    file = tmp_path / "evidence.json"
+    evidence.add("attack", {"a": {"ok": 4, "abort": 2, "hang": 1}, "b": {"hang": 1}}, file)
+    assert evidence.mend("attack", "a", file) == 3
+    evidence.add("attack", {"a": {"abort": 1, "ok": 1}}, file)
+    known = json.loads(file.read_text())
+    assert known == {"attack": {"a": {"abort": 1, "mended": 3, "ok": 5}, "b": {"hang": 1}}}
+    page = evidence.shown(evidence.PAGE.read_text(), known)
+    assert "| attack | `a` | 9 | 5 | 0 | 3 | 1 |" in page
+    assert "| attack | `b` | 1 | 0 | 0 | 0 | 1 |" in page

@@ -36,7 +36,7 @@ use super::shape::ShapeKind;
 use crate::Error;
 use crate::estimation::kalman::Gaussian;
 use crate::tracking::kind::{KINDS, TrackKind};
-use crate::util::full_state::{impossible, opened, sealed};
+use crate::util::full_state::{impossible, next_number, opened, sealed};
 use history::History;
 use joint::JointMap;
 use rules::Rules;
@@ -199,6 +199,7 @@ impl CircleMap {
     }
 
     pub(super) fn restore(&mut self, saved: SavedCircleMap) -> Result<(), Error> {
+        let next_id = next_number(saved.next_id)?;
         match (&mut self.engine, saved.paper, saved.independent) {
             (MapFilter::Paper(joint), Some(state), None) => joint.restore(state)?,
             (MapFilter::Independent(rules, history), None, Some(read)) if read.fits(rules) => {
@@ -206,7 +207,7 @@ impl CircleMap {
             }
             _ => return Err(impossible("a map of circles whose parts do not agree")),
         }
-        self.next_id = saved.next_id;
+        self.next_id = next_id;
         Ok(())
     }
 

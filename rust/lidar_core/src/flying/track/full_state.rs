@@ -8,7 +8,7 @@ use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
 use super::state::PointTrack;
 use crate::Error;
-use crate::util::full_state::{impossible, opened, sealed};
+use crate::util::full_state::{impossible, next_number, opened, sealed};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -80,6 +80,7 @@ impl PointCloudTracker {
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
         let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births, visits } =
             saved;
+        let next_id = next_number(next_id)?;
         let mut numbers = tracks.iter().map(|track| track.id);
         let mut more = standing.iter().map(|target| target.id);
         let is_numbered = |id: i64| (0..next_id).contains(&id);

@@ -21,7 +21,7 @@ use crate::fusion::parameters::FusionParameters;
 use crate::fusion::sensors::measurement::Measurement;
 use crate::fusion::targets::lifecycle::LifecycleRules;
 use crate::tracking::standing_clutter::PlaceLog;
-use crate::util::full_state::{impossible, opened, sealed};
+use crate::util::full_state::{impossible, next_number, opened, sealed};
 use history::{Past, SavedPast, forget};
 pub use parameters::{ExistenceParameters, MAX_TARGETS, ManyParameters, TargetAssociation};
 use serde::{Deserialize, Serialize};
@@ -169,7 +169,7 @@ impl ManyTargets {
             tracks,
             history,
             places: saved.places,
-            next_id: saved.next_id,
+            next_id: next_number(saved.next_id)?,
             stamp_ns: saved.stamp_ns,
             forgotten_ns: saved.forgotten_ns,
             ..empty

@@ -181,7 +181,7 @@ impl Births {
     /// Number of the track started by measurement `column`.
     pub(super) fn of(&mut self, column: usize) -> i64 {
         let id = self.ids.of_column[column].unwrap_or(self.next_id);
-        self.next_id = self.next_id.max(id + 1);
+        self.next_id = self.next_id.max(id.saturating_add(1));
         self.ids.of_column[column] = Some(id);
         id
     }
@@ -190,7 +190,7 @@ impl Births {
     pub(super) fn of_pair(&mut self, id: i64, column: usize) -> i64 {
         let next = self.next_id;
         let new = *self.ids.of_pair.entry((id, column)).or_insert(next);
-        self.next_id = self.next_id.max(new + 1);
+        self.next_id = self.next_id.max(new.saturating_add(1));
         new
     }
 }
@@ -251,12 +251,12 @@ impl TargetTrack {
         let seen = 1 << scan.source;
         if self.sources & seen == 0 {
             self.history <<= 1; // the first scan of this scanner that counts
-            self.looks += 1;
+            self.looks = self.looks.saturating_add(1);
         }
         self.history |= 1;
         self.sources |= seen;
         self.seen_ns = scan.stamp_ns;
-        self.hits += 1;
+        self.hits = self.hits.saturating_add(1);
     }
 
     /// Process measurements with their probabilities to come from this track.

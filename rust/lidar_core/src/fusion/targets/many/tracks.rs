@@ -191,7 +191,7 @@ impl Tracks {
         for track in &mut self.all {
             if track.sources & seen != 0 {
                 track.history <<= 1;
-                track.looks += 1;
+                track.looks = track.looks.saturating_add(1);
             }
         }
         let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
