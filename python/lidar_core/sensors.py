@@ -78,8 +78,7 @@ def _spinning(elevations_deg: tuple[float, ...], columns: int, **more: Any) -> d
 
 
 def _rosette(elevation_deg: tuple[float, float], **pattern: Any) -> dict[str, Any]:
-    low, high = elevation_deg
-    return {"kind": "rosette", "elevation_min_deg": low, "elevation_max_deg": high, **pattern}
+    return {"kind": "rosette", "elevation_deg": elevation_deg, **pattern}
 
 
 def _planar(angle_deg: float, beams: int, sweep_time: float, **more: Any) -> dict[str, Any]:

@@ -240,7 +240,7 @@ def _reach_of(lidar: LidarModel) -> tuple[float, float]:
     if pattern.kind == "spinning":
         low, high = min(pattern.elevations_deg), max(pattern.elevations_deg)
     elif pattern.kind == "rosette":
-        low, high = pattern.elevation_min_deg, pattern.elevation_max_deg
+        low, high = pattern.elevation_deg
     else:
         raise ConfigError("sensor: expected a 3D LiDAR, got a planar one")
     return float(np.deg2rad(low + 5)), float(np.deg2rad(high - 5))

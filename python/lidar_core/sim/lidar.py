@@ -8,6 +8,8 @@ from pydantic import Field, model_validator
 from lidar_core.config import Config
 from lidar_core.sensors import sensor_named
 
+Elevation = Annotated[float, Field(ge=-90, le=90)]
+
 
 class Spinning(Config):
     """Rows of fixed elevation that turn once per scan, counter-clockwise seen from above.
@@ -16,7 +18,7 @@ class Spinning(Config):
     """
 
     kind: Literal["spinning"] = "spinning"
-    elevations_deg: tuple[Annotated[float, Field(ge=-90, le=90)], ...] = Field(
+    elevations_deg: tuple[Elevation, ...] = Field(
         min_length=1, max_length=4096, description="Elevation of every row [deg], top row first."
     )
     columns: int = Field(1024, ge=1, le=65536, description="Columns per turn (no unit).")
@@ -35,11 +37,14 @@ class Rosette(Config):
     removed: ClassVar[Mapping[str, str]] = {
         "turn_rate": "it makes 16.18 turns or swings in azimuth per second",
         "swing_rate": "it swings 2236 times per second in elevation",
+        "elevation_min_deg": "write it as the first value of elevation_deg",
+        "elevation_max_deg": "write it as the second value of elevation_deg",
     }
     kind: Literal["rosette"] = "rosette"
     rays: int = Field(20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
-    elevation_min_deg: float = Field(ge=-90, le=90, description="Lowest elevation [deg].")
-    elevation_max_deg: float = Field(ge=-90, le=90, description="Highest elevation [deg].")
+    elevation_deg: tuple[Elevation, Elevation] = Field(
+        description="Lowest and highest elevation [deg]."
+    )
     azimuth_half_deg: float | None = Field(
         None, gt=0, lt=180, description="Azimuth to either side of the x axis; none: turns [deg]."
     )

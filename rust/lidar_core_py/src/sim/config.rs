@@ -41,8 +41,7 @@ enum PatternConfig {
     },
     Rosette {
         rays: i64,
-        elevation_min_deg: f64,
-        elevation_max_deg: f64,
+        elevation_deg: [f64; 2],
         azimuth_half_deg: Option<f64>,
     },
     Planar {
@@ -71,14 +70,9 @@ impl PatternConfig {
                     azimuth_per_scan,
                 }
             }
-            Self::Rosette {
-                rays,
-                elevation_min_deg: min,
-                elevation_max_deg: max,
-                azimuth_half_deg,
-            } => Pattern::Rosette {
+            Self::Rosette { rays, elevation_deg, azimuth_half_deg } => Pattern::Rosette {
                 rays: arrays::count("rays", rays)?,
-                elevation: [min.to_radians(), max.to_radians()],
+                elevation: elevation_deg.map(f64::to_radians),
                 azimuth_half: azimuth_half_deg.map(f64::to_radians),
             },
             Self::Planar { beams, angle_min, angle_increment, time_increment_ns } => {
