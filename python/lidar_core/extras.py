@@ -33,8 +33,8 @@ def require(module: str, *, extra: str, purpose: str) -> Any:
 def install_command(extra: str) -> str:
     """Command that installs an extra from where this package came from.
 
-    That is the package index, a wheel file, a checkout or a repository; pip notes it in
-    direct_url.json (PEP 610). Without that note it was the index.
+    The source is the package index, a wheel file, a checkout or a repository; pip notes it in
+    direct_url.json (PEP 610). Without that note it is the index.
     """
     try:
         note = json.loads(_distribution().read_text("direct_url.json") or "{}")

@@ -1,4 +1,4 @@
-"""What can be configured: every model with its parameters, and files to start from."""
+"""List of all configuration models and their parameters, and configuration files to start from."""
 
 import json
 import re
@@ -60,9 +60,9 @@ class Parameter:
     name, type, description : str
         The description carries the unit.
     default : str
-        As TOML writes it; "required" where there is none.
+        Default in TOML; "required" if there is none.
     range : str
-        What is allowed; empty without a bound.
+        Allowed range; empty if it has no bound.
     """
 
     name: str

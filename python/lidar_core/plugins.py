@@ -1,8 +1,8 @@
 """Readers, writers and metrics: registered by a decorator, also by other packages.
 
-The parts of this package lie in folders whose files are imported when a part is first looked for.
-Those of other packages are found by their entry points. A broken package does not affect the
-others: a warning names it, and so does the error if something is asked for that nobody knows.
+The parts of this package are in folders whose files are imported when a part is first needed. The
+parts of other packages are found by their entry points. A broken package does not affect the
+others: a warning names it, and so does the error about an unknown name.
 """
 
 import sys
@@ -19,11 +19,11 @@ from lidar_core.errors import ConfigError, LidarCoreError, PluginError, PluginWa
 
 
 class Part(Protocol):
-    """What can be registered."""
+    """Part that can be registered."""
 
     @property
     def name(self) -> str:
-        """By which it is found; unique in its registry."""
+        """Name of the part, unique in its registry."""
 
     @property
     def module(self) -> str:
@@ -130,7 +130,7 @@ class Registry(Generic[PartT]):
 
     @contextmanager
     def calling(self, part: PartT) -> Iterator[None]:
-        """Turn a mistake in a part from outside into an error that says where it is from.
+        """Turn an exception in a part of another package into an error that names the package.
 
         Raises
         ------

@@ -24,11 +24,11 @@ class Sensor:
     title : str
         Maker and name.
     note : str
-        What the numbers stand for, and what differs from the real pattern.
+        Origin of the numbers, and differences from the real pattern.
     model : mapping
         Values of `lidar_core.sim.LidarModel`.
     delivery : str
-        What its driver makes of rays without return, as `lidar_core.sim.LidarModel.delivery`:
+        Output of the driver for rays without return, as `lidar_core.sim.LidarModel.delivery`:
         "dropped" rows, rows of "zeros", "organised" rows of NaN, or "rays" that are all known.
     """
 

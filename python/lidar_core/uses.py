@@ -17,7 +17,7 @@ class Use:
     model : str
         Name of the model that it configures, in `lidar_core.parameters.MODELS`.
     title : str
-        What it is for.
+        Purpose.
     maker : str
         Name of the model's class method that makes its configuration.
     """
@@ -27,7 +27,7 @@ class Use:
     maker: str
 
     def config(self) -> Config:
-        """Its configuration, whole."""
+        """Complete configuration of the use."""
         made: Config = getattr(model_named(self.model), self.maker)()
         return made
 

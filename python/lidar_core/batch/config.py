@@ -1,4 +1,4 @@
-"""What a batch is to do: commands, with every combination of the values given for their parts."""
+"""Configuration of a batch: commands, run once for every combination of the listed values."""
 
 import glob
 import re
@@ -127,7 +127,7 @@ class BatchJob:
     group : str
         Name of the group.
     values : dict
-        Of every {NAME}.
+        Value of every {NAME}.
     commands : tuple of tuple of str
         Arguments of each command; {output} still stands in them.
     """

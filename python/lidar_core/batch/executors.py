@@ -22,11 +22,11 @@ class Task:
     Attributes
     ----------
     name : str
-        For messages.
+        Name of the task in messages.
     function : callable
-        With the same arguments always the same result.
+        Function that does the work; equal arguments always give an equal result.
     arguments : mapping
-        Of the function.
+        Arguments of the function.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What kept a task from its result: an exception, or the end of its process."""
+    """Reason why a task has no result: an exception, or the end of its process."""
 
     error: Exception
 

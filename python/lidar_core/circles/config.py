@@ -17,7 +17,7 @@ NetworkName: TypeAlias = Annotated[str, Field(pattern=r"^(cnn|paper-cnn|.+\.onnx
 
 
 class CirclesConfig(Config):
-    """From 2D scans to the map: `CirclesConfig()` is best mode, `.paper()` the paper.
+    """Configuration from 2D scans to the map: `CirclesConfig()` is best mode, `.paper()` the paper.
 
     Source: Sanchez-Lopez et al., "Deep learning based semantic situation awareness system for
     multirotor aerial robots using LIDAR", 2019, secs. III-V.
@@ -58,9 +58,9 @@ class CirclesConfig(Config):
     def paper(cls, **changes: Any) -> Self:
         """The stages as published, with given changes.
 
-        Circles come from the paper's network, which knows the paper's scanner: a pipeline with
-        another one raises ConfigError. `CirclesConfig.paper(detector="taubin")` has all other
-        stages as published, and is for any scanner.
+        Circles come from the paper's network, which was trained for the paper's scanner: a pipeline
+        with another scanner raises ConfigError. `CirclesConfig.paper(detector="taubin")` has all
+        other stages as published and works with any scanner.
         """
         paper = {
             "detector": "paper-cnn",

@@ -41,13 +41,13 @@ def crowds(
     samples : Samples
         Single circles.
     scanner : Scanner
-        That they were made for.
+        Scanner that the samples were made for.
     per_scan : int
         Circles in every scan, >= 1; fewer in the last one.
     walls : int
         Walls in every scan: straight, 1 to 6 m long, with their middle at least 1 m away.
     seed : int
-        Of the walls.
+        Seed of the walls.
 
     Examples
     --------

@@ -45,13 +45,13 @@ class CircleDataset:
     Attributes
     ----------
     folder : Path
-        Where it is.
+        Folder of the dataset.
     config : DatasetConfig
-        How it was made.
+        Configuration that the dataset was made with.
     seed : int
-        Of circles, noise and split.
+        Seed of circles, noise and split.
     n_samples : int
-        Of all shards, those that are still to be made included.
+        Number of samples in all shards, including shards that are not made yet.
     shards : tuple of str
         Files that are there, in order.
     """
@@ -140,7 +140,7 @@ def generate(
     Parameters
     ----------
     config : DatasetConfig
-        What is in it.
+        Content of the dataset.
     folder : str or Path
         Where; made if missing. Shards that are there and whole are kept.
     seed : int
@@ -185,7 +185,7 @@ def open_dataset(folder: str | Path, *, verify: bool = False) -> CircleDataset:
     Parameters
     ----------
     folder : str or Path
-        What `generate` made.
+        Folder that `generate` made.
     verify : bool
         Compare the checksum of every shard.
 

@@ -12,7 +12,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 
 class DatasetConfig(Config):
-    """Which circles a scanner is shown, and what disturbs its view; defaults: the paper's.
+    """Circles in front of a scanner, and disturbances of its view; the defaults are the paper's.
 
     Ranges of values, as `range_std`, are drawn from uniformly, once per sample. Source:
     Sanchez-Lopez et al., sec. IV-B, Table II.

@@ -90,7 +90,8 @@ def project_horizontal(
     Parameters
     ----------
     ranges, bearings, world_from_lidar, stamp_ns, ray_time_ns, pose_stamps_ns
-        As for `limit_range`. With a stream of poses the motion during the sweep is taken out.
+        Same meaning as in `limit_range`. With a stream of poses, the motion during the sweep is
+        corrected.
     mode : str
         "exact": every point as seen from above; "paper": ranges by cos(pitch) cos(roll), bearings
         as they are, eq. 5.

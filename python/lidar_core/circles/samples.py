@@ -29,10 +29,10 @@ class Samples:
     beam_half_width : ndarray, shape (N,), float32
         Half the width of the rays [rad].
     first_ray, n_rays : ndarray, shape (N,), uint32
-        Rays of the window: from the first that met the circle to the last; it may run over the
-        end of the sweep and go on at ray 0.
+        Rays of the window, from the first that hit the circle to the last; the window may continue
+        from the end of the sweep at ray 0.
     sides : ndarray, shape (N, 2), uint8
-        What lies before and after the window: places in `SIDES`.
+        Kind of the neighbours before and after the window: indices into `SIDES`.
     ranges : ndarray, shape (R,), float32
         Ranges of all windows, one after the other [m]; +inf is a miss.
     """
@@ -50,7 +50,7 @@ class Samples:
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """Where each window begins in `ranges`, and where the last one ends; shape (N + 1,)."""
+        """Start of each window in `ranges`, and end of the last window; shape (N + 1,)."""
         ends = np.cumsum(self.n_rays, dtype=np.int64)
         return np.concatenate([np.zeros(1, np.int64), ends])
 
@@ -123,9 +123,9 @@ def make_samples(
     Parameters
     ----------
     config : DatasetConfig
-        What disturbs the view; of continuous datasets also which circles there are.
+        Disturbances of the view; for continuous datasets also the circles.
     count, start : int
-        Which samples.
+        Number of samples, and index of the first one.
     seed : int
         Decides circles and noise.
     circles : ndarray, shape (N, 3), float64, optional

@@ -132,7 +132,7 @@ class SegmentConfig(Config):
 
     @classmethod
     def paper(cls) -> Self:
-        """As published: one distance in both spaces, 0.3 % of the rays, no second pass.
+        """Return the published values: one distance in both spaces, 0.3 % of rays, one pass.
 
         The distance is not given; the default splits 0.04 % of the paper's circles.
         """

@@ -1,4 +1,4 @@
-"""What a 2D LiDAR measures: which rays, and from where to where."""
+"""Rays and range limits of a 2D LiDAR."""
 
 import math
 from collections.abc import Mapping

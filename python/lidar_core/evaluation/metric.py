@@ -26,9 +26,9 @@ class Paired:
     truth : Truth
         The targets.
     pairing : Pairing
-        Which estimate is which target.
+        Assignment of estimates to targets.
     config : EvaluationConfig
-        What counts as found.
+        Configuration of what counts as found.
     """
 
     estimates: Estimates
@@ -49,11 +49,11 @@ class Metric:
     name : str
         In Python and JSON; unique.
     title : str
-        For people.
+        Name of the metric in tables.
     unit : str
-        Of the number; empty without.
+        Unit of the number; empty if it has none.
     of : str
-        What it is computed of.
+        Input of the metric.
     compute : callable
         `compute(paired)`; None where there is nothing to compute it from.
     module : str
@@ -86,9 +86,9 @@ def register_metric(
     name : str
         In Python and JSON; unique.
     title : str
-        For people.
+        Name of the metric in tables.
     unit : str
-        Of the number; empty without.
+        Unit of the number; empty if it has none.
     of : str
         "tracks", "detections" or "both".
 

@@ -145,7 +145,7 @@ def consistency_warnings(report: "Evaluation") -> list[str]:
 
 
 def counted_caption(config: "EvaluationConfig") -> str:
-    """Which sightings count."""
+    """Return a caption that states which sightings count."""
     return (
         f"Sightings: target within {config.max_distance:g} m and hit by {config.min_hits} rays or"
         f" more, where ground truth is available; after the first {config.burn_in_scans} scans."

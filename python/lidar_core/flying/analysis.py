@@ -1,4 +1,4 @@
-"""What a LiDAR can know and see: uncertain points, voxels that were hit, targets that are met."""
+"""Limits of what a LiDAR shows: uncertain points, voxels that rays hit, targets that rays hit."""
 
 import math
 from collections.abc import Sequence

@@ -276,7 +276,7 @@ class SeparateConfig(Config):
 
 
 class SeedConfig(Config):
-    """Where the first background comes from: the paper is silent, and without it nothing flies.
+    """Source of the first background. The paper does not state it; without it nothing flies.
 
     Other seeds are an a-priori map: `FlyingObjectDetector.set_occupied`, `load_map`.
     """

@@ -120,7 +120,8 @@ class FlyingObjectDetector(FullState):
         pose_covariance : array_like, shape (6, 6), float64, optional
             Covariance of translation [m^2] and of the angles about x, y, z [rad^2] (eq. 38).
         sensor : str, optional
-            Which of several LiDARs; without it "lidar", of a posed scan its topic or frame.
+            Name of the LiDAR, if there are several. Default: "lidar", or for a posed scan its topic
+            or frame.
 
         Returns
         -------
@@ -130,11 +131,11 @@ class FlyingObjectDetector(FullState):
         ------
         InputError
             Wrong shape, dtype or value, or a stamp that is not newer than the last one of this
-            sensor. The detector is unchanged. With `on_bad_scan="count"` nothing is raised: the
-            frame says in `rejected` what was wrong.
+            sensor. The detector is unchanged. With `on_bad_scan="count"` no error is raised:
+            `rejected` of the frame states the reason.
         LimitError
-            The scan alone needs more voxels than the budget of the map has, or it is of the 65th
-            sensor; the detector is unchanged.
+            The scan alone needs more voxels than the budget of the map allows, or it comes from a
+            65th sensor; the detector is unchanged.
         """
         given: dict[str, Any] = {
             "points_lidar": points_lidar,
@@ -181,7 +182,7 @@ class FlyingObjectDetector(FullState):
         stamp_ns : int
             Time of the states [ns].
         confirmed : bool
-            Whether tracks that are not reported are left out.
+            Leave out tracks that are not reported.
         """
         stamp_ns = as_stamp(stamp_ns, name="stamp_ns")
         arrays = self._detector.tracks_at(stamp_ns, confirmed)
@@ -195,9 +196,9 @@ class FlyingObjectDetector(FullState):
         Parameters
         ----------
         ids : array_like, shape (K,), int64
-            Their names.
+            Numbers of the teammates.
         positions_world : array_like, shape (K, 3), float64
-            Where they say they are [m]; call again when they have moved.
+            Reported positions of the teammates [m]; call again when they have moved.
         radius : float
             Detections this near are taken for them [m].
         """
@@ -243,8 +244,8 @@ class FlyingObjectDetector(FullState):
     def save_map(self, path: str | PathLike[str]) -> None:
         """Write the map to a file that `load_map` and `VoxelMap.load` read.
 
-        What was found of the robot itself goes with it, per name of a sensor: of those met, then of
-        those that a loaded map knew, 64 in all.
+        The file also contains what the sensors saw of the robot itself, by name of the sensor:
+        first of sensors used, then of sensors of a loaded map, 64 in all.
         """
         with naming(path):
             self._detector.save_map(path)
@@ -252,8 +253,9 @@ class FlyingObjectDetector(FullState):
     def load_map(self, path: str | PathLike[str]) -> None:
         """Go on with a map of an earlier run; tracks are dropped.
 
-        A sensor that has not found the robot itself knows it from the file, from its next scan on.
-        It forgets it within five scans if the returns do not show it: the sensor sits elsewhere.
+        A sensor that has not yet detected the robot itself takes it from the file, from its next
+        scan on. It drops this within five scans if the returns do not agree: the sensor is mounted
+        elsewhere.
 
         Raises
         ------
@@ -262,24 +264,24 @@ class FlyingObjectDetector(FullState):
         LimitError
             It is too large.
         ConfigError
-            Its voxels differ in size.
+            The size of the voxels differs.
         """
         with naming(path):
             self._detector.load_map(path)
 
     def make_static_map(self) -> None:
-        """From the next scan on, keep a map of all that stands, without what moved.
+        """From the next scan on, keep a map of all static points, without moving objects.
 
-        What moved is at places, up to 45 m away, through which rays of scans before or after have
-        passed. Every scan keeps some 0.25 MB for that, up to 256 MB; after that every second one.
-        The work is done when the map is asked for.
+        Points of moving objects lie at places, up to 45 m away, that rays of earlier or later scans
+        have passed. Every scan needs some 0.25 MB for this, up to 256 MB; after that only every
+        second scan is kept. The map is computed when it is requested.
         """
         self._detector.make_static_map()
 
     def static_points(self) -> NDArray[np.float64]:
         """Points of all that stands, (N, 3) [m], world frame.
 
-        Of points within 3 cm of each other one is kept. Empty without `make_static_map`.
+        Of points within 3 cm of each other, one is kept. Empty without `make_static_map`.
         """
         return self._detector.static_points()
 
@@ -308,9 +310,9 @@ class FlyingObjectDetector(FullState):
         return self._detector.reanchor()
 
     def reset(self) -> None:
-        """Forget map, tracks and poses; track numbers go on, health is kept.
+        """Forget map, tracks and poses; track numbers continue, health is kept.
 
-        What was learnt of the sensors stays, until others need their places: 64 are told apart.
+        Learnt properties of the sensors stay until other sensors need their places: 64 are kept.
         """
         self._detector.reset()
 

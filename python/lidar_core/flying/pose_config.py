@@ -10,7 +10,7 @@ _Std = Annotated[float, Field(ge=0, le=100)]
 
 
 class PoseConfig(Config):
-    """How certain poses are, and what follows for the map. Source: Vrba et al., sec. IV."""
+    """Certainty of poses, and its effect on the map. Source: Vrba et al., sec. IV."""
 
     position_std: tuple[_Std, _Std, _Std] = Field(
         (0.0, 0.0, 0.0),

@@ -102,7 +102,7 @@ class SensorConfig(Config):
 
     @classmethod
     def preset(cls, name: str) -> Self:
-        """What differs from the defaults for a 3D sensor of `lidar_core.sensors.SENSORS`.
+        """Return a configuration for a 3D sensor of `lidar_core.sensors.SENSORS`.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class SensorConfig(Config):
 
     @property
     def beam_table(self) -> BeamTable:
-        """What `beams` and the rows given stand for."""
+        """Rays of the sensor, as `beams` and the given rows state them."""
         if self.beams in (None, "given"):
             return ("given", (), 0)
         if self.beam_elevations:

@@ -110,8 +110,8 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time of the scan [ns].
         sensor_origin : array_like, shape (3,), optional
-            Where the scan was taken from [m], world frame: a track behind nearer points then
-            waits, up to `config.max_coast`, instead of growing towards removal.
+            Position of the sensor [m], world frame. A track behind nearer points then waits, up to
+            `config.max_coast`, instead of growing towards removal.
         point_time_ns : array_like, shape (N,), int64, optional
             Absolute time of every point [ns]: a cluster then counts at the mean time of its
             points (config.measurement "cluster").
@@ -170,7 +170,7 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time the detections describe [ns].
         covariance : array_like, shape (M, 3, 3), optional
-            Their covariances [m^2]; without it, `config.initial_std` holds.
+            Covariances of the positions [m^2]; without them `config.initial_std` applies.
         extent : array_like, shape (M, 3), optional
             Sides of their bounding boxes [m].
         time_ns : array_like, shape (M,), int64, optional
@@ -212,7 +212,7 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time of the states [ns].
         confirmed : bool
-            Whether tracks that are not reported are left out.
+            Leave out tracks that are not reported.
         """
         stamp = as_stamp(stamp_ns)
         arrays = self._tracker.tracks_at(stamp)

@@ -26,7 +26,7 @@ IN_SPACE = "-3d"
 
 
 class PublishedModel(Config):
-    """What the paper leaves open about its model.
+    """Choices that the paper leaves open for its model.
 
     Source: Remote Sens. 2023, 15, 3396, eqs 5-28.
     """
@@ -243,7 +243,7 @@ class FusionConfig(Config):
 
     @classmethod
     def turning_sensor(cls) -> Self:
-        """Targets in the frame of a sensor that turns and moves, as its gyro says."""
+        """Return a configuration for targets in the frame of a moving sensor with a gyro."""
         return cls(model="ctrv-drone", acceleration_noise=1.0)
 
     @classmethod

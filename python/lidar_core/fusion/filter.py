@@ -18,7 +18,7 @@ from lidar_core.util.full_state import FullState
 
 @dataclass(frozen=True, slots=True)
 class FilterHealth:
-    """Noise of the sensors, as it was configured and as the measurements show it.
+    """Noise of the sensors, as configured and as estimated from the measurements.
 
     Attributes
     ----------
@@ -77,14 +77,14 @@ class TargetFilter(FullState):
         Returns
         -------
         step : FusionStep
-            `stamp_ns`, `state` (n,) and `covariance` (n, n) after it, None before the target has
-            been seen; `innovation` (k,) and `nis`, None where there was nothing to compare;
-            `accepted`; and `outcome`: "updated", "started", "restarted" (the filter was lost),
-            "told" (how the platform moves), "gated", "invalid" (values that cannot be used),
-            "late" (older than `config.buffer_time` allows), "duplicate", "singular" (covariances
-            without a factor). After the last four the filter is as before, after "gated" it is
-            predicted only. A late measurement within the buffer is put where it belongs:
-            `innovation` is then of that time, the state of the newest.
+            `stamp_ns`; `state` (n,) and `covariance` (n, n) after the step, None before the target
+            was seen; `innovation` (k,) and `nis`, None if nothing was compared; `accepted`; and
+            `outcome`: "updated", "started", "restarted" (the filter had lost the target), "told"
+            (motion of the platform), "gated", "invalid" (unusable values), "late" (older than
+            `config.buffer_time` allows), "duplicate", "singular" (a covariance could not be
+            factorised). After the last four the filter is unchanged; after "gated" it is only
+            predicted. A late measurement within the buffer is processed at its own time:
+            `innovation` then belongs to that time, the state to the newest.
 
         Raises
         ------

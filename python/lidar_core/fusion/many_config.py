@@ -14,12 +14,12 @@ Density = Annotated[float, Field(gt=0, le=1e6)]
 class MultiTargetConfig(Config):
     """Tracks of many targets from scans of LiDAR and radar.
 
-    Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and
-    Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999;
-    Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
-    data association", 1983; Musicki & Evans, "Joint integrated probabilistic data association:
-    JIPDA", 2004; Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994,
-    whose Markov chain two tells hidden targets from those that do not exist.
+    Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999; Fortmann,
+    Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic data
+    association", 1983; Musicki & Evans, "Joint integrated probabilistic data association: JIPDA",
+    2004; Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994, whose
+    second Markov chain separates hidden targets from targets that do not exist.
     """
 
     removed: ClassVar[Mapping[str, str]] = {

@@ -37,7 +37,7 @@ def _scaled(factor: float) -> Change:
 
 
 def later(seconds: float) -> Change:
-    """The same measurement, so much later [s]."""
+    """Return the same measurement with a later time [s]."""
 
     def changed(m: Measurement) -> Measurement:
         return m.with_values(m.values, stamp_ns=m.stamp_ns + round(seconds * 1e9))

@@ -41,7 +41,7 @@ def open_recording(
     path : str or Path
         File or folder.
     options : ReadOptions, optional
-        How to read it.
+        Options for reading it.
     trusted : bool, optional
         True parses the file in this process. False has a process of its own parse formats that
         other people's libraries read, with limits on memory and processor time: a file that makes

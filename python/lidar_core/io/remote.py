@@ -14,7 +14,7 @@ EXTRA, PURPOSE = "cloud", "files of other machines"
 
 
 def is_remote(text: str) -> bool:
-    """Whether a text is an address such as s3://bucket/a.mcap; file:// counts, too."""
+    """True if a text is an address such as s3://bucket/a.mcap; file:// also counts."""
     return _ADDRESS.match(text) is not None
 
 
@@ -75,7 +75,7 @@ def fetched(address: str, folder: Path) -> Path:
 
 
 def texts(pattern: str) -> dict[str, bytes]:
-    """What the files hold that match a pattern, by address; they are read together."""
+    """Read the files that match a pattern, all at a time; return their content by address."""
     files, path = _opened(pattern)
     files.invalidate_cache()
     names = files.glob(path)

@@ -18,7 +18,7 @@ class RestampedRecording(Recording):
     Parameters
     ----------
     recording : Recording
-        As it is; closed with this one.
+        Recording with the original stamps; closed with this one.
     options : ReadOptions
         `stamps` is recorded or counted.
     """

@@ -1,4 +1,4 @@
-"""Which topic of a recording has the scans that are wanted."""
+"""Selection of the topic of a recording that has the wanted scans."""
 
 from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
@@ -36,11 +36,11 @@ def scan_topics(
     Parameters
     ----------
     recording : Recording
-        Where to look.
+        Recording to search.
     sorts : collection of type
         `Scan`, `LaserScan`, or both.
     names : collection of str
-        Of topics; each must be there.
+        Names of topics; each must exist.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a live run waits, forgets and reports."""
+"""Configuration of a live run: waiting times, memory of poses, reports."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
@@ -25,7 +25,7 @@ CONNECT_TIMEOUT = 10.0
 
 
 class LiveConfig(Config):
-    """How `lidar-core live` waits, forgets and reports. Source: tests on the loopback."""
+    """Waiting times, memory and reports of `lidar-core live`. Source: tests on the loopback."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "report_interval": "reports come every second",

@@ -38,11 +38,11 @@ class LiveLoop(Generic[ScanT]):
     pipeline : callable
         Makes the pipeline for scans of a sort, or returns None for a sort that is not wanted.
     poses : LivePoses
-        Where the sensor is.
+        Source of the sensor's poses.
     outputs : sequence of Output
         Get every update, in this order; closed at the end.
     config : LiveConfig
-        How long to wait.
+        Waiting times.
     topics : sequence of str
         Topics of the LiDARs; empty for the first that brings a scan.
     tape : Tape, optional
@@ -55,9 +55,9 @@ class LiveLoop(Generic[ScanT]):
     Attributes
     ----------
     stats : LiveStats
-        What was counted.
+        Counts of the run.
     inbox : Inbox
-        What arrived.
+        Messages that have arrived.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class LiveLoop(Generic[ScanT]):
 
     @property
     def heard_nothing(self) -> bool:
-        """Whether a stream brought no scan that was asked for, not even one that is unreadable."""
+        """True if a stream brought none of the requested scans, not even an unreadable one."""
         heard = self.inbox.heard & self._wanted if self._wanted else self.inbox.heard
         return self._source.is_stream and not heard
 
@@ -132,7 +132,7 @@ class LiveLoop(Generic[ScanT]):
             self._on_silence(self._source.advertised())
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         self.stats.dropped.update(self.inbox.dropped)
         self.inbox.dropped.clear()
         findings = self._source.findings

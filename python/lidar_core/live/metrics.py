@@ -1,4 +1,4 @@
-"""How a live run goes, for Prometheus: text that it fetches.
+"""State of a live run as text that Prometheus fetches.
 
 Format: Prometheus text exposition format 0.0.4.
 """
@@ -71,7 +71,7 @@ class MetricsServer:
     Parameters
     ----------
     host, port : str, int
-        Where it listens; port 0 takes a free one.
+        Address to listen at; port 0 selects a free one.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class MetricsServer:
     Attributes
     ----------
     address : str
-        Where the metrics are.
+        URL of the metrics.
     """
 
     def __init__(self, host: str, port: int) -> None:

@@ -16,7 +16,7 @@ class LivePipeline(ABC, Generic[ScanT]):
     Attributes
     ----------
     capability : str
-        What it looks for.
+        Capability of the pipeline.
     sort : type
         `Scan` or `LaserScan`.
     """
@@ -31,7 +31,7 @@ class LivePipeline(ABC, Generic[ScanT]):
 
     @abstractmethod
     def take(self, item: PosedScan[ScanT], frame_id: str) -> Update | str:
-        """Process one scan; a text says why it was rejected."""
+        """Process one scan; return the reason if it was rejected."""
 
 
 class FlyingLive(LivePipeline[Scan]):
@@ -61,7 +61,7 @@ class CirclesLive(LivePipeline[LaserScan]):
     Parameters
     ----------
     config : CirclesConfig
-        Its `scanner` limits the ranges.
+        Configuration; its `scanner` limits the ranges.
     n_scanners : int
         LiDARs of which a scan has to be known before the first one is taken.
 
@@ -71,7 +71,7 @@ class CirclesLive(LivePipeline[LaserScan]):
         Gets every scan; None until all LiDARs are known.
     config : CirclesConfig
     allow_untrusted : bool
-        As given.
+        True if untrusted models may run.
 
     Raises
     ------

@@ -56,10 +56,10 @@ def topic_of(key: str) -> RosKey | None:
 
 
 def topic_of_token(token: str) -> str | None:
-    """Publisher that a token of the ROS graph tells of, for people; None for other tokens.
+    """Return the publisher in a token of the ROS graph as text; None for other tokens.
 
-    Of rmw_zenoh: @ros2_lv/DOMAIN/../MP/../NODE/%topic/type/hash/qos; of zenoh-bridge-ros2dds:
-    @/ID/@ros2_lv/MP/topic/type/qos, with a paragraph sign for every slash.
+    Tokens of rmw_zenoh: @ros2_lv/DOMAIN/../MP/../NODE/%topic/type/hash/qos; of
+    zenoh-bridge-ros2dds: @/ID/@ros2_lv/MP/topic/type/qos, with a paragraph sign for every slash.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
     endpoint : str
         Such as tcp/127.0.0.1:7447.
     timeout : float
-        How long the first link may take [s].
+        Longest time until the first link [s].
 
     Raises
     ------
@@ -138,5 +138,5 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
 
 
 def is_linked(session: Any) -> bool:
-    """Whether any router or peer is there."""
+    """True while a router or peer is connected."""
     return bool(list(session.info.routers_zid()) or list(session.info.peers_zid()))

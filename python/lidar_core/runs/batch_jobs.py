@@ -57,7 +57,7 @@ class BatchResult(RunResult):
     Attributes
     ----------
     records : tuple of JobRecord
-        Of the jobs that have ended, in the order of the file.
+        Records of the jobs that have ended, in the order of the file.
     """
 
     records: tuple[JobRecord, ...] = ()
@@ -100,8 +100,8 @@ def batch(
     Returns
     -------
     BatchResult
-        Its summary counts jobs and names those that failed; `ended_by` is a KeyboardInterrupt
-        after Ctrl-C: the next run goes on from there.
+        The summary counts jobs and names the failed ones. `ended_by` is a KeyboardInterrupt after
+        Ctrl-C: the next run continues from there.
 
     Raises
     ------
@@ -160,15 +160,15 @@ class Batch:
     Attributes
     ----------
     folder : Path
-        Of the results on this machine.
+        Folder of the results on this machine.
     jobs : dict of str to BatchJob
-        By the names of their folders.
+        Jobs by the names of their folders.
     keys : dict of str to str
         Digests of what makes their results.
     kept : dict of str to JobRecord
-        Those that an earlier run did.
+        Jobs that an earlier run completed.
     made : dict of str to JobRecord
-        Those that this run did.
+        Jobs that this run completed.
     remote : str or None
         Address that the results go to, if it is not the folder.
     held : frozenset of str
@@ -223,9 +223,9 @@ class Batch:
                 yield record
 
     def records(self) -> list[JobRecord]:
-        """Of the jobs that have ended, in the order of the file.
+        """Return the records of the jobs that have ended, in the order of the file.
 
-        What an end by Ctrl-C kept from being told is read from the folders of the jobs.
+        Records that Ctrl-C interrupted on their way are read from the folders of the jobs.
         """
         known = {**self.kept, **self.made}
         found = (known.get(name) or JobRecord.read(self.folder / name) for name in self.jobs)

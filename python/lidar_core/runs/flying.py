@@ -51,13 +51,14 @@ def detect(
         Folder to write: tables of tracks and detections in SI units in the world frame,
         trajectories, the map, summary.json, run.toml, run.mcap, picture.png.
     pose : PoseOptions, optional
-        Where the poses come from, and the part of the recording to use [s].
+        Source of the poses, and part of the recording to use [s].
     read : ReadOptions, optional
-        How the recording is read.
+        Options for reading the recording.
     clouds : sequence of str
         Topics of the LiDARs; empty for the only one.
     repeat : int
-        How often the recording is played: opens the burn-in gate on short recordings.
+        Number of times that the recording is played: more than one opens the burn-in gate on short
+        recordings.
     known_map : str or Path, optional
         Map of an earlier run (.lcvm), or a cloud or mesh in the fixed frame [m].
     static_map : str or Path, optional
@@ -66,13 +67,14 @@ def detect(
     threads : int
         Threads used, >= 1; results do not depend on it.
     mcap : bool, optional
-        Whether to write run.mcap for viewers; None: if the extra `viz` is installed.
+        Write run.mcap for viewers; None: if the extra `viz` is installed.
     picture : bool
-        Whether to draw picture.png (extra `plot`).
+        Draw picture.png (extra `plot`).
     overwrite : bool
-        Whether to replace an earlier run in the folder.
+        Replace an earlier run in the folder.
     checkpoint : float, optional
-        Write what it takes to go on into the folder, this often [s]; then there is no run.mcap.
+        Time between two checkpoints in the folder [s], from which a run can continue; run.mcap is
+        then not written.
     resume : bool
         Go on from the last checkpoint of a run with the same inputs that was killed or ended
         early; the results are those of a run that was not. Without a checkpoint it starts again.
@@ -82,8 +84,8 @@ def detect(
     Returns
     -------
     RunResult
-        Ctrl-C and errors after the first scan end the run early: the folder then holds the scans
-        so far, and `ended_by` says what ended it; `raise_if_failed` raises that.
+        Ctrl-C and errors after the first scan end the run early: the folder then holds the scans so
+        far, and `ended_by` is the cause; `raise_if_failed` raises it.
 
     Raises
     ------

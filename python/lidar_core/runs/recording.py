@@ -29,7 +29,7 @@ class ScanRun(Resumable, Protocol[ScanT]):
 
     @property
     def notes(self) -> list[str]:
-        """What looks wrong so far, in words."""
+        """Return warnings about the scans so far, in words."""
 
     def take(self, item: PosedScan[ScanT]) -> object:
         """Process one scan."""
@@ -64,13 +64,13 @@ class RecordingJob(Generic[ScanT]):
     config : mapping of str to Config
         Configurations that run.toml keeps, by name.
     read : ReadOptions
-        How the recording is read.
+        Options for reading the recording.
     pose : PoseOptions
-        Where the poses come from, and which part of the recording is used.
+        Source of the poses, and part of the recording that is used.
     topics : tuple of str
         Topics of the sensors; empty for the only one.
     repeat : int
-        How often the recording is played.
+        Number of times that the recording is played.
     inputs : mapping of str to Path or None
         Further files that run.toml names with their hashes.
     note : mapping of str to Any
@@ -78,13 +78,13 @@ class RecordingJob(Generic[ScanT]):
     checkpoint : float or None
         Time between two checkpoints [s]; None writes none.
     resume : bool
-        Whether to go on from the last checkpoint in the folder.
+        Continue from the last checkpoint in the folder.
     mcap : bool
-        Whether run.mcap is written.
+        Write run.mcap.
     picture : bool
-        Whether pictures are drawn.
+        Draw pictures.
     on_progress : callable
-        Is told how far the run is.
+        Called with the progress of the run.
     """
 
     command: str
@@ -212,7 +212,7 @@ def folder_to_write(
 ) -> tuple[RunFolder, bool]:
     """Folder of a run, and whether it gets a run.mcap; refused before any work.
 
-    Runs with checkpoints get none: nobody can go on with a file that was cut.
+    Runs with checkpoints get none: an interrupted file cannot be continued.
 
     Raises
     ------

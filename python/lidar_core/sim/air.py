@@ -46,8 +46,8 @@ class Dust(Config):
 class Fog(Config):
     """Fog everywhere: light fades on its way to a surface and back, droplets nearby return some.
 
-    What fades below what the sensor sees is lost, the darker and the more aslant a surface the
-    sooner (`Surface`; those that state nothing count as of reflectivity 0.3, met head-on).
+    A return that fades below the limit of the sensor is lost; dark and inclined surfaces are lost
+    first (`Surface`; a surface without values counts as reflectivity 0.3, hit head-on).
     """
 
     removed: ClassVar[Mapping[str, str]] = {

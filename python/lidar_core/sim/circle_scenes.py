@@ -63,15 +63,15 @@ def single(
     Parameters
     ----------
     radius : float
-        Of the cylinder [m].
+        Radius of the cylinder [m].
     trajectory : int
         1 to 5.
     speed : float
         Greatest speed on it; its root mean square when wandering [m/s].
     sensor : str
-        Whether it hovers, or moves along x, turns, pitches and rolls.
+        Motion of the sensor: it hovers, or moves along x, turns, pitches and rolls.
     seed : int
-        Of the wandering.
+        Seed of the wandering.
 
     Raises
     ------
@@ -101,7 +101,8 @@ def several(
 ) -> Scene:
     """Make posts at rest and on their ways, which hide one another; `walls` close a room.
 
-    Radii, phases and speeds depend on the seed. Five minutes, unless `scans` says otherwise.
+    Radii, phases and speeds depend on the seed. The duration is five minutes unless `scans` is
+    given.
     """
     rng = np.random.default_rng([20240608, seed])
     places = np.array(

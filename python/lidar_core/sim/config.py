@@ -69,8 +69,8 @@ class Scene(Config):
     def idealised(self) -> Self:
         """Return the same scene in clear air, where everything returns and all rays are known.
 
-        Rays without return of its scans met nothing: with the same seed they tell which of the
-        missing returns of this scene are sky.
+        Rays without return in its scans hit nothing: with the same seed they show which missing
+        returns of this scene are sky.
         """
         return self.model_copy(
             update={

@@ -46,8 +46,8 @@ def moving_car(
 ) -> Scene:
     """Make a street with a driving car whose own roof and bonnet are in view.
 
-    With a `drone`, a quadcopter keeps up some 5 m ahead of the car, a little higher than it, before
-    the sky at the end of the road.
+    With a `drone`, a quadcopter flies some 5 m ahead of the car, slightly higher, in front of the
+    sky at the end of the road.
     """
     return _street(seed, scans, sensor, speed, drone=drone)
 

@@ -66,7 +66,7 @@ class Planar(Config):
 
     @property
     def time_increment_ns(self) -> int:
-        """From one ray to the next [ns]."""
+        """Time from one ray to the next [ns]."""
         return round(self.sweep_time * 1e9 / (self.beams - 1))
 
 

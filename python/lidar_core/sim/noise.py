@@ -41,7 +41,7 @@ class NoisyPoses:
     noise : PoseNoise
         Size and memory of the error.
     seed : int
-        Of the error, >= 0.
+        Seed of the error, >= 0.
     """
 
     def __init__(self, noise: PoseNoise, *, seed: int) -> None:

@@ -139,7 +139,7 @@ class Overflown:
     config: Overflight
 
     def write_truth(self, path: str | Path) -> None:
-        """Write true states of target and drone as CSV: t_ns, then world values in m, m/s and rad."""
+        """Write true states of target and drone as CSV, in the world: t_ns, m, m/s, rad."""
         angles = np.stack([self.yaw, self.true_pitch], axis=1)
         rows = np.hstack([self.position, self.velocity, self.drone, angles]).tolist()
         stamps = self.stamps_ns.tolist()

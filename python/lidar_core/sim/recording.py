@@ -106,13 +106,13 @@ def record(
 ) -> Recorded:
     """Simulate `scene` into the recording `path`.
 
-    Beside it: NAME.truth.csv, NAME.scene.toml, NAME.run.toml, all of one run: nobody else may
-    write there meanwhile.
+    The files NAME.truth.csv, NAME.scene.toml and NAME.run.toml beside it belong to the same run: no
+    other process may write there meanwhile.
 
     Parameters
     ----------
     scene, seed, scans, threads
-        As for `Simulator`.
+        See `Simulator`.
     path : str or Path
         Recording to write; its ending chooses the format, as for `write_recording`.
     on_scan : callable

@@ -104,7 +104,7 @@ def street(seed: int, *, keep_clear: ArrayLike, clearance: float) -> tuple[Body,
     Parameters
     ----------
     seed : int
-        Of sizes and places.
+        Seed of sizes and places.
     keep_clear : array_like, shape (N, 2), float64
         Places that nothing but the ground may be near to [m]; many along a way keep it free.
     clearance : float

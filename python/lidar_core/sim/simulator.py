@@ -30,7 +30,7 @@ class Simulator:
     Parameters
     ----------
     scene : Scene
-        What is looked at.
+        Scene to scan.
     seed : int
         Seed of noise and random motions, >= 0.
     scans : int, optional

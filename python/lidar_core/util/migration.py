@@ -1,4 +1,4 @@
-"""Configuration files of earlier versions: what they say that is no parameter any more."""
+"""Configuration files of earlier versions: handling of values that are no parameters any more."""
 
 import re
 from collections.abc import Mapping
@@ -18,16 +18,16 @@ _MOST = 1000
 
 
 class Change(NamedTuple):
-    """What became of one parameter.
+    """Change of one parameter between versions.
 
     Attributes
     ----------
     place : str
-        Where the file has it: dotted path.
+        Dotted path of the parameter in the file.
     value : Any
-        What the file says.
+        Value in the file.
     told : str
-        What holds instead, or where the value is now.
+        Replacement, or new place of the value.
     """
 
     place: str
@@ -45,9 +45,9 @@ def migrated(
     Parameters
     ----------
     model : type
-        Of the configuration.
+        Model of the configuration.
     values : mapping
-        Those of the file; they are not changed.
+        Values of the file; they are not changed.
     """
     result, changes = deepcopy(dict(values)), list[Change]()
     while len(changes) < _MOST:

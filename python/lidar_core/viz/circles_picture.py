@@ -46,7 +46,7 @@ def draw_circles(view: CirclesView, path: str | Path) -> Path:
     Parameters
     ----------
     view : CirclesView
-        What to show.
+        Content of the picture.
     path : str or Path
         File to write, whole or not at all.
 
@@ -64,7 +64,7 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
     Parameters
     ----------
     view : CirclesView
-        What to show; scans whose points were not kept are left out.
+        Content of the film; scans whose points were not kept are left out.
     path : str or Path
         .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
     frames : int

@@ -178,7 +178,7 @@ class _Scene:
         return cls(run.folder.name, is_fused, is_fused, ways, around, *_map_of(run))
 
     def window(self, axes: tuple[int, int], tall: float) -> Window:
-        """What a panel of such a height over its width shows."""
+        """Return the part of the world that a panel of this height over width shows."""
         moving = [way[:, axes] for way in self.moving]
         around = [rows[:, axes] for rows in self.around]
         if not moving:

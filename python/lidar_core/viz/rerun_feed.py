@@ -29,9 +29,10 @@ class LiveFeed:
     Parameters
     ----------
     begin : bytes
-        What every page gets first, whenever it is opened.
+        First data for every page, whenever it is opened.
     max_bytes : int
-        Of blocks that are kept; the oldest ones go. A page that is slower misses those, too.
+        Size of the blocks that are kept; the oldest ones are dropped. A slower page misses them
+        too.
     """
 
     def __init__(self, begin: bytes, *, max_bytes: int) -> None:

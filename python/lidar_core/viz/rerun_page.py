@@ -65,14 +65,14 @@ class RerunPage:
     feed : callable
         Gives the recording.
     port : int
-        Of the page; 0 takes a free one.
+        Port of the page; 0 selects a free one.
     option : str
-        What is said on the command line before the port, such as "--port ".
+        Text before the port on the command line, such as "--port ", for error messages.
 
     Attributes
     ----------
     address : str
-        What to open in the browser.
+        Address to open in the browser.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How circles are fitted to rays."""
+"""Configuration of the fit of circles to rays."""
 
 from typing import Literal, Self, TypeAlias
 

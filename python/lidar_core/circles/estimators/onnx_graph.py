@@ -1,4 +1,4 @@
-"""What an ONNX file asks for, read before onnxruntime sees it: operators, graphs in graphs, files.
+"""Requirements of an ONNX file, checked before onnxruntime loads it: operators, subgraphs, files.
 
 A graph without loops does the same work for every input of a size, and reads no file. The wire
 format is that of protocol buffers; field numbers are those of onnx.proto.

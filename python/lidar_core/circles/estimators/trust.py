@@ -1,4 +1,4 @@
-"""Which ONNX models are run: those of the package, and those that the user trusts.
+"""ONNX models that may run: those of the package, and those that the user trusts.
 
 A model is a program. A card beside it proves that the file is whole, not where it comes from:
 whoever sends a model can write its card. So trust is kept where only the user writes: in a list of

@@ -20,7 +20,7 @@ _MOST_SENSORS = 2**32
 
 @dataclass(frozen=True, slots=True)
 class MapEvents:
-    """What one scan did to the map, unconfirmed elements included, by their numbers.
+    """Numbers of the elements that one scan changed, including unconfirmed ones.
 
     Attributes
     ----------
@@ -117,8 +117,8 @@ class CircleMap(FullState):
         stamp_ns : int
             Time of the scan [ns].
         pose_covariance : array_like, shape (6, 6), optional
-            Of the pose: translation [m], then the angles alpha, beta, gamma of
-            Rz(gamma) Ry(beta) Rx(alpha) [rad].
+            Covariance of the pose: translation [m], then the angles alpha, beta, gamma of Rz(gamma)
+            Ry(beta) Rx(alpha) [rad].
         delays : array_like, shape (C,), optional
             When each circle was measured, after `stamp_ns`, -10 to 10 [s]; `filter` "paper" does
             not heed it.
@@ -128,7 +128,7 @@ class CircleMap(FullState):
         range_limits : (float, float)
             Nearest and farthest range that is measured [m].
         sensor : int
-            Which of several sensors; their scans may have one stamp.
+            Number of the sensor, if there are several; their scans may have the same stamp.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Elements of the map that are no circles."""
+"""Elements of the map with other shapes than circles."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What the commands share: consoles, progress, pictures, results for people and machines."""
+"""Parts that commands share: consoles, progress, pictures, results for people and machines."""
 
 import json
 import re
@@ -82,7 +82,7 @@ def printing(show: Callable[[], None]) -> Callable[[bool], None]:
 
 
 def help_text(command: Callable[..., None]) -> str:
-    """What `--help` says of a command: its paragraphs, for whatever width there is."""
+    """Return the `--help` text of a command, each paragraph as one line."""
     paragraphs = (command.__doc__ or "").split("\n\n")
     return "\n\n".join(" ".join(one.split()) for one in paragraphs)
 
@@ -194,7 +194,7 @@ def with_trust(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def consoles(json_file: Path | None) -> "tuple[Console, Console]":
-    """Where the table goes, and where progress goes: standard output stays clean for `--json -`."""
+    """Return the consoles of tables and of progress: `--json -` needs a clean standard output."""
     from rich.console import Console
 
     quiet = voice().is_quiet
@@ -204,7 +204,7 @@ def consoles(json_file: Path | None) -> "tuple[Console, Console]":
 
 @contextmanager
 def shown_progress(console: "Console", *, counts: str = "scans") -> "Iterator[OnProgress]":
-    """What runs call to say how far they are: each of their steps gets a bar.
+    """Return the callback with which runs report progress: each of their steps gets a bar.
 
     Bars go away at the end. Without a terminal there is a line a minute.
     """
@@ -348,12 +348,12 @@ def _bar(share: float) -> str:
 
 
 def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those options that somebody gave."""
+    """Return the options that the user gave."""
     return {name: value for name, value in options.items() if value not in (None, [])}
 
 
 def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) -> None:
-    """Write `result` where `--json` says."""
+    """Write `result` to the place that `--json` names."""
     if json_file is None:
         return
     text = json.dumps(result, indent=2)

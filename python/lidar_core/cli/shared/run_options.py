@@ -91,7 +91,7 @@ Resume: TypeAlias = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineOptions:
-    """What every command is told that passes scans through a pipeline."""
+    """Options of every command that processes scans with a pipeline."""
 
     odom: Odom = None
     pose: PoseSource = None
@@ -118,7 +118,7 @@ class PipelineOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions(PipelineOptions):
-    """The same for a recording, of which the run leaves a folder."""
+    """Options of commands that process a recording and write a run folder."""
 
     recording: RecordingPath
     output: Output

@@ -1,4 +1,4 @@
-"""How a command speaks: as text or JSON lines, quiet, or with more."""
+"""Messages of a command: as text or JSON lines, quiet or verbose."""
 
 import json
 import sys
@@ -60,12 +60,12 @@ _DEFAULTS = {"log": "text", "quiet": False, "verbose": False}
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """What the options say.
+    """Form of messages, as the options state it.
 
     Attributes
     ----------
     style : str
-        Of standard error: "text", or "json" for an object per line.
+        Form of standard error: "text", or "json" for one object per line.
     is_quiet, is_verbose : bool
         Only errors; more than usual.
     """
@@ -84,7 +84,7 @@ _chosen = Voice()
 
 
 def voice() -> Voice:
-    """What the options of the command that runs, or ran last, say."""
+    """Return the form of messages of the command that runs, or ran last."""
     return _chosen
 
 
@@ -125,7 +125,7 @@ class JsonLines(TextIOBase):
 
 
 def tell(console: "Console", text: str, **fields: Any) -> None:
-    """Say something on standard error; `fields` are what a program wants to know of it."""
+    """Write a message to standard error; `fields` has its values for programs."""
     if isinstance(sys.stderr, JsonLines) and console.stderr and not console.quiet:
         sys.stderr.say(" ".join(text.split()), **fields)
     else:

@@ -21,10 +21,10 @@ def overlap_warnings(
     Parameters
     ----------
     estimates : Estimates
-        As they were reported, their times not yet `aligned`.
+        Estimates with their reported times, before `aligned`.
     truth : Truth
     what : str
-        What the estimates are, such as tracks.
+        Name of the estimates in the text, such as "tracks".
     config : EvaluationConfig, optional
         `time_tolerance` and `gate`.
 
@@ -43,7 +43,7 @@ def overlap_warnings(
 
 
 def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray[np.float64]:
-    """From the nearest time of the truth to every time [s]: positive is later."""
+    """Return every time minus the nearest time of the truth [s]."""
     when = np.unique(truth)
     after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
     both = np.stack([stamps - when[np.maximum(after - 1, 0)], stamps - when[after]])
@@ -89,7 +89,7 @@ def typical_offset(offsets: NDArray[np.float64]) -> str:
 
 
 def wider_tolerance(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> float | None:
-    """Tolerance [s] that takes in times just beside those of the truth; None if they are not."""
+    """Return a tolerance [s] for times just outside the present one; None if there are none."""
     offsets, when = np.abs(time_offsets(stamps, truth)), np.unique(truth)
     interval = float(np.median(np.diff(when))) * 1e-9 if len(when) > 1 else np.inf
     if np.median(offsets) > BESIDE * interval:

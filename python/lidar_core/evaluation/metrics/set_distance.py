@@ -16,9 +16,10 @@ class Gospa:
     Attributes
     ----------
     distance : float
-        [m].
+        Distance of the two sets [m].
     localisation, missed, false : float
-        From pairs; c^p/2 per target without estimate; c^p/2 per estimate without target [m^p].
+        Parts of the distance [m^p]: of pairs; c^p/2 per target without estimate; c^p/2 per estimate
+        without target.
     """
 
     distance: float
@@ -44,7 +45,7 @@ def ospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: floa
     Returns
     -------
     distance : float
-        [m], at most `cutoff`; 0 for two empty sets.
+        Distance of the two sets [m], at most `cutoff`; 0 for two empty sets.
 
     Raises
     ------

@@ -45,7 +45,7 @@ Turn: TypeAlias = NDArray[np.float64] | None
 
 
 class BagOptions(Config):
-    """Which topics of a ROS recording are measurements of which sensor."""
+    """Topics of a ROS recording that contain measurements, by sensor."""
 
     topics: dict[SensorName, tuple[str, ...]] = Field(
         {},

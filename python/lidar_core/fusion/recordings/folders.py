@@ -38,7 +38,7 @@ def check_sizes(place: Path, files: Sequence[Path], *, what: str = "files") -> N
     LimitError
         More than 256 MiB.
     FileNotFoundError, IsADirectoryError, FormatError
-        As of `check_regular`.
+        See `check_regular`.
     """
     size = sum(check_regular(file).stat().st_size for file in files)
     check_size(str(place), size, limit=MAX_FILE_BYTES, key="nothing", what=f"{what} of bytes")

@@ -1,4 +1,4 @@
-"""What a simulated drone measured of its target, levelled and as a table."""
+"""Measurements of a simulated drone, converted to the level frame, and written as a table."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

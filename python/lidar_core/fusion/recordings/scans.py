@@ -11,7 +11,7 @@ from lidar_core.fusion.recordings.table import MeasurementLog
 
 @dataclass(frozen=True, slots=True)
 class TargetScans:
-    """Detections of many targets, and what kind of recording they are of."""
+    """Detections of many targets, with the kind of their recording."""
 
     scans: list[DetectionScan]
     source: str
@@ -23,8 +23,9 @@ def scans_of(log: MeasurementLog) -> list[DetectionScan]:
     Parameters
     ----------
     log : MeasurementLog
-        Of several targets: every row is a detection. True places belong to the numbers in the
-        column true_id; without it they are left out, since nothing tells whose they are.
+        Measurements of several targets: every row is a detection. True positions belong to the
+        numbers in the column true_id; without it they are left out, because their targets are
+        unknown.
 
     Returns
     -------

@@ -49,7 +49,7 @@ class _Forker:
         return child, ours
 
     def ended(self, child: int, *, is_gone: bool) -> int | None:
-        """Status of a reader, once it has ended; None if nobody knows. Others are ended."""
+        """Status of a reader that has ended; None if it is unknown. A reader that runs is ended."""
         try:
             return self._ordered(WAIT if is_gone else END, child, [])
         except (OSError, EOFError):
@@ -113,7 +113,7 @@ class ReaderLink:
     Parameters
     ----------
     path : Path
-        What it reads; errors name it.
+        Path of the recording; error messages name it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -135,7 +135,7 @@ class ReaderLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the reader is still there, as far as is known."""
+        """True if the reader still runs, as far as is known."""
         return self._end.alive
 
     def close(self) -> None:
@@ -208,7 +208,7 @@ def valued(answer: dict[str, Any]) -> Any:
 
 
 def call(name: str, path: Path, **arguments: Any) -> Any:
-    """What a function of `lidar_core.io`, named MODULE:FUNCTION, returns in a reader of its own."""
+    """Call a function of `lidar_core.io`, named MODULE:FUNCTION, in a child process."""
     with ReaderLink(path) as link:
         link.send("call", name=name, path=str(path), folder=os.getcwd(), arguments=arguments)
         return valued(link.receive())

@@ -1,4 +1,4 @@
-"""What a reader in a child may use: memory, processor time, files that it writes."""
+"""Limits of a reader in a child process: memory, processor time, files that it writes."""
 
 import os
 import time

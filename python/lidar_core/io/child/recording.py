@@ -23,7 +23,7 @@ class ChildRecording(Recording):
     path : Path
         File or folder.
     options : ReadOptions
-        How to read it.
+        Options for reading it.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:

@@ -67,7 +67,7 @@ def receive(link: socket.socket) -> Any:
     EOFError
         The other side is gone.
     FormatError, LimitError
-        What it sent is no frame, or a larger one than any.
+        The bytes are not a frame, or the frame is too large.
     """
     n_text, n_buffers = _HEAD.unpack(_exactly(link, _HEAD.size))
     if n_text > MOST_JSON or n_buffers > MOST_BUFFERS:
@@ -206,7 +206,7 @@ def told_error(error: BaseException, place: str) -> dict[str, Any]:
 
 
 def error_of(told: dict[str, Any]) -> Exception:
-    """The error that `told_error` told."""
+    """Return the error that `told_error` encoded."""
     name, args = str(told["class"]), told["args"]
     if name == "OSError":
         return OSError(*args)

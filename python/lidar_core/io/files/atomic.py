@@ -41,7 +41,7 @@ class WrittenInBlock(ABC):
 def temporary_for(path: Path) -> Path:
     """Temporary path to write to before `commit`, in the same folder so that the rename is atomic.
 
-    What a process left there for the same file, and no longer lives, is removed.
+    Leftovers of a process that has ended, for the same file, are removed.
     """
     remove_stale(path.parent, name=path.name)
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -53,7 +53,7 @@ def remove_stale(folder: Path, *, name: str | None = None) -> None:
     Parameters
     ----------
     folder : Path
-        Where to look; nothing happens where it is missing.
+        Folder to clean; nothing happens if it does not exist.
     name : str, optional
         Only those for the file of this name.
     """
@@ -104,8 +104,8 @@ def commit(temporary: Path, path: Path) -> None:
 def synced_together() -> Iterator[None]:
     """Files that the block writes go to the disk at its end, at once, and not one by one.
 
-    For files that count only when a later one says so: after a loss of power within the block they
-    may be empty. An error leaves them as they are. The block is for one thread of a process.
+    For files that count only when a later file names them: after a loss of power within the block
+    they may be empty. An error leaves them as they are. The block is for one thread of a process.
     """
     global _waiting  # noqa: PLW0603 all writers of the process look at it
     files, _waiting = dict[Path, None](), {}

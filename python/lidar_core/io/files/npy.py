@@ -18,7 +18,7 @@ def array_in(archive: ZipFile, name: str, *, what: str, limit: int, key: str) ->
     Raises
     ------
     FormatError
-        Its header states another size than its data has: nothing is allocated for it.
+        The header states another size than the data have; nothing is allocated.
     LimitError
         It is larger; the text names the option `key`.
     """

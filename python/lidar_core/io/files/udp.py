@@ -30,7 +30,7 @@ MOST_PENDING = 256
 
 
 class Datagram(NamedTuple):
-    """What a program received.
+    """UDP packet that a program received.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Datagram(NamedTuple):
     source : bytes
         Address of the sender.
     port : int
-        Where it was sent to.
+        Destination port.
     data : bytes
         Content.
     """

@@ -26,7 +26,7 @@ SENSOR_KEY = b'"beam_altitude_angles"'
 
 
 def is_ouster_capture(path: Path, options: ReadOptions) -> bool:
-    """Whether the JSON file of a sensor was named, or lies beside a capture."""
+    """True if the JSON file of a sensor was named, or is beside a capture."""
     packet_sizes(path)  # refuses what is no capture
     return options.metadata is not None or metadata_beside(path) is not None
 

@@ -38,7 +38,7 @@ class Cloud(NamedTuple):
     Attributes
     ----------
     points : ndarray, shape (N, 3), float64
-        [m], as the file gives them.
+        Coordinates [m] of the file.
     resolution : float or None
         Edge of the voxels whose centres they are [m]; None for points that were measured.
     """
@@ -66,7 +66,7 @@ def read_cloud(
     options : ReadOptions, optional
         Limits.
     trusted : bool, optional
-        As of `open_recording`: False has a process of its own parse what libraries read.
+        See `open_recording`: with False a child process parses what libraries read.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def read_cloud(
 
 
 def read_in_child(path: Path, spacing: float, **options: Any) -> list[Any]:
-    """What `read_cloud` returns, for a process of its own."""
+    """Return the result of `read_cloud`; for a child process."""
     return list(read_cloud(path, spacing=spacing, options=ReadOptions(**options), trusted=True))
 
 
@@ -120,9 +120,9 @@ def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None
     Parameters
     ----------
     path : str or Path
-        Its ending chooses the format.
+        Path of the file; its ending chooses the format.
     points : array_like, shape (N, 3)
-        [m]; float64 in PLY, float32 in PCD.
+        Coordinates [m]; float64 in PLY, float32 in PCD.
     resolution : float, optional
         Edge of the voxels of .bt [m], which needs it.
 

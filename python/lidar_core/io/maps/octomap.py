@@ -76,7 +76,8 @@ def write_octomap(path: str | Path, points: ArrayLike, *, resolution: float) -> 
     path : str or Path
         .bt file, written whole or not at all.
     points : array_like, shape (N, 3)
-        [m]; voxels are those of OctoMap's lattice, whose corners are multiples of the resolution.
+        Coordinates [m]; the voxels are those of OctoMap's lattice, whose corners are multiples of
+        the resolution.
     resolution : float
         Edge of a voxel [m].
 

@@ -74,7 +74,7 @@ class FoxgloveDecoder:
             return [_transform(topic, item, place) for item in items]
 
     def message(self, schema: Any, raw: bytes, place: str) -> Any:
-        """One message as its schema says; errors as of `decode`."""
+        """Decode one message by its schema; errors as for `decode`."""
         self._check_size(raw, place)
         with reading(place):
             return self._parser(schema)(raw)

@@ -122,7 +122,7 @@ class OusterStreams:
         self._begun: dict[str, tuple[Topic, int]] = {}
 
     def takes(self, topic: str) -> bool:
-        """Whether a topic brings packets of a known sensor."""
+        """True if a topic carries packets of a known sensor."""
         return topic in self._collectors
 
     def add(self, topic: Topic, time_ns: int, packet: bytes) -> Iterator[Record]:

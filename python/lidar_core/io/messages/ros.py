@@ -120,7 +120,7 @@ class RosDecoder:
             return []
 
     def message(self, type_name: str, raw: bytes, place: str) -> Any:
-        """One message as its type says; errors as of `decode`."""
+        """Decode one message by its type; errors as for `decode`."""
         plain = self._plain(raw, place)
         *others, last = RELEASES.get(type_name, (type_name,))
         for other in others:

@@ -59,7 +59,7 @@ class VelodyneStream:
     Attributes
     ----------
     topic : Topic
-        Of its scans.
+        Topic of its scans.
     """
 
     def __init__(self, options: ReadOptions, findings: Findings) -> None:
@@ -98,7 +98,7 @@ def velodyne_library() -> Any:
 
 
 def decoder_config(library: Any, options: ReadOptions) -> Any:
-    """Settings of the package; ConfigError for a model that it does not know."""
+    """Return the settings of the package; ConfigError for an unknown model."""
     config = library.Config(timestamp_first_packet=True)
     if options.velodyne_model is not None:
         models = library.Model.__members__

@@ -58,7 +58,7 @@ def scan_of(
 
 
 def told_returns(frame: Frame) -> str:
-    """Which of two returns is read, for a note."""
+    """Return a note about which of two returns is read."""
     if frame.is_second:
         return "second returns are read, not the first"
     return "second returns are not read (returns='second' of open_recording reads them instead)"

@@ -41,7 +41,7 @@ class _Rows(NamedTuple):
 
 
 def is_png(data: bytes) -> bool:
-    """Whether bytes are a PNG; those of Ouster have their rows shifted."""
+    """True if bytes are a PNG; Ouster's PNGs have shifted rows."""
     return data.startswith(PNG_MAGIC)
 
 

@@ -1,4 +1,4 @@
-"""Ouster's packets as they arrive over the network, and the sensor that tells its layout."""
+"""Ouster's packets from the network, and the sensor description with their layout."""
 
 from pathlib import Path
 from urllib.request import ProxyHandler, build_opener
@@ -49,7 +49,7 @@ class OusterStream:
     Attributes
     ----------
     topic : Topic
-        Of its scans.
+        Topic of its scans.
     """
 
     def __init__(self, sensor: Sensor, options: ReadOptions, findings: Findings) -> None:

@@ -41,7 +41,7 @@ class PosedScans(Generic[ScanT]):
     fixed_frame : str
         Frame that the poses are in.
     source : str
-        Where the poses come from, in words.
+        Source of the poses, in words.
     without_pose : Counter
         Scans left out, per reason.
     """
@@ -277,7 +277,7 @@ def posed_scans(
     recording : Recording
         Open recording; it is read twice, first for its poses.
     options : PoseOptions, optional
-        Where the poses come from.
+        Source of the poses.
     **values
         Single fields of `PoseOptions`, such as pose, cloud or start; they override `options`.
 
@@ -289,7 +289,7 @@ def posed_scans(
     Raises
     ------
     FormatError
-        No poses (while iterating); the text says what was found and which option helps.
+        No poses (while iterating); the text states what was found and which option helps.
     InputError
         No scans within the span that was asked for (while iterating).
     ConfigError

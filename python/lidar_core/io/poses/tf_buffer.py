@@ -67,7 +67,7 @@ class TransformBuffer:
     max_gap : float
         Longest time between two poses to interpolate over [s].
     max_extrapolation : float
-        How long the first or last pose is held before or after its time [s].
+        Time for which the first pose holds before, and the last pose after, its own time [s].
     """
 
     def __init__(self, *, max_gap: float, max_extrapolation: float) -> None:
@@ -95,7 +95,7 @@ class TransformBuffer:
         return {key: edge.static is not None for key, edge in self._edges.items()}
 
     def root_of(self, frame: str) -> str:
-        """Top of the tree that `frame` hangs in; `frame` itself, if nothing holds it."""
+        """Return the root of the tree that contains `frame`; `frame` itself if it has no parent."""
         parents = {child: parent for parent, child in self._edges}
         seen = {frame}
         while frame in parents and parents[frame] not in seen:

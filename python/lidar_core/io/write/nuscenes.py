@@ -30,7 +30,7 @@ def write_nuscenes(
     name : str
         Class of all objects.
     sensors : tuple of str
-        Of camera, lidar, radar, map, external: what was used.
+        Sensors that were used, of camera, lidar, radar, map, external.
     """
     used = {f"use_{one}": one in sensors for one in ("camera", "lidar", "radar", "map", "external")}
     results = {

@@ -1,4 +1,4 @@
-"""Which writer a path needs, by its ending."""
+"""Selection of the writer of a path by its ending."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,7 +23,7 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
     ConfigError
         Another ending.
     InputError
-        What the format cannot hold.
+        The format cannot store a value.
     MissingExtraError
         The format needs a package that is not installed.
     """

@@ -1,4 +1,4 @@
-"""Where live results go: viewers and files. `zenoh_output` has the one for robots."""
+"""Outputs of live results: viewers and files. `zenoh_output` has the output for robots."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
@@ -28,7 +28,7 @@ class Output(ABC):
     Attributes
     ----------
     name : str
-        Where it goes, for people.
+        Name of the output in messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -49,11 +49,11 @@ class FoxgloveOutput(Output):
     Parameters
     ----------
     port : int
-        Of the WebSocket; 0 takes a free one.
+        Port of the WebSocket; 0 selects a free one.
     allowed : collection of str
         Web pages that may connect beside those of this machine, from `allowed_origins`.
     on_refused : callable
-        Told why somebody was refused.
+        Called with the reason when a client is refused.
 
     Raises
     ------
@@ -202,7 +202,7 @@ class RerunPageOutput(Output):
     Parameters
     ----------
     port : int
-        Of the page; 0 takes a free one.
+        Port of the page; 0 selects a free one.
 
     Raises
     ------

@@ -21,7 +21,7 @@ QOS = "::,10:,:,:,,"
 class ZenohOutput(Output):
     """Publishes Detection3DArray at NAMESPACE/tracks, Odometry per object at NAMESPACE/odometry.
 
-    With the keys of rmw_zenoh and, for bridges to DDS, plain ones.
+    Publishes under keys of rmw_zenoh and, for bridges to DDS, under plain keys.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What has arrived and was not looked at yet: bounded, whatever the stream does."""
+"""Messages that have arrived and wait to be processed, in bounded memory."""
 
 import time
 from collections import Counter, deque
@@ -21,7 +21,7 @@ class Arrival:
 
 @dataclass(slots=True)
 class Batch:
-    """What came in since the last look.
+    """Messages since the last call.
 
     Attributes
     ----------

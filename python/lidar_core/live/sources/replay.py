@@ -27,11 +27,11 @@ class ReplaySource(Source):
     path : Path
         Recording of any format.
     options : ReadOptions
-        How to read it.
+        Options for reading it.
     rate : float
         Seconds of the recording per second.
     topics : StreamTopics
-        What is wanted of it.
+        Requested topics.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class ReplaySource(Source):
         return False
 
     def lead_ns(self, stamp_ns: int) -> int:
-        """From the time of the recording to the time at which it is played [ns]."""
+        """Difference from the time of the recording to the time of playback [ns]."""
         return self._begin_ns + round((stamp_ns - self._first_ns) / self._rate) - stamp_ns
 
     def _play(self, inbox: Inbox) -> None:

@@ -1,4 +1,4 @@
-"""What the items about networks share: who estimates circles, and how wrong the circles are."""
+"""Shared parts of the items about networks: circle estimators, and errors of circles."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""Simulated 2D scans through the circle pipeline: what is kept of them, and what it says."""
+"""Runs of the circle pipeline on simulated 2D scans: stored results and scores."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -200,10 +200,10 @@ class MapRun:
         return changes
 
     def ghosts(self, *, hidden: bool = False) -> NDArray[np.float64]:
-        """How long every element without an object stayed, at a stretch [s].
+        """Return how long every element without an object stayed without interruption [s].
 
-        Only while the map holds it to be in sight, or `hidden`: always, also while it waits where
-        no ray goes and its object may have turned elsewhere.
+        Only the time in which the map considers it in sight counts. With `hidden` all time counts,
+        also while no ray passes its place and the object may have turned elsewhere.
         """
         unpaired = hidden | self.part["element_visible"]
         unpaired[self.row[self.row >= 0]] = False

@@ -40,12 +40,12 @@ def as_they_are(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
 
 
 def late(_: SimulatedSweep, before: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses of 50 ms ago: of the scan before."""
+    """Return poses that are 50 ms late: those of the scan before."""
     return before.poses
 
 
 def stretched(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses of an odometry that takes 1.00 m for 1.02 m."""
+    """Return poses of an odometry whose scale is wrong: 1.00 m for every 1.02 m."""
     poses = made.poses.copy()
     poses[:, :2, 3] *= 1.02
     return poses

@@ -1,4 +1,4 @@
-"""`flying-pose-noise`: poses that jitter and drift, and a map that knows or does not."""
+"""`flying-pose-noise`: poses with jitter and drift, with and without a model of them in the map."""
 
 from collections.abc import Sequence
 from typing import Any

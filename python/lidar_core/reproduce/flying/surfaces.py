@@ -144,7 +144,7 @@ class Truth:
     world : Scene
         The scene as it is.
     seed : int
-        Of its simulator.
+        Seed of its simulator.
     """
 
     def __init__(self, world: Scene, seed: int) -> None:

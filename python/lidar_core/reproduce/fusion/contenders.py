@@ -23,7 +23,7 @@ BEST = "IMM of CV and CTRV"
 
 
 def printed() -> dict[str, Contender]:
-    """What the paper runs: linear filters, and its own with the equations as printed."""
+    """Return the filters of the paper: linear ones, and its own with the equations as printed."""
     return {
         LINEAR_LIDAR: Contender("fixed-lidar", _of_courses("cv", "kf"), FIXED),
         LINEAR: Contender("fixed", _of_courses("cv", "kf"), FIXED),

@@ -36,9 +36,9 @@ class Noise:
     Attributes
     ----------
     lidar : float
-        Of x and y [m].
+        Standard deviation of x and y [m].
     radar : tuple of float
-        Of range [m], bearing [rad], range rate [m/s].
+        Standard deviations of range [m], bearing [rad], range rate [m/s].
     """
 
     lidar: float
@@ -52,7 +52,7 @@ class Course:
     Attributes
     ----------
     is_lidar : ndarray, shape (K,), bool
-        Whether a row is of the LiDAR, else of the radar.
+        True for rows of the LiDAR, false for rows of the radar.
     values : ndarray, shape (K, 3)
         x, y and nothing; or range, bearing, range rate.
     truth : TargetTruth
@@ -109,7 +109,7 @@ def measured(truth: TargetTruth, noise: Noise, rng: np.random.Generator) -> NDAr
 
 
 def in_turn(rows: int) -> NDArray[np.bool_]:
-    """Which rows are of the LiDAR where both sensors take turns."""
+    """Return which rows belong to the LiDAR if both sensors take turns."""
     return np.asarray(np.arange(rows) % 2 == 0)
 
 
@@ -187,8 +187,7 @@ class Contender:
     form : Form
     config : FusionConfig
     noise : Noise
-        What the sensors have without the noise that is added; form fixed takes the
-        configuration's.
+        Noise of the sensors without the added noise; form fixed uses the configuration's.
     """
 
     form: Form

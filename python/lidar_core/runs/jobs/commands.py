@@ -1,4 +1,4 @@
-"""Which commands a job may hold: they end by themselves, and write to the folder of the job."""
+"""Commands that a job may contain: they end by themselves, and write to the folder of the job."""
 
 import os
 from collections.abc import Mapping, Sequence

@@ -31,7 +31,7 @@ INPUT = "input"
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Where a job writes, and where its results go.
+    """Folder that a job writes to, and destination of its results.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Workplace:
     remote : str or None
         Address that the results go to; they do not stay on this machine then.
     is_held : bool
-        Whether the address may hold something of the job, which has to go first.
+        True if the address may contain old files of the job, which must be removed first.
     """
 
     batch: Path
@@ -99,8 +99,8 @@ def run_job(
 ) -> JobRecord:
     """Do the commands of a job in its folder, seen from `place`; return how it ended.
 
-    What they print goes into log.txt. Files of other machines are fetched first. All objects of
-    its runs go into one table.
+    The output of the commands goes into log.txt. Files of other machines are fetched first. All
+    objects of the runs go into one table.
     """
     start = perf_counter()
     folder = workplace.folder
@@ -135,7 +135,7 @@ def run_job(
 
 
 def told_error(error: Exception) -> str:
-    """What went wrong, in one text."""
+    """Return the error message of a job as one text."""
     text = (
         str(error)
         if isinstance(error, LidarCoreError | OSError)

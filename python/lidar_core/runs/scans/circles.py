@@ -68,9 +68,9 @@ class CirclesRun:
     pipeline : CirclePipeline
         Gets every scan.
     film : bool
-        Whether a film is among the pictures.
+        True if a film is among the pictures.
     allow_untrusted : bool
-        Of the pipeline that a checkpoint brings back.
+        Setting of the pipeline that a checkpoint restores.
     """
 
     KINDS: tuple[type, ...] = (_Found, CircleElements, ShapeElements)
@@ -100,7 +100,7 @@ class CirclesRun:
 
     @property
     def notes(self) -> list[str]:
-        """What the scans tell that the recording or the configuration has otherwise."""
+        """Return properties that the scans show and that differ from recording or configuration."""
         health, told = self.pipeline.health(), self.pipeline.config.fit.range_std
         offset, noise = health.pose_offset_s, health.range_std_estimated
         notes = []
@@ -152,7 +152,7 @@ class CirclesRun:
         return self._mcap
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         health = self.pipeline.health()
         return {
             "scans": {
@@ -198,7 +198,7 @@ class CirclesRun:
         return found
 
     def view(self, title: str, **more: Any) -> CirclesView:
-        """What pictures of the run show; `more` are further fields of `CirclesView`."""
+        """Return the content of pictures of the run; `more` are further fields of `CirclesView`."""
         counts = [len(item.element) for item in self._found]
         return CirclesView(
             title=title,
@@ -217,7 +217,7 @@ class CirclesRun:
         return {"pipeline": self.pipeline.to_bytes(), "last_points": last, "too_near": near}
 
     def rows(self, since: int) -> list[Any]:
-        """What the scans left that were kept since then."""
+        """Return the permanent rows of the scans since then."""
         kept = (self.maps, self.shapes, self._found, self._times.places, self._points)
         times = (self._times.wall_ms, self._times.stages_ms)
         return [list(row) for row in zip(*(one[since:] for one in (*kept, *times)), strict=True)]

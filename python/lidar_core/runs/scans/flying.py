@@ -76,7 +76,7 @@ class FlyingRun:
         self._mcap: McapWriter | None = None
 
     def take(self, item: PosedScan[Scan]) -> FlyingFrame:
-        """Process one scan, with everything the recording knows about it."""
+        """Process one scan with all information of the recording about it."""
         start = perf_counter()
         frame = self.detector.process(item)
         if frame.rejected is not None:
@@ -139,7 +139,7 @@ class FlyingRun:
         }
 
     def rows(self, since: int) -> list[Any]:
-        """What the scans left that were kept since then."""
+        """Return the permanent rows of the scans since then."""
         lists = (self.frames, self._sensors, self._path, self._flying, self._wall_ms)
         return [list(row) for row in zip(*(one[since:] for one in lists), strict=True)]
 
@@ -159,7 +159,7 @@ class FlyingRun:
 
     @property
     def notes(self) -> list[str]:
-        """That the map was full, if it was."""
+        """Return a warning if the map was full."""
         forgotten = self.detector.health().n_voxels_forgotten
         budget = self.detector.config.voxel_map.max_voxels
         if not forgotten:
@@ -247,7 +247,7 @@ class FlyingRun:
         return table | covariance_columns("xyz", covariance)
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         health = self.detector.health()
         return {
             "scans": {
@@ -289,7 +289,7 @@ class FlyingRun:
         return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]
 
     def view(self, title: str, **more: Any) -> FlyingView:
-        """What a picture of the run shows; `more` are further fields of `FlyingView`."""
+        """Return the content of a picture of the run; `more` are further fields of `FlyingView`."""
         return FlyingView(
             title=title,
             cloud=self._cloud,

@@ -1,4 +1,4 @@
-"""Time per scan, in all and per stage, as a run goes on."""
+"""Time per scan, in total and per stage, during a run."""
 
 from collections.abc import Mapping
 from typing import Any

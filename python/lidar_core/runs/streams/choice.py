@@ -36,7 +36,7 @@ VELODYNE_PORT, LIVOX_PORT = 2368, 56_301
 
 @dataclass(frozen=True, slots=True)
 class PipelineChoice:
-    """Which pipeline scans go through; made when the first scan tells its sort."""
+    """Pipeline for scans of a stream; it is made when the first scan shows its kind."""
 
     capability: Literal["auto", "flying", "circles"]
     clouds: tuple[str, ...]
@@ -58,16 +58,16 @@ class PipelineChoice:
 
     @property
     def wants_clouds(self) -> bool:
-        """Whether clouds go through."""
+        """True if the pipeline takes clouds."""
         return self.capability != "circles" and not self.scans
 
     @property
     def wants_scans(self) -> bool:
-        """Whether 2D scans go through."""
+        """True if the pipeline takes 2D scans."""
         return self.capability != "flying" and not self.clouds and self.known_map is None
 
     def topics(self, odometry: str | None) -> StreamTopics:
-        """What to ask a stream for."""
+        """Return the topics to request from a stream."""
         return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
 
     def silence(self, name: str, advertised: Sequence[str]) -> str:
@@ -253,13 +253,13 @@ def open_output(
     Parameters
     ----------
     text : str
-        As given.
+        Text of the option.
     live : LiveConfig
         Names of what goes out over Zenoh.
     allowed : collection of str
         Web pages that may connect to a server, from `allowed_origins`.
     on_refused : callable
-        Told why somebody was refused.
+        Called with the reason when a client is refused.
 
     Raises
     ------

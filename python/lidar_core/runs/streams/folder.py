@@ -32,7 +32,7 @@ class LiveFolder(Output):
     resume : bool
         Go on from the last checkpoint in the folder.
     threads : int
-        Of a detector that goes on.
+        Number of threads of a detector that continues.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class LiveFolder(Output):
         Raises
         ------
         InputError, FormatError
-            The checkpoint in the folder is of another configuration or build, or damaged.
+            The checkpoint in the folder is damaged, or belongs to another configuration or build.
         """
         self._pipeline = made = self._make(sort)
         if self._every is None and not self._resumes:

@@ -98,14 +98,14 @@ def live(
     clouds, scans : sequence of str
         Topics of the LiDARs, 3D or 2D; empty for the first that brings a scan.
     pose, read, known_map, threads, allow_untrusted, overwrite
-        As in `detect` and `circles`.
+        See `detect` and `circles`.
     checkpoint : float, optional
         Time between two checkpoints of `output` [s]; without run.mcap.
     resume : bool
-        Go on with the state and the tables of a run that was cut off. Scans that arrived in between
-        are lost, and older ones are rejected.
+        Continue with the state and the tables of a run that was interrupted. Scans that arrived in
+        between are lost, and older ones are rejected.
     stream : LiveConfig, optional
-        How long to wait for poses, names of topics.
+        Waiting times for poses, and names of topics.
     seconds : float, optional
         Length of the run [s]; without it until the source or Ctrl-C ends it.
     record : str or Path, optional

@@ -21,12 +21,12 @@ YAWS = {"pose": 2, "pose-3d": 5}
 
 @dataclass(frozen=True, slots=True)
 class PlanarStep:
-    """What was measured, and what is known of the targets, at one time.
+    """Measurements and tracks at one time, in the plane.
 
     Attributes
     ----------
     stamp_ns : int
-        [ns].
+        Time [ns].
     places : ndarray, shape (M, 2)
         Measured positions in the frame of the sensor [m].
     sensor : ndarray, shape (3,)
@@ -34,7 +34,7 @@ class PlanarStep:
     id : ndarray, shape (T,), int64
         Numbers of the tracks.
     planar_position, planar_velocity : ndarray, shape (T, 2)
-        [m], [m/s].
+        Position [m] and velocity [m/s] in the plane.
     """
 
     stamp_ns: int

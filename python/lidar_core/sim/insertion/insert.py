@@ -100,27 +100,28 @@ def insert_target(
     position : array_like, shape (3,) or (N, 3), float64
         Centre [m], lidar frame; one per ray if it moves during the scan.
     radius : float, optional
-        Of a sphere [m].
+        Radius of a sphere [m].
     shape : Solid, (vertices, faces), or a mesh, optional
         Instead of the sphere: a shape of `lidar_core.sim`, arrays (V, 3) and (F, 3), or an object
         that has them, such as a mesh of trimesh.
     rotation : array_like, shape (4,), float64
         Attitude of the shape in the lidar frame (x, y, z, w).
     range_min, range_max : float
-        Of the sensor [m]: what is nearer hides and is not seen, no ray meets anything further.
+        Range limits of the sensor [m]: nearer surfaces hide what is behind them but give no return;
+        no ray reaches further.
     range_std : float
         Standard deviation of the ranges to the solid [m].
     pattern : RayPattern, optional
-        Where rays went whose rows the driver dropped, or gave as zeros. Without it only rays that
-        the scan shows can end on the solid.
+        Directions of rays whose rows the driver dropped or wrote as zeros. Without it, only rays in
+        the scan can hit the solid.
     rng : numpy.random.Generator
         Source of the noise.
 
     Returns
     -------
     scan : Scan
-        With the solid in it. Where rows were dropped, its new ones stand at the end, and rows of
-        what it hides are missing.
+        The scan with the solid. If rows were dropped, new rows are at the end, and rows of hidden
+        points are missing.
     is_hit : ndarray, shape (N,), bool
         Rows of that scan that lie on it.
 
@@ -188,7 +189,7 @@ def with_target(
     flight : InsertedFlight, optional
         The target and its flight.
     seed : int
-        Of the flight and the noise.
+        Seed of the flight and the noise.
     shape : Solid, (vertices, faces), or a mesh, optional
         Instead of a sphere, as for `insert_target`; within `flight.radius`.
     pattern : RayPattern, optional
@@ -197,7 +198,7 @@ def with_target(
     Yields
     ------
     SimulatedScan
-        With the truth; labels are 0 for what was recorded and 1 for the target.
+        The scan with its truth; labels are 0 for recorded points and 1 for the target.
 
     Raises
     ------

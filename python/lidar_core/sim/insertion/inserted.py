@@ -103,12 +103,12 @@ def insert_solid(
     Parameters
     ----------
     scan : Scan
-        As recorded; rays without return may be marked, zeros, NaN of an organised cloud, or
+        Recorded scan; rays without return may be marked, zeros, NaN of an organised cloud, or
         dropped.
     target, world_from_target
         The solid, and where it is at which time.
     way : SensorWay
-        Where the sensor is at which time.
+        Poses of the sensor over time.
     pattern : RayPattern, optional
         Tells which rays are missing where the scan does not; without it only known rays count.
     range_limits : tuple of float

@@ -45,8 +45,9 @@ def between_neighbours(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Rays that are missing in short gaps of lines, evenly between the rays before and after.
 
-    A rosette draws lines: rays that follow one another lie side by side. How many are missing is
-    told by the rows of the cloud if every ray has one, else by the time, else by the width.
+    A rosette draws lines: consecutive rays lie side by side. The number of missing rays follows
+    from the rows of the cloud if every ray has one, else from the time, else from the width of the
+    gap.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def between_neighbours(
     row, line : ndarray, shape (M,), int64
         Row of the cloud, and line of the sensor that it belongs to.
     times : ndarray, shape (M,), int64, optional
-        Of the rays [ns].
+        Times of the rays [ns].
     rows_are_rays : bool
         Rays without return have rows of their own.
 

@@ -18,7 +18,7 @@ class SensorWay:
     Attributes
     ----------
     stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
-        World from sensor at some times.
+        Poses of the sensor in the world at some times.
     deskewed : bool
         Motion was taken out: all points are in the frame of the sensor at `Scan.stamp_ns`.
     """

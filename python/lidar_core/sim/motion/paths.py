@@ -1,4 +1,4 @@
-"""Ways in a horizontal plane, and a vehicle that tilts: motions that tell 2D scanners apart."""
+"""Paths in a horizontal plane, and a vehicle that tilts: motions that 2D scanners can observe."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Literal, Self

@@ -33,11 +33,11 @@ class SteeredSensor:
     Parameters
     ----------
     position : array_like, shape (3,), float64
-        Where it hovers at first [m].
+        Position at the start [m], where it hovers.
     stamp_ns : int
         When that is [ns].
     steering : Steering, optional
-        Its limits.
+        Limits of the motion.
 
     Attributes
     ----------
@@ -68,9 +68,9 @@ class SteeredSensor:
         Parameters
         ----------
         goal, goal_velocity : array_like, shape (3,), float64
-            Where to go [m], and how that moves [m/s], from now on.
+            Position to reach [m] and its velocity [m/s], from now on.
         seconds : float
-            For how long [s], > 0; whole steps of 0.01 s.
+            Duration of the flight [s], > 0; whole steps of 0.01 s.
 
         Raises
         ------

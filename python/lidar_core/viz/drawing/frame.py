@@ -40,7 +40,7 @@ class Window:
         return (self.low + self.high) / 2
 
     def holds(self, place: NDArray[np.float64]) -> bool:
-        """Whether a place is inside."""
+        """True if a place is inside."""
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def corner_away_from(self, places: Iterable[NDArray[np.float64]]) -> str:
@@ -112,7 +112,7 @@ def window_over(
     Parameters
     ----------
     places, moving : iterable of ndarray, shape (N, 2)
-        [m]; rows that are not finite are left out.
+        Coordinates [m]; rows that are not finite are left out.
     tall : float
         Height of the panel over its width.
     smallest : float

@@ -1,4 +1,4 @@
-"""Tables of a report: what was found, what the summary says, times, parameters."""
+"""Tables of a report: objects, summary, times, parameters."""
 
 import json
 import tomllib

@@ -30,7 +30,7 @@ def returns_world(item: PosedScan[LaserScan], far: float) -> Points:
 
 
 def standing(points: list[Points], seconds: NDArray[np.float64]) -> list[NDArray[np.bool_]]:
-    """For every return of every scan, whether it belongs to a thing that stands.
+    """For every return of every scan, find out whether it belongs to a static object.
 
     It does if `OFTEN` of the scans of some `LONG_S` around its own have a return within `NEAR`.
 
@@ -60,7 +60,7 @@ def standing(points: list[Points], seconds: NDArray[np.float64]) -> list[NDArray
 
 
 def things(points: list[Points], stands: list[NDArray[np.bool_]]) -> list[NDArray[np.int64]]:
-    """For every return the number of the standing thing that it belongs to; -1: none.
+    """Return the number of the static object of every return; -1 for none.
 
     Standing returns of all scans are one thing where their cells of `CELL` touch.
     """

@@ -56,9 +56,9 @@ class Flight:
     offset : ndarray, shape (3,)
         Centre of the circle from the sensor's place, axes of the world [m].
     axes : ndarray, shape (2, 3)
-        Of the circle, as long as its radius [m].
+        Axes of the circle; their length is its radius [m].
     rate : float
-        [rad/s].
+        Angular velocity [rad/s].
     """
 
     offset: NDArray[np.float64]
@@ -80,9 +80,9 @@ class RealScan:
     Attributes
     ----------
     item : PosedScan
-        As it was read.
+        Scan of the recording.
     pose : ndarray, shape (4, 4)
-        World from LiDAR.
+        Pose of the LiDAR in the world.
     seconds : float
         Time of flight of the targets.
     directions, lengths : ndarray, shape (R, 3), (R,)

@@ -26,9 +26,9 @@ class Patch:
     Attributes
     ----------
     place, normal : ndarray, shape (3,)
-        World frame.
+        Centre [m] and normal, world frame.
     radius : float
-        [m].
+        Radius [m].
     dimmest : float
         Returns below this intensity are lost.
     """

@@ -89,8 +89,8 @@ def pursue(
 ) -> Part:
     """Fly a closed loop; the columns are those of `flights.fly`.
 
-    What a scan shows steers the flight one scan after the scan's end: the time goes to the
-    detector, and `tracks_at` bridges it.
+    A scan steers the flight one scan after its end: the detector needs that time, and `tracks_at`
+    predicts over it.
     """
     detector = FlyingObjectDetector(config)
     covariance = None if is_paper(name) else noise.noise.covariance

@@ -78,7 +78,7 @@ def ground(scan: DetectionScan) -> NDArray[np.float64]:
 
 
 def standing(scan: DetectionScan) -> NDArray[np.bool_]:
-    """Measurements of a scan that are of something that stands."""
+    """Return which measurements of a scan belong to static objects."""
     sights, rates = _directions_and_rates(scan)
     return np.asarray(np.abs(rates - sights @ ground(scan)) < STANDS)
 
