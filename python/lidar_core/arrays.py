@@ -1,4 +1,4 @@
-"""Array aliases and the only public door for arrays: what passes here, the core can read."""
+"""Array aliases, and the only check of arrays from users before the core reads them."""
 
 from operator import index
 from typing import Any, TypeAlias

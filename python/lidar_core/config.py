@@ -61,7 +61,7 @@ class Config(BaseModel):
         Raises
         ------
         ConfigError
-            One line per problem: dotted path, what was expected, what was received.
+            One line per problem: dotted path, expected and received value.
         """
         return cls(**values)
 
@@ -91,8 +91,8 @@ def toml_values(content: bytes, place: str | Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        It is no TOML, or holds what no configuration needs: tables in tables without end, numbers
-        of thousands of digits.
+        It is not TOML, or contains values that no configuration needs: deeply nested tables,
+        numbers with thousands of digits.
     """
     try:
         return tomllib.loads(content.decode("utf-8"))

@@ -15,7 +15,7 @@ NAME = "lidar-core"
 
 
 def require(module: str, *, extra: str, purpose: str) -> Any:
-    """Import `module`, which the extra `extra` brings.
+    """Import `module`, which the extra `extra` installs.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def check_name(path: Path) -> None:
     Raises
     ------
     InputError
-        It is none.
+        The name is not UTF-8.
     """
     try:
         str(path).encode("utf-8")
@@ -91,7 +91,7 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
     Raises
     ------
     LimitError
-        It is longer than `limit` bytes, or than the memory that is left.
+        The file is longer than `limit` bytes, or than the free memory.
     FileNotFoundError, IsADirectoryError, FormatError
         See `check_regular`.
     """

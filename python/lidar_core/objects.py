@@ -124,7 +124,7 @@ class ObjectTable:
         Raises
         ------
         MissingExtraError
-            pandas is not installed; no extra brings it.
+            pandas is not installed; no extra installs it.
         """
         try:
             frame = import_module("pandas").DataFrame
@@ -173,14 +173,14 @@ class Tracks(Boxes):
     extent : ndarray, shape (T, 3), float64
         Sides of the bounding box of the last cluster or detection [m].
     n_detections : ndarray, shape (T,), int64
-        Detections that held the track.
+        Number of detections that updated the track.
     age : ndarray, shape (T,), float64
         Time since its first detection [s].
     existence : ndarray, shape (T,), float64
         Probability that there is a target; NaN where tracks are confirmed by counts.
     kind : ndarray, shape (T,), uint8
-        A `lidar_core.TrackKind` each: the one that is more probable than all others together,
-        UNKNOWN if there is none; FLYING where tracks are confirmed by counts.
+        A `lidar_core.TrackKind` each: the kind that is more probable than all others together, or
+        UNKNOWN; FLYING if tracks are confirmed by counts.
     kind_probability : ndarray, shape (T, 5), float64
         Probability of every `TrackKind`, by number, if there is a target; NaN where tracks are
         confirmed by counts.
@@ -200,7 +200,7 @@ class Tracks(Boxes):
 
     @property
     def flying(self) -> "Tracks":
-        """The tracks of kind FLYING: what pictures, viewers and evaluations show."""
+        """Return the tracks of kind FLYING: pictures, viewers and evaluations show these."""
         return self.where(self.kind == TrackKind.FLYING)
 
 
@@ -247,8 +247,8 @@ class CircleElements(ObjectTable):
     Attributes
     ----------
     id : ndarray, shape (M,), int64
-        Number of the element, never reused: one that was removed comes back, if a late scan
-        shows it, with another.
+        Number of the element, never reused: an element that was removed gets another number if a
+        late scan shows it again.
     center, velocity : ndarray, shape (M, 2), float64
         Centre [m] and velocity [m/s].
     radius : ndarray, shape (M,), float64
@@ -262,14 +262,14 @@ class CircleElements(ObjectTable):
     visible : ndarray, shape (M,), bool
         A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
     person_probability : ndarray, shape (M,), float64
-        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs
-        where the scan meets them. 0 with the filter of the paper.
+        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs at
+        the height of the scan. 0 with the filter of the paper.
     existence : ndarray, shape (M,), float64
         Probability that there is an object, and not a chance group of rays, 0 to 1; 1 with the
         filter of the paper.
     kind : ndarray, shape (M,), uint8
-        A `TrackKind`: STATIC what has not moved, GROUND what moves, also while it stands; UNKNOWN
-        if undecided, and with the filter of the paper.
+        A `TrackKind`: STATIC for elements that have not moved, GROUND for elements that move or
+        have moved; UNKNOWN if undecided, and with the filter of the paper.
     kind_probability : ndarray, shape (M, 5), float64
         Probability of every `TrackKind`, if there is an object; the sum is 1.
     stamp_ns : int
@@ -308,10 +308,10 @@ class ShapeElements(ObjectTable):
         Centre [m] and velocity [m/s]; lines are at rest. The centre of an ellipse or rectangle is
         the centre of this shape, not of the circle.
     heading : ndarray, shape (K,), float64
-        Bearing of the longer half length [rad], -pi/2 to pi/2. Of a line that of the way from its
-        first to its second end, on the left of which it was seen.
+        Bearing of the longer half length [rad], -pi/2 to pi/2. For a line, direction from its first
+        to its second end; the scanner was on the left of it.
     half_size : ndarray, shape (K, 2), float64
-        Longer and shorter half length [m]; of a line half of what was seen of it, and 0.
+        Longer and shorter half length [m]; for a line, half the length of its seen part, and 0.
     ends : ndarray, shape (K, 2, 2), float64
         Ends of the seen part of a line [m].
     covariance : ndarray, shape (K, 7, 7), float64
@@ -420,8 +420,8 @@ class TargetTruth(ObjectTable):
     hits : ndarray, shape (T,), int64
         Points on the target in this scan.
     rays : ndarray, shape (T,), int64
-        Rays that would meet it within range if nothing else were there: 0 out of the field of
-        view or out of range; far more than `hits` if it is hidden.
+        Rays that would hit it within range if nothing else were there: 0 outside the field of view
+        or range; many more than `hits` if it is hidden.
     visible : ndarray, shape (T,), bool
         At least one point.
     """
@@ -452,7 +452,7 @@ class ObjectTruth(ObjectTable):
     hits : ndarray, shape (T,), int64
         Rays of this scan that ended on it.
     rays : ndarray, shape (T,), int64
-        Rays that would meet it within range if nothing else were there.
+        Rays that would hit it within range if nothing else were there.
     """
 
     id: NDArray[np.int32]
@@ -465,7 +465,7 @@ class ObjectTruth(ObjectTable):
 
     @property
     def visible_share(self) -> NDArray[np.float64]:
-        """Hits per ray that could meet it, shape (T,); 0 where there is none."""
+        """Hits per ray that could hit it, shape (T,); 0 without such rays."""
         return self.hits / np.maximum(self.rays, 1)
 
 

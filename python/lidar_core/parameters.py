@@ -58,7 +58,7 @@ class Parameter:
     Attributes
     ----------
     name, type, description : str
-        The description carries the unit.
+        Name, type and description with unit.
     default : str
         Default in TOML; "required" if there is none.
     range : str
@@ -111,7 +111,7 @@ def models_within(model: type[Config]) -> list[type[Config]]:
 
 
 def commented_toml(config: Config) -> str:
-    """Every value as TOML that `Config.read` accepts, each with what it means and may be."""
+    """Return every value as TOML that `Config.read` accepts, each with its meaning and range."""
     described: set[type[BaseModel]] = set()
     return "\n".join(_section(config, "", "", described)) + "\n"
 

@@ -34,7 +34,7 @@ PartT = TypeVar("PartT", bound=Part)
 
 
 class Registry(Generic[PartT]):
-    """Parts of one sort: those of this package in the order of their modules, then the others.
+    """Parts of one kind: those of this package in the order of their modules, then the others.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Registry(Generic[PartT]):
         PluginError
             The plugin of this name is broken.
         ConfigError
-            There is none.
+            There is no such part.
         """
         known = {part.name: part for part in self.parts()}
         if name in known:
@@ -193,7 +193,7 @@ def registering_module() -> str:
 
 
 def check_choice(what: str, name: str, choices: object) -> None:
-    """Refuse a value that is none of those of a `Literal`.
+    """Reject a value that is not in a `Literal`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The folder that a run writes: whole files, and a note of what made them."""
+"""The folder that a run writes: complete files, and a note about their origin."""
 
 import csv
 import hashlib
@@ -113,7 +113,7 @@ class RunFolder:
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
     def begin(self) -> None:
-        """Make the folder, and remove what an earlier run left in it, save what is resumed.
+        """Make the folder, and remove the files of an earlier run, except those that are continued.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class RunFolder:
         shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a text file, whole or not at all."""
+        """Write a text file atomically."""
         with written_whole(self.path / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
@@ -262,7 +262,7 @@ def fingerprint(path: Path) -> dict[str, Any]:
 
 @cache
 def build_digest() -> str:
-    """Digest of the core and of the package: what another build made may be something else."""
+    """Return a digest of the core and of the package: other builds may give other results."""
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())

@@ -60,7 +60,7 @@ def sensor_named(name: str, *, kind: str | None = None) -> Sensor:
     Raises
     ------
     ConfigError
-        There is none, or none with such a pattern.
+        There is no such sensor, or it has another pattern.
     """
     known = [one for one, sensor in SENSORS.items() if kind in (None, sensor.pattern["kind"])]
     if name not in known:

@@ -48,7 +48,7 @@ def use_named(name: str) -> Use:
     Raises
     ------
     ConfigError
-        There is none.
+        There is no such use.
     """
     if name not in USES:
         raise ConfigError(unknown("use", name, USES))

@@ -129,7 +129,7 @@ class BatchJob:
     values : dict
         Value of every {NAME}.
     commands : tuple of tuple of str
-        Arguments of each command; {output} still stands in them.
+        Arguments of each command, with {output} not yet replaced.
     """
 
     group: str

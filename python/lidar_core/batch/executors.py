@@ -46,8 +46,8 @@ def completed(
 ) -> Generator[tuple[int, Any], None, None]:
     """Do all tasks; yield the number of each and its result, or a `Failure`, as they end.
 
-    A task that fails, or whose process dies `ATTEMPTS` times, leaves the others alone. Closing the
-    iterator, as Ctrl-C does, ends what is running.
+    A task that fails, or whose process dies `ATTEMPTS` times, does not affect the others. Closing
+    the iterator, as Ctrl-C does, ends the running tasks.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ class JobRecord:
     group : str
         Digest of all that determines the result: commands, files, versions.
     key : str
-        Digest of what makes the result: commands, files, versions.
+        Digest of everything that determines the result: commands, files, versions.
     status : str
         "running", "done" or "failed". A job is "running" without a process if it was interrupted.
     seconds : float
@@ -54,7 +54,7 @@ class JobRecord:
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
-        """The record of a folder; None where there is none that can be read."""
+        """Read the record of a folder; None if there is no readable one."""
         try:
             return cls.parsed(check_regular(folder / NOTE).read_bytes())
         except (OSError, ValueError):
@@ -62,14 +62,14 @@ class JobRecord:
 
     @classmethod
     def parsed(cls, data: bytes) -> Self | None:
-        """The record that a job.json holds; None where it is none."""
+        """Read the record in a job.json; None if it is not one."""
         try:
             return cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):
             return None
 
     def write(self, folder: Path, *, is_first: bool = False) -> None:
-        """Write job.json, whole or not at all; `is_first`: no earlier one has to be replaced.
+        """Write job.json atomically; `is_first`: there is no earlier one to replace.
 
         The first job.json need not reach the disk before the job continues: a job without one
         starts again.
@@ -97,7 +97,7 @@ def flat(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def write_results(path: Path, records: Sequence[JobRecord]) -> Path:
-    """Write one row per job: what it was, how it ended, its values and its numbers.
+    """Write one row per job: its parameters, its outcome, its values and its numbers.
 
     Parameters
     ----------

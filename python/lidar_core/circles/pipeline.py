@@ -144,7 +144,7 @@ class CirclePipeline(FullState):
         pose_covariance: ArrayLike | None = None,
         scanner: str | None = None,
     ) -> CircleFrame:
-        """Take in one scan: a posed scan, or its arrays.
+        """Process one scan: a posed scan, or its arrays.
 
         Parameters
         ----------

@@ -45,8 +45,8 @@ def limit_range(
     Returns
     -------
     ranges : ndarray, shape (B,), float64
-        Surfaces outside the volume are misses (+inf), for their rays have passed the volume; those
-        that hide it are no information (NaN).
+        Range of every ray [m]. Surfaces outside the volume become misses (+inf), because their rays
+        have passed the volume; surfaces that hide the volume become no information (NaN).
 
     Raises
     ------

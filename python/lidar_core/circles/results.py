@@ -43,14 +43,15 @@ class CircleFrame(ShortRepr):
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
-        Element of the map of every segment; -1 for what is not taken into it: it has another
-        shape, its hits do not lie on the circle, or it is too near.
+        Map element of every segment; -1 for a segment that is not used: it has another shape, its
+        hits do not lie on the circle, or it is too near.
     too_near : ndarray, shape (C,), bool
         True for segments that are left out of the map because part of the object may be nearer than
         the scanner measures: the mean of the remaining hits is too far away. None with
         `CirclesConfig.shapes` off.
     line : ndarray, shape (C,), int64
-        Line of the map of every segment; -1 for what is no line, or too short to be a new one.
+        Map line of every segment; -1 for other shapes, and for lines that are too short to start
+        one.
     map : CircleElements
         Confirmed elements at the time of the scan.
     map_shapes : ShapeElements
@@ -97,7 +98,7 @@ class CirclesHealth:
     received, processed, rejected : int
         received = processed + rejected.
     reasons : mapping of str to int
-        Rejected scans by what was wrong, without the values of the single scan.
+        Number of rejected scans by reason, without the values of the single scan.
     range_std_estimated : float, optional
         Standard deviation of the ranges of the scanner that sent the last scan [m], estimated from
         neighbouring rays; None before there is enough evidence, and in paper mode.

@@ -131,7 +131,7 @@ def make_samples(
     circles : ndarray, shape (N, 3), float64, optional
         Look at these, `config.draws` times each, instead of drawing circles.
     threads : int
-        The result is the same.
+        Number of threads; the result does not depend on it.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Configuration of what is done to a scan before circles are fitted."""
+"""Configuration of the steps before circles are fitted."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Literal, Self

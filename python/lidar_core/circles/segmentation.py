@@ -80,7 +80,7 @@ def segment(
         Directions of the rays [rad] in the order of the sweep; need not be equally spaced. In a
         full circle, the first ray is the neighbour of the last.
     config : SegmentConfig or CirclesConfig, optional
-        None: the defaults. A `CirclesConfig` brings its scanner along.
+        None for the defaults. A `CirclesConfig` also contains its scanner.
     scanner : Scanner, optional
         Scanner whose range limits apply; None for the defaults.
 

@@ -60,7 +60,7 @@ def fit_shapes(
     config: FitConfig | None = None,
     scanner: Scanner | None = None,
 ) -> Shapes:
-    """Tell which shape each segment of a scan has, and where it is.
+    """Estimate the shape of each segment of a scan, and its place.
 
     Parameters
     ----------

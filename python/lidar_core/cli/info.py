@@ -1,4 +1,4 @@
-"""`lidar-core info`: what is in a recording."""
+"""`lidar-core info`: content of a recording."""
 
 import json
 from pathlib import Path

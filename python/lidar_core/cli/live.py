@@ -1,4 +1,4 @@
-"""`lidar-core live`: a running robot, or a recording as if it were one."""
+"""`lidar-core live`: process the scans of a running robot, or of a recording in real time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

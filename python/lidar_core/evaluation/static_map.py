@@ -1,4 +1,4 @@
-"""Maps cleaned of all that moved, held against a labelled cloud."""
+"""Scores of maps without moving objects, compared with a labelled cloud."""
 
 from dataclasses import dataclass
 from itertools import product

@@ -58,8 +58,8 @@ class Estimates:
     covariance : ndarray, shape (E, 3, 3) or (E, 6, 6), float64, optional
         Covariance of the position, or of position and velocity; (E, 2, 2) or (E, 4, 4) in a plane.
     time_ns : ndarray, shape (E,), int64, optional
-        When each position was true [ns]; without it, at `stamp_ns`. A target is held against it
-        where its velocity takes it by then, if the truth has velocities.
+        Time at which each position was true [ns]; default: `stamp_ns`. If the truth has velocities,
+        a target is predicted to that time before the comparison.
     radius : ndarray, shape (E,), float64, optional
         Reported radius [m].
     """

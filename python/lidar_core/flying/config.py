@@ -123,7 +123,7 @@ class ClusterConfig(Config):
 class ClassifyConfig(Config):
     """Classes of clusters: background, flying, unknown.
 
-    Source: Vrba et al., sec. III-B and Algorithm 1; defaults: Table II, with what best mode adds.
+    Source: Vrba et al., sec. III-B and Algorithm 1; defaults: Table II, and additions of best mode.
     """
 
     close_distance: float = Field(
@@ -394,8 +394,8 @@ class FlyingConfig(Config):
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
-        No return is dropped by its range. What the paper leaves out is the burn-in that seeds the
-        background, with an extent for targets of the paper's size, and d_sep, which stays at its
+        No return is dropped by its range. The paper does not specify the burn-in that seeds the
+        background, which gets an extent for targets of the paper's size, and d_sep, which keeps its
         default. Removal of separate background begins once there is a background.
         """
         return cls(

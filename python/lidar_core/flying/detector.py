@@ -1,6 +1,7 @@
 """The flying-object detector: scans in, point classes, detections and tracks out.
 
-Longer than other files: it is one class, and most of it describes what its methods take and give.
+Longer than other files: it is one class, and most of it describes inputs and outputs of its
+methods.
 """
 
 from dataclasses import asdict, replace
@@ -109,8 +110,8 @@ class FlyingObjectDetector(FullState):
         stamp_ns : int
             Start of the scan [ns]; must increase per sensor.
         no_return : array_like, shape (N,), bool, optional
-            Rays that met nothing within range. Their directions come from `directions`, or are
-            remembered from earlier scans of an organised cloud.
+            True for rays without return within range. Their directions come from `directions`, or
+            from earlier scans of an organised cloud.
         directions : array_like, shape (N, 3), float32, optional
             Unit direction of every ray, lidar frame.
         point_time_ns : array_like, shape (N,), int64, optional
@@ -233,12 +234,12 @@ class FlyingObjectDetector(FullState):
 
     @property
     def map_memory_bytes(self) -> int:
-        """Bytes held by the map."""
+        """Size of the map in memory [bytes]."""
         return self._detector.map_size()[2]
 
     @property
     def n_observed(self) -> int:
-        """Voxels of the map that a point or a ray has met."""
+        """Number of voxels of the map that a point or a ray has touched."""
         return self._detector.map_size()[1]
 
     def save_map(self, path: str | PathLike[str]) -> None:
@@ -251,7 +252,7 @@ class FlyingObjectDetector(FullState):
             self._detector.save_map(path)
 
     def load_map(self, path: str | PathLike[str]) -> None:
-        """Go on with a map of an earlier run; tracks are dropped.
+        """Continue with a map of an earlier run; tracks are dropped.
 
         A sensor that has not yet detected the robot itself takes it from the file, from its next
         scan on. It drops this within five scans if the returns do not agree: the sensor is mounted
@@ -286,7 +287,7 @@ class FlyingObjectDetector(FullState):
         return self._detector.static_points()
 
     def save_static_map(self, path: str | PathLike[str]) -> None:
-        """Write the voxels of 0.1 m of all that stands to a file that `VoxelMap.load` reads.
+        """Write the static voxels of 0.1 m to a file that `VoxelMap.load` reads.
 
         Raises
         ------
@@ -302,9 +303,9 @@ class FlyingObjectDetector(FullState):
             self._detector.save_static_map(path)
 
     def reanchor(self) -> bool:
-        """Go on after a jump of the pose (relocalisation, GNSS step).
+        """Continue after a jump of the pose (relocalisation, GNSS step).
 
-        The world is shifted so that the scan held last lies where the one before it was: map
+        The world is shifted so that the last held scan lies at the pose of the scan before it: map
         and tracks keep their place around the robot. False if no scan is held.
         """
         return self._detector.reanchor()
@@ -317,7 +318,7 @@ class FlyingObjectDetector(FullState):
         self._detector.reset()
 
     def health(self) -> Health:
-        """Scans counted since the start: received = processed + held + rejected."""
+        """Counts of scans since the start: received = processed + held + rejected."""
         return self._health
 
     def _process(

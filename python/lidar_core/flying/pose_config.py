@@ -1,4 +1,4 @@
-"""Configuration of what is known about poses beforehand."""
+"""Configuration of the certainty of poses."""
 
 from typing import Annotated, Literal, Self
 
@@ -39,5 +39,5 @@ class PoseConfig(Config):
 
     @classmethod
     def paper(cls) -> Self:
-        """The map is updated as if poses were certain."""
+        """Return the paper's variant: the map is updated with poses that count as certain."""
         return cls(weighting="off")

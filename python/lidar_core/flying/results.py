@@ -20,7 +20,7 @@ class TrackEvents:
     corrected, born, confirmed, removed : ndarray, shape (K,), int64
         Tracks corrected by a cluster; new ones; reported from now on; removed.
     merged : ndarray, shape (K, 2), int64
-        The track that stays and the one that went into it.
+        Pairs of the track that stays and the one that was merged into it.
     n_rejected : int
         Measurements not used because a covariance was not positive definite.
     """
@@ -59,8 +59,8 @@ class FlyingStatus:
         too: rows of the cloud without one, and where drivers leave rows out, the rays that the
         search for the sky expects. Of several returns of a ray one is enough.
     own_body_is_decided : bool
-        The sensor has turned by 30 degrees: what was found is the robot, and nothing that goes
-        along with it.
+        The sensor has turned by 30 degrees, which shows that the body is the robot, and not an
+        object that moves along with it.
     """
 
     gate_open: bool
@@ -99,8 +99,8 @@ class FlyingFrame(ShortRepr):
     status : FlyingStatus
         Background gate open or closed, and why.
     timing_ms : dict
-        Time per stage [ms]. With two threads or more, rays are cast while clusters are found and
-        classified: what of that takes longer is added to ``integrate``.
+        Time per stage [ms]. With two threads or more, rays are cast during clustering and
+        classification: the part that takes longer is added to ``integrate``.
     rejected : str or None
         Why the scan could not be used (`on_bad_scan="count"`); the state is unchanged then.
     n_rays, n_visits : int
@@ -137,7 +137,8 @@ class Health:
     Attributes
     ----------
     received, processed, held, rejected : int
-        All scans; those used; those held for a pose that contradicts the map; those refused.
+        Number of all scans; of used ones; of those held because their pose contradicts the map; of
+        rejected ones.
     sky, sky_share, own_body : str, float, float
         Values of the last scan used, as in `FlyingStatus`.
     n_voxels_forgotten : int

@@ -1,4 +1,4 @@
-"""The multi-target tracker by itself: point clouds and detections in, tracks out."""
+"""The multi-target tracker alone: point clouds and detections in, tracks out."""
 
 from base64 import b64decode, b64encode
 from typing import Any, Self
@@ -159,7 +159,7 @@ class PointCloudTracker(FullState):
         extent: ArrayLike | None = None,
         time_ns: ArrayLike | None = None,
     ) -> TrackEvents:
-        """Take in a set of detections, which may be older than the clouds.
+        """Process a set of detections, which may be older than the clouds.
 
         Hand over empty sets as well: confirmation counts sets.
 

@@ -15,7 +15,7 @@ Radius = Annotated[float, Field(gt=0, le=100)]
 class TrackerConfig(Config):
     """Tracks of flying objects over point clouds and detections that may come late.
 
-    `TrackerConfig()` is what works best; `TrackerConfig.paper()` is the algorithm as published.
+    `TrackerConfig()` is best mode; `TrackerConfig.paper()` is the algorithm as published.
 
     Source: Vrba et al., sec. III-F and Algorithm 2; paper's values: Table II.
     """

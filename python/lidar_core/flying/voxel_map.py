@@ -29,14 +29,14 @@ class IntegrateStats:
     n_skipped : int
         Entries without information: class 0, not finite, or no direction.
     n_rays, n_no_return_rays : int
-        Rays cast; those of them that met nothing.
+        Number of rays; number of those without return.
     n_visits : int
         Voxels crossed by rays, each crossing counted.
     n_visits_skipped : int
         Number of these crossings that rays passed in one step; see `VoxelMapConfig.skip`.
     n_voxels : int
-        Voxels that hold points or that rays visited, without those passed: with `skip` "none" all
-        that the scan met.
+        Number of voxels with points or visited by rays, without those that were passed: with `skip`
+        "none" all voxels along the rays.
     n_voxels_changed : int
         Voxels whose value is another one than before; the same number for every `skip`.
     n_voxels_forgotten : int
@@ -265,7 +265,7 @@ class VoxelMap(FullState):
         points_world : array_like, shape (N, 3), float32
             Points [m], world frame.
         labels : array_like, shape (N,), int32
-            Number of each point's cluster as from `cluster_points`; -1 is none.
+            Number of each point's cluster as from `cluster_points`; -1 for none.
         sensor_origin : array_like, shape (3,), float64
             Position of the sensor [m].
         config : ClassifyConfig, optional
@@ -292,21 +292,21 @@ class VoxelMap(FullState):
 
     @property
     def n_stored(self) -> int:
-        """Voxels for which memory is held."""
+        """Number of voxels in memory."""
         return self._map.size()[0]
 
     @property
     def n_observed(self) -> int:
-        """Voxels that a point or a ray has met."""
+        """Number of voxels that a point or a ray has touched."""
         return self._map.size()[1]
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes held by the stored voxels and their index."""
+        """Size of the stored voxels and their index [bytes]."""
         return self._map.size()[2]
 
     def save(self, path: str | PathLike[str], *, full: bool = False) -> None:
-        """Write the map to a file, whole or not at all.
+        """Write the map to a file atomically.
 
         Parameters
         ----------

@@ -71,8 +71,8 @@ class PublishedModel(Config):
 class FusionConfig(Config):
     """A filter of one target that LiDAR and radar measure.
 
-    `FusionConfig()` is what works; `FusionConfig.paper()` is the filter as published. Noise of
-    the sensors is used for measurements that bring no covariance.
+    `FusionConfig()` is best mode; `FusionConfig.paper()` is the filter as published. The noise of
+    the sensors applies to measurements without a covariance.
 
     Source: Remote Sens. 2023, 15, 3396; Bar-Shalom, Li & Kirubarajan, "Estimation with
     Applications to Tracking and Navigation", 2001.

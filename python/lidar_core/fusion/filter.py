@@ -37,10 +37,10 @@ class FilterHealth:
 class TargetFilter(FullState):
     """Position and motion of one target.
 
-    The state is in the frame of the sensor where that stands still or where the model moves it
-    (ctrv-drone), and in the world once a measurement "pose" has come, or "pose-3d" for a model in
-    space. The model names the states and their order: x, y, z, vx, vy, vz of cv-3d; these and ax,
-    ay, az of ca-3d; x, y, z, horizontal speed, heading, turn rate and climb of ctrv-3d.
+    The state is in the frame of the sensor if the sensor stands still or the model moves it
+    (ctrv-drone). It is in the world after a measurement "pose", or "pose-3d" for a model in space.
+    The model names the states and their order: x, y, z, vx, vy, vz of cv-3d; these and ax, ay, az
+    of ca-3d; x, y, z, horizontal speed, heading, turn rate and climb of ctrv-3d.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class TargetFilter(FullState):
         self._filter = _core.TargetFilter(self.config)
 
     def step(self, measurement: Measurement) -> _core.FusionStep:
-        """Take in one measurement.
+        """Process one measurement.
 
         Parameters
         ----------

@@ -32,8 +32,8 @@ class ScanResult(ShortRepr):
         Number of the track of every measurement, confirmed or not; -1 for none. With joint
         probabilities, the track whose probability is above one half.
     innovations : ndarray, shape (K, 3)
-        Measured minus what that track expected; NaN beyond the values that were compared, and
-        where a track began.
+        Measured minus expected values of that track; NaN for values that were not compared, and for
+        the start of a track.
     nis : ndarray, shape (K,)
         Normalised innovation squared; NaN where nothing was compared.
     """
@@ -120,11 +120,11 @@ class MultiTargetTracker(FullState):
     def process(
         self, stamp_ns: int, measurements: Iterable[Measurement], *, source: str
     ) -> ScanResult:
-        """Take in what one scanner saw at one time; an empty scan is information, too.
+        """Process the measurements of one scanner at one time; an empty scan is information, too.
 
-        Scans may come late: one that is at most `config.target.buffer_time` older than the newest
-        is put where it belongs, and those after it are gone through again; tracks keep the
-        numbers that these gave them. A scan that is there already changes nothing.
+        Scans may come late: a scan that is at most `config.target.buffer_time` older than the
+        newest is processed at its time, and the scans after it are processed again; tracks keep
+        their numbers. A scan that was already processed changes nothing.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class MultiTargetTracker(FullState):
         return ScanResult(*result)
 
     def health(self) -> TrackerHealth:
-        """Return what the scans have cost; a tracker from a saved state begins anew."""
+        """Return the cost of the scans; it starts at zero for a tracker from a saved state."""
         return TrackerHealth(*self._tracker.work())
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:

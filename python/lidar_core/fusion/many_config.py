@@ -117,7 +117,7 @@ class MultiTargetConfig(Config):
 
     @classmethod
     def boats(cls) -> Self:
-        """Return what suits boats of 10 to 40 m, scanned every 0.5 to 2 s."""
+        """Return a configuration for boats of 10 to 40 m, scanned every 0.5 to 2 s."""
         return cls(
             target=FusionConfig(
                 model="cv",

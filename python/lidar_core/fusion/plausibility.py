@@ -48,9 +48,9 @@ class Implausible:
     Attributes
     ----------
     n_compared : int
-        Measurements that were compared with what the filter expected.
+        Number of measurements that were compared with expected values.
     ratio : float
-        Sum of the least 80 % of their NIS over what is expected of it (1 is expected).
+        Sum of the least 80 % of their NIS divided by its expected value (1 is expected).
     limit : float
         Largest plausible value.
     shown : tuple of str
@@ -85,7 +85,7 @@ class Implausible:
 
 
 def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Implausible | None:
-    """Say whether and why measurements cannot be those of one target in the expected units.
+    """Check whether measurements can belong to one target in the expected units.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     Returns
     -------
     Implausible or None
-        None where nothing is wrong, with less than 20 measurements compared, and for the model
-        as published, whose NIS means nothing: what it has for covariances are none.
+        None if nothing is wrong, if fewer than 20 measurements were compared, and for the model as
+        published: its matrices are no covariances, so its NIS has no meaning.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Mistakes in measurements, what undoes them, and the option that cures them."""
+"""Mistakes in measurements: how to undo each, and the option that corrects it."""
 
 from collections.abc import Callable
 

@@ -56,7 +56,7 @@ def level_sight(
     swivel_std: float,
     pitch_std: float,
 ) -> LevelSight:
-    """Turn what was measured in a swivelled plane into the horizontal plane.
+    """Convert measurements in a swivelled plane to the horizontal plane.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def in_space(
     sensor : array_like, shape (K, 3)
         Position of the sensor [m], world frame.
     drift : array_like, shape (K,), optional
-        Variance by which the target's height may have changed since the row before [m^2]: heights
-        are filtered. Without it every row stands for itself.
+        Variance of the change of the target's height since the row before [m^2]: heights are then
+        filtered. Without it every row is independent.
 
     Returns
     -------

@@ -111,7 +111,7 @@ class RecordingInfo:
 
 
 def info_of(values: dict[str, Any]) -> RecordingInfo:
-    """The summary of which `RecordingInfo.to_dict` gave these values, or JSON made of them."""
+    """Return the summary whose `RecordingInfo.to_dict` gave these values, maybe through JSON."""
     given = {name: value for name, value in values.items() if name != "duration_s"}
     topics = [TopicInfo(**one | {"frames": tuple(one["frames"])}) for one in given["topics"]]
     return RecordingInfo(

@@ -58,7 +58,7 @@ def open_recording(
     Raises
     ------
     FormatError
-        Unknown or broken format; the text names the file and what is wrong.
+        Unknown or broken format; the text names the file and the problem.
     LimitError
         A record is larger than the options allow.
     MissingExtraError

@@ -14,7 +14,7 @@ LONGEST = 9e9  # times in nanoseconds fit into 64 bits [s]
 
 
 class ReadOptions(Config):
-    """Options of `open_recording`; each reader uses those that concern its format."""
+    """Options of `open_recording`; each reader uses the ones that its format needs."""
 
     no_return: Literal["auto", "zero", "nan", "max", "none"] = Field(
         "auto",

@@ -59,7 +59,7 @@ class Reader:
     module: str = ""
 
     def opened(self, path: Path, options: ReadOptions, files: list[Path]) -> Recording:
-        """Open a recording; `files` are those that `path` holds, or `path` itself.
+        """Open a recording; `files` are the files in the folder `path`, or `path` itself.
 
         Raises
         ------
@@ -176,8 +176,8 @@ def owner_of(suffix: str) -> Reader:
 def reader_of(path: Path, options: ReadOptions) -> Reader | None:
     """The reader that a file needs; None for an unknown ending.
 
-    Among readers of one ending, the first that recognises the file has it, else the one that
-    takes any.
+    Among readers of one ending, the first one that recognises the file is used, or else the one
+    without `sniff`.
     """
     suffix = suffix_of(path)
     if suffix is None:

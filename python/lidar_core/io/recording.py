@@ -82,7 +82,7 @@ class Recording(ABC):
         return inspect(self)
 
     def close(self) -> None:
-        """Release the file, where one is held; further reads are not allowed."""
+        """Close the file, if one is open; further reads are not allowed."""
         return
 
     def __enter__(self) -> Self:

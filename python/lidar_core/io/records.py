@@ -44,7 +44,7 @@ class Topic:
     count : int or None
         Messages, where the recording states it.
     note : str
-        Why it is not read, or what was assumed.
+        Reason why it is not read, or assumptions that were made.
     """
 
     name: str

@@ -97,7 +97,7 @@ def held_names(address: str) -> set[str]:
 def stored(
     folder: Path, address: str, *, last: Sequence[str] = (), is_replaced: bool = True
 ) -> None:
-    """Copy a folder to an address; what was there goes first, the files `last` come last.
+    """Copy a folder to an address, without its old files; the files `last` are copied last.
 
     `is_replaced` is false where nothing was there, which saves the requests that look.
     """

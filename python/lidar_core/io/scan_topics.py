@@ -45,9 +45,9 @@ def scan_topics(
     Raises
     ------
     ConfigError
-        No such topic with scans of this sort.
+        There is no topic of this name with scans of this kind.
     FormatError
-        No scans of this sort at all.
+        There are no scans of this kind.
     """
     words = [WORDS[sort] for sort in sorts]
     plural = " or ".join(word.plural for word in words)
@@ -75,7 +75,7 @@ def scan_topics(
 
 
 def scan_topic(recording: "Recording", name: str | None, sort: type) -> Topic:
-    """The only topic with scans of a sort, or the one that is named; otherwise as `scan_topics`."""
+    """Return the only topic with scans of a kind, or the named one; otherwise as `scan_topics`."""
     chosen = scan_topics(recording, [sort], [] if name is None else [name])
     if name is None and len(chosen) > 1:
         words, found = WORDS[sort], listed([topic.name for topic in chosen])

@@ -47,7 +47,7 @@ class Writer:
 
     @property
     def name(self) -> str:
-        """Unique among writers: formats can hold more than one sort of things."""
+        """Unique name: formats can hold more than one kind of data."""
         return f"{self.format} of {self.takes}"
 
     def __call__(self, *values: Any) -> Any:
@@ -80,7 +80,7 @@ def register_writer(
     takes: Takes,
     needs_resolution: bool = False,
 ) -> Callable[[WriteT], WriteT]:
-    """Register a function that writes one output format, whole or not at all.
+    """Register a function that writes one output format atomically.
 
     `lidar-core convert` and the errors for unknown endings use the registry. Another package names
     the module of its writer as an entry point of the group `lidar_core.writers`.
@@ -137,7 +137,7 @@ def register_writer(
 
 
 def writers_of(takes: Takes) -> dict[str, Writer]:
-    """Writers of one sort of things by the endings of their files; the first one has an ending."""
+    """Return the writers for one kind of input by the endings of their files."""
     known: dict[str, Writer] = {}
     for writer in WRITERS.parts():
         if writer.takes == takes:
@@ -146,7 +146,7 @@ def writers_of(takes: Takes) -> dict[str, Writer]:
 
 
 def ending_of(path: Path, known: Iterable[str]) -> str:
-    """The longest of the `known` endings that a name has; else what follows its last dot."""
+    """Return the longest `known` ending of a name, or else the part after its last dot."""
     name = path.name.lower()
     ends = [end for end in known if end and name.endswith(end) and name != end]
     return max(ends, key=len, default=path.suffix.lower())

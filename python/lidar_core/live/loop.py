@@ -1,4 +1,4 @@
-"""The loop of a live run: what arrived, what has its pose, through the pipeline, to the outputs."""
+"""Loop of a live run: scans wait for a pose, pass the pipeline, and go to the outputs."""
 
 import time
 from collections import deque
@@ -29,14 +29,14 @@ class _Waiting(Generic[ScanT]):
 
 
 class LiveLoop(Generic[ScanT]):
-    """Takes scans from a source; the newest one that has its pose wins.
+    """Takes scans from a source; only the newest one with a pose is processed.
 
     Parameters
     ----------
     source : Source
         Started by `run`, and closed.
     pipeline : callable
-        Makes the pipeline for scans of a sort, or returns None for a sort that is not wanted.
+        Makes the pipeline for scans of a kind, or returns None for an unwanted kind.
     poses : LivePoses
         Source of the sensor's poses.
     outputs : sequence of Output
@@ -44,13 +44,14 @@ class LiveLoop(Generic[ScanT]):
     config : LiveConfig
         Waiting times.
     topics : sequence of str
-        Topics of the LiDARs; empty for the first that brings a scan.
+        Topics of the LiDARs; empty for the first one with a scan.
     tape : Tape, optional
         Gets everything that arrives.
     on_report : callable
-        Told how it goes, every second.
+        Called with a report every second.
     on_silence : callable
-        Told once, if no wanted scan comes in the first seconds, what the source has instead.
+        Called once if no wanted scan comes in the first seconds, with the topics that the source
+        has.
 
     Attributes
     ----------
@@ -90,7 +91,7 @@ class LiveLoop(Generic[ScanT]):
         self._reported_scans = 0
 
     def run(self, seconds: float | None = None) -> None:
-        """Work until the source ends, for so many seconds, or until Ctrl-C, which is raised.
+        """Work until the source ends, for a number of seconds, or until Ctrl-C, which is raised.
 
         Raises
         ------

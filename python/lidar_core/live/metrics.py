@@ -122,7 +122,7 @@ class MetricsServer:
             return self._report
 
     def update(self, report: Report) -> None:
-        """Take in a report."""
+        """Update the metrics with a report."""
         with self._lock:
             self._report = report
 

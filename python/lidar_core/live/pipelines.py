@@ -11,7 +11,7 @@ from lidar_core.messages import LaserScan, PosedScan, Scan, ScanT
 
 
 class LivePipeline(ABC, Generic[ScanT]):
-    """Takes posed scans of one sort.
+    """Pipeline for posed scans of one kind.
 
     Attributes
     ----------

@@ -104,7 +104,7 @@ class LivePoses:
         return until is None or until >= span_ns(scan)[1]
 
     def posed(self, scan: ScanT) -> PosedScan[ScanT]:
-        """`scan` with the sensor's poses; what is older than the history is forgotten.
+        """Return `scan` with the sensor's poses; poses older than the history are dropped.
 
         Raises
         ------

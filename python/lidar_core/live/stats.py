@@ -105,8 +105,8 @@ class LiveStats:
     processed : int
         Scans that went through the pipeline.
     dropped, without_pose, rejected, ignored : Counter
-        Scans replaced by newer ones, by topic; without a pose, by what is missing; that the
-        pipeline or an output refused, by reason; of topics that were not asked for, by topic.
+        Counts of scans: replaced by newer ones, by topic; without a pose, by the missing frame;
+        rejected by pipeline or output, by reason; of topics that were not requested, by topic.
     from_stamp, from_arrival : LatencyLog
         Latencies to the end of the outputs: from the stamp of the scan, and from its arrival.
     """

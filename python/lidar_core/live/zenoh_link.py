@@ -87,7 +87,7 @@ def told_of_key(key: str) -> str:
 
 
 def open_session(endpoint: str, *, timeout: float) -> Any:
-    """Session that is linked to `endpoint`, and links again by itself when that comes back.
+    """Open a session that is linked to `endpoint`, and that reconnects by itself.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
     ConfigError
         No such endpoint can be.
     LinkError
-        Nobody listens there.
+        No router or peer answers there.
     MissingExtraError
         eclipse-zenoh is not installed.
     """

@@ -25,7 +25,7 @@ GATE = 2.0
 def evaluation_config(**given: Any) -> EvaluationConfig:
     """Return the scoring: a gate wide enough for a lagging track, or else as `given`.
 
-    The scans of the burn-in are those that a run counted: see `flying.simulated.flights.tables`.
+    The scans of the burn-in are counted by the run: see `flying.simulated.flights.tables`.
     """
     return EvaluationConfig(**{"gate": GATE, **given})
 

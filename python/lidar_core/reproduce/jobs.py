@@ -103,7 +103,7 @@ def flights(
 def grouped(
     jobs: Sequence[Job], parts: Sequence[Part], argument: str, values: Iterable[str]
 ) -> dict[str, list[Part]]:
-    """Parts by what their jobs were given for `argument`, in the order of `values`."""
+    """Group the parts by the value of `argument` of their jobs, in the order of `values`."""
     return {
         value: [
             part for job, part in zip(jobs, parts, strict=True) if job.arguments[argument] == value

@@ -49,7 +49,7 @@ class Request:
     seed : int
         Seed of all random numbers, >= 0.
     scans : int
-        Length of the run, in what the item counts, >= 1. An item may do a little more or less:
+        Length of the run in the unit of the item, >= 1. An item may run slightly more or less:
         whole flights.
     threads : int
         Processes or threads to use, >= 1; the rows do not depend on it.
@@ -58,7 +58,7 @@ class Request:
     is_fresh : bool
         Compute parts again even if they exist.
     advance : callable
-        Told how much of `scans` is done since the last call.
+        Called with the number of `scans` that were done since the last call.
     """
 
     seed: int
@@ -138,13 +138,13 @@ class Item:
     measure : callable
         Does the work of a request.
     rows : callable
-        Makes the table of what was measured.
+        Makes the table of the measurements.
     draw : callable
-        Draws what was measured into an empty matplotlib Figure, its first argument.
+        Draws the measurements into an empty matplotlib Figure, its first argument.
     heading : str
         Above the picture; empty if `draw` writes its own.
     grid : {"both", "x", "y", ""}
-        Lines behind what is drawn: across both axes, one, or none.
+        Grid lines behind the drawing: across both axes, one, or none.
     counts : str
         Unit that `scans` counts.
     data : tuple of str
@@ -177,7 +177,7 @@ class Item:
         return Result(tuple(self.rows(*found.data)), draw, found.scans, found.note, found.config)
 
     def duration(self, scans: int) -> str:
-        """Say how long `scans` take on two cores."""
+        """Return how long `scans` take on two cores, in words."""
         seconds = self.minutes * 60 * scans / self.scans
         if seconds < 90:
             return f"{max(1, round(seconds))} s"

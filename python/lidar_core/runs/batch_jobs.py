@@ -164,7 +164,7 @@ class Batch:
     jobs : dict of str to BatchJob
         Jobs by the names of their folders.
     keys : dict of str to str
-        Digests of what makes their results.
+        Digests of everything that determines their results.
     kept : dict of str to JobRecord
         Jobs that an earlier run completed.
     made : dict of str to JobRecord
@@ -172,7 +172,7 @@ class Batch:
     remote : str or None
         Address that the results go to, if it is not the folder.
     held : frozenset of str
-        Names of the jobs of which the address held something when the batch began.
+        Names of the jobs whose address contained files when the batch began.
     """
 
     folder: Path
@@ -209,7 +209,7 @@ class Batch:
         return cls(folder, by_name, key_of, kept, {}, remote, _held(remote))
 
     def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
-        """Do what is left; yield each record as the job ends."""
+        """Do the remaining jobs; yield each record as the job ends."""
         left = [name for name in self.jobs if name not in self.kept]
         threads = max(1, all_threads() // workers)
         for name in left:
@@ -239,7 +239,7 @@ class Batch:
         return {"jobs": len(self.jobs), "done": done, "kept": len(self.kept), "failed": failed}
 
     def write(self, config: Mapping[str, Config], file: Path) -> tuple[str, ...]:
-        """Write the tables and what made them; return their names, that of the results first."""
+        """Write the tables and their note; return the file names, results first."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with written_whole(self.folder / "batch.toml") as temporary:
             temporary.write_text(note_of({"jobs": str(file)}, config), encoding="utf-8")

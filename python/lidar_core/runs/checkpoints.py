@@ -135,7 +135,7 @@ class Checkpoints:
         self._last = monotonic()
 
     def end(self) -> None:
-        """Remove what the finished run does not need any more."""
+        """Remove the files that a finished run does not need any more."""
         remove_checkpoint(self.folder)
 
     def _part(self, number: int) -> Path:

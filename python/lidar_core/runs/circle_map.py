@@ -1,4 +1,4 @@
-"""The circle map of a recording of 2D scans: what `lidar-core circles` does."""
+"""The circle map of a recording of 2D scans: the work of `lidar-core circles`."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -19,7 +19,7 @@ def is_run(place: Path) -> bool:
 
 
 def convert_run(run: Path, output: Path, *, name: str | None) -> dict[str, Any]:
-    """Write the objects of a run; return what was written, as plain values.
+    """Write the objects of a run; return a list of the files as plain values.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Flying objects in a recording: what `lidar-core detect` does."""
+"""Flying objects in a recording: the work of `lidar-core detect`."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -76,10 +76,10 @@ def detect(
         Time between two checkpoints in the folder [s], from which a run can continue; run.mcap is
         then not written.
     resume : bool
-        Go on from the last checkpoint of a run with the same inputs that was killed or ended
-        early; the results are those of a run that was not. Without a checkpoint it starts again.
+        Continue from the last checkpoint of a run with the same inputs that was killed or ended
+        early; the results are those of an uninterrupted run. Without a checkpoint it starts again.
     on_progress : callable
-        Is called with what is done, how many scans of it, and of how many or None.
+        Called with the name of the step, the number of scans done, and their total or None.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def detect(
     ConfigError
         A value or topic that cannot be used, or a `static_map` that cannot be written.
     FormatError
-        The recording cannot be read, or has no poses; no folder is left. Or a checkpoint is
+        The recording cannot be read, or has no poses: no folder is written. Or a checkpoint is
         damaged.
     InputError
         The checkpoint is one of another recording, configuration or build.

@@ -1,4 +1,4 @@
-"""Targets from the LiDAR and radar of a recording: what `fuse` and `config fit` do."""
+"""Targets from the LiDAR and radar of a recording: the work of `fuse` and `config fit`."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -64,7 +64,7 @@ def fuse(
         These values of the configuration instead of its own; `association` is for many targets,
         also of a table.
     lag : float, optional
-        Smooth: every state uses what came up to this much later [s]; for one target.
+        Smooth: every state uses measurements up to this much later [s]; for one target.
     columns : mapping of str to str, optional
         Names of a table's columns, such as {"x": "pos_x"}.
     topics : mapping of str to sequence of str, optional
@@ -81,7 +81,7 @@ def fuse(
     fit_noise : bool
         Find the noise of motion and sensors from the measurements first, as `fit_config` does.
     force : bool
-        Go on with measurements of one target whose NIS is beyond reason.
+        Continue with implausible measurements of one target.
     mcap, picture, overwrite
         See `detect`.
     checkpoint, resume
@@ -210,7 +210,7 @@ def fit_config(
     columns, topics, time_unit, angle_unit, azimuth, clock, span
         See `fuse`; they apply to every recording.
     force : bool
-        Take mistakes in the measurements, such as exchanged axes, for noise.
+        Fit the noise even if mistakes in the measurements, such as exchanged axes, are likely.
 
     Returns
     -------

@@ -19,7 +19,7 @@ from lidar_core.runs.scans.source import ScanSource
 
 
 class ScanRun(Resumable, Protocol[ScanT]):
-    """A pipeline, and what it found so far."""
+    """A pipeline with its results so far."""
 
     frame_id: str
 
@@ -49,14 +49,14 @@ class ScanRun(Resumable, Protocol[ScanT]):
 
 @dataclass(frozen=True, slots=True)
 class RecordingJob(Generic[ScanT]):
-    """A recording, how it is read, and what is written.
+    """A recording, the options for reading it, and the files to write.
 
     Attributes
     ----------
     command : str
         Name of the command.
     sort : type
-        `Scan` or `LaserScan`: what is read.
+        `Scan` or `LaserScan`: the kind of scans to read.
     recording : Path
         File or folder.
     folder : RunFolder
@@ -107,8 +107,8 @@ class RecordingJob(Generic[ScanT]):
     def run(self, run: ScanRun[ScanT]) -> RunResult:
         """Process the recording and write the folder.
 
-        Ctrl-C and errors on the way end it early; the folder then holds the scans so far. Errors
-        before the first scan are raised, and leave no folder.
+        Ctrl-C and errors during the run end it early; the folder then holds the scans so far.
+        Errors before the first scan are raised, and no folder is written.
         """
         source = ScanSource(
             self.recording, self.read, self.pose, self.topics, self.repeat, self.sort

@@ -46,7 +46,7 @@ class RunResult:
     ended_by: KeyboardInterrupt | LidarCoreError | OSError | None = None
 
     def raise_if_failed(self) -> None:
-        """Raise what ended the run early, or that most of its scans were rejected.
+        """Raise the cause of an early end, or an error if most scans were rejected.
 
         Raises
         ------

@@ -67,7 +67,7 @@ def config_of_run(
     Parameters
     ----------
     config : Config, ConfigChoice or None
-        A configuration, what to make it of, or None for best mode.
+        A configuration, its choice, or None for best mode.
     model : type
         `FlyingConfig`, `CirclesConfig`, `FusionConfig` or `MultiTargetConfig`.
     section : str

@@ -13,7 +13,7 @@ KOSCHMIEDER = 3.912
 
 
 class Rain(Config):
-    """Drops everywhere: a ray ends on the first one that fills enough of its section.
+    """Drops everywhere: a ray ends on the first one that fills enough of its cross-section.
 
     Drops of 3 mm are seen up to 6.6 m, of 4 mm up to 9.8 m; ten large drops per cubic metre, the
     default, take 3 % of the rays. The ray is that of an Ouster OS1 (its data sheet); the share
@@ -31,7 +31,7 @@ class Rain(Config):
 
 
 class Dust(Config):
-    """A ball of dust that drifts and grows; a ray ends in it after a random way."""
+    """A ball of dust that drifts and grows; a ray ends in it after a random distance."""
 
     kind: Literal["dust"] = "dust"
     center: Vector = Field(description="Middle at time 0 [m].")
@@ -44,7 +44,7 @@ class Dust(Config):
 
 
 class Fog(Config):
-    """Fog everywhere: light fades on its way to a surface and back, droplets nearby return some.
+    """Fog everywhere: light fades on its path to a surface and back; droplets nearby scatter some.
 
     A return that fades below the limit of the sensor is lost; dark and inclined surfaces are lost
     first (`Surface`; a surface without values counts as reflectivity 0.3, hit head-on).
@@ -63,7 +63,7 @@ class Fog(Config):
 
     @property
     def extinction(self) -> float:
-        """Loss of light per metre of way [1/m]."""
+        """Loss of light per metre [1/m]."""
         return KOSCHMIEDER / self.visibility
 
 

@@ -26,7 +26,7 @@ class Body(Config):
 
 
 class Target(Config):
-    """A shape on its way. Its label in the truth: number of bodies + its place in the list."""
+    """A moving shape. Its label in the truth: number of bodies + its place in the list."""
 
     shape: Solid = Field(description="Surface (see the kinds for units).")
     motion: Motion = Field(description="Way (see the kinds for units).")

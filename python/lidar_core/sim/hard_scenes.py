@@ -1,4 +1,4 @@
-"""Scenes as real sensors meet them: fog, wet, dark and glass fronts, own body, wind, open sky."""
+"""Scenes with difficulties of real sensors: fog, wet, dark, glass, own body, wind, open sky."""
 
 from math import hypot
 from typing import Literal, TypeAlias
@@ -61,7 +61,7 @@ def fog_street(
     visibility: float = 60.0,
     drone: bool = False,
 ) -> Scene:
-    """Make the street of `moving_car` in fog: far and dark things fade, droplets speckle."""
+    """Make the street of `moving_car` in fog: far and dark objects fade, droplets give returns."""
     scene = _street(seed, scans, sensor, speed, drone=drone)
     return scene.model_copy(update={"air": (Fog(visibility=visibility),)})
 
@@ -115,7 +115,7 @@ def encounter(
 ) -> Scene:
     """Make a drone that circles within 12 m of a sensor at rest, before open sky and houses.
 
-    The LiDAR delivers what its driver does; of sensors that look ahead the circle lies ahead.
+    The LiDAR delivers scans like its driver; for sensors that look ahead the circle lies ahead.
 
     Raises
     ------

@@ -29,9 +29,9 @@ class Spinning(Config):
 class Rosette(Config):
     """One ray after the other; turns and swings without common measure never repeat.
 
-    The swing is a triangle wave in elevation; with `azimuth_half_deg`, azimuth has one instead of
-    turning. Modelled on what non-repetitive sensors show,
-    not on a maker's formula.
+    The swing is a triangle wave in elevation; with `azimuth_half_deg`, the azimuth is also one
+    instead of turning. The pattern imitates the scans of non-repetitive sensors, not a maker's
+    formula.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -94,7 +94,8 @@ class LidarModel(Config):
     """A LiDAR. `preset` fills in every value that is not given beside it.
 
     Presets are the names of `lidar_core.sensors.SENSORS`, with the makers' nominal figures. A scan
-    of a preset holds what the sensor's driver delivers (`delivery`); `ideal` makes all rays known.
+    of a preset contains the output of the sensor's driver (`delivery`); `ideal` makes all rays
+    known.
     """
 
     removed: ClassVar[Mapping[str, str]] = {

@@ -106,7 +106,7 @@ def street(seed: int, *, keep_clear: ArrayLike, clearance: float) -> tuple[Body,
     seed : int
         Seed of sizes and places.
     keep_clear : array_like, shape (N, 2), float64
-        Places that nothing but the ground may be near to [m]; many along a way keep it free.
+        Places that only the ground may be near to [m]; many along a path keep it free.
     clearance : float
         Least horizontal distance from them to a house, pole or tree [m].
 

@@ -81,7 +81,7 @@ class Simulator:
         return (self.scan(number) for number in range(self.scans))
 
     def scan(self, number: int, *, sensor: SimTrajectory | None = None) -> SimulatedScan:
-        """Scan `number`, from 0; with a `sensor` steered by the caller, from its way.
+        """Make scan `number`, from 0; with a `sensor` steered by the caller, from its path.
 
         Raises
         ------

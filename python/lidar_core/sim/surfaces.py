@@ -19,7 +19,7 @@ __all__ = [
 
 
 class Surface(Config):
-    """Shares of the light that meets a surface.
+    """Shares of the light that hits a surface.
 
     Scattered light falls with the cosine of incidence and the square of the range. It is detected
     if it exceeds the light of a surface of reflectivity 0.1, hit head-on at `range_max`: data

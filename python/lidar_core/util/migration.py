@@ -38,7 +38,7 @@ class Change(NamedTuple):
 def migrated(
     model: type[Config], values: Mapping[str, Any]
 ) -> tuple[dict[str, Any], tuple[Change, ...]]:
-    """Values of a file of an earlier version as this one reads them, and what was changed.
+    """Convert the values of a file of an earlier version, and list the changes.
 
     Parameters that have moved take their values along. Problems of other kinds stay.
 

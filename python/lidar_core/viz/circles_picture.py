@@ -48,7 +48,7 @@ def draw_circles(view: CirclesView, path: str | Path) -> Path:
     view : CirclesView
         Content of the picture.
     path : str or Path
-        File to write, whole or not at all.
+        File to write atomically.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
     view : CirclesView
         Content of the film; scans whose points were not kept are left out.
     path : str or Path
-        .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
+        .gif, or .mp4 where ffmpeg is installed; written atomically.
     frames : int
         Frames at most, evenly picked.
     rate : float

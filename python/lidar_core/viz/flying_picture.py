@@ -46,7 +46,7 @@ def draw_flying(view: FlyingView, path: str | Path) -> Path:
     view : FlyingView
         Content of the picture.
     path : str or Path
-        File to write, whole or not at all.
+        File to write atomically.
 
     Returns
     -------

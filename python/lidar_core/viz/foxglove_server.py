@@ -349,7 +349,7 @@ def serve_foxglove(
     allowed : collection of str
         Web pages that may connect beside those of this machine, from `allowed_origins`.
     on_ready : callable
-        Told the port once viewers can connect.
+        Called with the port once viewers can connect.
     on_refused : callable
         Called with the reason when a client is refused.
 

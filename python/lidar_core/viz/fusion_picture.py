@@ -34,7 +34,7 @@ def draw_fusion(view: FusionView, path: str | Path) -> Path:
     view : FusionView
         Content of the picture.
     path : str or Path
-        File to write, whole or not at all.
+        File to write atomically.
 
     Raises
     ------

@@ -42,7 +42,7 @@ class Outline:
     id : int
         Number of the element.
     points : ndarray, shape (V, 3), float64
-        Both ends of a line, or a closed way around an ellipse or rectangle; world frame [m].
+        Both ends of a line, or a closed path around an ellipse or rectangle; world frame [m].
     visible : bool
         True if it is in sight.
     """
@@ -164,7 +164,7 @@ class Playback:
 
     @property
     def voxel_map(self) -> Path | None:
-        """The map; None where the run left none."""
+        """The map; None if the run wrote none."""
         path = self.folder / MAP
         return path if path.is_file() else None
 
@@ -183,7 +183,7 @@ class Playback:
                 yield self._moment(*view)
 
     def trails(self, moment: Moment, most: int | None) -> Trails:
-        """Positions (S, 3) [m] of every object of a moment up to then, at most the last so many."""
+        """Return the last positions (S, 3) [m] of every object of a moment, at most this many."""
         found = {}
         for name in moment.objects.id.tolist():
             stamps, places = self._ways[name]

@@ -52,7 +52,7 @@ class LiveFeed:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Say that nothing more will come."""
+        """Mark the end of the stream."""
         with self._changed:
             self._is_ended = True
             self._changed.notify_all()

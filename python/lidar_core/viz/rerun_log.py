@@ -67,7 +67,7 @@ class RerunLog:
         self._filled: set[str] = set()
 
     def begin(self) -> None:
-        """Say which way is up; to be called once the stream is connected."""
+        """Log which axis points up; to be called once the stream is connected."""
         self.stream.log("world", self._rr.ViewCoordinates.FLU, static=True)
         classes = [
             (int(one), one.name.lower().replace("_", " "), CLASS_COLOURS[one].tolist())

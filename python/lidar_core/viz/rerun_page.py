@@ -1,4 +1,4 @@
-"""Rerun's viewer in the browser, served by this process alone, with no way to the network.
+"""Rerun's viewer in the browser, served by this process alone, without access to the network.
 
 The page that rerun serves reports usage to its makers and loads fonts from elsewhere. This page
 takes only the script and the WebAssembly module of the installed rerun-sdk, and a
@@ -202,4 +202,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, *_: Any) -> None:
-        """Say nothing on the console."""
+        """Print nothing on the console."""

@@ -27,8 +27,8 @@ class CircleDetector:
         that comes with the package, "cnn" or "paper-cnn"; or an ONNX file that `lidar-core export`
         wrote.
     config : FitConfig, optional
-        Everything else about the fit; its `method` gives way to `detector`. A network heeds
-        `range_std` and `beam_half_width`.
+        Other settings of the fit; `detector` replaces its `method`. A network uses `range_std` and
+        `beam_half_width`.
     scanner : Scanner, optional
         Scanner that measures the ranges; only its range limits matter.
     threads : int

@@ -39,8 +39,8 @@ class CircleNetwork:
     Parameters
     ----------
     model : str or Path
-        Name of a model that comes with the package, or an ONNX file that `lidar-core export`
-        wrote. If a card lies beside it, the file must be the one that the card is about.
+        Name of a model of the package, or an ONNX file that `lidar-core export` wrote. If there is
+        a card beside it, the file must be the one that the card describes.
     allow_untrusted : bool
         Run a file that is neither shipped nor exported by this user. A model is a program.
     threads : int

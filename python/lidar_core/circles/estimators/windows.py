@@ -34,7 +34,7 @@ class Spans:
 
     @classmethod
     def between(cls, first: NDArray[np.int64], count: NDArray[np.int64], n_beams: int) -> "Spans":
-        """So many rays from each first one on, over the end of the sweep if it must be."""
+        """Return this many rays from each first one on, past the end of the sweep if needed."""
         starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
         owner = np.repeat(np.arange(len(first)), count)
         rays = (first[owner] + np.arange(starts[-1]) - starts[owner]) % n_beams

@@ -31,8 +31,8 @@ class MapEvents:
     born, confirmed, removed : ndarray, shape (K,), int64
         New elements; reported from now on; no more.
     merged : ndarray, shape (K, 2), int64
-        The element that stays and the one that went into it; of scans taken in again those that
-        are new.
+        Pairs of the element that stays and the one that was merged into it; when late scans are
+        processed again, only new pairs.
     """
 
     is_late: bool
@@ -103,7 +103,7 @@ class CircleMap(FullState):
         range_limits: tuple[float, float] = (0.0, np.inf),
         sensor: int = 0,
     ) -> MapEvents:
-        """Take in the circles of one scan; hand over empty sets as well.
+        """Process the circles of one scan; also pass empty sets.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class CircleMap(FullState):
 
 
 def elements_of(arrays: tuple[Any, ...], stamp_ns: int) -> CircleElements:
-    """Confirmed elements of those that the core gives."""
+    """Return the confirmed elements of the core's result."""
     number, mean, covariance, age, seen_ns, visible, confirmed, *more = arrays
     person, existence, kinds = more
     mean = mean[confirmed]

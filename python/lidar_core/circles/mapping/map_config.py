@@ -17,8 +17,8 @@ Mode = tuple[
 class CircleMapConfig(Config):
     """Map of circles in the world, with identities, radii, velocities and covariances.
 
-    `CircleMapConfig()` is what works best; `CircleMapConfig.paper()` is the filter as published,
-    with values of ours where the paper gives none.
+    `CircleMapConfig()` is best mode; `CircleMapConfig.paper()` is the filter as published, with our
+    values where the paper gives none.
 
     Source: Sanchez-Lopez et al., sec. V.
     """
@@ -175,7 +175,7 @@ class CircleMapConfig(Config):
 
     @classmethod
     def posts(cls) -> Self:
-        """A map of what stands still: elements out of view stay, and keep their numbers.
+        """Return a configuration for static objects: elements out of view keep numbers.
 
         Circles that move get new numbers all the time.
         """

@@ -258,7 +258,7 @@ def report(
 
 
 def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Say which scans of a summary were not processed, and why, in words."""
+    """Report the scans of a summary that were not processed, with the reason in words."""
     scans = summary["scans"]
     for count, what in (
         (sum(summary["without_pose"].values()), "without pose"),
@@ -272,7 +272,7 @@ def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def told_reasons(counts: Mapping[str, int]) -> str:
-    """The most frequent reasons; of those that differ in stamps and values alone, one."""
+    """Return the most frequent reasons; those that differ only in numbers count as one."""
     kinds, examples = Counter[str](), dict[str, str]()
     for reason, count in counts.items():
         kind = _VALUE.sub("#", reason)
@@ -308,7 +308,7 @@ def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -
 
 
 def aligned(columns: Mapping[str, Sequence[str]]) -> list[str]:
-    """Lines of a table with a headline, as wide as they need: programs cut and sort them."""
+    """Return the lines of a table with a header, of any width: other programs process them."""
     widths = [max(map(len, (name, *values))) for name, values in columns.items()]
     rows = [tuple(columns), *zip(*columns.values(), strict=True)]
     return [

@@ -151,7 +151,7 @@ class DecodingOptions:
 def with_options(
     sort: type[PipelineOptions | DecodingOptions],
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that gives typer every field of a command's first argument, a `sort`, as option."""
+    """Decorate a command so that typer offers every field of its first argument, a `sort`."""
     hints = get_type_hints(sort, include_extras=True)
     shared = [
         Parameter(

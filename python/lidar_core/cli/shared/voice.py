@@ -89,7 +89,7 @@ def voice() -> Voice:
 
 
 def entry(text: str, **fields: Any) -> str:
-    """One JSON line: time, level, text and what else is known."""
+    """Return one JSON line: time, level, text and further fields."""
     level = next((one for one in _LEVELS if text.startswith(f"{one}:")), "info")
     known = {
         "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -106,7 +106,7 @@ class JsonLines(TextIOBase):
         self._stream, self._begun = stream, ""
 
     def write(self, text: str) -> int:
-        """Take in text; complete lines go out."""
+        """Buffer text; write the complete lines."""
         *lines, self._begun = (self._begun + text).split("\n")
         for line in lines:
             if line.strip():
@@ -119,7 +119,7 @@ class JsonLines(TextIOBase):
         self._stream.flush()
 
     def close(self) -> None:
-        """Write what was begun; the stream stays open."""
+        """Write the last incomplete line; the stream stays open."""
         if self._begun.strip():
             self.write("\n")
 
@@ -209,7 +209,7 @@ class Pace:
         self._told: dict[str, float] = {}
 
     def show(self, what: str, done: int, total: int | None) -> None:
-        """Say how far a step is, if it is time to."""
+        """Report the progress of a step, if it is time to."""
         now = time.monotonic()
         begun = self._begun.setdefault(what, now)
         if now - self._told.setdefault(what, begun) < self._every_s:

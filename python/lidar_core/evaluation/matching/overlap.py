@@ -16,7 +16,7 @@ BESIDE = 0.1
 def overlap_warnings(
     estimates: Estimates, truth: Truth, *, what: str, config: EvaluationConfig | None = None
 ) -> list[str]:
-    """Say where estimates and truth have nothing in common; empty where all is well.
+    """Return warnings if estimates and truth do not overlap in time or space.
 
     Parameters
     ----------

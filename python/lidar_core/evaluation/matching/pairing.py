@@ -85,8 +85,8 @@ def counted(
 ) -> tuple[Estimates, Truth]:
     """Return the rows that count: required targets, and estimates of no other target.
 
-    An estimate is left out if it was paired with a target that need not be found, or has no
-    partner and the nearest target, within the gate, is such a one.
+    An estimate is left out if it is paired with a target that is not required. It is also left out
+    if it has no partner and the nearest target within the gate is not required.
     """
     config = as_config(config, EvaluationConfig)
     pairing = pair(estimates, truth, config=config)

@@ -60,8 +60,7 @@ class Consistency:
     def warning(self) -> str | None:
         """Warning about covariances that are too small or too large; None if they fit.
 
-        Covariances that are too large count as those that are too small: below half the right mean,
-        or above twice it.
+        The mean is acceptable from half the expected value to twice of it.
         """
         ratio = self.mean / self.degrees
         if self.count < FEWEST or LEAST_RATIO <= ratio <= MOST_RATIO:

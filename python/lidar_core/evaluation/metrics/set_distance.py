@@ -38,7 +38,7 @@ def ospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: floa
     targets : array_like, shape (T, 3), float64
         True positions [m], same frame.
     cutoff : float
-        c: what a missed or false object costs, and the most that a pair costs [m], > 0.
+        c: cost of a missed or false object, and largest cost of a pair [m], > 0.
     order : float
         p >= 1 (no unit).
 

@@ -88,7 +88,7 @@ def read_autoferry(path: str | Path) -> list[DetectionScan]:
     Raises
     ------
     FormatError
-        Not such a file; the text names the entry.
+        The file has another format; the text names the entry.
     LimitError
         More than 256 MiB.
 

@@ -62,7 +62,7 @@ class BagOptions(Config):
 
 
 def read_bag(path: str | Path, options: BagOptions | None = None) -> list[DetectionScan]:
-    """Read what LiDAR and radar saw, and how the platform moved, from a ROS recording.
+    """Read measurements of LiDAR and radar, and the motion of the platform, from a ROS recording.
 
     Parameters
     ----------

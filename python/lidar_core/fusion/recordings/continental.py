@@ -28,7 +28,7 @@ def is_continental(path: str | Path) -> bool:
 
 
 def read_continental(path: str | Path) -> list[DetectionScan]:
-    """Read what ARS548 and SRR520 radars detected or tracked, scan by scan.
+    """Read detections or tracks of ARS548 and SRR520 radars, scan by scan.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ _COLUMNS: dict[str, type] = {
 
 
 def level_overflight(made: "Overflown") -> LevelSight:
-    """Level what both sensors of a simulated drone measured, by the measured angles.
+    """Level the measurements of both sensors of a simulated drone, by the measured angles.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def read_laser_radar(path: str | Path) -> TargetRecording:
     Raises
     ------
     FormatError
-        A row is none of these; the text names file and line.
+        A row has none of these forms; the text names file and line.
     LimitError
         The file is too large.
     """

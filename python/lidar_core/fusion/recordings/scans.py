@@ -18,7 +18,7 @@ class TargetScans:
 
 
 def scans_of(log: MeasurementLog) -> list[DetectionScan]:
-    """Measurements of one sensor and one time together, by time; poses before what they carry.
+    """Group the measurements by time and sensor, in the order of time; poses before the other ones.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The side of the child: a process that forks a reader for every file, and what a reader answers.
+"""Server in the child process: it forks a reader for every file, and the reader answers calls.
 
-The process that forks has one thread and has loaded what readers need, so that a reader starts in
-milliseconds. It ends, and its readers with it, when its caller is gone.
+The process that forks has one thread and has loaded all modules of the readers, so that a reader
+starts in milliseconds. It ends, with its readers, when its caller has ended.
 """
 
 import os

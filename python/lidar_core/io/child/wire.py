@@ -192,7 +192,7 @@ def _dtype(name: str) -> np.dtype[Any]:
 
 
 def told_error(error: BaseException, place: str) -> dict[str, Any]:
-    """An error as a value; those that no reader should raise become a `FormatError`."""
+    """Encode an error as a value; errors that no reader should raise become a `FormatError`."""
     if isinstance(error, MemoryError):
         error = LimitError(f"{place}: takes more memory than available")
     if isinstance(error, OSError) and not isinstance(error, LidarCoreError) and error.errno:

@@ -19,7 +19,7 @@ _TEMPORARY = re.compile(r"\.(.+)\.([1-9][0-9]{0,9})\.tmp", re.DOTALL)
 class WrittenInBlock(ABC):
     """A writer for a `with` block: its file is kept, unless an error ends the block.
 
-    Ctrl-C is no error: what was written until then is kept.
+    Ctrl-C is not an error: everything written before it is kept.
     """
 
     @abstractmethod
@@ -169,8 +169,8 @@ def written_whole(path: str | Path, *, synced: bool = True) -> Iterator[Path]:
     path : str or Path
         The file.
     synced : bool
-        Wait until it is on the disk. Otherwise it may be empty after a loss of power; what reads it
-        before that finds it whole or absent all the same.
+        Wait until the file is on the disk. Without it, the file may be empty after a loss of power;
+        other readers see it either complete or not at all.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from lidar_core.io.files.guard import check_size
 
 
 def array_in(archive: ZipFile, name: str, *, what: str, limit: int, key: str) -> NDArray[Any]:
-    """The array `name` of an archive, of at most `limit` bytes; errors call it `what`.
+    """Return the array `name` of an archive, of at most `limit` bytes; errors call it `what`.
 
     Raises
     ------

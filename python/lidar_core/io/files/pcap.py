@@ -34,7 +34,7 @@ def packet_sizes(path: Path) -> Counter[int]:
     Raises
     ------
     FormatError
-        No packet capture, or one that ends inside a packet.
+        The file is not a packet capture, or ends inside a packet.
     """
     magic = _magic(path)
     if magic == pcapng.MAGIC:

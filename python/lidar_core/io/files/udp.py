@@ -84,7 +84,7 @@ def datagrams(path: Path) -> Iterator[Datagram]:
     Raises
     ------
     FormatError
-        No packet capture, or one that is broken.
+        The file is not a packet capture, or is broken.
     """
     pending: dict[bytes, _Pending] = {}
     for packet in packets(path):

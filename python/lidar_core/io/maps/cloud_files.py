@@ -115,7 +115,7 @@ def read_in_child(path: Path, spacing: float, **options: Any) -> list[Any]:
 
 
 def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None = None) -> Path:
-    """Write points as .pcd or .ply, or the voxels they are in as OctoMap's .bt; whole or not.
+    """Write points as .pcd or .ply, or their voxels as OctoMap's .bt, atomically.
 
     Parameters
     ----------

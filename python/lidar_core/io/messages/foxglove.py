@@ -39,7 +39,7 @@ def foxglove_kind(type_name: str) -> Kind:
 
 
 class FoxgloveDecoder:
-    """Decodes the protobuf messages of one MCAP file, by the schemas it carries."""
+    """Decodes the protobuf messages of one MCAP file, by the schemas in the file."""
 
     def __init__(self, options: ReadOptions, findings: Findings) -> None:
         self._options = options

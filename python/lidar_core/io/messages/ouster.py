@@ -27,7 +27,7 @@ def _namespace(topic: str) -> str:
 
 
 class OusterTopics:
-    """Topics of a recording that bring the packets of known sensors.
+    """Topics of a recording with packets of known sensors.
 
     Parameters
     ----------

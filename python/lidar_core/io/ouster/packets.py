@@ -216,7 +216,7 @@ class FrameCollector:
         self.late = 0
 
     def add(self, packet: bytes) -> list[Frame]:
-        """Take in a packet; the frames that it completes: the one before, or its own."""
+        """Process a packet; return the frames that it completes: the one before, or its own."""
         number = self.layout.frame_number(packet)
         done: list[Frame] = []
         if number != self._number:

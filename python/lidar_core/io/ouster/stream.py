@@ -16,14 +16,14 @@ METADATA_PATH, PATIENCE_S = "api/v1/sensor/metadata", 5.0
 
 
 def sensor_at(place: str, options: ReadOptions) -> Sensor:
-    """Sensor of a JSON file, or the one that answers at an address.
+    """Return the sensor of a JSON file, or the one at an address.
 
     Raises
     ------
     FormatError
         It is no metadata of an Ouster sensor.
     LinkError
-        Nobody answers there.
+        No sensor answers at the address.
     """
     most = options.max_points
     if Path(place).is_file():

@@ -117,7 +117,7 @@ def _carriers(frame: str, known: Iterable[Pose]) -> list[str]:
 
 
 def same_movement(poses: Sequence[Pose], transforms: TransformBuffer) -> str | None:
-    """The frame that `transforms` move as `poses` move; None where there is none, or several."""
+    """Return the frame whose `transforms` have the motion of `poses`; None for none, or several."""
     looked_at = poses[:: max(1, len(poses) // LOOKED_AT)]
     parents = {item.frame_id for item in looked_at}
     found = [

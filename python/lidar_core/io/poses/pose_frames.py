@@ -105,7 +105,7 @@ class PoseFrameCheck:
         self.is_done = False
 
     def add(self, points: NDArray[np.float32], pose: NDArray[np.float64]) -> FrameMismatch | None:
-        """Take in one scan; a mismatch where the poses are in another frame."""
+        """Add one scan; return a mismatch if the poses are in another frame."""
         if self.is_done:
             return None
         rows = np.asarray(points, np.float64).reshape(-1, 3)

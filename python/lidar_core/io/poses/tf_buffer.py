@@ -108,7 +108,7 @@ class TransformBuffer:
         return all(self._edges[key].static is not None for key, _ in self._path(target, source))
 
     def known_until(self, target: str, source: str) -> int | None:
-        """Stamp up to which every pose on the way is known [ns]; None where nothing moves.
+        """Stamp up to which every pose along the chain is known [ns]; None if nothing moves.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class TransformBuffer:
         return min((max(edge.stamps) for edge in edges if edge.static is None), default=None)
 
     def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
-        """Stamps strictly between two times at which some pose on the way was recorded."""
+        """Stamps strictly between two times with a recorded pose along the chain."""
         stamps = [np.empty(0, np.int64)]
         for key, _ in self._paths.get((target, source)) or self._path(target, source):
             edge = self._edges[key]

@@ -22,7 +22,7 @@ COLUMNS = element_columns(STATE, texts=("kind",), more=BELIEFS)
 def write_circles_table(
     path: str | Path, maps: Iterable[CircleElements], *, frame_id: str = "world"
 ) -> Path:
-    """Write the maps of successive times as one long table, whole or not at all.
+    """Write the maps of successive times as one long table atomically.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     Raises
     ------
     FormatError
-        Not such a file; rows of tables count from 1, below the names of columns.
+        The file has another format; rows of tables count from 1, below the names of columns.
     LimitError
         More than 256 MiB.
     MissingExtraError

@@ -28,7 +28,7 @@ def write_shapes_table(
     ----------
     path : str or Path
         Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
-        Whole or not at all.
+        Written atomically.
     shapes : iterable of map states
         Shapes as `CirclePipeline.shapes_at` returns them.
     frame_id : str

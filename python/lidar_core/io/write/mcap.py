@@ -300,7 +300,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
 def write_mcap(
     path: str | Path, items: Iterable[Message | Boxes], *, tracks_frame: str = "world"
 ) -> None:
-    """Write scans, poses and tracks to one MCAP file, whole or not at all.
+    """Write scans, poses and tracks to one MCAP file atomically.
 
     Parameters
     ----------

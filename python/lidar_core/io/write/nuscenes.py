@@ -19,7 +19,7 @@ def write_run(path: Path, objects: RunObjects) -> None:
 def write_nuscenes(
     path: str | Path, steps: Steps, *, name: str, sensors: tuple[str, ...] = ("lidar",)
 ) -> None:
-    """Write the results file of nuScenes' tracking challenge, whole or not at all.
+    """Write the results file of nuScenes' tracking challenge atomically.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ class Update(ABC):
 
     @abstractmethod
     def log_to(self, log: FoxgloveLog) -> None:
-        """Log what viewers draw."""
+        """Log the objects for viewers."""
 
 
 class FlyingUpdate(Update):
@@ -126,7 +126,7 @@ def objects_of_tracks(tracks: Tracks) -> tuple[Objects, NDArray[np.float64]]:
 
 
 def objects_of_circles(circles: CircleElements) -> tuple[Objects, NDArray[np.float64]]:
-    """Elements of a map in the same way; heights, and what is about them, are zero."""
+    """Convert map elements to objects of viewers; heights and their covariances are zero."""
     zero = np.zeros((len(circles), 1))
     covariance = np.zeros((len(circles), 6, 6))
     planar = np.array([0, 1, 3, 4])

@@ -33,7 +33,7 @@ class ZenohOutput(Output):
     Raises
     ------
     LinkError
-        Nobody listens at the endpoint.
+        No router or peer answers at the endpoint.
     MissingExtraError
         eclipse-zenoh or rosbags is not installed.
     """

@@ -53,7 +53,7 @@ class _Channel:
 
 
 class FoxgloveSource(Source):
-    """Subscribes to the channels that bring what is wanted; connects again when the server is gone.
+    """Subscribes to the channels of the requested topics; connects again after the server has gone.
 
     Parameters
     ----------

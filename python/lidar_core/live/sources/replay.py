@@ -1,4 +1,4 @@
-"""A recording, played as if it came from a robot."""
+"""Playback of a recording in real time."""
 
 import heapq
 import time
@@ -38,7 +38,7 @@ class ReplaySource(Source):
     ConfigError
         The recording has no such topic.
     FormatError
-        It has no scans of the sort that is wanted.
+        It has no scans of the wanted kind.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class ReplaySource(Source):
 
     @property
     def is_stream(self) -> bool:
-        """No: what a recording holds was checked before."""
+        """False: the content of a recording was checked before."""
         return False
 
     def lead_ns(self, stamp_ns: int) -> int:

@@ -16,8 +16,8 @@ KEPT = 600
 class SensorClock:
     """The difference of two clocks, from arrivals that can only be late.
 
-    The least difference between arrival and the newest measurement is that of the clocks and of
-    the fastest way over the network.
+    The least difference between arrival and the newest measurement is the offset of the clocks plus
+    the shortest delay of the network.
     """
 
     def __init__(self, findings: Findings) -> None:

@@ -32,7 +32,7 @@ class PacketStream(Protocol):
     topic: Topic
 
     def scan(self, stamp_ns: int, packet: bytes, *, place: str) -> Scan | None:
-        """Scan that a packet completes, which arrived at a time; FormatError for what is none."""
+        """Return the scan that a packet completes; FormatError for a packet of another kind."""
 
 
 class UdpSource(Source):

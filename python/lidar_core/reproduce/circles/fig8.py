@@ -1,4 +1,4 @@
-"""`circles-fig8`: posts at rest and on their ways, which hide one another (Fig. 8), and cases."""
+"""`circles-fig8`: posts at rest and in motion that hide one another (Fig. 8), and further cases."""
 
 from collections.abc import Callable
 from typing import Any

@@ -121,7 +121,7 @@ class MapRun:
 
     @classmethod
     def of(cls, part: Part) -> "MapRun":
-        """Pair what `mapped` returned: as many pairs as possible, then the nearest."""
+        """Pair the results of `mapped`: as many pairs as possible, then the nearest."""
         row = np.full(part["hits"].shape, -1, np.int64)
         starts = np.searchsorted(part["element_scan"], np.arange(len(row) + 1))
         for scan, (first, last) in enumerate(pairwise(starts)):

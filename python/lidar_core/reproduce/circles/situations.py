@@ -1,4 +1,4 @@
-"""`circles-situations`: what real rooms do to a map, each simulated alone: noise, poses, people."""
+"""`circles-situations`: difficulties of real rooms, each simulated alone: noise, poses, people."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -52,7 +52,7 @@ def stretched(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
 
 
 def turned(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses of an odometry that turns by itself."""
+    """Return poses of an odometry whose heading drifts."""
     angle = DRIFT * made.pose_stamps_ns * 1e-9
     turn = np.tile(np.eye(4), (len(angle), 1, 1))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)

@@ -116,7 +116,7 @@ def turn_of(number: int) -> tuple[str, float]:
 
 
 def scene(seed: int, number: int, scans: int, condition: str) -> Scene:
-    """Street in the given condition, a car that stands or drives in it, a quadcopter or none."""
+    """Make a street in the given condition with a car, and a quadcopter or none."""
     rng = scene_rng(seed, number, CONDITIONS.index(condition))
     sensor, speed = turn_of(number)
     named: dict[str, Any] = {

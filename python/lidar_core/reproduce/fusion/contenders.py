@@ -59,7 +59,7 @@ def _of_courses(model: str, method: str) -> FusionConfig:
 
 
 def ours() -> dict[str, Contender]:
-    """Noise known, densities of the process noise, gate and way back.
+    """Return our filters: known noise, densities of the process noise, gate and restart.
 
     The densities were found with seeds from 1000 on.
     """

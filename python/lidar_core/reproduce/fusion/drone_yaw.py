@@ -1,4 +1,4 @@
-"""`fusion-drone-yaw`: what becomes of a track while the sensor itself turns."""
+"""`fusion-drone-yaw`: tracks while the sensor itself turns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ class Ride:
 
     @classmethod
     def of(cls, seconds: NDArray[np.float64], rate: float, speed: float) -> "Ride":
-        """Turn to and fro like a pendulum, on a way of arcs."""
+        """Make a path of arcs on which the sensor swings like a pendulum."""
         swings = np.pi / SWING
         yaw = rate / swings * np.sin(swings * seconds)
         steps = np.diff(seconds, append=2 * seconds[-1] - seconds[-2])

@@ -31,7 +31,7 @@ range and bearing come as a position with its covariance, and the range rate bes
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of what sensors measure.
+    """Standard deviations of the sensors.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def places(values: NDArray[np.float64], is_lidar: NDArray[np.bool_]) -> NDArray[
 
 
 def add_noise(of: Course, std: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Values with white noise on x and y of every row; range rates stay what they are."""
+    """Add white noise to x and y of every row; range rates do not change."""
     noisy = places(of.values, of.is_lidar) + std * rng.normal(size=(len(of.values), 2))
     values, radar = of.values.copy(), ~of.is_lidar
     values[of.is_lidar, :2] = noisy[of.is_lidar]
@@ -98,7 +98,7 @@ def add_noise(of: Course, std: float, rng: np.random.Generator) -> NDArray[np.fl
 
 
 def measured(truth: TargetTruth, noise: Noise, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Values of a LiDAR and a radar in turn, the LiDAR first, of a target on a true way."""
+    """Return the values of a LiDAR and a radar in turn, the LiDAR first, along a true path."""
     (x, y), (vx, vy) = truth.position.T, truth.velocity.T
     rho = np.hypot(x, y)
     radar = np.stack([rho, np.arctan2(y, x), (x * vx + y * vy) / rho], axis=1)

@@ -1,4 +1,4 @@
-"""`fusion-fig10`, `fusion-fig11`: error over the power of the noise, and what none can beat."""
+"""`fusion-fig10`, `fusion-fig11`: error over the power of the noise, and its lower bound."""
 
 from collections.abc import Mapping
 from typing import Any

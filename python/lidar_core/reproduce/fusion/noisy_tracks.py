@@ -1,4 +1,4 @@
-"""`fusion-fig7` to `fusion-fig9`: ways that filters find in noisy draws of the first recording."""
+"""`fusion-fig7` to `fusion-fig9`: filtered paths in noisy draws of the first recording."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial

@@ -27,7 +27,7 @@ FAR = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A scan: where the targets are, shape (N, 2), and what is measured, shape (M, 2) [m]."""
+    """A scan: true places of the targets, shape (N, 2), and measurements, shape (M, 2) [m]."""
 
     stamp_ns: int
     truth: NDArray[np.float64]

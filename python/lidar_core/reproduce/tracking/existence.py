@@ -1,4 +1,4 @@
-"""`tracking-existence`: how often what exists with probability p does exist."""
+"""`tracking-existence`: how many tracks with probability p of existence do exist."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

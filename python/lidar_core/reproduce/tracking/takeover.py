@@ -1,4 +1,4 @@
-"""`tracking-takeover`: another target appears near one that is hidden; whose is the number."""
+"""`tracking-takeover`: the number of a hidden target when another appears nearby."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -44,7 +44,7 @@ def _commands() -> Mapping[str, Any]:
 
 
 def check_commands(job: BatchJob) -> None:
-    """Refuse commands that are no jobs, and those that write outside of the folder of the job.
+    """Reject commands that cannot be jobs, and those that write outside of the folder of the job.
 
     Raises
     ------

@@ -66,7 +66,7 @@ class Workplace:
             self.tracks.with_suffix(suffix).unlink(missing_ok=True)
 
     def deliver(self, record: JobRecord) -> None:
-        """Note how the job ended. What goes to an address goes there first, job.json last."""
+        """Write the outcome of the job. Files for an address are copied first, job.json last."""
         if self.remote is None:
             record.write(self.folder)
             return

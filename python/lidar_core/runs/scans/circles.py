@@ -1,4 +1,4 @@
-"""Circles in 2D scans: what a run keeps for its tables, trajectories and pictures."""
+"""Circles in 2D scans: data that a run keeps for its tables, trajectories and pictures."""
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -61,7 +61,7 @@ class _Found:
 
 
 class CirclesRun:
-    """Passes 2D scans to a pipeline and keeps what a summary, tables and pictures need.
+    """Passes 2D scans to a pipeline and keeps the data for summary, tables and pictures.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class CirclesRun:
             self.keep(item, frame, wall_ms)
 
     def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
-        """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
+        """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
         pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
         self._last_points = _points_world(frame, pose)
         self._too_near += int(frame.too_near.sum())

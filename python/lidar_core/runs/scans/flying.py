@@ -1,4 +1,4 @@
-"""Flying objects in scans: what a run keeps for its tables, trajectories, map and picture."""
+"""Flying objects in scans: data that a run keeps for its tables, trajectories, map and picture."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -32,14 +32,14 @@ CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN, PointCl
 
 
 class FlyingRun:
-    """Passes scans to a detector and keeps what summary, tables, run.mcap and picture need.
+    """Passes scans to a detector and keeps the data for summary, tables, run.mcap and picture.
 
     Parameters
     ----------
     detector : FlyingObjectDetector
         Gets every scan.
     threads : int
-        Threads of the detector that a checkpoint brings back.
+        Number of threads of the detector that a checkpoint restores.
     """
 
     _KEPT = (
@@ -172,7 +172,7 @@ class FlyingRun:
 
     @property
     def n_scans(self) -> int:
-        """Scans that were processed or held."""
+        """Number of scans that were processed or held."""
         return len(self.frames)
 
     @property

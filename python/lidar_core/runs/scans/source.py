@@ -41,7 +41,7 @@ class ScanSource(Generic[ScanT]):
         Number of times that the recording is played: more than one opens the gate of the burn-in on
         recordings that are too short for it.
     sort : type
-        `Scan` or `LaserScan`: what is wanted of the recording.
+        `Scan` or `LaserScan`: the kind of scans to read.
 
     Raises
     ------

@@ -71,7 +71,7 @@ class PipelineChoice:
         return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
 
     def silence(self, name: str, advertised: Sequence[str]) -> str:
-        """Say that the source `name` brings no scan that is wanted, and what it has instead."""
+        """Return a message: the source `name` brings no wanted scan, and its topics."""
         sorts = " or ".join(
             what
             for what, wanted in (("clouds", self.wants_clouds), ("2D scans", self.wants_scans))
@@ -81,7 +81,7 @@ class PipelineChoice:
         return f"no scan yet of {named}; {name} has: {'; '.join(advertised) or 'nothing'}"
 
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
-        """Pipeline for scans of a sort; None if it is not wanted."""
+        """Return the pipeline for scans of a kind; None if it is not wanted."""
         if sort is Scan and self.wants_clouds:
             return self._flying()
         return self._circles() if sort is LaserScan and self.wants_scans else None
@@ -255,7 +255,7 @@ def open_output(
     text : str
         Text of the option.
     live : LiveConfig
-        Names of what goes out over Zenoh.
+        Names of the Zenoh keys of the outputs.
     allowed : collection of str
         Web pages that may connect to a server, from `allowed_origins`.
     on_refused : callable

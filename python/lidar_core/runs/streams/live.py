@@ -1,4 +1,4 @@
-"""A live run: a stream, or a recording as if it were one, through a pipeline to outputs."""
+"""A live run: scans of a stream, or of a recording in real time, through a pipeline to outputs."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
@@ -96,7 +96,7 @@ def live(
     capability : str
         "auto": flying objects if clouds arrive, circles if 2D scans do.
     clouds, scans : sequence of str
-        Topics of the LiDARs, 3D or 2D; empty for the first that brings a scan.
+        Topics of the LiDARs, 3D or 2D; empty for the first one with a scan.
     pose, read, known_map, threads, allow_untrusted, overwrite
         See `detect` and `circles`.
     checkpoint : float, optional
@@ -111,9 +111,10 @@ def live(
     record : str or Path, optional
         Recording to write of everything that comes in; its ending chooses the format.
     metrics : str, optional
-        PORT or HOST:PORT at which Prometheus fetches how it goes.
+        PORT or HOST:PORT at which Prometheus fetches metrics.
     on_message : callable
-        Is called with texts: source and outputs, clients refused, what a silent stream has instead.
+        Called with texts: source and outputs, refused clients, topics of a stream without wanted
+        scans.
     on_report : callable
         Is called with a `Report` every second.
 

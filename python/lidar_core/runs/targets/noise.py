@@ -18,8 +18,7 @@ SETTLED = 10
 def names_told(
     config: FusionConfig | MultiTargetConfig | ConfigChoice | None, ways: Iterable[str]
 ) -> frozenset[str]:
-    """Return the names of values that the user chose, so that a fit keeps them; `ways` are among
-    them.
+    """Return the names of values that the user chose, `ways` included; a fit keeps them.
 
     A configuration that was made in Python chooses its model, also that of the defaults.
 

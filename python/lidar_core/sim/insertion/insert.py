@@ -91,7 +91,7 @@ def insert_target(
     pattern: RayPattern | None = None,
     rng: np.random.Generator,
 ) -> tuple[Scan, NDArray[np.bool_]]:
-    """Put a solid into a scan: rays that would meet it before their return end on it.
+    """Put a solid into a scan: rays that would hit it before their return end on it.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def with_target(
     shape : Solid, (vertices, faces), or a mesh, optional
         Instead of a sphere, as for `insert_target`; within `flight.radius`.
     pattern : RayPattern, optional
-        Tells which rays the scans leave out, as for `insert_target`.
+        Rays that the scans leave out, as for `insert_target`.
 
     Yields
     ------

@@ -42,8 +42,8 @@ def with_moving_target(
 ) -> Iterator[SimulatedScan]:
     """Insert a target with its own trajectory into the scans of a sensor that may move.
 
-    Every ray meets the target where both are at the time of that ray: the time of its point, or
-    of the nearest point in azimuth for a ray that the driver dropped.
+    Target and sensor are at their places at the time of each ray: the time of its point, or of the
+    nearest point in azimuth for a ray that the driver dropped.
 
     Parameters
     ----------
@@ -53,17 +53,17 @@ def with_moving_target(
     shape : Solid, (vertices, faces), or a mesh
         Shape as for `insert_target`.
     motion : Motion
-        Way of the shape from the stamp of the first scan on, world frame.
+        Motion of the shape from the stamp of the first scan on, world frame.
     seed : int
         Seed of the noise.
     seconds : float
         Length of the path [s]; the target stays at its end.
     follows : bool
-        The way is one in the frame of the sensor instead: the target keeps up with it.
+        The motion is relative to the sensor: the target moves along with it.
     deskewed : bool
         Motion was taken out of the clouds: their points are in the sensor's frame at the stamp.
     pattern : RayPattern, optional
-        Tells which rays the scans leave out, as for `insert_target`.
+        Rays that the scans leave out, as for `insert_target`.
     range_min, range_max, range_std : float
         Range limits and range noise of the sensor [m].
 

@@ -75,7 +75,7 @@ class RayPattern:
 
     @classmethod
     def of_model(cls, lidar: LidarModel) -> "RayPattern":
-        """Return the pattern of a model or preset; where its rows start to turn is left open.
+        """Return the pattern of a model or preset; the azimuth at which its rows start stays open.
 
         Raises
         ------

@@ -14,8 +14,8 @@ BEND = 2.0
 def grid_directions(known: NDArray[np.float64]) -> NDArray[np.float64]:
     """Directions (H*W, 3) of all cells of an organised cloud, from the known ones (H, W, 3).
 
-    Every row has one elevation and an azimuth of its own in column 0; columns are evenly apart.
-    Rows without any return lie between, or beyond, those that have some.
+    Every row has one elevation and its own azimuth in column 0; columns are evenly spaced. Rows
+    without any return are interpolated, or extrapolated, from those that have some.
     """
     rows, columns = known.shape[:2]
     azimuth, elevation = (one.reshape(rows, columns) for one in angles_of(known.reshape(-1, 3)))

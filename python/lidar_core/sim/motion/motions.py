@@ -112,7 +112,7 @@ class Loop(Config):
 
 
 class TakeOff(Config):
-    """Stand, rise smoothly, then hover."""
+    """Stay on the ground, rise smoothly, then hover."""
 
     kind: Literal["take_off"] = "take_off"
     position: Vector = Field(description="Place of the centre before the start [m].")

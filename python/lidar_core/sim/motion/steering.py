@@ -63,7 +63,7 @@ class SteeredSensor:
     def fly(
         self, goal: ArrayLike, *, seconds: float, goal_velocity: ArrayLike = (0, 0, 0)
     ) -> SimTrajectory:
-        """Fly on towards a goal that moves on steadily, and return the way for `Simulator.scan`.
+        """Fly on towards a goal that moves steadily, and return the path for `Simulator.scan`.
 
         Parameters
         ----------

@@ -164,7 +164,7 @@ class Tree(Config):
         return [(trunk, 0.5 * middle), *((leaf, middle + step) for step in way)]
 
     def sways(self) -> list[Sway | None]:
-        """Reach [m], rate [Hz] and phase [rad] of every surface: the further out, the wider."""
+        """Return reach [m], rate [Hz] and phase [rad] of every surface; reach grows outwards."""
         rng = np.random.default_rng([self.seed, 1])
         out = [
             float(np.linalg.norm(place - [0, 0, self.trunk_height]))

@@ -1,4 +1,4 @@
-"""The part of the world that a picture shows: what moves is in its middle."""
+"""The part of the world that a picture shows, with moving objects in its middle."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -64,10 +64,10 @@ def window_around(
     times: float = TIMES,
     smallest: float = SMALLEST,
 ) -> Window:
-    """Rectangle with what moves in its middle.
+    """Return a rectangle with moving objects in its middle.
 
-    It is `times` as large as what moves. It grows until it shows `also`, but at most to
-    `MOST_TIMES` as large as what moves, so that what moves can be seen.
+    It is `times` as large as the range of moving objects. It grows until it shows `also`, but at
+    most to `MOST_TIMES` of that range, so that moving objects stay visible.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def window_over(
 ) -> Window:
     """Rectangle that shows all places, with some room around them.
 
-    It is extended, by at most `MOST_EXTENDED`, until the centre of what moves is in its middle
+    It is extended, by at most `MOST_EXTENDED`, until the centre of moving objects is in its middle
     third.
 
     Parameters

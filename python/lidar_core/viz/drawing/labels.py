@@ -39,7 +39,7 @@ class Label:
 
 
 def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.float64]]) -> None:
-    """Write numbers as badges: not over one another, and where possible not over ways.
+    """Write numbers as badges without overlap, and where possible beside the paths.
 
     Limits and size of the panel are set before. A number whose place is outside is left out.
 

@@ -62,7 +62,7 @@ def write_report(
     run : str or Path
         Folder that `detect`, `circles`, `fuse` or `demo` wrote.
     output : str or Path, optional
-        File to write, whole or not at all; without it report.html in the folder.
+        File to write atomically; without it report.html in the folder.
     truth : str or Path, optional
         Ground truth, as `lidar_core.evaluation.read_truth` takes it; without it that of the
         folder, if there is one.

@@ -1,4 +1,4 @@
-"""Things that stand, found offline in raw returns without the pipeline."""
+"""Static objects, found offline in raw returns without the pipeline."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ def standing(points: list[Points], seconds: NDArray[np.float64]) -> list[NDArray
 def things(points: list[Points], stands: list[NDArray[np.bool_]]) -> list[NDArray[np.int64]]:
     """Return the number of the static object of every return; -1 for none.
 
-    Standing returns of all scans are one thing where their cells of `CELL` touch.
+    Static returns of all scans belong to one object if their cells of `CELL` touch.
     """
     cells = [np.floor(there / CELL).astype(np.int64) for there in points]
     held = {

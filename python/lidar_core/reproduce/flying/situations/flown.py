@@ -1,4 +1,4 @@
-"""A flight through a situation, and what is counted in it."""
+"""A flight through a situation, and its counts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -151,7 +151,7 @@ def _changes(track: NDArray[np.float64]) -> int:
 def passes(part: Part) -> tuple[list[bool], NDArray[np.bool_]]:
     """Return whether each pass has a track by its third detection, and the scans after that.
 
-    A pass is what happens within the range in which targets are sought: beyond it they turn.
+    A pass is the time within the scored range: targets turn outside of it.
     """
     away = np.linalg.norm(part["place"] - (0.0, 0.0, HEIGHT), axis=2)
     is_seen = (part["hits"] >= FEWEST) & (away <= SOUGHT)
