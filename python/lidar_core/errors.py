@@ -57,7 +57,7 @@ class PoseFrameWarning(UserWarning):
 
 
 class TruthWarning(UserWarning):
-    """True places of a recording are missing, so that there is less to compare results with."""
+    """True places of a recording are missing, so fewer results can be compared."""
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:

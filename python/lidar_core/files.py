@@ -20,7 +20,7 @@ _KINDS = {
 
 
 def check_regular(path: str | Path) -> Path:
-    """`path`, if a regular file is there: a pipe blocks its reader, a device may never end.
+    """Return `path` if it is a regular file: a pipe blocks its reader, a device may never end.
 
     Raises
     ------

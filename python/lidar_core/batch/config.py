@@ -28,8 +28,8 @@ _PLACE = re.compile(r"\{(\w*)\}")
 class BatchGroup(Config):
     """Jobs that differ in the values of {NAME} in their commands.
 
-    A job is one value of every entry of `grid`, `ranges` and `files`, with one of `rows`;
-    {output} is a folder of its own.
+    A job is one value of every entry of `grid`, `ranges` and `files`, with one of `rows`; {output}
+    is the folder of the job.
     """
 
     name: str = Field(

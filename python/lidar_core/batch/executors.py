@@ -1,4 +1,4 @@
-"""Tasks that need nothing of each other, over the processes of a machine or of a Ray cluster."""
+"""Independent tasks, spread over the processes of a machine or of a Ray cluster."""
 
 import os
 from collections import Counter, deque

@@ -53,7 +53,7 @@ class CircleDataset:
     n_samples : int
         Number of samples in all shards, including shards that are not made yet.
     shards : tuple of str
-        Files that are there, in order.
+        Existing files, in order.
     """
 
     folder: Path

@@ -82,7 +82,7 @@ class DatasetConfig(Config):
 
     @classmethod
     def continuous(cls, *, circles: int) -> Self:
-        """Circles anywhere, none of them in two parts of the dataset."""
+        """Return a configuration with circles anywhere, each in only one part of the dataset."""
         return cls(kind="continuous", circles=circles, draws=1, split_by="circle")
 
     @model_validator(mode="after")

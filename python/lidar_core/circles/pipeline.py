@@ -47,8 +47,8 @@ class CirclePipeline(FullState):
     config : CirclesConfig
         `CirclesConfig()` is best mode, `CirclesConfig.paper()` the paper.
     estimator : callable, optional
-        In place of `config.detector`: is given ranges (B,), bearings (B,) and `Segments` in the
-        level frame, and returns `Circles`, one per segment.
+        Replaces `config.detector`: it gets ranges (B,), bearings (B,) and `Segments` in the level
+        frame, and returns `Circles`, one per segment.
     allow_untrusted : bool
         Run a `config.detector` that is an ONNX file neither shipped nor exported by this user. A
         configuration file cannot set this.

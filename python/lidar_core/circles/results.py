@@ -38,8 +38,8 @@ class CircleFrame(ShortRepr):
     circles, circles_world : Circles
         One circle per segment, in the level frame and in the world.
     time_ns : ndarray, shape (C,), int64
-        When each was measured: the mean time of the rays of its segment [ns]. An object that moves
-        was there then, and not at `stamp_ns`.
+        Time of each measurement: the mean time of the rays of its segment [ns]. A moving object was
+        there at that time, not at `stamp_ns`.
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
@@ -65,7 +65,7 @@ class CircleFrame(ShortRepr):
     timing_ms : dict
         Milliseconds per stage: prepare, segment, fit, map.
     rejected : str, optional
-        Why the scan was not used; none if it was.
+        Reason why the scan was not used; None if it was used.
     """
 
     stamp_ns: int

@@ -62,7 +62,7 @@ class Samples:
         return counts
 
     def is_whole(self, scanner: Scanner) -> NDArray[np.bool_]:
-        """Circles of which nothing hides or cuts the near side: object, field of view, range."""
+        """True for circles whose near side nothing hides or cuts: object, field of view, range."""
         x, y, radius = self.circles.astype(np.float64).T
         distance = np.hypot(x, y)
         half = np.arcsin(np.minimum(radius / distance, 1.0))
@@ -87,7 +87,7 @@ class Samples:
         return type(self)(**{name: value[numbers] for name, value in values.items()}, ranges=ranges)
 
     def scans(self, scanner: Scanner) -> NDArray[np.float32]:
-        """Whole scans, shape (N, n_beams): +inf but for the window, NaN beside hidden sides."""
+        """Return whole scans (N, n_beams), +inf outside the window, NaN beside hidden sides."""
         rows = np.repeat(np.arange(len(self)), self.n_rays)
         within = np.arange(len(rows)) - np.repeat(self.starts[:-1], self.n_rays)
         first = self.first_ray.astype(np.int64)
@@ -142,7 +142,7 @@ def make_samples(
     InputError
         The scanner does not see one of `circles`, or is inside of it.
     LimitError
-        Circles as they are drawn are never seen.
+        The circles that are drawn are never visible.
 
     Examples
     --------

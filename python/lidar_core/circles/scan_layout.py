@@ -37,7 +37,7 @@ def check_no_rays(config: CirclesConfig) -> None:
     Raises
     ------
     ConfigError
-        There are some.
+        The configuration states rays.
     """
     nominal = [
         Scanner.load({"preset": name}) for name, sensor in SENSORS.items() if sensor.is_planar

@@ -129,7 +129,7 @@ def arrays_of(
     Raises
     ------
     InputError
-        These are no segments, or their arrays are none of the right kind.
+        They are not segments, or their arrays have a wrong type.
     """
     if not isinstance(segments, Segments):
         raise InputError(f"segments: expected Segments, got {type(segments).__name__}")

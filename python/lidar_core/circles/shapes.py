@@ -71,7 +71,7 @@ def fit_shapes(
     segments : Segments
         Result of `segment` for the same scan.
     config : FitConfig, optional
-        None: the defaults. Its `method` does not count: circles are fitted with "ml".
+        None for the defaults. Its `method` is ignored: circles are fitted with "ml".
     scanner : Scanner, optional
         Scanner whose range limits apply; None for the defaults.
 

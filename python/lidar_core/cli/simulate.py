@@ -1,4 +1,4 @@
-"""`lidar-core simulate`: a scene into a recording, with the truth beside it."""
+"""`lidar-core simulate`: simulate a scene, and write a recording with its truth."""
 
 from itertools import count
 from pathlib import Path

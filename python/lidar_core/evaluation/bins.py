@@ -16,7 +16,7 @@ class Bins:
     Attributes
     ----------
     edges : ndarray, shape (B + 1,), float64
-        Group k holds edges[k] < key <= edges[k + 1]; the first also its near edge.
+        Group k contains edges[k] < key <= edges[k + 1]; the first group also its lower edge.
     count : ndarray, shape (B,), int64
         Values in the group.
     mean, std, rmse : ndarray, shape (B,), float64

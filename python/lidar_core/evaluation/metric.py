@@ -47,7 +47,7 @@ class Metric:
     Attributes
     ----------
     name : str
-        In Python and JSON; unique.
+        Unique name, for Python and JSON.
     title : str
         Name of the metric in tables.
     unit : str
@@ -55,7 +55,7 @@ class Metric:
     of : str
         Input of the metric.
     compute : callable
-        `compute(paired)`; None where there is nothing to compute it from.
+        `compute(paired)`; returns None without input.
     module : str
         Module that registers it.
     """
@@ -84,7 +84,7 @@ def register_metric(
     Parameters
     ----------
     name : str
-        In Python and JSON; unique.
+        Unique name, for Python and JSON.
     title : str
         Name of the metric in tables.
     unit : str
@@ -95,7 +95,7 @@ def register_metric(
     Raises
     ------
     ConfigError
-        Another metric has this name, or it is no identifier.
+        Another metric has this name, or it is not an identifier.
 
     Examples
     --------
@@ -117,8 +117,8 @@ def register_metric(
 def metrics_of(paired: Paired, of: Of) -> dict[str, float | None]:
     """Every registered metric of tracks or of detections, by name.
 
-    One of another package or of a script that fails, or gives no finite number, is left out with
-    a warning.
+    A metric of another package or of a script that fails, or returns no finite number, is left out
+    with a warning.
     """
     found: dict[str, float | None] = {}
     for metric in METRICS.parts():

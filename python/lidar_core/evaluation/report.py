@@ -28,7 +28,7 @@ class Evaluation:
     latency : Latency or None
         Time per scan.
     warnings : tuple of str
-        Why scores mean nothing: no time or place in common with the truth.
+        Reasons why scores mean nothing: no time or place in common with the truth.
     """
 
     tracks: TrackScores | None

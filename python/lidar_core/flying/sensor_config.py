@@ -143,7 +143,7 @@ def _table(sensor: Sensor) -> BeamTable:
         rows = sorted(math.radians(row) for row in pattern["elevations_deg"])
         return ("rows", tuple(rows), pattern["columns"])
     half = math.radians(pattern.get("azimuth_half_deg", 180.0))
-    low, high = (math.radians(pattern[f"elevation_{end}_deg"]) for end in ("min", "max"))
+    low, high = map(math.radians, pattern["elevation_deg"])
     return ("view", (low, high, half), pattern.get("rays", 20_000))
 
 

@@ -43,10 +43,9 @@ def open_recording(
     options : ReadOptions, optional
         Options for reading it.
     trusted : bool, optional
-        True parses the file in this process. False has a process of its own parse formats that
-        other people's libraries read, with limits on memory and processor time: a file that makes
-        a library crash is then an error. The default is False, or True within
-        `lidar_core.io.trusted_files()`. Windows reads all files in this process.
+        True parses the file in this process. False parses formats of third-party libraries in a
+        child process with limits on memory and processor time: a file that crashes a library then
+        causes an error. The default is False, or True within `lidar_core.io.trusted_files`.
     **values
         Single fields of `ReadOptions`; they override `options`.
 

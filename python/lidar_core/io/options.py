@@ -171,7 +171,7 @@ def mounting_of(text: str) -> Pose:
     Raises
     ------
     ValueError
-        It is no such text.
+        The text has another form.
     """
     words = text.split()
     try:

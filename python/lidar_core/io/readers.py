@@ -174,7 +174,7 @@ def owner_of(suffix: str) -> Reader:
 
 
 def reader_of(path: Path, options: ReadOptions) -> Reader | None:
-    """The reader that a file needs; None for an unknown ending.
+    """Return the reader of a file; None for an unknown ending.
 
     Among readers of one ending, the first one that recognises the file is used, or else the one
     without `sniff`.

@@ -51,7 +51,7 @@ def fetched(address: str, folder: Path) -> Path:
     Raises
     ------
     FileNotFoundError
-        Nothing is there.
+        The address does not exist.
     """
     files, path = _opened(address)
     place = folder / _name(path)
@@ -84,7 +84,7 @@ def texts(pattern: str) -> dict[str, bytes]:
 
 
 def held_names(address: str) -> set[str]:
-    """Names of the files and folders in a folder; none where it is not there."""
+    """Names of the files and folders in a folder; empty if it does not exist."""
     files, path = _opened(address)
     files.invalidate_cache()
     try:
@@ -99,7 +99,8 @@ def stored(
 ) -> None:
     """Copy a folder to an address, without its old files; the files `last` are copied last.
 
-    `is_replaced` is false where nothing was there, which saves the requests that look.
+    With `is_replaced` false the folder must be new, which saves the requests that look for old
+    files.
     """
     files, path = _opened(address)
     files.invalidate_cache()

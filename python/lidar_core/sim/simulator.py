@@ -184,7 +184,7 @@ class Simulator:
     def truth(
         self, stamp_ns: int, label: NDArray[np.int32], rays: NDArray[np.uint32]
     ) -> TargetTruth:
-        """Describe the targets at `stamp_ns`, as a scan with the labels `label` saw them."""
+        """Describe the targets at `stamp_ns`; `label` is that of the scan."""
         stamps = np.array([stamp_ns])
         hits = np.array([np.count_nonzero(label == target) for target in self._ids], np.int64)
         position = [way.poses_at(stamps)[0, :3, 3] for way in self.targets]

@@ -35,7 +35,7 @@ SMALLEST = 0.1  # side of a box that viewers show, also where nobody knows the e
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """A wall or another shape that is no circle, seen from above.
+    """A wall or another shape than a circle, seen from above.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ from lidar_core.errors import ConfigError, InputError
 
 
 class CircleDetector:
-    """Estimate circles, each from a scan that shows nothing else.
+    """Estimator of circles, each from a scan that shows one object only.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class CircleDetector:
     ConfigError
         There is no such detector, its file is not trusted, or `threads` is not >= 1.
     FormatError
-        The file is no network for circles.
+        The file is not a network for circles.
 
     Notes
     -----

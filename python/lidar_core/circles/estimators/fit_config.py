@@ -13,9 +13,9 @@ FitMethod: TypeAlias = Literal["ml", "mode", "taubin", "pratt", "kasa"]
 class FitConfig(Config):
     """Fit of circles to groups of rays.
 
-    "ml" and "mode" hold circles against the ranges and against the rays that passed beside the
-    object; "ml" reports the expected circle, "mode" the most likely one. "taubin", "pratt" and
-    "kasa" are algebraic fits to the points.
+    "ml" and "mode" compare circles with the ranges and with the rays that passed beside the object;
+    "ml" reports the expected circle, "mode" the most likely one. "taubin", "pratt" and "kasa" are
+    algebraic fits to the points.
     """
 
     method: FitMethod = Field(

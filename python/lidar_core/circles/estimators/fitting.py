@@ -75,7 +75,7 @@ def fit_circles(
     range_std : float, optional
         Standard deviation of a range [m]; none: that of `config`.
     config : FitConfig, optional
-        None: the defaults.
+        None for the defaults.
     scanner : Scanner, optional
         Scanner whose range limits apply; None for the defaults.
 

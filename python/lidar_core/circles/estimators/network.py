@@ -51,9 +51,9 @@ class CircleNetwork:
     ConfigError
         There is no such model, it is not trusted, or `threads` is not >= 1.
     FormatError
-        The file is no ONNX model, not the one of its card, or its inputs and outputs are not
-        those of a circle detector; or it has control flow, foreign operators or weights in other
-        files, which are refused from anybody.
+        The file is not an ONNX model, does not match its card, or has other inputs and outputs than
+        a circle detector; or it has control flow, foreign operators or weights in other files,
+        which are always refused.
     LimitError
         The file is larger than 256 MiB.
 

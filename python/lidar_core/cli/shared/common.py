@@ -206,7 +206,7 @@ def consoles(json_file: Path | None) -> "tuple[Console, Console]":
 def shown_progress(console: "Console", *, counts: str = "scans") -> "Iterator[OnProgress]":
     """Return the callback with which runs report progress: each of their steps gets a bar.
 
-    Bars go away at the end. Without a terminal there is a line a minute.
+    Bars disappear at the end. Without a terminal there is one line per minute.
     """
     if not console.is_terminal or voice().style == "json":
         yield Pace(console, counts).show

@@ -1,4 +1,4 @@
-"""Estimates and truth that have no time or place in common: scores of them mean nothing."""
+"""Warnings about estimates and truth without common times or places: their scores mean nothing."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,8 @@ def overlap_warnings(
     Returns
     -------
     warnings : list of str
-        No time in common, with both spans; times just outside the tolerance, with the typical
-        offset; nothing within the gate of any target, with the distances.
+        Warnings: no common time, with both spans; times just outside the tolerance, with the
+        typical offset; no estimate within the gate of any target, with the distances.
     """
     config = as_config(config, EvaluationConfig)
     if not (len(estimates.stamp_ns) and len(truth.stamp_ns)):

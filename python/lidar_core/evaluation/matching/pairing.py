@@ -53,7 +53,7 @@ def pair(estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None 
     Raises
     ------
     InputError
-        Tables whose columns differ in length, that hold an object twice at one time, or a number
+        Tables whose columns differ in length, with an object twice at one time, or with a number
         that is not finite.
 
     Examples

@@ -23,7 +23,7 @@ def files_of(place: Path, *endings: str) -> list[Path]:
 
 
 def head_of(files: Sequence[Path]) -> bytes:
-    """First bytes of the first file; none where no regular file is there."""
+    """Return the first bytes of the first file; none without a regular file."""
     if not files or not files[0].is_file():
         return b""
     with files[0].open("rb") as file:
@@ -31,7 +31,7 @@ def head_of(files: Sequence[Path]) -> bytes:
 
 
 def check_sizes(place: Path, files: Sequence[Path], *, what: str = "files") -> None:
-    """Refuse files of a recording that are together too large, or are no regular files.
+    """Reject files of a recording that are together too large, or are not regular files.
 
     Raises
     ------

@@ -20,7 +20,7 @@ def radar_of_track(
     stamp_ns : int
         Time of the track [ns].
     position, velocity : ndarray, shape (2,)
-        In the frame of the radar [m], [m/s].
+        Position [m] and velocity [m/s] in the frame of the radar.
     position_covariance, velocity_covariance : ndarray, shape (2, 2)
         Covariances [m^2], [m^2/s^2]; with an unusable one, such as zeros, the measurement has no
         covariance.
@@ -28,7 +28,7 @@ def radar_of_track(
     Returns
     -------
     measurement : Measurement or None
-        None at the radar itself, where there is no bearing.
+        None at the radar itself, because there is no bearing.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Scans of several targets, also of a table that holds them."""
+"""Scans of several targets, from recordings and tables."""
 
 from dataclasses import dataclass
 

@@ -16,7 +16,7 @@ from lidar_core.io.records import Record, Topic
 
 
 class ChildRecording(Recording):
-    """A recording whose file a process of its own parses; it sends records ahead.
+    """A recording that a child process parses; the process sends records ahead of time.
 
     Parameters
     ----------

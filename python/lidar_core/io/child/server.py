@@ -110,7 +110,7 @@ def _has_ended(child: int) -> bool:
 
 
 class Reader:
-    """One recording in a process of its own, and the requests about it."""
+    """One recording in its own process, with the requests about it."""
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link

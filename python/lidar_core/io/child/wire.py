@@ -105,7 +105,7 @@ def _exactly(link: socket.socket, size: int) -> bytearray:
 
 
 def packed(value: Any, buffers: list[memoryview]) -> Any:
-    """The value as JSON can hold it; its arrays go to `buffers`."""
+    """Return the value in a form for JSON; its arrays go to `buffers`."""
     kind = type(value)
     if kind in _LITERALS:
         return value

@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written beside their place, then renamed into it."""
+"""Files that are complete or absent: written beside their place, then renamed into it."""
 
 import os
 import re
@@ -147,9 +147,9 @@ def check_place(path: Path) -> None:
     FileNotFoundError
         The folder is missing.
     PermissionError
-        Nothing may be written there.
+        The folder is not writable.
     IsADirectoryError
-        A folder is there.
+        The path is a folder.
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path.parent}: no such folder, to write {path.name} in")

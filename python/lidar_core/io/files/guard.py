@@ -19,8 +19,8 @@ def reading(place: str) -> Iterator[None]:
     FormatError
         The library reports an error.
     LimitError
-        The library asked for more memory than there is: a size in the file is a lie, or the
-        machine is too small.
+        The library asked for too much memory: a size in the file is wrong, or the machine is too
+        small.
     """
     try:
         yield

@@ -91,7 +91,7 @@ def read_las(path: Path, options: ReadOptions) -> tuple[NDArray[np.float64], NDA
     FormatError
         Sizes and counts of the file contradict each other or the file's own size, or it is broken.
     LimitError
-        More points than `options` allow, or more than the compressed data can honestly hold.
+        More points than `options` allow, or more than the compressed data can contain.
     """
     place, data = str(path), path.read_bytes()
     with reading(place):

@@ -79,7 +79,7 @@ class _Line(NamedTuple):
         return values
 
     def count(self, at: int) -> int:
-        """The number of readings that word `at` states, all of them there."""
+        """Return the number of readings at word `at`, after checking that all of them exist."""
         text = self.words[at] if at < len(self.words) else ""
         if not text.isdecimal() or len(text) > 9 or int(text) > len(self.words):
             raise FormatError(

@@ -32,7 +32,7 @@ def is_ouster_capture(path: Path, options: ReadOptions) -> bool:
 
 
 def metadata_beside(path: Path) -> Path | None:
-    """The JSON file of a capture: the one in its folder whose name begins its own."""
+    """Return the JSON file of a capture: its name begins the name of the capture."""
     names = [
         file
         for file in path.parent.glob("*.json")

@@ -1,4 +1,4 @@
-"""Folders of files that hold one scan each, ordered by number or time, with poses beside them."""
+"""Folders with one scan per file, ordered by number or time, with files of poses."""
 
 import re
 from abc import abstractmethod

@@ -40,7 +40,7 @@ class Cloud(NamedTuple):
     points : ndarray, shape (N, 3), float64
         Coordinates [m] of the file.
     resolution : float or None
-        Edge of the voxels whose centres they are [m]; None for points that were measured.
+        Edge of the voxels whose centres these are [m]; None for measured points.
     """
 
     points: NDArray[np.float64]
@@ -71,7 +71,7 @@ def read_cloud(
     Returns
     -------
     cloud : Cloud
-        Points that are finite; rows of zeros in PCD and KITTI files are no points.
+        Finite points; rows of zeros in PCD and KITTI files are not points.
 
     Raises
     ------

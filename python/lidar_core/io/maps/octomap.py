@@ -64,12 +64,12 @@ def read_octomap(
 
 @register_writer("OctoMap", [".bt"], takes="points", needs_resolution=True)
 def write_voxels(path: Path, points: NDArray[np.float64], resolution: float) -> None:
-    """Write the voxels that hold points."""
+    """Write the voxels that contain points."""
     write_octomap(path, points, resolution=resolution)
 
 
 def write_octomap(path: str | Path, points: ArrayLike, *, resolution: float) -> Path:
-    """Write the voxels that hold at least one of `points` (N, 3) [m] as occupied, nothing as free.
+    """Write the voxels that contain at least one of `points` (N, 3) [m] as occupied, none as free.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ class RosDecoder:
         Raises
         ------
         FormatError
-            The bytes are no message of this type.
+            The bytes are not a message of this type.
         LimitError
             The message is larger than the options allow.
         """

@@ -21,7 +21,7 @@ X, INTENSITY, TIME, RING = 0, 3, 4, 6  # columns of velodyne-decoder's arrays
 
 
 class PacketDecoder:
-    """Decodes ROS messages that hold the packets of one revolution each."""
+    """Decodes ROS messages with the packets of one revolution each."""
 
     def __init__(self, topic: str, options: ReadOptions, findings: Findings) -> None:
         self._library = velodyne_library()
@@ -38,7 +38,7 @@ class PacketDecoder:
         Raises
         ------
         FormatError
-            The bytes are no Velodyne packets of a known model.
+            The bytes are not Velodyne packets of a known model.
         """
         if not packets:
             return None

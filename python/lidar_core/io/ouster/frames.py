@@ -65,7 +65,7 @@ def told_returns(frame: Frame) -> str:
 
 
 def poses_of(sensor: Sensor, frame: Frame, *, topic: str, frame_id: str) -> list[Message]:
-    """Mounting of the sensor, and the body's poses where the file holds any."""
+    """Mounting of the sensor, and the body's poses if the file contains any."""
     valid = np.flatnonzero(frame.is_received)
     stamps = frame.stamps_ns
     mounting = sensor.body_from_sensor.copy()

@@ -62,7 +62,7 @@ class Frame:
     is_received : ndarray of bool, shape (columns,)
         Columns that arrived and are valid.
     world_from_body : ndarray or None, shape (columns, 4, 4)
-        Poses, where a file holds any.
+        Poses, if the file contains any.
     returns : int
         Returns per pixel that were sent.
     is_second : bool
@@ -239,7 +239,7 @@ class FrameCollector:
         return bool(self._packets)
 
     def rest(self) -> list[Frame]:
-        """The frame that has begun, complete or not; none if no packet waits."""
+        """Return the frame that has begun, complete or not; None if no packet waits."""
         if not self._packets:
             return []
         packets, self._packets = self._packets, []

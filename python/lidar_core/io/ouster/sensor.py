@@ -33,7 +33,7 @@ class Beams(NamedTuple):
     Attributes
     ----------
     directions, offsets : ndarray, shape (rows, columns, 3)
-        In the sensor's frame; unit vectors, and [m].
+        Unit vectors and offsets [m] in the sensor's frame.
     """
 
     directions: FloatArray
@@ -111,7 +111,7 @@ def parse_sensor(text: str | bytes, place: str, *, max_points: int) -> Sensor:
     Raises
     ------
     FormatError
-        The text is no such file, or of a sensor whose frames are not read.
+        The text has another format, or describes a sensor whose frames are not read.
     LimitError
         The frames are larger than `max_points`.
     """

@@ -21,7 +21,7 @@ def sensor_at(place: str, options: ReadOptions) -> Sensor:
     Raises
     ------
     FormatError
-        It is no metadata of an Ouster sensor.
+        It is not the metadata of an Ouster sensor.
     LinkError
         No sensor answers at the address.
     """

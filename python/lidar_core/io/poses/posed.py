@@ -43,7 +43,7 @@ class PosedScans(Generic[ScanT]):
     source : str
         Source of the poses, in words.
     without_pose : Counter
-        Scans left out, per reason.
+        Number of scans that were left out, per reason.
     """
 
     def __init__(self, recording: "Recording", options: PoseOptions, sort: type[ScanT]) -> None:
@@ -284,7 +284,7 @@ def posed_scans(
     Returns
     -------
     scans : PosedScans
-        Iterate it; scans outside the poses' time are left out and counted.
+        Iterator over the scans; scans outside the poses' time are left out and counted.
 
     Raises
     ------

@@ -16,7 +16,7 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
         NAME.npz (exact), NAME.mcap (Foxglove's messages; no covariances of poses), NAME.bag
         (ROS 1), or a name without ending: the new folder of a ROS 2 recording.
     items : iterable of Scan, LaserScan and Pose
-        In the order of their times.
+        Messages in the order of their times.
 
     Raises
     ------

@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Matrix5};
 /// Standard deviations by which a mean square of noise may exceed its expectation by chance.
 const CHANCE: f64 = 2.0;
 
-/// Rules for segments that are no circles.
+/// Rules for segments that are not circles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeParameters {
     /// Largest half length of a line that is used as a circle, and of every object that is reported
@@ -98,11 +98,11 @@ impl ShapeParameters {
 /// Use of a segment in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum MapUse {
-    /// A round object, or a small one that is nearly round.
+    /// A round object, or a small and nearly round one.
     Body(CircleEstimate),
     /// A line.
     Line,
-    /// Not used.
+    /// The segment is not used.
     Nothing,
 }
 

@@ -33,23 +33,9 @@ struct BeamConfig {
 
 #[derive(FromPyObject)]
 enum PatternConfig {
-    Spinning {
-        elevations_deg: Vec<f64>,
-        columns: i64,
-        azimuth_start: f64,
-        azimuth_per_scan: f64,
-    },
-    Rosette {
-        rays: i64,
-        elevation_deg: [f64; 2],
-        azimuth_half_deg: Option<f64>,
-    },
-    Planar {
-        beams: i64,
-        angle_min: f64,
-        angle_increment: f64,
-        time_increment_ns: i64,
-    },
+    Spinning { elevations_deg: Vec<f64>, columns: i64, azimuth_start: f64, azimuth_per_scan: f64 },
+    Rosette { rays: i64, elevation_deg: [f64; 2], azimuth_half_deg: Option<f64> },
+    Planar { beams: i64, angle_min: f64, angle_increment: f64, time_increment_ns: i64 },
 }
 
 impl BeamConfig {

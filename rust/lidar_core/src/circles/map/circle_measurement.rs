@@ -1,4 +1,4 @@
-//! Measurements of elements, and the first state of what is measured for the first time.
+//! Measurements of elements, and first states of new elements.
 
 #![allow(non_snake_case)] // textbook letters
 

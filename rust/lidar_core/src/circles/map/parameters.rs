@@ -24,11 +24,11 @@ pub struct MotionMode {
 /// Standing still, as a mode of motion beside the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Standing {
-    /// Share of new elements that stand, below 1; 0: the mode is not used.
+    /// Share of new elements at rest, below 1; 0 switches the mode off.
     pub share: f64,
-    /// Mean time that an element stands [s].
+    /// Mean time that an element stays at rest [s].
     pub duration: f64,
-    /// Mean time that an element moves until it stands [s].
+    /// Mean time that an element moves before it comes to rest [s].
     pub moving: f64,
     /// Density of the random walk of the centre [m^2/s]: the part of an object that is seen
     /// changes.
@@ -92,7 +92,7 @@ pub struct Independent {
     pub turn_density: f64,
     /// Density of circles without an element, per area and radius [1/m^3].
     pub birth_density: f64,
-    /// Gap between two surfaces below which they are one element [m].
+    /// Gap between two surfaces below which they count as one element [m].
     pub merge_gap: f64,
     /// Probability of existence from which on an element is reported, until it falls below half of
     /// it.

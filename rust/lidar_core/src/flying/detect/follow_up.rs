@@ -1,4 +1,4 @@
-//! Detections to the tracker, and back: what its tracks follow flies.
+//! Detections for the tracker, and flying points from its tracks.
 
 use super::detection::Detection;
 use super::detections::{ScanDetections, ScanToDetect, detect};

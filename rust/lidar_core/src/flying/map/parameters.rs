@@ -32,9 +32,10 @@ pub enum Rays {
 pub enum Skip {
     /// None: every ray visits every voxel that it crosses.
     Nothing,
-    /// Those in directions and at distances where all hold `g_free` to the bit, or are permanent: no ray
-    /// changes them. Values, states and files are those of [`Skip::Nothing`], to the bit; only a scan that
-    /// [`Skip::Nothing`] refuses, since it touches too many voxels, may be accepted.
+    /// Rays pass directions and distances in which all voxels hold `g_free` to the bit, or are
+    /// permanent: no ray changes them. Values, states and files equal those of [`Skip::Nothing`] to
+    /// the bit. Only a scan that [`Skip::Nothing`] rejects, because it touches too many voxels, may
+    /// be accepted.
     Saturated,
 }
 

@@ -1,4 +1,4 @@
-//! Targets that stand.
+//! Targets at rest.
 
 use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior};
 use super::platform::Platform;
@@ -14,7 +14,7 @@ const REST: f64 = 0.02;
 /// Share of stops among changes of motion, relative to changes to another model.
 const STOPS: f64 = 0.1;
 
-/// A place that hardly moves, without a velocity: [x, y, vx, vy], of which vx and vy are zero.
+/// A place that hardly moves: [x, y, vx, vy] with vx = vy = 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StandingTarget;
 

@@ -25,7 +25,7 @@ const LEAST_WIDTHS: f64 = 32.0;
 /// Room for rounding.
 const MARGIN: f64 = 1e-6;
 
-/// Gaps that are bridged as they are seen from the sensor.
+/// Gaps that are bridged if their angle at the sensor is small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngularGap {
     /// The sensor [m].
@@ -41,8 +41,8 @@ pub struct AngularGap {
 /// threads of `pool`.
 ///
 /// # Errors
-/// Those of [`label`](super::label), and [`Error::Parameter`] for an angle out of range
-/// or an origin that is not finite.
+/// Errors of [`label`](super::label), and [`Error::Parameter`] for an angle out of range or an
+/// origin that is not finite.
 pub fn label_seen(
     points: &[[f32; 3]],
     gap: &AngularGap,

@@ -1,7 +1,7 @@
-//! Clustering of clouds of which some points are known to belong together.
+//! Clustering of clouds in which some points are known to belong together.
 //!
-//! Points that are joined from the start need no links among each other, and those that no other point
-//! can reach need not be looked at: what is searched follows the number of the others.
+//! Joined points need no links among each other, and those out of reach of all other points can be
+//! ignored: the number of the other points determines the search.
 
 use super::angular_gap::{AngularGap, SeenLabeller};
 use super::keys::is_finite;

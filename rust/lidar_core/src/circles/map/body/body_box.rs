@@ -1,4 +1,4 @@
-//! A box around a body that is not round: where its sides are, those that nobody sees now included.
+//! A box around a body that is not round, with the sides that are hidden now.
 //!
 //! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner than
 //! the middle, and moves as the body turns or the scanner passes. Here the sides of a box are

@@ -1,4 +1,4 @@
-//! What a measurement says about a body: how likely it is of it, and how much it is worth.
+//! Likelihood of a measurement under a body, and weight of the measurement.
 
 #![allow(non_snake_case)] // textbook letters
 

@@ -58,7 +58,7 @@ impl Tracks {
         })
     }
 
-    /// The tracks, of which none stay here.
+    /// Move all tracks out of this value.
     #[must_use]
     pub fn moved_out(&mut self) -> Self {
         Self { all: std::mem::take(&mut self.all), ..self.clone() }
@@ -103,14 +103,14 @@ impl Tracks {
         })
     }
 
-    /// True if these places have all that is known of what stands.
+    /// True if these places are all known static clutter.
     #[must_use]
     pub fn know(&self, places: &BTreeMap<u8, PlaceLog>) -> bool {
         let mut own = self.standing.iter();
         own.all(|(source, own)| places.get(source).is_some_and(|log| own.is_of(log)))
     }
 
-    /// Drop the places from before what these tracks, the oldest that are kept, know.
+    /// Drop the places that are older than those of these tracks, the oldest that are kept.
     pub fn forget_before(&self, places: &mut BTreeMap<u8, PlaceLog>) {
         for (source, own) in &self.standing {
             if let Some(log) = places.get_mut(source) {
