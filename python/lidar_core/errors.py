@@ -45,7 +45,7 @@ class InternalError(LidarCoreError, RuntimeError):
 
 
 class OdometryWarning(UserWarning):
-    """Poses that were estimated from the scans are missing for some, or doubtful."""
+    """Poses estimated from the scans are missing for some scans, or are doubtful."""
 
 
 class PluginWarning(UserWarning):
@@ -53,7 +53,7 @@ class PluginWarning(UserWarning):
 
 
 class PoseFrameWarning(UserWarning):
-    """Poses that were given do not fit the scans, but would in another frame."""
+    """The given poses do not fit the scans, but they fit in another frame."""
 
 
 class TruthWarning(UserWarning):

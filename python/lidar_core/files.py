@@ -141,7 +141,7 @@ def _refuse_special(place: Path, mode: int) -> None:
 
 @contextmanager
 def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Errors about a file name it."""
+    """Add the name of a file to errors about it."""
     name = os.fspath(path)
     try:
         yield

@@ -241,7 +241,7 @@ class PosedScan(ShortRepr, Generic[ScanT]):
 
     @property
     def posed(self) -> "PosedScan[ScanT]":
-        """The posed scan itself: simulated scans have it, too."""
+        """The posed scan itself: simulated scans have this attribute, too."""
         return self
 
 

@@ -90,7 +90,7 @@ class Registry(Generic[PartT]):
             return sorted(own, key=lambda part: part.module) + others
 
     def registered(self) -> list[PartT]:
-        """Parts so far, those of this package among them; plugins are not looked for."""
+        """Parts registered so far, including those of this package; plugins are not searched."""
         with self._lock:
             if not self._is_loading:
                 self._load_own()
@@ -120,7 +120,7 @@ class Registry(Generic[PartT]):
         return list(self._broken.values())
 
     def plugin_of(self, part: PartT) -> EntryPoint | None:
-        """The entry point that brought a part; None for those of this package and of scripts."""
+        """Return the entry point of a part; None for parts of this package and of scripts."""
         for entry, names in self._loaded.items():
             if part.name in names:
                 return entry
@@ -188,7 +188,7 @@ class Registry(Generic[PartT]):
 
 
 def registering_module() -> str:
-    """Module that calls the caller's function: a part may be of a function from elsewhere."""
+    """Return the module that registers a part: the part itself may come from elsewhere."""
     return sys._getframe(2).f_globals.get("__name__") or ""
 
 

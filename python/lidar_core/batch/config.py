@@ -35,7 +35,7 @@ class BatchGroup(Config):
     name: str = Field(
         pattern=r"^[A-Za-z0-9][\w.-]*$",
         max_length=60,
-        description="What the folders of its jobs begin with (no unit).",
+        description="Start of the folder names of its jobs (no unit).",
     )
     commands: tuple[str, ...] = Field(
         min_length=1, description="Commands without `lidar-core`, one after the other (no unit)."

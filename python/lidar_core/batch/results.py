@@ -80,7 +80,7 @@ class JobRecord:
 
 
 def flat(value: Any, path: str = "") -> dict[str, Any]:
-    """Numbers, texts and truths by their dotted paths; rows of a list by their names."""
+    """Flatten nested results: values by dotted path, rows of a list by name."""
     if isinstance(value, Mapping):
         items = [(str(name), inner) for name, inner in value.items()]
     elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):

@@ -31,8 +31,8 @@ class CirclesConfig(Config):
     )
     detector: Annotated[FitMethod | NetworkName, BeforeValidator(checked)] = Field(
         "ml",
-        description="How a circle is estimated from a segment (no unit); it overrides"
-        " `fit.method`. Also a network: one that comes with the package, or an .onnx file.",
+        description="Estimator of circles from segments (no unit); it overrides `fit.method`."
+        " Also a network: one of the package, or an .onnx file.",
     )
     preprocess: PreprocessConfig = PreprocessConfig()
     segment: SegmentConfig = SegmentConfig()
@@ -46,7 +46,7 @@ class CirclesConfig(Config):
     shapes: ShapeConfig = ShapeConfig()
     map: CircleMapConfig = CircleMapConfig()
     on_bad_scan: Literal["raise", "count"] = Field(
-        "raise", description="What to do with a scan that cannot be used (no unit)."
+        "raise", description="Reaction to a scan that cannot be used (no unit)."
     )
 
     @classmethod

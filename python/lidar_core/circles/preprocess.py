@@ -153,7 +153,7 @@ def times(
     ray_time_ns: ArrayLike | None,
     pose_stamps_ns: ArrayLike | None,
 ) -> dict[str, Any]:
-    """The times of a scan, checked, by the names of the core."""
+    """Return the checked times of a scan as keyword arguments of the core."""
     of_rays = _stamps(ray_time_ns, "ray_time_ns", rays)
     of_poses = _stamps(pose_stamps_ns, "pose_stamps_ns", None)
     if stamp_ns is None:

@@ -116,7 +116,7 @@ def segment(
 
 
 def segments_of(arrays: tuple[NDArray[Any], ...]) -> Segments:
-    """Segments as the core gives them."""
+    """Convert the core's segments."""
     labels, rays, starts, sides = arrays
     return Segments(labels=labels, sides=sides, rays=rays, starts=starts)
 

@@ -111,7 +111,7 @@ Metrics: TypeAlias = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions(PipelineOptions):
-    """What it listens to, what it makes of that, and where that goes."""
+    """Options of source, pipeline and outputs."""
 
     source: SourceName = None
     replay: Replay = None
@@ -137,7 +137,7 @@ class LiveOptions(PipelineOptions):
     threads: Threads
 
     def read(self) -> "ReadOptions":
-        """How messages are read."""
+        """Return the options for reading messages."""
         from lidar_core.io import ReadOptions
 
         told = {"point_time": self.point_time, "no_return": self.no_return}

@@ -1,4 +1,4 @@
-"""Metrics: how one is registered, and how all of them are computed."""
+"""Registry of metrics, and computation of all of them."""
 
 import math
 import warnings

@@ -280,7 +280,7 @@ class FlyingObjectDetector(FullState):
         self._detector.make_static_map()
 
     def static_points(self) -> NDArray[np.float64]:
-        """Points of all that stands, (N, 3) [m], world frame.
+        """Return static points, (N, 3) [m], world frame.
 
         Of points within 3 cm of each other, one is kept. Empty without `make_static_map`.
         """

@@ -33,8 +33,9 @@ class PoseConfig(Config):
         3.0,
         ge=0,
         le=100,
-        description="So many standard deviations, along the ray, of position and range rays end"
-        " earlier, unless `weighting` is off or the pose is certain (count, no unit).",
+        description="Rays end earlier by this many standard deviations of position and range"
+        " along the ray, unless `weighting` is off or the pose is certain (count,"
+        " no unit).",
     )
 
     @classmethod

@@ -74,14 +74,16 @@ class SensorConfig(Config):
     )
     find_body: bool = Field(
         True,
-        description="What stays in place in the sensor's frame while the sensor moves, and is"
-        " joined to something near, is the robot: neither target nor background (no unit).",
+        description="Find the robot itself by returns that keep their place in the sensor's"
+        " frame while the sensor moves, and that are joined to near returns: they"
+        " are neither target nor background (no unit).",
     )
     beams: Beams | None = Field(
         "auto",
-        description="How rays without return are known: auto, given with their directions or else"
-        " found from the returns; given, never found; learnt, as auto; or the name of a sensor,"
-        " found from the returns and its rays (no unit). None: given.",
+        description="Source of the rays without return: auto, given with their directions or"
+        " else found from the returns; given, never found; learnt, as auto; or the"
+        " name of a sensor, found from the returns and its rays (no unit). None:"
+        " given.",
     )
     beam_columns: int | None = Field(
         None,
@@ -117,7 +119,7 @@ class SensorConfig(Config):
 
     @classmethod
     def paper(cls) -> Self:
-        """Every return is used, however near, and nothing is looked for: the paper has neither."""
+        """Return the paper's variant: all returns count, robot and sky are not searched for."""
         return cls(min_range=0.0, learn_mask_scans=0, beams=None, find_body=False)
 
     @property
@@ -133,7 +135,7 @@ class SensorConfig(Config):
 
     @property
     def known_sensors(self) -> tuple[tuple[str, BeamTable], ...]:
-        """Sensors that an error may propose."""
+        """Sensors that error messages may suggest."""
         return tuple(BEAM_TABLES.items())
 
 

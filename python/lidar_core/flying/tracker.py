@@ -232,7 +232,7 @@ def tracks_from(
     *,
     confirmed: bool = True,
 ) -> Tracks:
-    """Tracks of the core, moved back to the world's origin; `confirmed`: only reported ones."""
+    """Convert tracks of the core to the world's origin; `confirmed`: only reported ones."""
     number, mean, covariance, extent, n_detections, age, reported, existence, kinds = arrays
     if not confirmed:
         reported = np.ones_like(reported)

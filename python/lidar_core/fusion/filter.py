@@ -111,7 +111,7 @@ class TargetFilter(FullState):
     def health(self) -> FilterHealth:
         """Return the noise of the sensors as configured and as estimated.
 
-        A value that no measurement without a covariance has shown is the configured one.
+        A value without evidence, because all measurements have a covariance, is the configured one.
         """
         lidar, radar = self._filter.sensor_stds()
         configured = told_stds(self.config)

@@ -1,4 +1,4 @@
-"""Measurements, as a filter takes them."""
+"""Measurements for filters."""
 
 from collections.abc import Iterable, Sequence
 from typing import Literal, TypeAlias
@@ -237,7 +237,7 @@ class Measurements:
 
 
 def as_measurements(measurements: Iterable[Measurement] | Measurements) -> Measurements:
-    """`measurements`, kept by the core."""
+    """Return `measurements` in the core's own storage."""
     if isinstance(measurements, Measurements):
         return measurements
     return Measurements(measurements)

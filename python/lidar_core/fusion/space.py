@@ -1,4 +1,4 @@
-"""Three dimensions from a track in the plane: sensors that swivel, and how high they look."""
+"""Positions in space from a track in the plane, by the elevation of sensors that swivel."""
 
 from dataclasses import dataclass
 

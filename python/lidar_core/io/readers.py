@@ -1,4 +1,4 @@
-"""Readers of recordings: how one is registered, and which one a file needs."""
+"""Registry of readers of recordings, and choice of the reader of a file."""
 
 import warnings
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""Writers: how one is registered, and which one a file needs."""
+"""Registry of writers, and choice of the writer of a file."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

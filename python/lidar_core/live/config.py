@@ -38,8 +38,9 @@ class LiveConfig(Config):
     pose_wait: float = Field(
         0.2,
         ge=0,
-        description="How long a scan waits for the pose of its last point; after it the newest"
-        " pose counts, if it is not older than `poses.max_extrapolation` [s].",
+        description="Time that a scan waits for the pose of its last point; after it the"
+        " newest pose is used, if it is not older than `poses.max_extrapolation`"
+        " [s].",
     )
     max_waiting: int = Field(
         8, ge=1, description="Scans of one LiDAR that wait for their poses (no unit)."

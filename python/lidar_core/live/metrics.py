@@ -16,7 +16,7 @@ PREFIX = "lidar_core_live_"
 
 
 def metrics_text(report: Report | None) -> str:
-    """All metrics of a report; before the first one only that the run is there."""
+    """Return all metrics of a report as text; before the first report, only that the run exists."""
     return "\n".join([*_lines(report), ""])
 
 

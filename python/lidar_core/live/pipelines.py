@@ -1,4 +1,4 @@
-"""The pipelines that a stream can go through; each is made when the first scans are known."""
+"""Pipelines for streams; each is made when the first scans are known."""
 
 from abc import ABC, abstractmethod
 from typing import Generic

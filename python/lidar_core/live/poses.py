@@ -1,4 +1,4 @@
-"""Poses as they come, and scans that wait for theirs."""
+"""Poses of a stream, and scans that wait for their poses."""
 
 from collections import Counter
 from collections.abc import Callable

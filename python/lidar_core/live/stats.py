@@ -51,7 +51,8 @@ class Report:
 def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) -> float | None:
     """Offset of this clock to the clock of the stamps [ms]; None if both may agree.
 
-    No network takes `LONGEST_WAY_MS` from a stamp to the arrival, and none takes less than no time.
+    A stamp and its arrival differ by at least zero, and in any network by less than
+    `LONGEST_WAY_MS`: other differences come from the clocks.
     """
     if from_stamp is None or from_arrival is None:
         return None
@@ -60,7 +61,7 @@ def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) ->
 
 
 def told_difference(difference_ms: float) -> str:
-    """A difference of clocks for people, in the unit that suits it."""
+    """Return a difference of clocks as text, in a suitable unit."""
     seconds = abs(difference_ms) * 1e-3
     for unit, size in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0)):
         if seconds >= 2 * size:

@@ -79,7 +79,7 @@ def topic_of_token(token: str) -> str | None:
 
 
 def told_of_key(key: str) -> str:
-    """A key that something is published at, for people: topic, type and domain, or as it is."""
+    """Return a key with messages as text: topic, type and domain, or the key itself."""
     found = topic_of(key)
     if found is None:
         return f"/{key} (no type in its key)"

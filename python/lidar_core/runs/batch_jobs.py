@@ -1,4 +1,4 @@
-"""Jobs of a batch, which are commands: which are done, how one is run, and the table of all."""
+"""Jobs of a batch, which are commands: their state, their run, and the table of all."""
 
 import hashlib
 import json

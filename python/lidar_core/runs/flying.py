@@ -157,7 +157,7 @@ def detect(
 
 
 def load_known_map(detector: FlyingObjectDetector, path: Path) -> None:
-    """Load a map of an earlier run, or make occupied for good what another file holds."""
+    """Load a map of an earlier run, or mark the points of another file as permanently occupied."""
     if path.suffix.lower() == ".lcvm":
         detector.load_map(path)
         return

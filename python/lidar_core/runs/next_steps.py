@@ -41,7 +41,7 @@ class _Try(NamedTuple):
 def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
     """Return commands for an open recording, with the options that it needs.
 
-    They include the options that the user gave to read it.
+    They include the options that the user gave for reading.
     """
     read = _read_options(recording.options)
     if recording.options.recover:

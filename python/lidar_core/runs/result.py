@@ -80,7 +80,7 @@ def wants_mcap(mcap: bool | None) -> bool:
 
 
 def no_mcap_of(stamps: NDArray[np.int64]) -> str | None:
-    """Why results of these times [ns] go into no run.mcap; None if they do."""
+    """Return why results at these times [ns] cannot be written to run.mcap; None if they can."""
     first = int(stamps.min(initial=0))
     if first >= 0:
         return None

@@ -58,7 +58,7 @@ class Fog(Config):
         gt=0, description="Distance at which 2 % of the contrast are left (Koschmieder) [m]."
     )
     speckle: float = Field(
-        0.01, ge=0, description="Returns of droplets per metre of a ray's way [1/m]."
+        0.01, ge=0, description="Returns of droplets per metre of a ray's path [1/m]."
     )
 
     @property

@@ -58,10 +58,11 @@ class Planar(Config):
     angle_min: float = Field(-2.356194490192345, description="Bearing of the first ray [rad].")
     angle_increment: float = Field(
         0.004363323129985824,
-        description="From one ray to the next, < 0 for clockwise; one turn in all at most [rad].",
+        description="Angle from one ray to the next, < 0 for clockwise; at most one turn in"
+        " total [rad].",
     )
     sweep_time: float = Field(
-        0.01875, ge=0, description="From the first ray to the last; 0: all at once [s]."
+        0.01875, ge=0, description="Time from the first ray to the last; 0: all at once [s]."
     )
 
     @property
@@ -74,7 +75,9 @@ class Beam(Config):
     """Beam with a width in azimuth: at an edge it hits the object and the surface behind it."""
 
     half_width: float = Field(gt=0, le=0.1, description="To either side of the ray [rad].")
-    lines: int = Field(9, ge=2, le=64, description="Lines that stand for the beam (no unit).")
+    lines: int = Field(
+        9, ge=2, le=64, description="Number of lines that represent the beam (no unit)."
+    )
     returns: Literal["first", "mean", "mixed"] = Field(
         "first",
         description="Reported range: of the nearest surface that the beam hits (first), the mean of"
@@ -91,7 +94,7 @@ class Beam(Config):
 
 
 class LidarModel(Config):
-    """A LiDAR. `preset` fills in every value that is not given beside it.
+    """A LiDAR. `preset` supplies every value that is not given.
 
     Presets are the names of `lidar_core.sensors.SENSORS`, with the makers' nominal figures. A scan
     of a preset contains the output of the sensor's driver (`delivery`); `ideal` makes all rays
@@ -112,12 +115,12 @@ class LidarModel(Config):
     dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
     delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
         "rays",
-        description="How the driver of a 3D LiDAR delivers rays without return: as known rays with"
-        " directions (rays), not at all, as rows (0, 0, 0), or as rows of NaN; only rays has"
-        " directions and a mask (no unit).",
+        description="Output of the driver of a 3D LiDAR for rays without return: known rays"
+        " with directions (rays), missing rows, rows (0, 0, 0), or rows of NaN;"
+        " only rays has directions and a mask (no unit).",
     )
     point_times: bool = Field(
-        True, description="Whether the driver gives a time per point (no unit)."
+        True, description="True if the driver gives a time per point (no unit)."
     )
     ideal: bool = Field(
         False,

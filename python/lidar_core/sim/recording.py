@@ -84,7 +84,7 @@ class Recorded:
 
 
 def messages(scans: Iterable[Made]) -> Iterator[Message]:
-    """Put scans and poses in line as a recording holds them, in the order of their stamps."""
+    """Order scans and poses by their stamps, as a recording contains them."""
     last = -1
     for made in scans:
         for stamp_ns, matrix in zip(made.pose_stamps_ns.tolist(), made.poses, strict=True):

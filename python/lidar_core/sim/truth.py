@@ -37,7 +37,7 @@ class SimulatedScan(ShortRepr):
 
     @property
     def posed(self) -> PosedScan[Scan]:
-        """The scan with its poses, as readers give it and detectors take it."""
+        """The scan with its poses, like scans of readers."""
         return PosedScan(self.scan, self.poses, self.pose_stamps_ns)
 
 
@@ -69,5 +69,5 @@ class SimulatedSweep(ShortRepr):
 
     @property
     def posed(self) -> PosedScan[LaserScan]:
-        """The scan with its poses, as readers give it and pipelines take it."""
+        """The scan with its poses, like scans of readers."""
         return PosedScan(self.scan, self.poses, self.pose_stamps_ns)

@@ -1,4 +1,4 @@
-"""A server of Foxglove's WebSocket protocol on 127.0.0.1 that asks who connects.
+"""A server of Foxglove's WebSocket protocol on 127.0.0.1 that checks its clients.
 
 foxglove-sdk has a server, too, but it takes web pages from anywhere, and programs of other hosts'
 names. Source of the protocol: the specification foxglove.websocket.v1 of ws-protocol.
@@ -250,7 +250,7 @@ class _Viewer:
             return [name for name, number in self._subscriptions.items() if number == channel]
 
     def put(self, data: str | bytes, *, keep: bool = False) -> None:
-        """Queue data; a full queue drops its oldest messages, but none that are kept."""
+        """Queue data; a full queue drops its oldest messages, except permanent ones."""
         with self._changed:
             (self._kept if keep else self._waiting).append(data)  # type: ignore[arg-type]
             self._changed.notify()

@@ -128,7 +128,7 @@ class Playback:
         return str(frames[0]) if len(frames) else "world"
 
     def steps(self) -> Iterator[tuple[int, Objects]]:
-        """Processed times [ns] in ascending order with the objects at each; without scans.
+        """Processed times [ns] in ascending order with the objects at each, without scans.
 
         Sizes come from the run: zero if it has none.
         """

@@ -1,4 +1,4 @@
-"""The bytes of a rerun recording for pages that come and go: of a file, or of a stream."""
+"""The bytes of a rerun recording, of a file or of a stream, for pages that connect at any time."""
 
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -113,9 +113,9 @@ def open_browser(address: str) -> None:
 
 @cache
 def viewer_files() -> dict[str, bytes]:
-    """Script and WebAssembly module of rerun's viewer, as its own server gives them.
+    """Return script and WebAssembly module of rerun's viewer, from its own server.
 
-    They are part of rerun's program, which is started for as long as that takes.
+    They are part of rerun's program, which runs only as long as necessary.
     """
     port = free_port()
     # With an address to look at, rerun opens no other server than that of its page.

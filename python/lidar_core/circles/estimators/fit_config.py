@@ -20,8 +20,8 @@ class FitConfig(Config):
 
     method: FitMethod = Field(
         "ml",
-        description="How a circle is fitted (no unit): with the likelihood of ranges and misses,"
-        " the expected or the most likely circle; or an algebraic fit to the points.",
+        description="Fit of a circle (no unit): the expected or the most likely circle under"
+        " the likelihood of ranges and misses; or an algebraic fit to the points.",
     )
     range_std: float = Field(
         0.01,

@@ -71,7 +71,7 @@ JsonFile: TypeAlias = Annotated[
 
 
 def printing(show: Callable[[], None]) -> Callable[[bool], None]:
-    """Callback of an option that prints something instead of running the command."""
+    """Make the callback of an option that prints something instead of running the command."""
 
     def called(is_wanted: bool) -> None:
         if is_wanted:
@@ -141,7 +141,7 @@ VALUE = re.compile(r'\bset (?=[\w."]+=)')
 
 
 def as_options(text: str) -> str:
-    """A text that names arguments as `name=value`, with the options that give them."""
+    """Replace names of arguments (`name=value`) in a text by the options of the command."""
     text = PREFIX.sub(lambda found: f"{PREFIXES[found[1]]} ", text)
     text = UNUSED.sub(lambda one: f"{one[1]}--{one[2].replace('_', '-')} {one[3]}", text)
     text = VALUE.sub(
@@ -156,7 +156,7 @@ def as_options(text: str) -> str:
 
 
 def stoppable(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; errors name its options, and Ctrl-C gives its exit status."""
+    """Wrap a command: errors name its options, and Ctrl-C gives its exit status."""
 
     @wraps(command)
     def called(*arguments: Any, **options: Any) -> None:
@@ -174,7 +174,7 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def with_trust(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --trusted."""
+    """Add the option --trusted to a command."""
 
     @wraps(command)
     def called(*arguments: Any, trusted: bool, **options: Any) -> None:
@@ -284,7 +284,7 @@ def told_reasons(counts: Mapping[str, int]) -> str:
 
 
 def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -> "Table":
-    """Measure, value, remark; None draws a line."""
+    """Make a table of name, value and remark; None draws a line."""
     from rich.markup import escape
     from rich.table import Table
 

@@ -103,14 +103,14 @@ class PipelineOptions:
     json: JsonFile = None
 
     def poses(self) -> "PoseOptions":
-        """Where the poses come from, and which part of a recording counts."""
+        """Return the source of the poses, and the part of a recording that is used."""
         from lidar_core.io import PoseOptions
 
         names = [name for name in PoseOptions.model_fields if hasattr(self, name)]
         return PoseOptions.load(given_options({name: getattr(self, name) for name in names}))
 
     def choice(self) -> "ConfigChoice":
-        """Which configuration the pipeline gets."""
+        """Return the choice of the pipeline's configuration."""
         from lidar_core.runs import ConfigChoice
 
         return ConfigChoice(self.mode, self.config, tuple(self.values))
@@ -133,7 +133,7 @@ class RunOptions(PipelineOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodingOptions:
-    """How commands that only read a recording decode its messages."""
+    """Options for decoding messages, of commands that only read a recording."""
 
     point_time: PointTime = None
     no_return: NoReturn = None
@@ -143,7 +143,7 @@ class DecodingOptions:
     recover: Recover = False
 
     def to_values(self) -> dict[str, Any]:
-        """Values that were given, as `ReadOptions` takes them."""
+        """Return the given values for `ReadOptions`."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         return given_options(values | {"recover": self.recover or None})
 

@@ -133,7 +133,7 @@ def tell(console: "Console", text: str, **fields: Any) -> None:
 
 
 class Command(TyperCommand):
-    """A command whose help leaves out the variables that every option has by its name."""
+    """Command without names of environment variables in its help."""
 
     def __init__(self, *arguments: Any, **values: Any) -> None:
         super().__init__(*arguments, **values)
@@ -143,7 +143,7 @@ class Command(TyperCommand):
 
 
 def with_voice(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options --log, --quiet and --verbose."""
+    """Add the options --log, --quiet and --verbose to a command."""
 
     @wraps(command)
     def called(*arguments: Any, **options: Any) -> None:
@@ -195,13 +195,13 @@ def _greet() -> None:
 
 
 def print_error(text: str) -> None:
-    """The line that a command ends with."""
+    """Print the last line of a command, an error."""
     line = f"error: {text}"
     print(entry(line) if _chosen.style == "json" else line, file=sys.stderr)
 
 
 class Pace:
-    """Lines about progress for logs: one a minute for every step."""
+    """Lines about progress for logs: one per minute for every step."""
 
     def __init__(self, console: "Console", counts: str) -> None:
         self._console, self._counts, self._every_s = console, counts, _chosen.every_s

@@ -73,7 +73,7 @@ def distances(estimates: ArrayLike, targets: ArrayLike) -> NDArray[np.float64]:
 
 
 def matches_of(distance: NDArray[np.float64], *, gate: float) -> Matches:
-    """Pairs by a table of distances, shape (E, T), as `match` makes them."""
+    """Pair targets and estimates by a table of distances, shape (E, T), like `match`."""
     rows, columns = assign(distance, gate=gate)
     known = distance.shape[1] > 0
     return Matches(

@@ -53,7 +53,7 @@ def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray
 
 
 def spans(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> str:
-    """When estimates and truth begin and end."""
+    """Return the time spans of estimates and truth."""
     texts = [
         f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s" for column in (stamps, truth)
     ]

@@ -82,14 +82,15 @@ class TableOptions(Config):
     )
     azimuth: dict[Turned, Azimuth] = Field(
         {},
-        description="What does not count counter-clockwise from x (no unit): bearing, pose_yaw,"
-        " turn_rate or lidar (x and y of a LiDAR), each clockwise (from x; y to the right) or"
-        " compass (clockwise from y, which is north; x and y exchanged).",
+        description="Angles that are not counter-clockwise from x (no unit): bearing,"
+        " pose_yaw, turn_rate or lidar (x and y of a LiDAR), each clockwise (from"
+        " x; y to the right) or compass (clockwise from y, which is north; x and y"
+        " exchanged).",
     )
     clock: dict[SensorName, float] = Field(
         {},
-        description="How far the clocks of sensors are ahead, by sensor [s]: it is taken from"
-        " their times.",
+        description="Offset of the clocks of sensors, by sensor, positive if ahead [s]: it is"
+        " subtracted from their times.",
     )
 
 

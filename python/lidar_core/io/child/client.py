@@ -93,7 +93,7 @@ class _Forker:
             self._control = self._process = None
 
     def after_fork(self) -> None:
-        """A fork of this process has no readers: those are its parent's."""
+        """After a fork the child has no readers: they belong to its parent."""
         self._lock = threading.Lock()
         if self._control is not None:
             self._control.close()
@@ -197,7 +197,7 @@ class ReaderLink:
 
 
 def valued(answer: dict[str, Any]) -> Any:
-    """The value of an answer; its warnings and its error are given again."""
+    """Return the value of an answer; its warnings and its error are repeated here."""
     for name, text in answer.get("warned", ()):
         kind = getattr(errors, str(name), UserWarning)
         is_warning = isinstance(kind, type) and issubclass(kind, Warning)

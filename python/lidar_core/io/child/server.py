@@ -308,7 +308,7 @@ def _kinds(given: list[str] | None) -> frozenset[str] | None:
 
 
 def vars_of(topic: Topic) -> dict[str, Any]:
-    """Fields of a topic."""
+    """Return the fields of a topic."""
     names = ("name", "type", "kind", "count", "note")
     return {name: getattr(topic, name) for name in names}
 

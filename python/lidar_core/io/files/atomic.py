@@ -102,7 +102,7 @@ def commit(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def synced_together() -> Iterator[None]:
-    """Files that the block writes go to the disk at its end, at once, and not one by one.
+    """Write the files of a block to the disk together, at its end.
 
     For files that count only when a later file names them: after a loss of power within the block
     they may be empty. An error leaves them as they are. The block is for one thread of a process.

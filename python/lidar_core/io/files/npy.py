@@ -1,4 +1,4 @@
-"""Arrays of .npz archives, their sizes checked before memory is asked for."""
+"""Arrays of .npz archives; their sizes are checked before memory is allocated."""
 
 import math
 from io import BytesIO

@@ -68,7 +68,7 @@ class _Pending:
         self._size: int | None = None
 
     def add(self, part: _Part) -> bytes | None:
-        """The packet, if this was the fragment that it waited for."""
+        """Return the packet, if this was its last missing fragment."""
         self._parts[part.offset] = part.data
         if part.is_last:
             self._size = part.offset + len(part.data)

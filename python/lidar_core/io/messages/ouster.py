@@ -1,4 +1,4 @@
-"""Ouster's packets in ROS recordings: whose they are, and the scans of their frames."""
+"""Ouster's packets in ROS recordings: their sensors, and the scans of their frames."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace

@@ -372,7 +372,7 @@ def placed_scans(
 ) -> Iterator[tuple[Any, Placed]]:
     """Scans of one LiDAR with their poses; scans without a pose are counted.
 
-    Warnings are given to `note`, too.
+    Warnings are also passed to `note`.
     """
     odometry, source = KissOdometry(note), iter(scans)
     held = list(islice(source, 2))

@@ -186,7 +186,7 @@ def _shares(
 
 
 def advice(mismatch: FrameMismatch, *, frame: str, source: str) -> str:
-    """The mismatch in words, with the cure."""
+    """Describe the mismatch in words, with a remedy."""
     fits = (
         f"{mismatch.found:.0%} of the points of one scan then fit another scan, with the given"
         f" poses {mismatch.given:.0%}"

@@ -13,7 +13,7 @@ MAX_TOPICS = 64  # with scans that wait at once
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A record that came in, undecoded, and when."""
+    """A record that arrived, not yet decoded, with its time of arrival."""
 
     record: Record
     time_ns: int

@@ -1,4 +1,4 @@
-"""The rule by which popular ROS packages turn a group of points into a circle."""
+"""The rule of popular ROS packages for a circle from a group of points."""
 
 import numpy as np
 from numpy.typing import NDArray

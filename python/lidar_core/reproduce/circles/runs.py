@@ -89,7 +89,7 @@ def mapped(scene: Scene, config: CirclesConfig, *, seed: int, scans: int) -> Par
 
 
 def processed(pipeline: CirclePipeline, made: SimulatedSweep) -> CircleFrame:
-    """Give one scan to a pipeline, with everything that is known about it."""
+    """Process one scan with all its data in a pipeline."""
     scan = made.scan
     return pipeline.process(
         scan.ranges,
@@ -216,7 +216,7 @@ class MapRun:
 
 
 def lasting(ghosts: NDArray[np.float64]) -> int:
-    """Ghosts that count."""
+    """Return the false elements that last long enough to count."""
     return int(np.count_nonzero(ghosts > GHOST_TIME + 1e-6))
 
 

@@ -35,7 +35,7 @@ DRIFT = 0.01
 
 
 def as_they_are(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses without an error."""
+    """Return poses without an error."""
     return made.poses
 
 

@@ -1,4 +1,4 @@
-"""`circles-table3`: how wrong networks are on the lattice of circles."""
+"""`circles-table3`: errors of networks on the lattice of circles."""
 
 from collections.abc import Iterator, Sequence
 from functools import cache

@@ -51,7 +51,7 @@ def _measure(request: Request) -> Measured:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Flights in every condition; each sensor in turn at rest and driving, with and without."""
+    """Return flights in every condition and for each sensor, with and without target."""
     each = max(12, min(SCANS_PER_FLIGHT, request.scans // (4 * len(CONDITIONS))))
     count = max(2, round(request.scans / (each * len(CONDITIONS))))
     found = []

@@ -1,4 +1,4 @@
-"""Filters that the items of the third paper compare, as others publish them and as they do best."""
+"""Filters that the items of the third paper compare: as published, and our best ones."""
 
 from typing import Any
 

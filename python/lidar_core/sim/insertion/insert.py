@@ -1,4 +1,4 @@
-"""A simulated target in real scans: its rays end on it, all others stay as they were recorded."""
+"""A simulated target in real scans: its rays end on it, all others stay unchanged."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -49,15 +49,17 @@ class InsertedFlight(Config):
         "scan_rate": "there are 10 scans per second",
     }
     scans: int = Field(200, ge=1, description="Length (count, no unit).")
-    radius: float = Field(0.325, gt=0, description="Of the target [m].")
+    radius: float = Field(0.325, gt=0, description="Radius of the target [m].")
     clearance: float = Field(1.0, ge=0, description="Least free space around the target [m].")
-    distance: tuple[float, float] = Field((4.0, 18.0), description="From the sensor [m].")
+    distance: tuple[float, float] = Field(
+        (4.0, 18.0), description="Distance of the target from the sensor [m]."
+    )
     circle: tuple[float, float] = Field((3.0, 6.0), description="Radius of the flight [m].")
     speed: tuple[float, float] = Field((1.0, 4.0), description="Least and greatest [m/s].")
     range_std: float = Field(
         0.03, ge=0, description="Noise added to every range of a repeated scan [m]."
     )
-    range_max: float = Field(100.0, gt=0, description="Of the sensor [m].")
+    range_max: float = Field(100.0, gt=0, description="Largest range of the sensor [m].")
 
 
 @dataclass(frozen=True, slots=True)

@@ -168,7 +168,7 @@ class Meeting:
     def of(
         self, rays: Rays, rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], int]:
-        """Points on it at the time of each ray, rays that end there, that show it, that could."""
+        """Return its points at the times of rays, and rays that end there, show it, or could."""
         distance = self.target.distances(
             np.ascontiguousarray(self.target_from_ray[:, :3, 3]),
             np.einsum("mij,mj->mi", self.target_from_ray[:, :3, :3], rays.directions),

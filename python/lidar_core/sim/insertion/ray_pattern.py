@@ -1,4 +1,4 @@
-"""The rays that a recording does not show: which directions the sensor looked at in vain."""
+"""Rays that a recording does not contain: directions of rays without return."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

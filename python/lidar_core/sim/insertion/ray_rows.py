@@ -1,4 +1,4 @@
-"""Directions of rays without return, from the places that they have among the rows of a cloud."""
+"""Directions of rays without return, from the gaps between the rows of a cloud."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -79,7 +79,7 @@ class Person(Config):
         "width": "a trunk is 0.36 m wide",
     }
     kind: Literal["person"] = "person"
-    height: Length = Field(1.75, description="From the ground to the top of the head [m].")
+    height: Length = Field(1.75, description="Height of the top of the head above the ground [m].")
     rate: float = Field(0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz].")
 
     def surfaces(self) -> Placed:

@@ -161,7 +161,7 @@ class _HeldAgainst:
         return [*consistency_warnings(report), *report.warnings], _Section("Errors", body)
 
     def ways(self, start_ns: int) -> dict[int, NDArray[np.float64]]:
-        """Times [s] and positions [m] of every target, shape (S, 4)."""
+        """Return times [s] and positions [m] of every target, shape (S, 4)."""
         seconds = (self.truth.stamp_ns - start_ns) * 1e-9
         table = np.column_stack([seconds, self.truth.position])
         return {

@@ -32,7 +32,7 @@ def cases(function: Callable[..., Part], name: str, request: Request, scans: int
 
 
 def flown(scene: Scene, seed: int) -> Part:
-    """Simulate a scene and let the detectors of both modes see it."""
+    """Simulate a scene and run the detectors of both modes on it."""
     return fly(Simulator(scene, seed=seed), both_modes(), scans=scene.scans)
 
 

@@ -77,7 +77,7 @@ def processed(
     *,
     pose_covariance: NDArray[np.float64] | None = None,
 ) -> FlyingFrame:
-    """Give one scan to a detector, with everything that is known about it."""
+    """Process one scan with all its data in a detector."""
     return detector.process(replace(made.posed, pose_covariance=pose_covariance))
 
 

@@ -23,7 +23,7 @@ ATTACK_FROM, ATTACK_TO = 12.0, 2.5
 
 
 def follow(observer: Vector, target: Vector | None) -> Vector:
-    """Keep the distance, on the observer's own side; stay where it is without a target."""
+    """Keep the distance on the observer's own side; stay in place without a target."""
     return observer if target is None else _at_distance(observer, target, FOLLOW_DISTANCE)
 
 

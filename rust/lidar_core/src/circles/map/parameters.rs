@@ -81,7 +81,7 @@ pub struct LineRules {
 pub struct Independent {
     /// Modes of motion, 1 to [`MAX_MODES`].
     pub modes: Vec<MotionMode>,
-    /// Standing still, one more mode.
+    /// Mode of elements at rest.
     pub standing: Standing,
     /// Standard deviation of a centre beyond that of its fit, as far as the scans do not show it
     /// [m].

@@ -65,7 +65,7 @@ pub struct MapParameters {
     pub end_margin: f64,
     /// Rays that are cast.
     pub rays: Rays,
-    /// Voxels that rays pass: a matter of time alone, so files do not hold it.
+    /// Voxels that rays pass. They affect only the time, so files do not store this.
     pub skip: Skip,
     /// A value that rays have pulled to within 64 steps of `f32` from `g_free` becomes `g_free`. Otherwise
     /// rounding holds it there for ever, a step short or, where few rays pass, dozens.

@@ -79,7 +79,7 @@ impl VoxelMap {
             // The known background is gone: is there another?
             search.look_around(&self.occupied_layers());
         }
-        // With the place forgotten, too, things are as separate as in a map that holds it still.
+        // A forgotten anchor still counts, so that groups are as separate as in a map that kept it.
         let anchor = search.anchor().or(forgotten);
         let mut memory = search.finish();
         let mut separate = std::mem::take(&mut memory.separate);

@@ -35,8 +35,8 @@ pub struct Center {
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,
-    /// The radius if rays pass it as near to each other as its points are [m]: no more than `radius`, and less
-    /// where it is not known which rays passed.
+    /// Radius under the assumption that rays pass as near to each other as its points are [m]: at
+    /// most `radius`, and less if the rays that passed are unknown.
     pub least_radius: f64,
     /// Share of the rays inside the ellipse of its points that hit, 0 to 1: small for loose objects
     /// such as leaves.
