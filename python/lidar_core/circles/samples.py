@@ -62,7 +62,7 @@ class Samples:
         return counts
 
     def is_whole(self, scanner: Scanner) -> NDArray[np.bool_]:
-        """True for circles whose near side nothing hides or cuts: object, field of view, range."""
+        """True for circles whose near side is complete: nothing hides it, no limit cuts it."""
         x, y, radius = self.circles.astype(np.float64).T
         distance = np.hypot(x, y)
         half = np.arcsin(np.minimum(radius / distance, 1.0))

@@ -108,7 +108,7 @@ def flight(*, seed: int, number: int, scans: int, condition: str) -> Part:
 
 
 def turn_of(number: int) -> tuple[str, float]:
-    """Sensor and speed of flight `number`: all pairs in turn, with a target and without."""
+    """Return sensor and speed of flight `number`: flights go through all pairs in order."""
     group, place = divmod(number, EMPTY_PER_FLIGHT + 1)
     turn = group if is_with_target(number) else EMPTY_PER_FLIGHT * group + place - (place > 1)
     speed, sensor = divmod(turn, len(SENSORS))

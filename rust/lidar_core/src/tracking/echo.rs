@@ -115,8 +115,8 @@ impl EchoTrace {
         self.count >= FEWEST && self.log_odds(stands) > 0.0
     }
 
-    /// Logarithm of the odds of an echo; negative infinity if the track is too near, and, if
-    /// `stands`, if rest explains it as well.
+    /// Logarithm of the odds of an echo. It is negative infinity for a track that is too near, and,
+    /// where `stands` allows static targets, for a track that is a static target as well.
     #[must_use]
     pub fn log_odds(&self, stands: bool) -> f64 {
         let [apart, range, of_target] = self.sums.map(|sum| sum / f64::from(self.count));

@@ -83,8 +83,7 @@ pub struct Independent {
     pub modes: Vec<MotionMode>,
     /// Mode of elements at rest.
     pub standing: Standing,
-    /// Standard deviation of a centre beyond that of its fit, as far as the scans do not show it
-    /// [m].
+    /// Additional standard deviation of a centre beyond its fit, before the scans determine it [m].
     pub center_noise: f64,
     /// Density of the radius' random walk [m^2/s].
     pub radius_density: f64,
