@@ -84,7 +84,7 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
 def flights(
     name: str, function: Callable[..., Part], request: Request, *, longest: int
 ) -> list[Job]:
-    """Jobs `function(seed=, number=, scans=)` with `request.scans` scans in all, or nearly so.
+    """Return jobs `function(seed=, number=, scans=)` with about `request.scans` scans in total.
 
     A part has `longest` scans, or all of a shorter run.
     """

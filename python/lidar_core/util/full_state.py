@@ -98,7 +98,7 @@ class FullState(ABC):
             raise FormatError(f"byte 12: the state breaks its format: {error!r}") from error
 
     def save(self, path: str | Path) -> None:
-        """Write the whole state to a file, which is the old one or the new one, never a torn one.
+        """Write the whole state to a file atomically.
 
         Raises
         ------

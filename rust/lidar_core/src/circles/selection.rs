@@ -21,8 +21,8 @@ pub struct ShapeParameters {
     pub max_size: f64,
     /// Standard deviation of real outlines from their ideal shape [m].
     pub model_std: f64,
-    /// Least number of rays of a circle beside something nearer; with fewer it is used only if its
-    /// other end is free. Other shapes beside something nearer always need a free end.
+    /// Least number of rays of a circle that a nearer object may hide in part. A circle with fewer
+    /// rays is used only if its other end is free. Other shapes always need a free end there.
     pub min_hits: usize,
 }
 

@@ -151,7 +151,7 @@ def vehicle_measures(
 
 
 def people_measures(seen: Seen, persons: int) -> list[Measure]:
-    """Numbers that moved a metre, and persons, beside the known number of people who passed."""
+    """Count elements that moved a metre, and persons; the number of people is known."""
     paths: dict[int, list[Points]] = {}
     step = float(np.median(np.diff(seen.seconds)))
     alive: dict[int, float] = {}
