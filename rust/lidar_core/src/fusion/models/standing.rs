@@ -6,7 +6,7 @@ use super::platform::Platform;
 use super::state_conversion::StateConversion;
 use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix6, SMatrix, SVector, Vector2, Vector4, Vector6};
+use nalgebra::{SMatrix, SVector, Vector2, Vector4};
 
 /// Duration of an acceleration, after which the target is at rest again [s]: it moves the place and
 /// leaves no velocity.
