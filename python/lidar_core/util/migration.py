@@ -100,9 +100,13 @@ def _put(
 ) -> None:
     """Write a value into a list where its parameter has moved; the others are as usual."""
     index, name = _NUMBERS.index(moved[1]), moved[3]
-    if name not in table:
-        usual = next(one.model_fields[name].default for one in models if name in one.model_fields)
-        table[name] = [list(one) if isinstance(one, tuple) else one for one in usual]
+    field = next(one.model_fields[name] for one in models if name in one.model_fields)
+    if field.is_required():  # no usual values: all come from the file, one after another
+        listed = table.setdefault(name, [])
+        if isinstance(listed, list):
+            listed += [value] * (index + 1 - len(listed))
+    elif name not in table:
+        table[name] = [list(one) if isinstance(one, tuple) else one for one in field.default]
     with suppress(TypeError, IndexError):  # the next reading tells what is wrong with the list
         for entry in table[name] if moved[2] else [table[name]]:
             entry[index] = value
