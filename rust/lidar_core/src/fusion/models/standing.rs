@@ -107,6 +107,7 @@ impl StateConversion<4> for StandingTarget {
 mod tests {
     use super::*;
     use crate::fusion::models::motion::tests::check_in_plane as check;
+    use nalgebra::{Matrix6, Vector6};
 
     #[test]
     fn the_model_agrees_with_differences() {
