@@ -202,7 +202,7 @@ impl Bands {
         rows.resize(row_ends[ends.len()], 0);
         // Counting sort keeps rows ascending within a band. Each start moves to the end of its band.
         for (row, &band) in (0..).zip(&*band_of).filter(|(_, band)| **band != NO_BAND) {
-            let place = &mut row_ends[usize::from(band)]; // where the band begins, at first
+            let place = &mut row_ends[usize::from(band)];
             rows[*place] = row;
             *place += 1;
         }
