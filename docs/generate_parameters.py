@@ -122,7 +122,7 @@ def _sensor(name: str) -> str:
     if isinstance(model.pattern, Spinning):
         low, high = min(pattern["elevations_deg"]), max(pattern["elevations_deg"])
     elif isinstance(model.pattern, Rosette):
-        low, high = model.pattern.elevation_min_deg, model.pattern.elevation_max_deg
+        low, high = model.pattern.elevation_deg
         width = 2 * (model.pattern.azimuth_half_deg or 180.0)
     else:
         width = math.degrees(model.pattern.angle_increment) * (model.pattern.beams - 1)

@@ -1,4 +1,4 @@
-"""From raw LiDAR to the list of things around a robot that matter."""
+"""LiDAR processing for robots: flying objects, maps of round obstacles, and fusion with radar."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

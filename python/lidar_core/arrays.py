@@ -1,4 +1,4 @@
-"""Array aliases and the only public door for arrays: what passes here, the core can read."""
+"""Array aliases, and the only check of arrays from users before the core reads them."""
 
 from operator import index
 from typing import Any, TypeAlias
@@ -55,7 +55,7 @@ def as_rows(
 def as_finite_rows(
     values: ArrayLike, *, name: str, rows: int | None, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
-    """As `as_rows`, float64, and every number finite."""
+    """Convert like `as_rows` to float64, and check that every number is finite."""
     array = as_rows(values, name=name, rows=rows, shape=shape, dtype=np.float64)
     finite = np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
     if not finite.all():

@@ -61,7 +61,7 @@ class Config(BaseModel):
         Raises
         ------
         ConfigError
-            One line per problem: dotted path, what was expected, what was received.
+            One line per problem: dotted path, expected and received value.
         """
         return cls(**values)
 
@@ -72,7 +72,7 @@ class Config(BaseModel):
         Raises
         ------
         ConfigError
-            The file is no TOML, or a value is unknown or outside its range.
+            The file is not TOML, or a value is unknown or outside its range.
         """
         values = toml_values(read_whole(path), path)
         try:
@@ -81,7 +81,7 @@ class Config(BaseModel):
             raise in_file(error, path) from error
 
     def to_toml(self) -> str:
-        """Every value, as TOML that `read` accepts; "none" where there is no value."""
+        """Return every value, as TOML that `read` accepts; "none" for None."""
         return tomli_w.dumps(_without_null(self.model_dump(mode="json")))
 
 
@@ -91,8 +91,8 @@ def toml_values(content: bytes, place: str | Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        It is no TOML, or holds what no configuration needs: tables in tables without end, numbers
-        of thousands of digits.
+        It is not TOML, or contains values that no configuration needs: deeply nested tables,
+        numbers with thousands of digits.
     """
     try:
         return tomllib.loads(content.decode("utf-8"))
@@ -120,7 +120,7 @@ def as_config(config: ConfigT | None, model: type[ConfigT]) -> ConfigT:
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Decorator: an argument that its annotation does not allow raises ConfigError.
 
-    Annotations are read at the first call: they may hold the schemas of all models.
+    Annotations are read at the first call: they may contain the schemas of all models.
     """
     parameters = signature(function)
 
@@ -181,7 +181,7 @@ def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError
 
 
 def in_file(error: ConfigError, path: str | Path) -> ConfigError:
-    """The error of values that a file holds; of a file of an earlier version with the cure."""
+    """Return the error of values in a file, with a remedy for files of an earlier version."""
     cure = f"\n`lidar-core config migrate {path} -o NEW` writes a file without these"
     return ConfigError(f"{path}: {error}{cure if _OLD in str(error) else ''}")
 
@@ -245,7 +245,7 @@ def _removed(model: type[BaseModel], place: tuple[int | str, ...]) -> str | None
 
 
 def tables_at(model: type[BaseModel], place: Sequence[int | str]) -> list[type[BaseModel]]:
-    """Models that the table at `place` of a problem may be of."""
+    """Return the models that the table at `place` of a problem may belong to."""
     tables = [model]
     for part in place:
         if inner := [one.model_fields[part] for one in tables if part in one.model_fields]:

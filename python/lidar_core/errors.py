@@ -33,7 +33,7 @@ class MissingExtraError(LidarCoreError, ImportError):
 
 
 class LinkError(LidarCoreError, ConnectionError):
-    """A broker or server cannot be reached; the text says what to start or to name."""
+    """A broker or server cannot be reached; the text states a remedy."""
 
 
 class PluginError(LidarCoreError, ImportError):
@@ -45,7 +45,7 @@ class InternalError(LidarCoreError, RuntimeError):
 
 
 class OdometryWarning(UserWarning):
-    """Poses that were estimated from the scans are missing for some, or doubtful."""
+    """Poses estimated from the scans are missing for some scans, or are doubtful."""
 
 
 class PluginWarning(UserWarning):
@@ -53,25 +53,25 @@ class PluginWarning(UserWarning):
 
 
 class PoseFrameWarning(UserWarning):
-    """Poses that were given do not fit the scans, but would in another frame."""
+    """The given poses do not fit the scans, but they fit in another frame."""
 
 
 class TruthWarning(UserWarning):
-    """True places of a recording are missing, so that there is less to compare results with."""
+    """True places of a recording are missing, so fewer results can be compared."""
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """Which of `known` is spelt most like `name`; None if none is."""
+    """Return the entry of `known` that is spelt most like `name`; None if none is similar."""
     return next(iter(get_close_matches(name, list(known), n=1)), None)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """What to add to the refusal of a name that is none of `known`: the one that was meant."""
+    """Return a hint for an unknown name: the entry of `known` that was probably meant."""
     near = closest(name, known)
     return "" if near is None else f"; did you mean {near}?"
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """Text of that refusal; `what` the name is of."""
+    """Return the error text for an unknown name; `what` is the kind of thing that it names."""
     names = list(known)
     return f"{what}: expected one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"

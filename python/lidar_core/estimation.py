@@ -1,4 +1,4 @@
-"""What filters and their evaluation share."""
+"""Mathematics that filters and their evaluation share."""
 
 from lidar_core import _core
 

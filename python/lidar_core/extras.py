@@ -1,4 +1,4 @@
-"""Import of optional dependencies, in one place, with an error that gives the cure."""
+"""Import of optional dependencies in one place, with an error that states the install command."""
 
 import json
 from importlib import import_module
@@ -15,7 +15,7 @@ NAME = "lidar-core"
 
 
 def require(module: str, *, extra: str, purpose: str) -> Any:
-    """Import `module`, which the extra `extra` brings.
+    """Import `module`, which the extra `extra` installs.
 
     Raises
     ------
@@ -31,10 +31,10 @@ def require(module: str, *, extra: str, purpose: str) -> Any:
 
 
 def install_command(extra: str) -> str:
-    """Command that installs an extra from where this package came from.
+    """Return the command that installs an extra from the source of this package.
 
-    That is the package index, a wheel file, a checkout or a repository; pip notes it in
-    direct_url.json (PEP 610). Without that note it was the index.
+    The source is the package index, a wheel file, a checkout or a repository; pip notes it in
+    direct_url.json (PEP 610). Without that note it is the index.
     """
     try:
         note = json.loads(_distribution().read_text("direct_url.json") or "{}")

@@ -1,4 +1,4 @@
-"""Files that somebody names: regular files only, and text no longer than anybody writes."""
+"""Safe access to files that a user names: regular files only, and text of limited length."""
 
 import os
 import stat
@@ -20,7 +20,7 @@ _KINDS = {
 
 
 def check_regular(path: str | Path) -> Path:
-    """`path`, if a regular file is there: a pipe blocks its reader, a device may never end.
+    """Return `path` if it is a regular file: a pipe blocks its reader, a device may never end.
 
     Raises
     ------
@@ -53,12 +53,12 @@ def check_regular_or_folder(path: str | Path) -> Path:
 
 
 def check_name(path: Path) -> None:
-    """Refuse a name to write that is no UTF-8: notes and tables could not tell it.
+    """Reject a file name that is not UTF-8: run notes and tables could not contain it.
 
     Raises
     ------
     InputError
-        It is none.
+        The name is not UTF-8.
     """
     try:
         str(path).encode("utf-8")
@@ -91,9 +91,9 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
     Raises
     ------
     LimitError
-        It is longer than `limit` bytes, or than the memory that is left.
+        The file is longer than `limit` bytes, or than the free memory.
     FileNotFoundError, IsADirectoryError, FormatError
-        As of `check_regular`.
+        See `check_regular`.
     """
     place = check_regular(path)
     # Without O_NONBLOCK a pipe that took the file's place since would block here.
@@ -123,7 +123,7 @@ def read_text(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> str:
     FormatError
         It is no UTF-8.
     LimitError, FileNotFoundError, IsADirectoryError
-        As of `read_whole`.
+        See `read_whole`.
     """
     try:
         return read_whole(path, limit=limit).decode("utf-8")
@@ -141,7 +141,7 @@ def _refuse_special(place: Path, mode: int) -> None:
 
 @contextmanager
 def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Errors about a file name it."""
+    """Add the name of a file to errors about it."""
     name = os.fspath(path)
     try:
         yield

@@ -1,4 +1,4 @@
-"""What flows between readers, the simulator and the pipelines: scans in 3D and 2D, poses."""
+"""Messages between readers, simulator and pipelines: 3D scans, 2D scans, poses."""
 
 from dataclasses import dataclass, fields
 from enum import IntEnum
@@ -74,7 +74,7 @@ class ShownClass(IntEnum):
 
 
 class ShapeKind(IntEnum):
-    """What a segment is, and what its parameters mean."""
+    """Shape of a segment; it determines the meaning of the segment's parameters."""
 
     CIRCLE = 0
     """Centre x, y, radius [m]."""
@@ -116,19 +116,19 @@ class Scan(ShortRepr):
     stamp_ns : int
         Start of the scan [ns].
     points : ndarray, shape (N, 3) or (H, W, 3), float32
-        Coordinates [m]; NaN is no information (or no return, where `no_return` says so).
+        Coordinates [m]; NaN means no information, or no return where `no_return` is true.
     frame_id : str
         Name of the LiDAR's frame.
     no_return : ndarray, shape (N,), bool, optional
-        Rays that met nothing within range. None: the recording does not tell.
+        True for rays that met nothing within range. None: the recording does not state it.
     directions : ndarray, shape (N, 3), float32, optional
         Unit direction of every ray.
     point_time_ns : ndarray, shape (N,), int64, optional
         Absolute time of every point [ns].
     intensity, ring : ndarray, shape (N,), optional
-        As recorded.
+        Values of the recording.
     topic : str
-        Where in the recording it came from.
+        Topic of the recording.
     """
 
     stamp_ns: int
@@ -160,11 +160,11 @@ class LaserScan(ShortRepr):
     frame_id : str
         Name of the LiDAR's frame.
     intensity : ndarray, shape (B,), float32, optional
-        As recorded.
+        Values of the recording.
     time_increment_ns : int
-        From one ray to the next [ns]; 0: all rays at `stamp_ns`, or the recording does not tell.
+        Time from one ray to the next [ns]; 0: all rays at `stamp_ns`, or unknown.
     topic : str
-        Where in the recording it came from.
+        Topic of the recording.
     """
 
     stamp_ns: int
@@ -181,7 +181,7 @@ class LaserScan(ShortRepr):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Pose(ShortRepr):
-    """Where the frame `child_frame_id` is in the frame `frame_id` at one time.
+    """Pose of the frame `child_frame_id` in the frame `frame_id` at one time.
 
     Attributes
     ----------
@@ -192,11 +192,11 @@ class Pose(ShortRepr):
     matrix : ndarray, shape (4, 4), float64
         Rotation and translation [m].
     covariance : ndarray, shape (6, 6), float64, optional
-        Of translation and rotation, in the order x, y, z, roll, pitch, yaw.
+        Covariance of translation and rotation, in the order x, y, z, roll, pitch, yaw.
     is_static : bool
         True for a mounting that never changes.
     topic : str
-        Where in the recording it came from.
+        Topic of the recording.
     """
 
     stamp_ns: int
@@ -219,13 +219,14 @@ class PosedScan(ShortRepr, Generic[ScanT]):
     Attributes
     ----------
     scan : Scan or LaserScan
-        As recorded.
+        Scan of the recording.
     world_from_lidar : ndarray, shape (4, 4) or (K, 4, 4), float64
         One pose, or poses over the scan.
     pose_stamps_ns : ndarray, shape (K,), int64, optional
         Times of the poses [ns].
     pose_covariance : ndarray, shape (6, 6), float64, optional
-        Of translation [m^2] and angles about x, y, z [rad^2], where the source of the poses tells.
+        Covariance of translation [m^2] and of angles about x, y, z [rad^2], if the source of the
+        poses states it.
     """
 
     scan: ScanT
@@ -240,7 +241,7 @@ class PosedScan(ShortRepr, Generic[ScanT]):
 
     @property
     def posed(self) -> "PosedScan[ScanT]":
-        """The posed scan itself: simulated scans have it, too."""
+        """The posed scan itself: simulated scans have this attribute, too."""
         return self
 
 

@@ -46,7 +46,7 @@ class ObjectTable:
     Attributes
     ----------
     STATE : tuple of str
-        Names of the states that `covariance` is of.
+        Names of the states in `covariance`.
     """
 
     __slots__ = ()
@@ -124,7 +124,7 @@ class ObjectTable:
         Raises
         ------
         MissingExtraError
-            pandas is not installed; no extra brings it.
+            pandas is not installed; no extra installs it.
         """
         try:
             frame = import_module("pandas").DataFrame
@@ -144,7 +144,7 @@ class Boxes(ObjectTable):
     id : ndarray, shape (T,), int64
         Numbers of the tracks.
     position, velocity : ndarray, shape (T, 3), float64
-        [m], [m/s].
+        Position [m] and velocity [m/s].
     extent : ndarray, shape (T, 3), float64
         Sides of the bounding boxes [m].
     stamp_ns : int
@@ -167,20 +167,20 @@ class Tracks(Boxes):
     id : ndarray, shape (T,), int64
         Number of the track, never reused.
     position, velocity, acceleration : ndarray, shape (T, 3), float64
-        [m], [m/s], [m/s^2].
+        Position [m], velocity [m/s] and acceleration [m/s^2].
     covariance : ndarray, shape (T, 9, 9), float64
-        Of position, velocity and acceleration, in this order.
+        Covariance of position, velocity and acceleration, in this order.
     extent : ndarray, shape (T, 3), float64
         Sides of the bounding box of the last cluster or detection [m].
     n_detections : ndarray, shape (T,), int64
-        Detections that held the track.
+        Number of detections that updated the track.
     age : ndarray, shape (T,), float64
         Time since its first detection [s].
     existence : ndarray, shape (T,), float64
         Probability that there is a target; NaN where tracks are confirmed by counts.
     kind : ndarray, shape (T,), uint8
-        A `lidar_core.TrackKind` each: the one that is more probable than all others together,
-        UNKNOWN if there is none; FLYING where tracks are confirmed by counts.
+        A `lidar_core.TrackKind` each: the kind that is more probable than all others together, or
+        UNKNOWN; FLYING if tracks are confirmed by counts.
     kind_probability : ndarray, shape (T, 5), float64
         Probability of every `TrackKind`, by number, if there is a target; NaN where tracks are
         confirmed by counts.
@@ -200,7 +200,7 @@ class Tracks(Boxes):
 
     @property
     def flying(self) -> "Tracks":
-        """The tracks of kind FLYING: what pictures, viewers and evaluations show."""
+        """Return the tracks of kind FLYING: pictures, viewers and evaluations show these."""
         return self.where(self.kind == TrackKind.FLYING)
 
 
@@ -211,18 +211,19 @@ class FlyingDetections(ObjectTable):
     Attributes
     ----------
     position : ndarray, shape (M, 3), float64
-        Their centres [m]; with `FlyingConfig.position` "paper" the centroids of their points.
+        Centres of the objects [m]; with `FlyingConfig.position` "paper" the centroids of their
+        points.
     covariance : ndarray, shape (M, 3, 3), float64
-        Of the position of the object's centre [m^2].
+        Covariance of the position [m^2].
     radius : ndarray, shape (M,), float64
-        Of the sphere around each object [m].
+        Radius of the sphere around each object [m].
     extent : ndarray, shape (M, 3), float64
         Sides of the boxes around their points [m].
     n_points : ndarray, shape (M,), int64
         Points in the scan.
     confidence : ndarray, shape (M,), float64
-        0 to 1: share of free voxels around the object, less for few points; 0 if only
-        a track tells that it flies.
+        Confidence, 0 to 1: share of free voxels around the object, lower for few points; 0 if only
+        a track indicates that the object flies.
     time_ns : ndarray, shape (M,), int64
         When each was measured [ns]: the mean time of its points; the stamp of the scan where
         times of points are not given.
@@ -246,14 +247,14 @@ class CircleElements(ObjectTable):
     Attributes
     ----------
     id : ndarray, shape (M,), int64
-        Number of the element, never reused: one that was removed comes back, if a late scan
-        shows it, with another.
+        Number of the element, never reused: an element that was removed gets another number if a
+        late scan shows it again.
     center, velocity : ndarray, shape (M, 2), float64
-        [m], [m/s].
+        Centre [m] and velocity [m/s].
     radius : ndarray, shape (M,), float64
-        [m].
+        Radius [m].
     covariance : ndarray, shape (M, 5, 5), float64
-        Of x, y, vx, vy and r, in this order.
+        Covariance of x, y, vx, vy and r, in this order.
     age : ndarray, shape (M,), float64
         Time since its first measurement [s].
     seen_ns : ndarray, shape (M,), int64
@@ -261,14 +262,14 @@ class CircleElements(ObjectTable):
     visible : ndarray, shape (M,), bool
         A sensor's newest scan measured it, or should have: it is neither hidden nor out of view.
     person_probability : ndarray, shape (M,), float64
-        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs
-        where the scan meets them. 0 with the filter of the paper.
+        Probability that the element is a person, 0 to 1: by its walk, its size, and its two legs at
+        the height of the scan. 0 with the filter of the paper.
     existence : ndarray, shape (M,), float64
         Probability that there is an object, and not a chance group of rays, 0 to 1; 1 with the
         filter of the paper.
     kind : ndarray, shape (M,), uint8
-        A `TrackKind`: STATIC what has not moved, GROUND what moves, also while it stands; UNKNOWN
-        if undecided, and with the filter of the paper.
+        A `TrackKind`: STATIC for elements that have not moved, GROUND for elements that move or
+        have moved; UNKNOWN if undecided, and with the filter of the paper.
     kind_probability : ndarray, shape (M, 5), float64
         Probability of every `TrackKind`, if there is an object; the sum is 1.
     stamp_ns : int
@@ -299,23 +300,23 @@ class ShapeElements(ObjectTable):
     Attributes
     ----------
     id : ndarray, shape (K,), int64
-        Number of the element, never reused. An ellipse or rectangle that is not large is a circle
-        of the map, too, with the same number, which it keeps whatever it is taken for.
+        Number of the element, never reused. An ellipse or rectangle that is not large is also a
+        circle of the map. It keeps its number if its shape changes.
     kind : ndarray, shape (K,), uint8
         A `ShapeKind`.
     center, velocity : ndarray, shape (K, 2), float64
-        [m], [m/s]; lines are at rest. The centre of an ellipse or rectangle is its own, not that
-        of the circle.
+        Centre [m] and velocity [m/s]; lines are at rest. The centre of an ellipse or rectangle is
+        the centre of this shape, not of the circle.
     heading : ndarray, shape (K,), float64
-        Bearing of the longer half length [rad], -pi/2 to pi/2. Of a line that of the way from its
-        first to its second end, on the left of which it was seen.
+        Bearing of the longer half length [rad], -pi/2 to pi/2. For a line, direction from its first
+        to its second end; the scanner was on the left of it.
     half_size : ndarray, shape (K, 2), float64
-        Longer and shorter half length [m]; of a line half of what was seen of it, and 0.
+        Longer and shorter half length [m]; for a line, half the length of its seen part, and 0.
     ends : ndarray, shape (K, 2, 2), float64
-        Both ends of a line [m]: as far as it was seen.
+        Ends of the seen part of a line [m].
     covariance : ndarray, shape (K, 7, 7), float64
-        Of x, y, vx, vy, heading and the half lengths, in this order; of a line across it and of
-        its heading only: where it ends was seen, not estimated.
+        Covariance of x, y, vx, vy, heading and the half lengths, in this order. For a line, only
+        across it and of its heading: its ends are seen, not estimated.
     age : ndarray, shape (K,), float64
         Time since its first measurement [s].
     seen_ns : ndarray, shape (K,), int64
@@ -361,28 +362,28 @@ class TargetTracks(ObjectTable):
     id : ndarray, shape (T,), int64
         Numbers, never given again.
     states : ndarray, shape (T, n)
-        As the model has them.
+        States in the order of the model.
     covariances : ndarray, shape (T, n, n)
     velocity : ndarray, shape (T, 2)
-        [m/s].
+        Velocity [m/s].
     born_ns, seen_ns : ndarray, shape (T,), int64
         Times of the first and the last measurement [ns].
     hits : ndarray, shape (T,), int64
         Measurements.
     confirmed : ndarray, shape (T,), bool
-        Whether the track is reported.
+        True if the track is reported.
     existence : ndarray, shape (T,)
         Probability that there is a target; NaN for associations that do not estimate it.
     kind : ndarray, shape (T,), uint8
-        A `TrackKind`: the one that is more probable than all others together, UNKNOWN if there is
-        none. STATIC: it has stood for some 10 s, or for two minutes if it moved before. CLUTTER:
-        false measurements. FLYING: in space, if it climbs more steeply than roads do. All else
-        that moves is UNKNOWN, since nothing tells FLYING from GROUND; so is everything with the
-        model "ctrv-drone", whose frame moves.
+        A `TrackKind`: the kind that is more probable than all others together, or UNKNOWN. STATIC:
+        at rest for some 10 s, or for two minutes after a motion. CLUTTER: false measurements.
+        FLYING: in space, climbs more steeply than roads. Other moving targets are UNKNOWN, because
+        FLYING and GROUND cannot be distinguished; so are all targets with the model "ctrv-drone",
+        whose frame moves.
     kind_probability : ndarray, shape (T, 5)
-        Probability of every `TrackKind`, by number. Kinds that are not told apart have equal
-        probabilities. That of CLUTTER is what the association says, as of the last measurement;
-        "nearest" says nothing of it.
+        Probability of every `TrackKind`, by number. Kinds that cannot be distinguished have equal
+        probabilities. The probability of CLUTTER comes from the association at the last
+        measurement; "nearest" does not estimate it.
     """
 
     stamp_ns: int
@@ -406,21 +407,21 @@ class TargetTracks(ObjectTable):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class TargetTruth(ObjectTable):
-    """Where the targets are at the start of a scan, world frame, one row per target.
+    """States of the targets at the start of a scan, world frame, one row per target.
 
     Attributes
     ----------
     id : ndarray, shape (T,), int32
-        As in `SimulatedScan.label`.
+        Number of the target, as in `SimulatedScan.label`.
     position, velocity : ndarray, shape (T, 3), float64
-        Of the centre [m], [m/s].
+        Position [m] and velocity [m/s] of the centre.
     radius : ndarray, shape (T,), float64
-        Of the sphere around the target [m].
+        Radius of the sphere around the target [m].
     hits : ndarray, shape (T,), int64
         Points on the target in this scan.
     rays : ndarray, shape (T,), int64
-        Rays that would meet it within range if nothing else were there: 0 out of the field of
-        view or out of range; far more than `hits` if it is hidden.
+        Rays that would hit it within range if nothing else were there: 0 outside the field of view
+        or range; many more than `hits` if it is hidden.
     visible : ndarray, shape (T,), bool
         At least one point.
     """
@@ -436,22 +437,22 @@ class TargetTruth(ObjectTable):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ObjectTruth(ObjectTable):
-    """What a 2D LiDAR could see at the start of a scan, world frame, one row per target.
+    """Objects within the reach of a 2D LiDAR at the start of a scan, world frame, one row each.
 
     Attributes
     ----------
     id : ndarray, shape (T,), int32
-        As in `SimulatedSweep.label`.
+        Number of the target, as in `SimulatedSweep.label`.
     kind : tuple of str
         Kinds of shape.
     center, velocity : ndarray, shape (T, 2), float64
-        Of the shape's frame [m], [m/s].
+        Centre [m] and velocity [m/s] of the frame of the shape.
     radius : ndarray, shape (T,), float64
-        Of a cylinder or barrel [m]; NaN for what is not round.
+        Radius of a cylinder or barrel [m]; NaN for other shapes.
     hits : ndarray, shape (T,), int64
         Rays of this scan that ended on it.
     rays : ndarray, shape (T,), int64
-        Rays that would meet it within range if nothing else were there.
+        Rays that would hit it within range if nothing else were there.
     """
 
     id: NDArray[np.int32]
@@ -464,7 +465,7 @@ class ObjectTruth(ObjectTable):
 
     @property
     def visible_share(self) -> NDArray[np.float64]:
-        """Hits per ray that could meet it, shape (T,); 0 where there is none."""
+        """Hits per ray that could hit it, shape (T,); 0 without such rays."""
         return self.hits / np.maximum(self.rays, 1)
 
 
@@ -477,9 +478,9 @@ class Objects(ObjectTable):
     id : ndarray, shape (K,), int64
         Numbers.
     position, velocity : ndarray, shape (K, 3), float64
-        [m], [m/s]; heights are zero in the plane.
+        Position [m] and velocity [m/s]; heights are zero in the plane.
     covariance : ndarray, shape (K, 3, 3), float64
-        Of the position [m^2]; zero where unknown.
+        Covariance of the position [m^2]; zero if unknown.
     size : ndarray, shape (K, 3), float64
         Sides of the bounding boxes [m]; circles have no height; zero where unknown.
     """

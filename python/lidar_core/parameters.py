@@ -1,4 +1,4 @@
-"""What can be configured: every model with its parameters, and files to start from."""
+"""List of all configuration models and their parameters, and configuration files to start from."""
 
 import json
 import re
@@ -58,11 +58,11 @@ class Parameter:
     Attributes
     ----------
     name, type, description : str
-        The description carries the unit.
+        Name, type and description with unit.
     default : str
-        As TOML writes it; "required" where there is none.
+        Default in TOML; "required" if there is none.
     range : str
-        What is allowed; empty without a bound.
+        Allowed range; empty if it has no bound.
     """
 
     name: str
@@ -111,7 +111,7 @@ def models_within(model: type[Config]) -> list[type[Config]]:
 
 
 def commented_toml(config: Config) -> str:
-    """Every value as TOML that `Config.read` accepts, each with what it means and may be."""
+    """Return every value as TOML that `Config.read` accepts, each with its meaning and range."""
     described: set[type[BaseModel]] = set()
     return "\n".join(_section(config, "", "", described)) + "\n"
 

@@ -1,8 +1,8 @@
 """Readers, writers and metrics: registered by a decorator, also by other packages.
 
-The parts of this package lie in folders whose files are imported when a part is first looked for.
-Those of other packages are found by their entry points. A broken package does not affect the
-others: a warning names it, and so does the error if something is asked for that nobody knows.
+The parts of this package are in folders whose files are imported when a part is first needed. The
+parts of other packages are found by their entry points. A broken package does not affect the
+others: a warning names it, and so does the error about an unknown name.
 """
 
 import sys
@@ -19,11 +19,11 @@ from lidar_core.errors import ConfigError, LidarCoreError, PluginError, PluginWa
 
 
 class Part(Protocol):
-    """What can be registered."""
+    """Part that can be registered."""
 
     @property
     def name(self) -> str:
-        """By which it is found; unique in its registry."""
+        """Name of the part, unique in its registry."""
 
     @property
     def module(self) -> str:
@@ -34,7 +34,7 @@ PartT = TypeVar("PartT", bound=Part)
 
 
 class Registry(Generic[PartT]):
-    """Parts of one sort: those of this package in the order of their modules, then the others.
+    """Parts of one kind: those of this package in the order of their modules, then the others.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Registry(Generic[PartT]):
             return sorted(own, key=lambda part: part.module) + others
 
     def registered(self) -> list[PartT]:
-        """Parts so far, those of this package among them; plugins are not looked for."""
+        """Parts registered so far, including those of this package; plugins are not searched."""
         with self._lock:
             if not self._is_loading:
                 self._load_own()
@@ -104,7 +104,7 @@ class Registry(Generic[PartT]):
         PluginError
             The plugin of this name is broken.
         ConfigError
-            There is none.
+            There is no such part.
         """
         known = {part.name: part for part in self.parts()}
         if name in known:
@@ -120,7 +120,7 @@ class Registry(Generic[PartT]):
         return list(self._broken.values())
 
     def plugin_of(self, part: PartT) -> EntryPoint | None:
-        """The entry point that brought a part; None for those of this package and of scripts."""
+        """Return the entry point of a part; None for parts of this package and of scripts."""
         for entry, names in self._loaded.items():
             if part.name in names:
                 return entry
@@ -130,7 +130,7 @@ class Registry(Generic[PartT]):
 
     @contextmanager
     def calling(self, part: PartT) -> Iterator[None]:
-        """Turn a mistake in a part from outside into an error that says where it is from.
+        """Turn an exception in a part of another package into an error that names the package.
 
         Raises
         ------
@@ -188,12 +188,12 @@ class Registry(Generic[PartT]):
 
 
 def registering_module() -> str:
-    """Module that calls the caller's function: a part may be of a function from elsewhere."""
+    """Return the module that registers a part: the part itself may come from elsewhere."""
     return sys._getframe(2).f_globals.get("__name__") or ""
 
 
 def check_choice(what: str, name: str, choices: object) -> None:
-    """Refuse a value that is none of those of a `Literal`.
+    """Reject a value that is not in a `Literal`.
 
     Raises
     ------

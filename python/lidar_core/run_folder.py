@@ -1,4 +1,4 @@
-"""The folder that a run writes: whole files, and a note of what made them."""
+"""The folder that a run writes: complete files, and a note about their origin."""
 
 import csv
 import hashlib
@@ -70,16 +70,16 @@ class RunFolder:
     path : Path
         Made by `begin` if missing.
     overwrite : bool
-        Whether to replace what an earlier run left there. Other files are never touched.
+        Replace the results of an earlier run in the folder. Other files are never touched.
     reads : Path, optional
         Recording that the run reads.
     resume : bool
-        Whether to go on with a run that did not come to its end.
+        Continue a run that did not finish.
 
     Raises
     ------
     InputError
-        Its name is no UTF-8.
+        The name of the folder is not UTF-8.
     FileExistsError
         There is something in it, and `overwrite` is not given, or no run wrote it; or the
         recording lies in it; or the run is complete, and `resume` is given.
@@ -113,7 +113,7 @@ class RunFolder:
             raise FileExistsError(f"{path}: holds the recording to read; choose another folder")
 
     def begin(self) -> None:
-        """Make the folder, and remove what an earlier run left in it, save what is resumed.
+        """Make the folder, and remove the files of an earlier run, except those that are continued.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class RunFolder:
         shutil.rmtree(self.path / TRACKS_FOLDER, ignore_errors=True)
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a text file, whole or not at all."""
+        """Write a text file atomically."""
         with written_whole(self.path / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
@@ -169,7 +169,7 @@ class RunFolder:
 
 
 def remove_checkpoint(folder: Path) -> None:
-    """Remove what a run left to go on from: first of all what names its parts."""
+    """Remove the checkpoint of a run, beginning with the file that names its parts."""
     (folder / CHECKPOINT).unlink(missing_ok=True)
     for part in folder.glob(".checkpoint-*"):
         part.unlink(missing_ok=True)
@@ -182,7 +182,7 @@ _LOCKS: dict[Path, int] = {}
 def lock(folder: Path) -> None:
     """Keep other processes from writing a run to `folder`, until `unlock` or the end of this one.
 
-    Systems that know no such locks go without.
+    Systems without such locks run without a lock.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def unlock(folder: Path) -> None:
 
 
 def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any) -> str:
-    """What made some results, as TOML: command, versions, inputs, effective configuration."""
+    """Return a note about results in TOML: command, versions, inputs, configuration."""
     note = {
         "command": command_line(),
         **more,
@@ -262,7 +262,7 @@ def fingerprint(path: Path) -> dict[str, Any]:
 
 @cache
 def build_digest() -> str:
-    """Digest of the core and of the package: what another build made may be something else."""
+    """Return a digest of the core and of the package: other builds may give other results."""
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())

@@ -24,11 +24,11 @@ class Sensor:
     title : str
         Maker and name.
     note : str
-        What the numbers stand for, and what differs from the real pattern.
+        Origin of the numbers, and differences from the real pattern.
     model : mapping
         Values of `lidar_core.sim.LidarModel`.
     delivery : str
-        What its driver makes of rays without return, as `lidar_core.sim.LidarModel.delivery`:
+        Output of the driver for rays without return, as `lidar_core.sim.LidarModel.delivery`:
         "dropped" rows, rows of "zeros", "organised" rows of NaN, or "rays" that are all known.
     """
 
@@ -60,7 +60,7 @@ def sensor_named(name: str, *, kind: str | None = None) -> Sensor:
     Raises
     ------
     ConfigError
-        There is none, or none with such a pattern.
+        There is no such sensor, or it has another pattern.
     """
     known = [one for one, sensor in SENSORS.items() if kind in (None, sensor.pattern["kind"])]
     if name not in known:
@@ -78,8 +78,7 @@ def _spinning(elevations_deg: tuple[float, ...], columns: int, **more: Any) -> d
 
 
 def _rosette(elevation_deg: tuple[float, float], **pattern: Any) -> dict[str, Any]:
-    low, high = elevation_deg
-    return {"kind": "rosette", "elevation_min_deg": low, "elevation_max_deg": high, **pattern}
+    return {"kind": "rosette", "elevation_deg": elevation_deg, **pattern}
 
 
 def _planar(angle_deg: float, beams: int, sweep_time: float, **more: Any) -> dict[str, Any]:

@@ -17,7 +17,7 @@ class Use:
     model : str
         Name of the model that it configures, in `lidar_core.parameters.MODELS`.
     title : str
-        What it is for.
+        Purpose.
     maker : str
         Name of the model's class method that makes its configuration.
     """
@@ -27,7 +27,7 @@ class Use:
     maker: str
 
     def config(self) -> Config:
-        """Its configuration, whole."""
+        """Complete configuration of the use."""
         made: Config = getattr(model_named(self.model), self.maker)()
         return made
 
@@ -48,7 +48,7 @@ def use_named(name: str) -> Use:
     Raises
     ------
     ConfigError
-        There is none.
+        There is no such use.
     """
     if name not in USES:
         raise ConfigError(unknown("use", name, USES))

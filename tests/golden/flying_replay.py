@@ -103,9 +103,7 @@ def _scans(name):
         "organised": lambda: yard(lidar(delivery="organised"), _ROUND),
         "rosette": lambda: yard(
             LidarModel(
-                pattern=Rosette(
-                    rays=6000, elevation_min_deg=-20, elevation_max_deg=25, azimuth_half_deg=100
-                ),
+                pattern=Rosette(rays=6000, elevation_deg=(-20, 25), azimuth_half_deg=100),
                 delivery="dropped",
             ),
             _ROUND,

@@ -1,4 +1,4 @@
-"""What a batch is to do: commands, with every combination of the values given for their parts."""
+"""Configuration of a batch: commands, run once for every combination of the listed values."""
 
 import glob
 import re
@@ -28,14 +28,14 @@ _PLACE = re.compile(r"\{(\w*)\}")
 class BatchGroup(Config):
     """Jobs that differ in the values of {NAME} in their commands.
 
-    A job is one value of every entry of `grid`, `ranges` and `files`, with one of `rows`;
-    {output} is a folder of its own.
+    A job is one value of every entry of `grid`, `ranges` and `files`, with one of `rows`; {output}
+    is the folder of the job.
     """
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][\w.-]*$",
         max_length=60,
-        description="What the folders of its jobs begin with (no unit).",
+        description="Start of the folder names of its jobs (no unit).",
     )
     commands: tuple[str, ...] = Field(
         min_length=1, description="Commands without `lidar-core`, one after the other (no unit)."
@@ -127,9 +127,9 @@ class BatchJob:
     group : str
         Name of the group.
     values : dict
-        Of every {NAME}.
+        Value of every {NAME}.
     commands : tuple of tuple of str
-        Arguments of each command; {output} still stands in them.
+        Arguments of each command, with {output} not yet replaced.
     """
 
     group: str

@@ -1,4 +1,4 @@
-"""Tasks that need nothing of each other, over the processes of a machine or of a Ray cluster."""
+"""Independent tasks, spread over the processes of a machine or of a Ray cluster."""
 
 import os
 from collections import Counter, deque
@@ -22,11 +22,11 @@ class Task:
     Attributes
     ----------
     name : str
-        For messages.
+        Name of the task in messages.
     function : callable
-        With the same arguments always the same result.
+        Function that does the work; equal arguments always give an equal result.
     arguments : mapping
-        Of the function.
+        Arguments of the function.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What kept a task from its result: an exception, or the end of its process."""
+    """Reason why a task has no result: an exception, or the end of its process."""
 
     error: Exception
 
@@ -46,8 +46,8 @@ def completed(
 ) -> Generator[tuple[int, Any], None, None]:
     """Do all tasks; yield the number of each and its result, or a `Failure`, as they end.
 
-    A task that fails, or whose process dies `ATTEMPTS` times, leaves the others alone. Closing the
-    iterator, as Ctrl-C does, ends what is running.
+    A task that fails, or whose process dies `ATTEMPTS` times, does not affect the others. Closing
+    the iterator, as Ctrl-C does, ends the running tasks.
 
     Parameters
     ----------

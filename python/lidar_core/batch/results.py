@@ -1,4 +1,4 @@
-"""What came of the jobs of a batch: a note in every folder, and one table of all."""
+"""Results of the jobs of a batch: a file job.json in every folder, and one table of all jobs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -18,28 +18,28 @@ FIRST = ("job", "group", "key", "status", "seconds", "error")
 
 @dataclass(frozen=True, slots=True)
 class JobRecord:
-    """What job.json says.
+    """Content of job.json.
 
     Attributes
     ----------
     job : str
         Name of the folder.
     group : str
-        Name of the group.
+        Digest of all that determines the result: commands, files, versions.
     key : str
-        Digest of what makes the result: commands, files, versions.
+        Digest of everything that determines the result: commands, files, versions.
     status : str
-        running, done or failed; "running" of a job that no process does was cut.
+        "running", "done" or "failed". A job is "running" without a process if it was interrupted.
     seconds : float
-        How long it took [s].
+        Duration of the job [s].
     error : str
-        What went wrong.
+        Error message of a failed job.
     values : dict
-        Of every {NAME}.
+        Value of every {NAME}.
     numbers : dict
-        What the commands tell as JSON, by dotted path.
+        Numbers of the JSON results of the commands, by dotted path.
     events : list of dict
-        What happened to the objects of its runs, a row each.
+        Events of the objects of the job's runs, one row each.
     """
 
     job: str
@@ -54,7 +54,7 @@ class JobRecord:
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
-        """The record of a folder; None where there is none that can be read."""
+        """Read the record of a folder; None if there is no readable one."""
         try:
             return cls.parsed(check_regular(folder / NOTE).read_bytes())
         except (OSError, ValueError):
@@ -62,16 +62,17 @@ class JobRecord:
 
     @classmethod
     def parsed(cls, data: bytes) -> Self | None:
-        """The record that a job.json holds; None where it is none."""
+        """Read the record in a job.json; None if it is not one."""
         try:
             return cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):
             return None
 
     def write(self, folder: Path, *, is_first: bool = False) -> None:
-        """Write job.json, whole or not at all; `is_first`: no earlier one has to be replaced.
+        """Write job.json atomically; `is_first`: there is no earlier one to replace.
 
-        The first need not be on the disk before the job goes on: a job without one begins again.
+        The first job.json need not reach the disk before the job continues: a job without one
+        starts again.
         """
         text = json.dumps(asdict(self), indent=2) + "\n"
         with written_whole(folder / NOTE, synced=not is_first) as temporary:
@@ -79,7 +80,7 @@ class JobRecord:
 
 
 def flat(value: Any, path: str = "") -> dict[str, Any]:
-    """Numbers, texts and truths by their dotted paths; rows of a list by their names."""
+    """Flatten nested results: values by dotted path, rows of a list by name."""
     if isinstance(value, Mapping):
         items = [(str(name), inner) for name, inner in value.items()]
     elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
@@ -96,7 +97,7 @@ def flat(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def write_results(path: Path, records: Sequence[JobRecord]) -> Path:
-    """Write one row per job: what it was, how it ended, its values and its numbers.
+    """Write one row per job: its parameters, its outcome, its values and its numbers.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ NetworkName: TypeAlias = Annotated[str, Field(pattern=r"^(cnn|paper-cnn|.+\.onnx
 
 
 class CirclesConfig(Config):
-    """From 2D scans to the map: `CirclesConfig()` is best mode, `.paper()` the paper.
+    """Configuration from 2D scans to the map: `CirclesConfig()` is best mode, `.paper()` the paper.
 
     Source: Sanchez-Lopez et al., "Deep learning based semantic situation awareness system for
     multirotor aerial robots using LIDAR", 2019, secs. III-V.
@@ -31,8 +31,8 @@ class CirclesConfig(Config):
     )
     detector: Annotated[FitMethod | NetworkName, BeforeValidator(checked)] = Field(
         "ml",
-        description="How a circle is estimated from a segment (no unit); it overrides"
-        " `fit.method`. Also a network: one that comes with the package, or an .onnx file.",
+        description="Estimator of circles from segments (no unit); it overrides `fit.method`."
+        " Also a network: one of the package, or an .onnx file.",
     )
     preprocess: PreprocessConfig = PreprocessConfig()
     segment: SegmentConfig = SegmentConfig()
@@ -46,7 +46,7 @@ class CirclesConfig(Config):
     shapes: ShapeConfig = ShapeConfig()
     map: CircleMapConfig = CircleMapConfig()
     on_bad_scan: Literal["raise", "count"] = Field(
-        "raise", description="What to do with a scan that cannot be used (no unit)."
+        "raise", description="Reaction to a scan that cannot be used (no unit)."
     )
 
     @classmethod
@@ -58,9 +58,9 @@ class CirclesConfig(Config):
     def paper(cls, **changes: Any) -> Self:
         """The stages as published, with given changes.
 
-        Circles come from the paper's network, which knows the paper's scanner: a pipeline with
-        another one raises ConfigError. `CirclesConfig.paper(detector="taubin")` has all other
-        stages as published, and is for any scanner.
+        Circles come from the paper's network, which was trained for the paper's scanner: a pipeline
+        with another scanner raises ConfigError. `CirclesConfig.paper(detector="taubin")` has all
+        other stages as published and works with any scanner.
         """
         paper = {
             "detector": "paper-cnn",

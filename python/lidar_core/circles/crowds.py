@@ -1,4 +1,4 @@
-"""Scans of several circles and walls at once, made of samples of single circles."""
+"""Scans of several circles and walls, combined from samples of single circles."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ _WALL_LENGTH = (1.0, 6.0)
 
 @dataclass(frozen=True, slots=True)
 class Crowds:
-    """Scans, and which circle each ray met.
+    """Scans, with the circle that each ray hit.
 
     Attributes
     ----------
@@ -34,20 +34,20 @@ class Crowds:
 def crowds(
     samples: Samples, scanner: Scanner, *, per_scan: int, walls: int = 0, seed: int = 0
 ) -> Crowds:
-    """Let neighbouring samples share a scan: of all that a ray meets the nearest is seen.
+    """Let neighbouring samples share a scan: each ray ends at the nearest object.
 
     Parameters
     ----------
     samples : Samples
         Single circles.
     scanner : Scanner
-        That they were made for.
+        Scanner that the samples were made for.
     per_scan : int
         Circles in every scan, >= 1; fewer in the last one.
     walls : int
         Walls in every scan: straight, 1 to 6 m long, with their middle at least 1 m away.
     seed : int
-        Of the walls.
+        Seed of the walls.
 
     Examples
     --------

@@ -45,15 +45,15 @@ class CircleDataset:
     Attributes
     ----------
     folder : Path
-        Where it is.
+        Folder of the dataset.
     config : DatasetConfig
-        How it was made.
+        Configuration that the dataset was made with.
     seed : int
-        Of circles, noise and split.
+        Seed of circles, noise and split.
     n_samples : int
-        Of all shards, those that are still to be made included.
+        Number of samples in all shards, including shards that are not made yet.
     shards : tuple of str
-        Files that are there, in order.
+        Existing files, in order.
     """
 
     folder: Path
@@ -110,7 +110,7 @@ def lattice(config: DatasetConfig) -> NDArray[np.float64]:
 
 
 def split(config: DatasetConfig, n_samples: int, part: Part, *, seed: int) -> NDArray[np.int64]:
-    """Numbers of the samples in one part of a dataset of so many, ascending; Table II."""
+    """Return the numbers of the samples in one part of a dataset, ascending; Table II."""
     if part == "all":
         return np.arange(n_samples)
     together = config.draws if config.split_by == "circle" else 1
@@ -135,18 +135,18 @@ def generate(
     threads: int = 1,
     on_shard: Callable[[int, int], None] | None = None,
 ) -> CircleDataset:
-    """Make a dataset in a folder, or what is missing of it.
+    """Make a dataset in a folder, or complete one.
 
     Parameters
     ----------
     config : DatasetConfig
-        What is in it.
+        Content of the dataset.
     folder : str or Path
-        Where; made if missing. Shards that are there and whole are kept.
+        Folder of the dataset; created if missing. Complete shards in it are kept.
     seed : int
         Decides circles, noise and split.
     threads : int
-        The result is the same.
+        Number of threads; the result does not depend on it.
     on_shard : callable, optional
         Called with shards done and all shards, after each.
 
@@ -185,7 +185,7 @@ def open_dataset(folder: str | Path, *, verify: bool = False) -> CircleDataset:
     Parameters
     ----------
     folder : str or Path
-        What `generate` made.
+        Folder that `generate` made.
     verify : bool
         Compare the checksum of every shard.
 

@@ -12,7 +12,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 
 class DatasetConfig(Config):
-    """Which circles a scanner is shown, and what disturbs its view; defaults: the paper's.
+    """Circles in front of a scanner, and disturbances of its view; the defaults are the paper's.
 
     Ranges of values, as `range_std`, are drawn from uniformly, once per sample. Source:
     Sanchez-Lopez et al., sec. IV-B, Table II.
@@ -31,7 +31,7 @@ class DatasetConfig(Config):
         "lattice",
         description="Circles on a lattice as published, or anywhere (no unit).",
     )
-    scanner: Scanner = Field(Scanner(), description="What looks at the circles.")
+    scanner: Scanner = Field(Scanner(), description="Scanner that measures the circles.")
     reach: float = Field(
         10.0, gt=0, le=1000, description="Centres lie within this of the scanner in x and y [m]."
     )
@@ -67,8 +67,9 @@ class DatasetConfig(Config):
     )
     split_by: Literal["sample", "circle"] = Field(
         "sample",
-        description="What is dealt out to training, validation and test: samples as published,"
-        " which puts measurements of one circle into several, or circles (no unit).",
+        description="Unit of the split into training, validation and test: samples as"
+        " published, which puts measurements of one circle into several parts, or"
+        " circles (no unit).",
     )
     validation_share: float = Field(
         0.16, ge=0, lt=1, description="Share of samples for validation, Table II (no unit)."
@@ -82,7 +83,7 @@ class DatasetConfig(Config):
 
     @classmethod
     def continuous(cls, *, circles: int) -> Self:
-        """Circles anywhere, none of them in two parts of the dataset."""
+        """Return a configuration with circles anywhere, each in only one part of the dataset."""
         return cls(kind="continuous", circles=circles, draws=1, split_by="circle")
 
     @model_validator(mode="after")

@@ -39,20 +39,19 @@ class CirclePipeline(FullState):
     """Maps round obstacles with one or several 2D LiDARs.
 
     Every scan is limited to the operating volume, projected into the horizontal plane and
-    segmented; a circle and the shape are estimated per segment; what is round or nearly so is
-    taken into the map. Scans of
-    several LiDARs, told apart by name, go into one map.
+    segmented. A circle and the shape are estimated per segment. Round and nearly round objects
+    enter the map. Scans of several LiDARs, distinguished by name, enter one map.
 
     Parameters
     ----------
     config : CirclesConfig
         `CirclesConfig()` is best mode, `CirclesConfig.paper()` the paper.
     estimator : callable, optional
-        In place of `config.detector`: is given ranges (B,), bearings (B,) and `Segments` in the
-        level frame, and returns `Circles`, one per segment.
+        Replaces `config.detector`: it gets ranges (B,), bearings (B,) and `Segments` in the level
+        frame, and returns `Circles`, one per segment.
     allow_untrusted : bool
         Run a `config.detector` that is an ONNX file neither shipped nor exported by this user. A
-        configuration cannot say so itself.
+        configuration file cannot set this.
 
     Raises
     ------
@@ -145,7 +144,7 @@ class CirclePipeline(FullState):
         pose_covariance: ArrayLike | None = None,
         scanner: str | None = None,
     ) -> CircleFrame:
-        """Take in one scan: a posed scan, or its arrays.
+        """Process one scan: a posed scan, or its arrays.
 
         Parameters
         ----------
@@ -166,7 +165,8 @@ class CirclePipeline(FullState):
         pose_covariance : array_like, shape (6, 6), float64, optional
             Covariance of translation [m^2] and of the angles about x, y, z [rad^2].
         scanner : str, optional
-            Which of several LiDARs; without it "lidar", of a posed scan its topic or frame.
+            Name of the LiDAR, if there are several. Default: "lidar", or for a posed scan its topic
+            or frame.
 
         Returns
         -------
@@ -231,7 +231,7 @@ class CirclePipeline(FullState):
         return elements_of(self._pipeline.map_at(stamp), stamp)
 
     def shapes_at(self, stamp_ns: int) -> ShapeElements:
-        """Confirmed elements that are no circles, predicted to any time [ns]; nothing changes."""
+        """Return confirmed elements other than circles, predicted to any time [ns]."""
         stamp = as_stamp(stamp_ns)
         return shape_elements_of(self._pipeline.shapes_at(stamp), stamp)
 
@@ -240,7 +240,7 @@ class CirclePipeline(FullState):
         self._pipeline.reset()
 
     def health(self) -> CirclesHealth:
-        """Scans counted since the start, and what they tell about the scanner."""
+        """Return counts of scans since the start, and estimated properties of the scanner."""
         return self._health
 
     def _process(

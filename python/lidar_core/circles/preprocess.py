@@ -45,8 +45,8 @@ def limit_range(
     Returns
     -------
     ranges : ndarray, shape (B,), float64
-        Surfaces outside the volume are misses (+inf), for their rays have passed the volume; those
-        that hide it are no information (NaN).
+        Range of every ray [m]. Surfaces outside the volume become misses (+inf), because their rays
+        have passed the volume; surfaces that hide the volume become no information (NaN).
 
     Raises
     ------
@@ -90,7 +90,8 @@ def project_horizontal(
     Parameters
     ----------
     ranges, bearings, world_from_lidar, stamp_ns, ray_time_ns, pose_stamps_ns
-        As for `limit_range`. With a stream of poses the motion during the sweep is taken out.
+        Same meaning as in `limit_range`. With a stream of poses, the motion during the sweep is
+        corrected.
     mode : str
         "exact": every point as seen from above; "paper": ranges by cos(pitch) cos(roll), bearings
         as they are, eq. 5.
@@ -152,7 +153,7 @@ def times(
     ray_time_ns: ArrayLike | None,
     pose_stamps_ns: ArrayLike | None,
 ) -> dict[str, Any]:
-    """The times of a scan, checked, by the names of the core."""
+    """Return the checked times of a scan as keyword arguments of the core."""
     of_rays = _stamps(ray_time_ns, "ray_time_ns", rays)
     of_poses = _stamps(pose_stamps_ns, "pose_stamps_ns", None)
     if stamp_ns is None:

@@ -1,4 +1,4 @@
-"""What the circle pipeline says about one scan."""
+"""Results of the circle pipeline for one scan."""
 
 import re
 from collections.abc import Mapping
@@ -28,43 +28,44 @@ class CircleFrame(ShortRepr):
     stamp_ns : int
         Time of the scan [ns].
     scanner : str
-        Which of several scanners.
+        Name of the scanner.
     ranges, bearings : ndarray, shape (B,), float64
         The scan in the level frame [m], [rad], limited to the operating volume.
     heights : ndarray, shape (B,), float64
-        Of the hits above the scanner [m]; NaN for others.
+        Height of each hit above the scanner [m]; NaN for other rays.
     segments : Segments
         Groups of rays, one per object.
     circles, circles_world : Circles
         One circle per segment, in the level frame and in the world.
     time_ns : ndarray, shape (C,), int64
-        When each was measured: the mean time of the rays of its segment [ns]. An object that moves
-        was there then, and not at `stamp_ns`.
+        Time of each measurement: the mean time of the rays of its segment [ns]. A moving object was
+        there at that time, not at `stamp_ns`.
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
-        Element of the map of every segment; -1 for what is not taken into it: it has another
-        shape, its hits do not lie on the circle, or it is too near.
+        Map element of every segment; -1 for a segment that is not used: it has another shape, its
+        hits do not lie on the circle, or it is too near.
     too_near : ndarray, shape (C,), bool
-        Whether a segment is left out of the map since a part of it may be nearer than the scanner
-        measures: the hits that are left lie too far away in the mean. Not with
+        True for segments that are left out of the map because part of the object may be nearer than
+        the scanner measures: the mean of the remaining hits is too far away. None with
         `CirclesConfig.shapes` off.
     line : ndarray, shape (C,), int64
-        Line of the map of every segment; -1 for what is no line, or too short to be a new one.
+        Map line of every segment; -1 for other shapes, and for lines that are too short to start
+        one.
     map : CircleElements
         Confirmed elements at the time of the scan.
     map_shapes : ShapeElements
-        Those that are no circles.
+        Map elements with other shapes than circles.
     events : MapEvents
-        What the scan did to the map.
+        Changes of the map by this scan.
     stuck_pose : bool
-        Whether the scanner moved since scans of up to 2 s before of which this one has the very
-        same pose: the source of the poses stopped, and what stands seems to move. False also where
-        too much else moves to tell. Not in paper mode.
+        True if the scanner moved although earlier scans, up to 2 s before, have exactly the same
+        pose: the source of the poses stopped, and static objects seem to move. Also false if too
+        many other objects move for a decision. Not in paper mode.
     timing_ms : dict
         Milliseconds per stage: prepare, segment, fit, map.
     rejected : str, optional
-        Why the scan was not used; none if it was.
+        Reason why the scan was not used; None if it was used.
     """
 
     stamp_ns: int
@@ -97,14 +98,14 @@ class CirclesHealth:
     received, processed, rejected : int
         received = processed + rejected.
     reasons : mapping of str to int
-        Rejected scans by what was wrong, without the values of the single scan.
+        Number of rejected scans by reason, without the values of the single scan.
     range_std_estimated : float, optional
         Standard deviation of the ranges of the scanner that sent the last scan [m], estimated from
-        neighbouring rays; none before the scans tell enough, and in paper mode.
+        neighbouring rays; None before there is enough evidence, and in paper mode.
     pose_offset_s : float, optional
-        How late the poses of this scanner are, estimated from what stands [s]; none before the
-        motion of the scanner tells it to 5 ms, and in paper mode. In best mode poses are moved on
-        by an offset that is clearly not zero.
+        Delay of the poses of this scanner [s], estimated from static objects; None before the
+        motion of the scanner determines it to 5 ms, and in paper mode. In best mode poses are
+        corrected by a delay that clearly differs from zero.
     stuck_poses : int
         Scans with a `CircleFrame.stuck_pose`; more poses may be stuck.
     """

@@ -29,10 +29,10 @@ class Samples:
     beam_half_width : ndarray, shape (N,), float32
         Half the width of the rays [rad].
     first_ray, n_rays : ndarray, shape (N,), uint32
-        Rays of the window: from the first that met the circle to the last; it may run over the
-        end of the sweep and go on at ray 0.
+        Rays of the window, from the first that hit the circle to the last; the window may continue
+        from the end of the sweep at ray 0.
     sides : ndarray, shape (N, 2), uint8
-        What lies before and after the window: places in `SIDES`.
+        Kind of the neighbours before and after the window: indices into `SIDES`.
     ranges : ndarray, shape (R,), float32
         Ranges of all windows, one after the other [m]; +inf is a miss.
     """
@@ -50,7 +50,7 @@ class Samples:
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """Where each window begins in `ranges`, and where the last one ends; shape (N + 1,)."""
+        """Start of each window in `ranges`, and end of the last window; shape (N + 1,)."""
         ends = np.cumsum(self.n_rays, dtype=np.int64)
         return np.concatenate([np.zeros(1, np.int64), ends])
 
@@ -62,7 +62,7 @@ class Samples:
         return counts
 
     def is_whole(self, scanner: Scanner) -> NDArray[np.bool_]:
-        """Circles of which nothing hides or cuts the near side: object, field of view, range."""
+        """True for circles whose near side is complete: nothing hides it, no limit cuts it."""
         x, y, radius = self.circles.astype(np.float64).T
         distance = np.hypot(x, y)
         half = np.arcsin(np.minimum(radius / distance, 1.0))
@@ -87,7 +87,7 @@ class Samples:
         return type(self)(**{name: value[numbers] for name, value in values.items()}, ranges=ranges)
 
     def scans(self, scanner: Scanner) -> NDArray[np.float32]:
-        """Whole scans, shape (N, n_beams): +inf but for the window, NaN beside hidden sides."""
+        """Return whole scans (N, n_beams), +inf outside the window, NaN beside hidden sides."""
         rows = np.repeat(np.arange(len(self)), self.n_rays)
         within = np.arange(len(rows)) - np.repeat(self.starts[:-1], self.n_rays)
         first = self.first_ray.astype(np.int64)
@@ -123,15 +123,15 @@ def make_samples(
     Parameters
     ----------
     config : DatasetConfig
-        What disturbs the view; of continuous datasets also which circles there are.
+        Disturbances of the view; for continuous datasets also the circles.
     count, start : int
-        Which samples.
+        Number of samples, and index of the first one.
     seed : int
         Decides circles and noise.
     circles : ndarray, shape (N, 3), float64, optional
         Look at these, `config.draws` times each, instead of drawing circles.
     threads : int
-        The result is the same.
+        Number of threads; the result does not depend on it.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def make_samples(
     InputError
         The scanner does not see one of `circles`, or is inside of it.
     LimitError
-        Circles as they are drawn are never seen.
+        The circles that are drawn are never visible.
 
     Examples
     --------

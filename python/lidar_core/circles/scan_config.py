@@ -1,4 +1,4 @@
-"""Configuration of what is done to a scan before circles are fitted."""
+"""Configuration of the steps before circles are fitted."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
@@ -85,15 +85,15 @@ class SegmentConfig(Config):
     }
     bound: Literal["adaptive", "fixed"] = Field(
         "adaptive",
-        description="How close: as far as the angle between rays allows on a surface, or"
-        " `distance` everywhere (no unit).",
+        description="Largest distance of neighbours: as the angle between rays on a surface"
+        " allows, or `distance` everywhere (no unit).",
     )
     slack: float = Field(
         0.09,
         ge=0,
         le=3,
-        description="What the adaptive bound has more for the noise of the ranges, at least three"
-        " of their standard deviations [m].",
+        description="Addition to the adaptive bound for the noise of the ranges, at least"
+        " three of their standard deviations [m].",
     )
     distance: float = Field(
         0.2, gt=0, le=10, description="Distance of neighbours with the fixed bound [m]."
@@ -132,7 +132,7 @@ class SegmentConfig(Config):
 
     @classmethod
     def paper(cls) -> Self:
-        """As published: one distance in both spaces, 0.3 % of the rays, no second pass.
+        """Return the published values: one distance in both spaces, 0.3 % of rays, one pass.
 
         The distance is not given; the default splits 0.04 % of the paper's circles.
         """

@@ -31,12 +31,13 @@ def scanner_of(scan: LaserScan, config: CirclesConfig, place: str) -> Scanner:
 def check_no_rays(config: CirclesConfig) -> None:
     """Refuse rays in `config.scanner`, which the scans would override.
 
-    Those of a preset are none: they are nominal, and stand in files that start from one.
+    Values of a preset do not count: they are nominal, and files that start from a preset contain
+    them.
 
     Raises
     ------
     ConfigError
-        There are some.
+        The configuration states rays.
     """
     nominal = [
         Scanner.load({"preset": name}) for name, sensor in SENSORS.items() if sensor.is_planar

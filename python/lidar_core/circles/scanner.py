@@ -1,4 +1,4 @@
-"""What a 2D LiDAR measures: which rays, and from where to where."""
+"""Rays and range limits of a 2D LiDAR."""
 
 import math
 from collections.abc import Mapping
@@ -17,9 +17,9 @@ _MOST_BEAMS = 100_000
 class Scanner(Config):
     """A 2D LiDAR; the defaults are the paper's: a Hokuyo UTM-30LX, limited to 10 m.
 
-    `preset`, a 2D sensor of `lidar_core.sensors.SENSORS`, fills in what is not given beside it.
-    Values may be given by position, in the order of the fields. Source: Sanchez-Lopez et al.,
-    sec. VI-B.
+    `preset`, a 2D sensor of `lidar_core.sensors.SENSORS`, supplies all values that are not given.
+    Values may be given by position, in the order of the fields. Source: Sanchez-Lopez et al., sec.
+    VI-B.
 
     Examples
     --------
@@ -102,9 +102,9 @@ def _values_of(preset: str) -> dict[str, Any]:
 
 
 def scanner_name(sensor: str, rays: int, scanners: Mapping[str, Scanner]) -> str:
-    """Name, among the `scanners` of a pipeline, of scans of `sensor` with so many rays.
+    """Return the name in a pipeline for scans of `sensor` with this many rays.
 
-    One that delivers scans of several lengths is several LiDARs to the pipeline.
+    A sensor with scans of several lengths counts as several LiDARs in the pipeline.
     """
     other = layout_name(sensor, rays)
     return other if other in scanners else sensor

@@ -1,4 +1,4 @@
-"""Which rays of a scan ended on the same object."""
+"""Groups of rays of a scan that hit the same object."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -19,7 +19,7 @@ from lidar_core.messages import ShortRepr
 
 
 class Side(IntEnum):
-    """What lies beside a segment."""
+    """Kind of the neighbour beside a segment."""
 
     FREE = 0
     """The next ray went past: no return, or a hit farther away. The object ends before it."""
@@ -40,12 +40,12 @@ class Segments(ShortRepr):
     labels : ndarray, shape (B,), int32
         Per ray: 0 for none, else the number of its segment, from 1 (m of eq. 6).
     sides : ndarray, shape (S, 2), uint8
-        What lies before the first and after the last ray of each segment: a `Side`.
+        Kind of the neighbour before the first and after the last ray of each segment: a `Side`.
     rays : ndarray, shape (K,), uint32
         Rays of all segments, one segment after the other, each in the order of its sweep: over
         the seam of a full circle from the last ray to the first.
     starts : ndarray, shape (S + 1,), int64
-        Where each segment begins in `rays`.
+        Index in `rays` at which each segment begins.
     """
 
     labels: NDArray[np.int32]
@@ -77,12 +77,12 @@ def segment(
     ranges : array_like, shape (B,), float
         Range of every ray [m], level frame; +inf is a miss, NaN no information.
     bearings : array_like, shape (B,), float
-        Their directions [rad] in the order of the sweep; need not be equally spaced. Where they
-        go all round, the first ray is the neighbour of the last.
+        Directions of the rays [rad] in the order of the sweep; need not be equally spaced. In a
+        full circle, the first ray is the neighbour of the last.
     config : SegmentConfig or CirclesConfig, optional
-        None: the defaults. A `CirclesConfig` brings its scanner along.
+        None for the defaults. A `CirclesConfig` also contains its scanner.
     scanner : Scanner, optional
-        Whose range limits apply; none: the defaults.
+        Scanner whose range limits apply; None for the defaults.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def segment(
 
 
 def segments_of(arrays: tuple[NDArray[Any], ...]) -> Segments:
-    """Segments as the core gives them."""
+    """Convert the core's segments."""
     labels, rays, starts, sides = arrays
     return Segments(labels=labels, sides=sides, rays=rays, starts=starts)
 
@@ -129,7 +129,7 @@ def arrays_of(
     Raises
     ------
     InputError
-        These are no segments, or their arrays are none of the right kind.
+        They are not segments, or their arrays have a wrong type.
     """
     if not isinstance(segments, Segments):
         raise InputError(f"segments: expected Segments, got {type(segments).__name__}")

@@ -1,4 +1,4 @@
-"""What becomes of segments that are no circles."""
+"""Configuration of segments that are not circles."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -9,7 +9,7 @@ from lidar_core.config import Config
 
 
 class ShapeConfig(Config):
-    """Which shape each segment has, and which shapes go into the map of circles.
+    """Selection of the shape of each segment, and of the shapes that enter the map of circles.
 
     Sources: the shapes are future work of the paper, sec. VII; the values are ours.
     """

@@ -1,4 +1,4 @@
-"""Which shape a group of rays shows: circle, ellipse, rectangle or line."""
+"""Shape of a group of rays: circle, ellipse, rectangle or line."""
 
 from dataclasses import dataclass
 
@@ -23,9 +23,10 @@ class Shapes(ShortRepr):
     kind : ndarray, shape (S,), uint8
         A `ShapeKind`.
     parameters : ndarray, shape (S, 5), float64
-        As listed at `ShapeKind`; those that a shape does not have are 0.
+        Parameters in the order of `ShapeKind`; parameters that a shape does not have are 0.
     covariance : ndarray, shape (S, 5, 5), float64
-        Of the parameters, in their units; what was not seen has a standard deviation of 1 m.
+        Covariance of the parameters, in their units; parameters that the rays do not show have a
+        standard deviation of 1 m.
     misfit : ndarray, shape (S,), float64
         Sum of squared residuals of the ranges over their variance (no unit).
     n_hits : ndarray, shape (S,), int64
@@ -59,20 +60,20 @@ def fit_shapes(
     config: FitConfig | None = None,
     scanner: Scanner | None = None,
 ) -> Shapes:
-    """Tell which shape each segment of a scan has, and where it is.
+    """Estimate the shape of each segment of a scan, and its place.
 
     Parameters
     ----------
     ranges : array_like, shape (B,), float
         Range of every ray [m]; +inf is a miss, NaN no information.
     bearings : array_like, shape (B,), float
-        Their directions [rad] in the order of the sweep; need not be equally spaced.
+        Directions of the rays [rad] in the order of the sweep; need not be equally spaced.
     segments : Segments
-        What `segment` made of the same scan.
+        Result of `segment` for the same scan.
     config : FitConfig, optional
-        None: the defaults. Its `method` does not count: circles are fitted with "ml".
+        None for the defaults. Its `method` is ignored: circles are fitted with "ml".
     scanner : Scanner, optional
-        Whose range limits apply; none: the defaults.
+        Scanner whose range limits apply; None for the defaults.
 
     Returns
     -------
@@ -85,10 +86,10 @@ def fit_shapes(
 
     Notes
     -----
-    Every shape is fitted to the ranges; the misfit plus the number of parameters times the
-    logarithm of the number of rays decides (Schwarz, "Estimating the dimension of a model", 1978).
-    Circles and ellipses have to end where the rays that passed say; ends of lines are parameters.
-    Segments of fewer than 6 rays are circles. Deterministic; releases the GIL.
+    Every shape is fitted to the ranges. The shape with the least misfit plus number of parameters
+    times logarithm of the number of rays is chosen (Schwarz, "Estimating the dimension of a model",
+    1978). Circles and ellipses must end where rays pass beside the object; the ends of lines are
+    parameters. Segments of fewer than 6 rays are circles. Deterministic; releases the GIL.
 
     Examples
     --------

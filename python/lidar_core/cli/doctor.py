@@ -1,4 +1,4 @@
-"""`lidar-core doctor`: machine, what is installed, what is missing, whether the core works."""
+"""`lidar-core doctor`: machine, installed and missing packages, and a test of the core."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""`lidar-core info`: what is in a recording."""
+"""`lidar-core info`: content of a recording."""
 
 import json
 from pathlib import Path
@@ -11,6 +11,7 @@ from lidar_core.cli.shared.run_options import DecodingOptions, with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from lidar_core.io import RecordingInfo
 
@@ -69,7 +70,6 @@ def command(
 
 def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     from rich.markup import escape
-    from rich.table import Table
 
     from lidar_core.io.scan_topics import NAMELESS
 
@@ -77,21 +77,7 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     if info.start_ns is not None:
         start = f"{info.start_ns // 10**9}.{info.start_ns % 10**9:09d}"
         console.print(f"from {start} s, {info.duration_s:.3f} s long")
-    table = Table("topic", "type", "read as", "messages", "Hz", "frames", "rays", "points")
-    for column in table.columns:
-        column.overflow = "fold"
-    for topic in info.topics:
-        table.add_row(
-            escape(topic.name or NAMELESS),
-            escape(topic.type.replace("/msg/", "/")),  # the whole name is in --json
-            topic.kind,
-            str(topic.count),
-            "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}",
-            escape(", ".join(name or "(none)" for name in topic.frames)),
-            "-" if topic.rays is None else str(topic.rays),
-            "-" if topic.points is None else str(topic.points),
-        )
-    console.print(table)
+    console.print(_topics_table(info))
     for parent, child, is_static in info.transforms:
         how = "static" if is_static else "moving"
         console.print(f"transform {escape(parent)} -> {escape(child or '(none)')}: {how}")
@@ -113,3 +99,26 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
         console.print("no defects found")
     for step in steps:
         console.print(f"next: {step}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _topics_table(info: "RecordingInfo") -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
+    from lidar_core.io.scan_topics import NAMELESS
+
+    table = Table("topic", "type", "read as", "messages", "Hz", "frames", "rays", "points")
+    for column in table.columns:
+        column.overflow = "fold"
+    for topic in info.topics:
+        table.add_row(
+            escape(topic.name or NAMELESS),
+            escape(topic.type.replace("/msg/", "/")),  # the whole name is in --json
+            topic.kind,
+            str(topic.count),
+            "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}",
+            escape(", ".join(name or "(none)" for name in topic.frames)),
+            "-" if topic.rays is None else str(topic.rays),
+            "-" if topic.points is None else str(topic.points),
+        )
+    return table

@@ -1,4 +1,4 @@
-"""`lidar-core live`: a running robot, or a recording as if it were one."""
+"""`lidar-core live`: process the scans of a running robot, or of a recording in real time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -111,7 +111,7 @@ Metrics: TypeAlias = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions(PipelineOptions):
-    """What it listens to, what it makes of that, and where that goes."""
+    """Options of source, pipeline and outputs."""
 
     source: SourceName = None
     replay: Replay = None
@@ -137,7 +137,7 @@ class LiveOptions(PipelineOptions):
     threads: Threads
 
     def read(self) -> "ReadOptions":
-        """How messages are read."""
+        """Return the options for reading messages."""
         from lidar_core.io import ReadOptions
 
         told = {"point_time": self.point_time, "no_return": self.no_return}

@@ -1,4 +1,4 @@
-"""`lidar-core simulate`: a scene into a recording, with the truth beside it."""
+"""`lidar-core simulate`: simulate a scene, and write a recording with its truth."""
 
 from itertools import count
 from pathlib import Path
@@ -116,7 +116,7 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
 
 
 def with_sensor(scene: "Scene", name: str) -> "Scene":
-    """The scene, seen by the LiDAR of a preset; an `ideal` one stays so."""
+    """Return the scene with the LiDAR of a preset; an `ideal` one stays ideal."""
     from lidar_core.sim import LidarModel
 
     lidar = LidarModel.preset(name, ideal=scene.lidar.ideal)

@@ -16,11 +16,11 @@ class Bins:
     Attributes
     ----------
     edges : ndarray, shape (B + 1,), float64
-        Group k holds edges[k] < key <= edges[k + 1]; the first also its near edge.
+        Group k contains edges[k] < key <= edges[k + 1]; the first group also its lower edge.
     count : ndarray, shape (B,), int64
         Values in the group.
     mean, std, rmse : ndarray, shape (B,), float64
-        As in `Spread`.
+        Statistics, as in `Spread`.
     """
 
     edges: NDArray[np.float64]
@@ -36,11 +36,11 @@ def binned(keys: ArrayLike, values: ArrayLike, *, edges: ArrayLike) -> Bins:
     Parameters
     ----------
     keys : array_like, shape (N,), float64
-        What to group by, such as distance [m], speed [m/s] or acceleration [m/s^2]; a key
-        outside the edges, or NaN, is in no group.
+        Value to group by, such as distance [m], speed [m/s] or acceleration [m/s^2]; keys that are
+        NaN or outside the edges belong to no group.
     values : array_like, shape (N,), float64
-        What to describe, such as an error [m], or 0 and 1 for missed and found: their mean is
-        the recall.
+        Values to describe, such as an error [m], or 0 and 1 for missed and found: their mean is the
+        recall.
     edges : array_like, shape (B + 1,), float64
         Ascending.
 

@@ -1,4 +1,4 @@
-"""Metrics: how one is registered, and how all of them are computed."""
+"""Registry of metrics, and computation of all of them."""
 
 import math
 import warnings
@@ -26,9 +26,9 @@ class Paired:
     truth : Truth
         The targets.
     pairing : Pairing
-        Which estimate is which target.
+        Assignment of estimates to targets.
     config : EvaluationConfig
-        What counts as found.
+        Configuration of what counts as found.
     """
 
     estimates: Estimates
@@ -47,15 +47,15 @@ class Metric:
     Attributes
     ----------
     name : str
-        In Python and JSON; unique.
+        Unique name, for Python and JSON.
     title : str
-        For people.
+        Name of the metric in tables.
     unit : str
-        Of the number; empty without.
+        Unit of the number; empty if it has none.
     of : str
-        What it is computed of.
+        Input of the metric.
     compute : callable
-        `compute(paired)`; None where there is nothing to compute it from.
+        `compute(paired)`; returns None without input.
     module : str
         Module that registers it.
     """
@@ -84,18 +84,18 @@ def register_metric(
     Parameters
     ----------
     name : str
-        In Python and JSON; unique.
+        Unique name, for Python and JSON.
     title : str
-        For people.
+        Name of the metric in tables.
     unit : str
-        Of the number; empty without.
+        Unit of the number; empty if it has none.
     of : str
         "tracks", "detections" or "both".
 
     Raises
     ------
     ConfigError
-        Another metric has this name, or it is no identifier.
+        Another metric has this name, or it is not an identifier.
 
     Examples
     --------
@@ -117,8 +117,8 @@ def register_metric(
 def metrics_of(paired: Paired, of: Of) -> dict[str, float | None]:
     """Every registered metric of tracks or of detections, by name.
 
-    One of another package or of a script that fails, or gives no finite number, is left out with
-    a warning.
+    A metric of another package or of a script that fails, or returns no finite number, is left out
+    with a warning.
     """
     found: dict[str, float | None] = {}
     for metric in METRICS.parts():

@@ -31,13 +31,13 @@ class Prediction:
     Attributes
     ----------
     tracks : Estimates
-        Its tracks.
+        Tracks of the run.
     detections : Estimates or None
-        Its detections, where they are known.
+        Detections of the run, if they are known.
     latency : Latency or None
         Time per scan, where it is known.
     burn_in_scans : int or None
-        First scans in which the run reports nothing, where it says so.
+        Number of scans at the start in which the run reports nothing, if it is known.
     is_planar : bool
         The tracks are elements of a circle map: in the plane, with radii.
     """
@@ -55,10 +55,10 @@ def read_prediction(path: str | Path) -> Prediction:
     Parameters
     ----------
     path : str or Path
-        Folder that `lidar-core detect`, `circles` or `demo` wrote (of flying objects the tracks of
-        kind flying count), or whatever `lidar_core.io.read_columns` reads, with columns t_ns,
+        Folder that `lidar-core detect`, `circles` or `demo` wrote (for flying objects, the tracks
+        of kind flying count), or a file for `lidar_core.io.read_columns` with columns t_ns,
         track_id, x, y, z and, if known, vx, vy, vz and the upper triangle of the covariance,
-        cov_x_x to cov_vz_vz; without z, vz and with radius, the table of a circle map.
+        cov_x_x to cov_vz_vz. Without z and vz and with radius it is the table of a circle map.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _of_table(place: Path, kind: str | None = None) -> Prediction:
 def read_truth(
     path: str | Path, *, config: EvaluationConfig | None = None, is_planar: bool = False
 ) -> Truth:
-    """Read the targets of a recording, and say which of them had to be found.
+    """Read the targets of a recording, and select those that are required to be found.
 
     A target has to be found after the burn-in, within `max_distance` where the file has the
     columns sensor_x, sensor_y, sensor_z, and with `min_hits` points where it has the column hits.
@@ -103,14 +103,13 @@ def read_truth(
     Parameters
     ----------
     path : str or Path
-        NAME.truth.csv of `lidar-core simulate`, or the recording beside it; a folder of
-        `lidar-core demo`; or whatever `lidar_core.io.read_columns` reads, with columns t_ns,
-        target_id or track_id, x, y, z and, if known, vx, vy, vz; without z and with radius, a
-        truth in the plane.
+        NAME.truth.csv of `lidar-core simulate`, or the recording beside it; a folder of `lidar-core
+        demo`; or a file for `lidar_core.io.read_columns` with columns t_ns, target_id or track_id,
+        x, y, z and, if known, vx, vy, vz. Without z and with radius it is a truth in the plane.
     config : EvaluationConfig, optional
         `max_distance`, `min_hits`, `burn_in_scans`.
     is_planar : bool
-        Whether heights are left out, as what is scored has none.
+        Leave out heights, because the estimates have none.
 
     Raises
     ------

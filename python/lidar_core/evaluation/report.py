@@ -20,15 +20,15 @@ class Evaluation:
     Attributes
     ----------
     tracks : TrackScores or None
-        Of the tracks.
+        Scores of the tracks.
     detections : DetectionScores or None
-        Of the detections.
+        Scores of the detections.
     identities : IdentityScores or None
         HOTA, MOTA and IDF1 of the tracks.
     latency : Latency or None
         Time per scan.
     warnings : tuple of str
-        Why scores mean nothing: no time or place in common with the truth.
+        Reasons why scores mean nothing: no time or place in common with the truth.
     """
 
     tracks: TrackScores | None
@@ -64,13 +64,13 @@ def evaluate(
     truth : Truth
         The targets.
     tracks, detections : Estimates, optional
-        What was reported; times within `time_tolerance` of the truth's are taken for the same.
+        Reported objects. Times within `time_tolerance` of a time of the truth count as equal to it.
     latency : Latency, optional
         Passed on.
     with_identities : bool
-        Whether HOTA, MOTA and IDF1 are wanted (extra `eval`).
+        Also compute HOTA, MOTA and IDF1 (extra `eval`).
     config : EvaluationConfig, optional
-        What counts as found.
+        Configuration of what counts as found.
 
     Raises
     ------

@@ -32,7 +32,7 @@ def all_rows(report: "Evaluation") -> list[Row | None]:
 
 
 def main_rows(report: "Evaluation") -> list[Row]:
-    """Found, how exactly, and what else: tracks, then detections."""
+    """Return the main rows: recall, accuracy and others; tracks, then detections."""
     tracks, detections = report.tracks, report.detections
     rows = []
     if tracks is not None:
@@ -135,7 +135,7 @@ CAUSES = (
 
 
 def consistency_warnings(report: "Evaluation") -> list[str]:
-    """Say whose covariances do not fit the errors, with the likely causes."""
+    """Warn about covariances that do not fit the errors, with the likely causes."""
     found = [(what, item.position_nees) for what, item in _scores(report)]
     return [
         f"{what}: {nees.warning}; {CAUSES}"
@@ -145,7 +145,7 @@ def consistency_warnings(report: "Evaluation") -> list[str]:
 
 
 def counted_caption(config: "EvaluationConfig") -> str:
-    """Which sightings count."""
+    """Return a caption that states which sightings count."""
     return (
         f"Sightings: target within {config.max_distance:g} m and hit by {config.min_hits} rays or"
         f" more, where ground truth is available; after the first {config.burn_in_scans} scans."

@@ -47,7 +47,7 @@ def eligible(
     *,
     config: EvaluationConfig | None = None,
 ) -> NDArray[np.bool_]:
-    """Which targets have to be found: near enough, and hit by enough rays.
+    """Return the targets that are required: near enough, and hit by enough rays.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def eligible(
     hits : array_like, shape (T,), int64
         Points on each target in this scan.
     sensor_position : array_like, shape (3,) or (T, 3), float64
-        Where the sensor was [m], same frame.
+        Position of the sensor [m], same frame.
     config : EvaluationConfig, optional
         `max_distance` and `min_hits`.
 

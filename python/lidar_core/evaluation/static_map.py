@@ -1,4 +1,4 @@
-"""Maps cleaned of all that moved, held against a labelled cloud."""
+"""Scores of maps without moving objects, compared with a labelled cloud."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -25,7 +25,7 @@ FARTHEST = 2.0**20
 
 @dataclass(frozen=True, slots=True)
 class StaticScores:
-    """How much of what stands is in a map, and how much of what moved is not.
+    """Share of the static scene that a map contains, and share of moving things that it leaves out.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def score_static_map(
     truth_points : array_like, shape (M, 3)
         Points of the labelled cloud [m], in the same frame.
     is_dynamic : array_like, shape (M,)
-        Whether each is of something that moved.
+        True for points of moving things.
     resolution : float, optional
         Edge of the voxels of the map [m]. A point of the cloud is in the map if it is within
         0.05 m of one of its points, or of one of its voxels.
@@ -133,8 +133,8 @@ def read_labelled_cloud(path: str | Path) -> tuple[NDArray[np.float64], NDArray[
     Parameters
     ----------
     path : str or Path
-        PCD file whose intensity is 1 for points of what moved and 0 for all others, or a folder
-        of the benchmark, which holds it as gt_cloud.pcd.
+        PCD file with intensity 1 for points of moving things and 0 for all others, or a folder of
+        the benchmark that contains it as gt_cloud.pcd.
 
     Raises
     ------

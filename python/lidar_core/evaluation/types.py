@@ -21,15 +21,15 @@ class Truth:
     id : ndarray, shape (R,), int64
         Number of the target.
     position : ndarray, shape (R, 3), float64
-        Its centre at that time [m], world frame.
+        Centre of the target at that time [m], world frame.
     is_eligible : ndarray, shape (R,), bool
-        Whether it had to be found in this scan (`eligible`).
+        True if the target is required in this scan (`eligible`).
     velocity : ndarray, shape (R, 3), float64, optional
-        Its velocity [m/s], world frame.
+        Velocity of the target [m/s], world frame.
     sensor : ndarray, shape (R, 3), float64, optional
-        Where the sensor was [m], world frame; NaN where unknown.
+        Position of the sensor [m], world frame; NaN if unknown.
     radius : ndarray, shape (R,), float64, optional
-        Of a round object [m]; NaN of one that is not round.
+        Radius of a round object [m]; NaN for other objects.
     """
 
     stamp_ns: NDArray[np.int64]
@@ -50,16 +50,16 @@ class Estimates:
     stamp_ns : ndarray, shape (E,), int64
         Time of the scan [ns].
     position : ndarray, shape (E, 3), float64
-        Where the object was reported [m], world frame.
+        Reported position [m], world frame.
     id : ndarray, shape (E,), int64, optional
         Number of the track; detections have none.
     velocity : ndarray, shape (E, 3), float64, optional
         Reported velocity [m/s].
     covariance : ndarray, shape (E, 3, 3) or (E, 6, 6), float64, optional
-        Of the position, or of position and velocity; (E, 2, 2) or (E, 4, 4) in a plane.
+        Covariance of the position, or of position and velocity; (E, 2, 2) or (E, 4, 4) in a plane.
     time_ns : ndarray, shape (E,), int64, optional
-        When each position was true [ns]; without it, at `stamp_ns`. A target is held against it
-        where its velocity takes it by then, if the truth has velocities.
+        Time at which each position was true [ns]; default: `stamp_ns`. If the truth has velocities,
+        a target is predicted to that time before the comparison.
     radius : ndarray, shape (E,), float64, optional
         Reported radius [m].
     """
@@ -82,13 +82,13 @@ class DistanceScores:
     near, far : float
         Edges [m].
     n_eligible, n_found : int
-        Targets at this distance that had to be found, and those that were.
+        Number of required targets at this distance, and number of those that were found.
     n_estimates, n_matched : int
         Estimates at this distance, and those matched with any target.
     recall, precision : float or None
         `n_found / n_eligible`, `n_matched / n_estimates`.
     position_error : Spread or None
-        Of the found targets at this distance [m].
+        Position errors of the found targets at this distance [m].
     """
 
     near: float
@@ -135,7 +135,7 @@ class DetectionScores:
     duration : float
         Time that these scans cover [s].
     n_eligible, n_found : int
-        Target-scans that had to be found, and those of them that were.
+        Number of pairs of scan and required target, and number of those that were found.
     n_estimates, n_matched, n_duplicate, n_false : int
         Estimates in all; matched with any target; within the gate of a target that another
         estimate was matched with; further than the gate from every target.
@@ -146,30 +146,31 @@ class DetectionScores:
     position_error : Spread or None
         Distances between the found targets and their estimates [m].
     radial_error, across_error : Spread or None
-        The same along the line of sight, signed, positive behind the target; and its length
-        across the line [m]. None where the sensor's place is unknown.
+        Position errors along the line of sight [m], positive behind the target, and length of the
+        error across that line [m]. None if the position of the sensor is unknown.
     velocity_error : Spread or None
         Length of the difference of the velocities [m/s]; None where one is unknown.
     radius_error : Spread or None
         Reported minus true radius, signed [m]; None where one is unknown.
     over_distance : tuple of DistanceScores
-        By distance from the sensor, groups with a target or an estimate.
+        Scores by distance from the sensor, for groups with a target or an estimate.
     sets : SetScores or None
         OSPA and GOSPA; None if no scan counts.
     position_nees : Consistency or None
-        Of the position errors, 3 degrees of freedom, 2 in a plane; None without covariances.
+        NEES of the position, 3 degrees of freedom, 2 in a plane; None without covariances.
     first_delay : dict
-        Per target that ever had to be found: time from the first such scan to its first estimate
-        [s]; None if it never had one.
+        Per target that is required at least once: time from the first such scan to its first
+        estimate [s]; None without an estimate.
     longest_gap : dict
-        Per target: longest time without an estimate in which it had to be found in every scan
-        [s]; up to the scan that has the estimate, where there is one.
+        Per target: longest time without an estimate while it was required in every scan [s], up to
+        the scan with the next estimate, if there is one.
     n_fragmentations : int
-        How often a target was lost and found again, among the scans in which it had to be found.
+        Number of times that a target was lost and found again, among the scans in which it is
+        required.
     metrics : dict
         Numbers of registered metrics (`register_metric`) by name; None where one does not apply.
     stamp_ns : ndarray, shape (S,), int64
-        Scans in which a target had to be found [ns].
+        Stamps of scans with a required target [ns].
     recall_at : ndarray, shape (S,), float64
         Share of these targets that were found, per scan.
     """
@@ -245,9 +246,9 @@ class TrackScores(DetectionScores):
     false_tracks_per_minute : float or None
         Number of `false_ids` over `duration`.
     n_switches : int
-        How often a target was matched with another track than the last time.
+        Number of times that a target was matched with another track than before.
     state_nees : Consistency or None
-        Of position and velocity together, 6 degrees of freedom, 4 in a plane; None where one is
+        NEES of position and velocity together, 6 degrees of freedom, 4 in a plane; None if one is
         unknown.
     """
 

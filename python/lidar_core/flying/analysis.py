@@ -1,4 +1,4 @@
-"""What a LiDAR can know and see: uncertain points, voxels that were hit, targets that are met."""
+"""Limits of what a LiDAR shows: uncertain points, voxels that rays hit, targets that rays hit."""
 
 import math
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ def point_covariance(
     Raises
     ------
     InputError
-        Wrong shape or dtype, a matrix that is no pose, or one that is no covariance.
+        Wrong shape or dtype, a matrix that is not a pose, or one that is not a covariance.
     ConfigError
         `range_std` out of range.
     LimitError
@@ -83,7 +83,7 @@ def hit_probability(
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     threads: int = 1,
 ) -> NDArray[np.float64]:
-    """Probability that what was measured lies in the voxel of the measured point.
+    """Return the probability that the measured surface lies in the voxel of the measured point.
 
     Parameters
     ----------
@@ -153,11 +153,11 @@ def detection_probability(
     field_of_view: tuple[float, float] | None = None,
     threads: int = 1,
 ) -> NDArray[np.float64]:
-    """Probability that at least one ray meets a ball whose centre is at a distance.
+    """Return the probability that at least one ray hits a ball at a given distance.
 
     The centre lies anywhere on the sphere of that distance around the LiDAR, or on the part of it
-    that `field_of_view` names, with equal probability. A ray meets the ball if the angle between
-    the ray and the centre is at most asin(radius / distance).
+    that `field_of_view` names, with equal probability. A ray hits the ball if the angle between the
+    ray and the centre is at most asin(radius / distance).
 
     Parameters
     ----------
@@ -176,12 +176,12 @@ def detection_probability(
     Returns
     -------
     probability : ndarray, shape (D,), float64
-        0 to 1; a LiDAR inside the ball meets it.
+        0 to 1; a LiDAR inside the ball hits it.
 
     Raises
     ------
     InputError
-        Wrong shape or dtype, a direction without length, a distance that is none.
+        Wrong shape or dtype, a direction without length, or an invalid distance.
     ConfigError
         `radius` <= 0, `threads` out of 1 to 256, or elevations out of order or range.
     LimitError

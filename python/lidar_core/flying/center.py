@@ -1,4 +1,4 @@
-"""Where the centre of a target is, of which a scan shows the near side only."""
+"""Estimate of the centre of a target, of which a scan shows only the near side."""
 
 from dataclasses import dataclass
 
@@ -17,11 +17,11 @@ class TargetCenter:
     Attributes
     ----------
     position : ndarray, shape (3,), float64
-        [m], frame of the points.
+        Position of the centre [m], frame of the points.
     covariance : ndarray, shape (3, 3), float64
-        Of the position [m^2].
+        Covariance of the position [m^2].
     radius : float
-        Of the sphere [m].
+        Radius of the sphere [m].
     """
 
     position: NDArray[np.float64]
@@ -47,7 +47,7 @@ def target_center(
     points_world : array_like, shape (N, 3), N >= 1
         Points on the target [m], any one frame whose z axis points up.
     sensor_origin : array_like, shape (3,)
-        Where the rays started [m], the same frame.
+        Position of the sensor [m], same frame.
     passing_directions : array_like, shape (R, 3)
         Directions of rays that went past the target and ended behind it or nowhere, the same
         axes; those more than 0.4 m beside the points do not count. Without them the target is

@@ -24,8 +24,10 @@ class VoxelMapConfig(Config):
     # A voxel above 5 m holds target and background at once.
     voxel_size: float = Field(0.25, gt=0, le=5, description="Edge of a voxel, v_s [m].")
     g_occ: float = Field(0.0, description="G that background points pull a voxel to (no unit).")
-    g_unk: float = Field(-740.0, description="Same for unknown and flying points (no unit).")
-    g_free: float = Field(-1000.0, description="Same for rays (no unit).")
+    g_unk: float = Field(
+        -740.0, description="G that unknown and flying points pull a voxel to (no unit)."
+    )
+    g_free: float = Field(-1000.0, description="G that rays pull a voxel to (no unit).")
     initial: float = Field(-740.0, description="G of a voxel never observed (no unit).")
     threshold_confident: float = Field(-0.1, description="Occupied from here up (no unit).")
     threshold_tentative: float = Field(-300.0, description="Tentative from here up (no unit).")
@@ -71,8 +73,8 @@ class VoxelMapConfig(Config):
         200_000_000,
         ge=512,
         le=10**12,
-        description="Budget of stored voxels, in whole blocks of 512, 4.3 bytes each (count, no"
-        " unit). A full map forgets what is farthest from the sensor.",
+        description="Budget of stored voxels, in whole blocks of 512, 4.3 bytes each (count,"
+        " no unit). A full map forgets the voxels farthest from the sensor.",
     )
 
     @model_validator(mode="after")
@@ -115,15 +117,15 @@ class ClusterConfig(Config):
     )
     of: Literal["points", "voxels"] = Field(
         "points",
-        description="What is clustered: points, or the centres of their voxels as in the authors'"
-        " code (no unit).",
+        description="Input of the clustering: points, or the centres of their voxels as in"
+        " the authors' code (no unit).",
     )
 
 
 class ClassifyConfig(Config):
     """Classes of clusters: background, flying, unknown.
 
-    Source: Vrba et al., sec. III-B and Algorithm 1; defaults: Table II, with what best mode adds.
+    Source: Vrba et al., sec. III-B and Algorithm 1; defaults: Table II, and additions of best mode.
     """
 
     close_distance: float = Field(
@@ -152,7 +154,7 @@ class ClassifyConfig(Config):
     )
     border: Literal["open", "closed"] = Field(
         "open",
-        description="A search that leaves a fixed operating volume finds a way out (open) or a"
+        description="Border of a fixed operating volume for a search: a way out (open) or a"
         " wall (closed, the paper) (no unit).",
     )
     shadow: Literal["own", "paper"] = Field(
@@ -170,8 +172,8 @@ class ClassifyConfig(Config):
         2.5,
         gt=0,
         le=50,
-        description="Groups of clusters with a larger diagonal of their box are no flying object"
-        " [m]; the visible side of a sphere has one of up to 3.1 radii.",
+        description="Largest diagonal of the box of a group of clusters that can be a flying"
+        " object [m]; the visible side of a sphere has one of up to 3.1 radii.",
     )
     background_extent: float | None = Field(
         3.5, gt=0, le=100, description="Larger clusters are background at any time [m]."
@@ -180,13 +182,13 @@ class ClassifyConfig(Config):
         3,
         ge=1,
         le=MOST_POINTS,
-        description="Smaller clusters are no flying object (count, no unit).",
+        description="Least number of points of a flying object (count, no unit).",
     )
     max_distance: float | None = Field(
         20.0,
         gt=0,
         le=1000,
-        description="Clusters further from the sensor are no flying object [m].",
+        description="Largest distance of a flying object from the sensor [m].",
     )
     group_distance: float | None = Field(
         0.7,
@@ -207,7 +209,8 @@ class ClassifyConfig(Config):
         gt=0,
         le=50,
         description="Clusters at least this high, whose diagonal on the ground is at most two"
-        " fifths of their height, stand on something and do not fly, such as signs and people [m].",
+        " fifths of their height, count as standing objects such as signs and"
+        " people, and do not fly [m].",
     )
     follow_tracks: bool = Field(
         True,
@@ -276,7 +279,7 @@ class SeparateConfig(Config):
 
 
 class SeedConfig(Config):
-    """Where the first background comes from: the paper is silent, and without it nothing flies.
+    """Source of the first background. The paper does not state it; without it nothing flies.
 
     Other seeds are an a-priori map: `FlyingObjectDetector.set_occupied`, `load_map`.
     """
@@ -310,8 +313,8 @@ class SeedConfig(Config):
         5,
         ge=0,
         le=MOST_SCANS,
-        description="What holds its place in so many scans of the burn-in, 3 at least, is"
-        " background, however small; 0 for none (count, no unit).",
+        description="Points that keep their place in this many scans of the burn-in, at least"
+        " 3, are background, however few; 0 for none (count, no unit).",
     )
     ground_height: float | None = Field(
         None, description="Clusters that reach below this height are background, world frame [m]."
@@ -372,7 +375,7 @@ class FlyingConfig(Config):
         None, gt=0, description="The map forgets blocks that are further from the sensor [m]."
     )
     on_bad_scan: Literal["raise", "count"] = Field(
-        "raise", description="What to do with a scan that cannot be used (no unit)."
+        "raise", description="Reaction to a scan that cannot be used (no unit)."
     )
 
     @field_validator("sensors")
@@ -394,8 +397,8 @@ class FlyingConfig(Config):
     def paper(cls) -> Self:
         """The algorithms as published, with the parameters of Table II.
 
-        No return is dropped by its range. What the paper leaves out is the burn-in that seeds the
-        background, with an extent for targets of the paper's size, and d_sep, which stays at its
+        No return is dropped by its range. The paper does not specify the burn-in that seeds the
+        background, which gets an extent for targets of the paper's size, and d_sep, which keeps its
         default. Removal of separate background begins once there is a background.
         """
         return cls(

@@ -1,6 +1,7 @@
 """The flying-object detector: scans in, point classes, detections and tracks out.
 
-Longer than other files: it is one class, and most of it describes what its methods take and give.
+Longer than other files: it is one class, and most of it describes inputs and outputs of its
+methods.
 """
 
 from dataclasses import asdict, replace
@@ -109,8 +110,8 @@ class FlyingObjectDetector(FullState):
         stamp_ns : int
             Start of the scan [ns]; must increase per sensor.
         no_return : array_like, shape (N,), bool, optional
-            Rays that met nothing within range. Their directions come from `directions`, or are
-            remembered from earlier scans of an organised cloud.
+            True for rays without return within range. Their directions come from `directions`, or
+            from earlier scans of an organised cloud.
         directions : array_like, shape (N, 3), float32, optional
             Unit direction of every ray, lidar frame.
         point_time_ns : array_like, shape (N,), int64, optional
@@ -120,7 +121,8 @@ class FlyingObjectDetector(FullState):
         pose_covariance : array_like, shape (6, 6), float64, optional
             Covariance of translation [m^2] and of the angles about x, y, z [rad^2] (eq. 38).
         sensor : str, optional
-            Which of several LiDARs; without it "lidar", of a posed scan its topic or frame.
+            Name of the LiDAR, if there are several. Default: "lidar", or for a posed scan its topic
+            or frame.
 
         Returns
         -------
@@ -130,11 +132,11 @@ class FlyingObjectDetector(FullState):
         ------
         InputError
             Wrong shape, dtype or value, or a stamp that is not newer than the last one of this
-            sensor. The detector is unchanged. With `on_bad_scan="count"` nothing is raised: the
-            frame says in `rejected` what was wrong.
+            sensor. The detector is unchanged. With `on_bad_scan="count"` no error is raised:
+            `rejected` of the frame states the reason.
         LimitError
-            The scan alone needs more voxels than the budget of the map has, or it is of the 65th
-            sensor; the detector is unchanged.
+            The scan alone needs more voxels than the budget of the map allows, or it comes from a
+            65th sensor; the detector is unchanged.
         """
         given: dict[str, Any] = {
             "points_lidar": points_lidar,
@@ -181,7 +183,7 @@ class FlyingObjectDetector(FullState):
         stamp_ns : int
             Time of the states [ns].
         confirmed : bool
-            Whether tracks that are not reported are left out.
+            Leave out tracks that are not reported.
         """
         stamp_ns = as_stamp(stamp_ns, name="stamp_ns")
         arrays = self._detector.tracks_at(stamp_ns, confirmed)
@@ -195,9 +197,9 @@ class FlyingObjectDetector(FullState):
         Parameters
         ----------
         ids : array_like, shape (K,), int64
-            Their names.
+            Numbers of the teammates.
         positions_world : array_like, shape (K, 3), float64
-            Where they say they are [m]; call again when they have moved.
+            Reported positions of the teammates [m]; call again when they have moved.
         radius : float
             Detections this near are taken for them [m].
         """
@@ -232,28 +234,29 @@ class FlyingObjectDetector(FullState):
 
     @property
     def map_memory_bytes(self) -> int:
-        """Bytes held by the map."""
+        """Size of the map in memory [bytes]."""
         return self._detector.map_size()[2]
 
     @property
     def n_observed(self) -> int:
-        """Voxels of the map that a point or a ray has met."""
+        """Number of voxels of the map that a point or a ray has touched."""
         return self._detector.map_size()[1]
 
     def save_map(self, path: str | PathLike[str]) -> None:
         """Write the map to a file that `load_map` and `VoxelMap.load` read.
 
-        What was found of the robot itself goes with it, per name of a sensor: of those met, then of
-        those that a loaded map knew, 64 in all.
+        The file also contains what the sensors saw of the robot itself, by name of the sensor:
+        first of sensors used, then of sensors of a loaded map, 64 in all.
         """
         with naming(path):
             self._detector.save_map(path)
 
     def load_map(self, path: str | PathLike[str]) -> None:
-        """Go on with a map of an earlier run; tracks are dropped.
+        """Continue with a map of an earlier run; tracks are dropped.
 
-        A sensor that has not found the robot itself knows it from the file, from its next scan on.
-        It forgets it within five scans if the returns do not show it: the sensor sits elsewhere.
+        A sensor that has not yet detected the robot itself takes it from the file, from its next
+        scan on. It drops this within five scans if the returns do not agree: the sensor is mounted
+        elsewhere.
 
         Raises
         ------
@@ -262,29 +265,29 @@ class FlyingObjectDetector(FullState):
         LimitError
             It is too large.
         ConfigError
-            Its voxels differ in size.
+            The size of the voxels differs.
         """
         with naming(path):
             self._detector.load_map(path)
 
     def make_static_map(self) -> None:
-        """From the next scan on, keep a map of all that stands, without what moved.
+        """From the next scan on, keep a map of all static points, without moving objects.
 
-        What moved is at places, up to 45 m away, through which rays of scans before or after have
-        passed. Every scan keeps some 0.25 MB for that, up to 256 MB; after that every second one.
-        The work is done when the map is asked for.
+        Points of moving objects lie at places, up to 45 m away, that rays of earlier or later scans
+        have passed. Every scan needs some 0.25 MB for this, up to 256 MB; after that only every
+        second scan is kept. The map is computed when it is requested.
         """
         self._detector.make_static_map()
 
     def static_points(self) -> NDArray[np.float64]:
-        """Points of all that stands, (N, 3) [m], world frame.
+        """Return static points, (N, 3) [m], world frame.
 
-        Of points within 3 cm of each other one is kept. Empty without `make_static_map`.
+        Of points within 3 cm of each other, one is kept. Empty without `make_static_map`.
         """
         return self._detector.static_points()
 
     def save_static_map(self, path: str | PathLike[str]) -> None:
-        """Write the voxels of 0.1 m of all that stands to a file that `VoxelMap.load` reads.
+        """Write the static voxels of 0.1 m to a file that `VoxelMap.load` reads.
 
         Raises
         ------
@@ -300,22 +303,22 @@ class FlyingObjectDetector(FullState):
             self._detector.save_static_map(path)
 
     def reanchor(self) -> bool:
-        """Go on after a jump of the pose (relocalisation, GNSS step).
+        """Continue after a jump of the pose (relocalisation, GNSS step).
 
-        The world is shifted so that the scan held last lies where the one before it was: map
+        The world is shifted so that the last held scan lies at the pose of the scan before it: map
         and tracks keep their place around the robot. False if no scan is held.
         """
         return self._detector.reanchor()
 
     def reset(self) -> None:
-        """Forget map, tracks and poses; track numbers go on, health is kept.
+        """Forget map, tracks and poses; track numbers continue, health is kept.
 
-        What was learnt of the sensors stays, until others need their places: 64 are told apart.
+        Learnt properties of the sensors stay until other sensors need their places: 64 are kept.
         """
         self._detector.reset()
 
     def health(self) -> Health:
-        """Scans counted since the start: received = processed + held + rejected."""
+        """Counts of scans since the start: received = processed + held + rejected."""
         return self._health
 
     def _process(

@@ -1,4 +1,4 @@
-"""Configuration of what is known about poses beforehand."""
+"""Configuration of the certainty of poses."""
 
 from typing import Annotated, Literal, Self
 
@@ -10,7 +10,7 @@ _Std = Annotated[float, Field(ge=0, le=100)]
 
 
 class PoseConfig(Config):
-    """How certain poses are, and what follows for the map. Source: Vrba et al., sec. IV."""
+    """Certainty of poses, and its effect on the map. Source: Vrba et al., sec. IV."""
 
     position_std: tuple[_Std, _Std, _Std] = Field(
         (0.0, 0.0, 0.0),
@@ -33,11 +33,12 @@ class PoseConfig(Config):
         3.0,
         ge=0,
         le=100,
-        description="So many standard deviations, along the ray, of position and range rays end"
-        " earlier, unless `weighting` is off or the pose is certain (count, no unit).",
+        description="Rays end earlier by this many standard deviations of position and range"
+        " along the ray, unless `weighting` is off or the pose is certain (count,"
+        " no unit).",
     )
 
     @classmethod
     def paper(cls) -> Self:
-        """The map is updated as if poses were certain."""
+        """Return the paper's variant: the map is updated with poses that count as certain."""
         return cls(weighting="off")

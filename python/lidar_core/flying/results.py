@@ -1,4 +1,4 @@
-"""What the flying-object detector and the tracker return: arrays, one row per object."""
+"""Results of the flying-object detector and the tracker: arrays, one row per object."""
 
 from dataclasses import dataclass, field
 
@@ -11,7 +11,7 @@ from lidar_core.objects import FlyingDetections, Tracks
 
 @dataclass(frozen=True, slots=True)
 class TrackEvents:
-    """What one call did to the tracks, unconfirmed ones included, by their numbers.
+    """Numbers of the tracks that one call changed, including unconfirmed ones.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class TrackEvents:
     corrected, born, confirmed, removed : ndarray, shape (K,), int64
         Tracks corrected by a cluster; new ones; reported from now on; removed.
     merged : ndarray, shape (K, 2), int64
-        The track that stays and the one that went into it.
+        Pairs of the track that stays and the one that was merged into it.
     n_rejected : int
         Measurements not used because a covariance was not positive definite.
     """
@@ -36,7 +36,7 @@ class TrackEvents:
 
 @dataclass(frozen=True, slots=True)
 class FlyingStatus:
-    """Whether detections are reported, and if not, why.
+    """State of the detector: whether it reports detections, and if not, why.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class FlyingStatus:
     reason : str
         Why not: burn-in, no background, or a pose that contradicts the map.
     map_pose_mismatch : bool
-        The scan was held: `reanchor` or `reset` go on from here.
+        The scan was held: call `reanchor` or `reset` to continue.
     sky : str
-        How rays without return are known: "given" by the caller or the recording, found by the
+        Source of the rays without return: "given" by the caller or the recording, found by the
         "pattern" of a sensor with rows or by the "density" of the returns, or "unknown". While it
         is unknown, open sky is never cleared, and objects in front of it are unknown, not flying.
     sky_share : float
@@ -59,8 +59,8 @@ class FlyingStatus:
         too: rows of the cloud without one, and where drivers leave rows out, the rays that the
         search for the sky expects. Of several returns of a ray one is enough.
     own_body_is_decided : bool
-        The sensor has turned by 30 degrees: what was found is the robot, and nothing that goes
-        along with it.
+        The sensor has turned by 30 degrees, which shows that the body is the robot, and not an
+        object that moves along with it.
     """
 
     gate_open: bool
@@ -74,7 +74,7 @@ class FlyingStatus:
 
     @property
     def is_burn_in(self) -> bool:
-        """Whether the scan is one of the first, in which nothing is reported."""
+        """True for the first scans, in which nothing is reported."""
         return self.reason.startswith("burn-in")
 
 
@@ -95,12 +95,12 @@ class FlyingFrame(ShortRepr):
     teammate_id : ndarray, shape (K,), int64
         Known teammates seen in this scan.
     teammates : FlyingDetections
-        Where they were seen, in the order of `teammate_id`.
+        Detections of teammates, in the order of `teammate_id`.
     status : FlyingStatus
         Background gate open or closed, and why.
     timing_ms : dict
-        Time per stage [ms]. With two threads or more, rays are cast while clusters are found and
-        classified: what of that takes longer is added to ``integrate``.
+        Time per stage [ms]. With two threads or more, rays are cast during clustering and
+        classification: the part that takes longer is added to ``integrate``.
     rejected : str or None
         Why the scan could not be used (`on_bad_scan="count"`); the state is unchanged then.
     n_rays, n_visits : int
@@ -132,14 +132,15 @@ class FlyingFrame(ShortRepr):
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Scans counted: received = processed + held + rejected; what the last one told of the sensor.
+    """Counts of scans (received = processed + held + rejected), and state of the sensor.
 
     Attributes
     ----------
     received, processed, held, rejected : int
-        All scans; those used; those held for a pose that contradicts the map; those refused.
+        Number of all scans; of used ones; of those held because their pose contradicts the map; of
+        rejected ones.
     sky, sky_share, own_body : str, float, float
-        Of the last scan used, as in `FlyingStatus`.
+        Values of the last scan used, as in `FlyingStatus`.
     n_voxels_forgotten : int
         Observed voxels that the map forgot to stay within `voxel_map.max_voxels`, farthest first.
     """

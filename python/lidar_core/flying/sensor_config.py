@@ -74,14 +74,16 @@ class SensorConfig(Config):
     )
     find_body: bool = Field(
         True,
-        description="What stays in place in the sensor's frame while the sensor moves, and is"
-        " joined to something near, is the robot: neither target nor background (no unit).",
+        description="Find the robot itself by returns that keep their place in the sensor's"
+        " frame while the sensor moves, and that are joined to near returns: they"
+        " are neither target nor background (no unit).",
     )
     beams: Beams | None = Field(
         "auto",
-        description="How rays without return are known: auto, given with their directions or else"
-        " found from the returns; given, never found; learnt, as auto; or the name of a sensor,"
-        " found from the returns and its rays (no unit). None: given.",
+        description="Source of the rays without return: auto, given with their directions or"
+        " else found from the returns; given, never found; learnt, as auto; or the"
+        " name of a sensor, found from the returns and its rays (no unit). None:"
+        " given.",
     )
     beam_columns: int | None = Field(
         None,
@@ -102,7 +104,7 @@ class SensorConfig(Config):
 
     @classmethod
     def preset(cls, name: str) -> Self:
-        """What differs from the defaults for a 3D sensor of `lidar_core.sensors.SENSORS`.
+        """Return a configuration for a 3D sensor of `lidar_core.sensors.SENSORS`.
 
         Raises
         ------
@@ -117,12 +119,12 @@ class SensorConfig(Config):
 
     @classmethod
     def paper(cls) -> Self:
-        """Every return is used, however near, and nothing is looked for: the paper has neither."""
+        """Return the paper's variant: all returns count, robot and sky are not searched for."""
         return cls(min_range=0.0, learn_mask_scans=0, beams=None, find_body=False)
 
     @property
     def beam_table(self) -> BeamTable:
-        """What `beams` and the rows given stand for."""
+        """Rays of the sensor, as `beams` and the given rows state them."""
         if self.beams in (None, "given"):
             return ("given", (), 0)
         if self.beam_elevations:
@@ -133,7 +135,7 @@ class SensorConfig(Config):
 
     @property
     def known_sensors(self) -> tuple[tuple[str, BeamTable], ...]:
-        """Sensors that an error may propose."""
+        """Sensors that error messages may suggest."""
         return tuple(BEAM_TABLES.items())
 
 
@@ -143,7 +145,7 @@ def _table(sensor: Sensor) -> BeamTable:
         rows = sorted(math.radians(row) for row in pattern["elevations_deg"])
         return ("rows", tuple(rows), pattern["columns"])
     half = math.radians(pattern.get("azimuth_half_deg", 180.0))
-    low, high = (math.radians(pattern[f"elevation_{end}_deg"]) for end in ("min", "max"))
+    low, high = map(math.radians, pattern["elevation_deg"])
     return ("view", (low, high, half), pattern.get("rays", 20_000))
 
 

@@ -1,4 +1,4 @@
-"""The multi-target tracker by itself: point clouds and detections in, tracks out."""
+"""The multi-target tracker alone: point clouds and detections in, tracks out."""
 
 from base64 import b64decode, b64encode
 from typing import Any, Self
@@ -110,8 +110,8 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time of the scan [ns].
         sensor_origin : array_like, shape (3,), optional
-            Where the scan was taken from [m], world frame: a track behind nearer points then
-            waits, up to `config.max_coast`, instead of growing towards removal.
+            Position of the sensor [m], world frame. A track behind nearer points then waits, up to
+            `config.max_coast`, instead of growing towards removal.
         point_time_ns : array_like, shape (N,), int64, optional
             Absolute time of every point [ns]: a cluster then counts at the mean time of its
             points (config.measurement "cluster").
@@ -159,7 +159,7 @@ class PointCloudTracker(FullState):
         extent: ArrayLike | None = None,
         time_ns: ArrayLike | None = None,
     ) -> TrackEvents:
-        """Take in a set of detections, which may be older than the clouds.
+        """Process a set of detections, which may be older than the clouds.
 
         Hand over empty sets as well: confirmation counts sets.
 
@@ -170,7 +170,7 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time the detections describe [ns].
         covariance : array_like, shape (M, 3, 3), optional
-            Their covariances [m^2]; without it, `config.initial_std` holds.
+            Covariances of the positions [m^2]; without them `config.initial_std` applies.
         extent : array_like, shape (M, 3), optional
             Sides of their bounding boxes [m].
         time_ns : array_like, shape (M,), int64, optional
@@ -212,7 +212,7 @@ class PointCloudTracker(FullState):
         stamp_ns : int
             Time of the states [ns].
         confirmed : bool
-            Whether tracks that are not reported are left out.
+            Leave out tracks that are not reported.
         """
         stamp = as_stamp(stamp_ns)
         arrays = self._tracker.tracks_at(stamp)
@@ -232,7 +232,7 @@ def tracks_from(
     *,
     confirmed: bool = True,
 ) -> Tracks:
-    """Tracks of the core, moved back to the world's origin; `confirmed`: only reported ones."""
+    """Convert tracks of the core to the world's origin; `confirmed`: only reported ones."""
     number, mean, covariance, extent, n_detections, age, reported, existence, kinds = arrays
     if not confirmed:
         reported = np.ones_like(reported)

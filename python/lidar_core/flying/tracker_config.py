@@ -15,7 +15,7 @@ Radius = Annotated[float, Field(gt=0, le=100)]
 class TrackerConfig(Config):
     """Tracks of flying objects over point clouds and detections that may come late.
 
-    `TrackerConfig()` is what works best; `TrackerConfig.paper()` is the algorithm as published.
+    `TrackerConfig()` is best mode; `TrackerConfig.paper()` is the algorithm as published.
 
     Source: Vrba et al., sec. III-F and Algorithm 2; paper's values: Table II.
     """
@@ -51,8 +51,8 @@ class TrackerConfig(Config):
         2.5,
         ge=0,
         le=50,
-        description="Clusters with a longer side of their bounding box are no targets [m];"
-        " none, as in the paper: no limit.",
+        description="Largest side of the bounding box of a target's cluster [m]; none, as in"
+        " the paper: no limit.",
     )
     occupied_distance: float = Field(
         0.7,
@@ -98,10 +98,10 @@ class TrackerConfig(Config):
     )
     measurement: Literal["paper", "cluster", "center"] = Field(
         "center",
-        description="What a cluster measures: its centroid with covariance Z^2 I; or with that plus"
-        " the scatter of its points divided by their number; or the centre of the target behind"
-        " the points, where the rays of the scan are known (as in the detector), else as"
-        " `cluster` (no unit).",
+        description="Measurement from a cluster: its centroid with covariance Z^2 I; or with"
+        " that plus the scatter of its points divided by their number; or the"
+        " centre of the target behind the points, if the rays of the scan are"
+        " known (as in the detector), else as `cluster` (no unit).",
     )
     measurement_std: float = Field(
         0.07, gt=0, le=5, description="Standard deviation of a centroid, Z [m]; paper: 1 m."

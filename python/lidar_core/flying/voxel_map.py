@@ -20,7 +20,7 @@ from lidar_core.util.full_state import FullState, is_full_state
 
 @dataclass(frozen=True, slots=True)
 class IntegrateStats:
-    """What one scan did to the map.
+    """Counts of the update of the map by one scan.
 
     Attributes
     ----------
@@ -29,14 +29,14 @@ class IntegrateStats:
     n_skipped : int
         Entries without information: class 0, not finite, or no direction.
     n_rays, n_no_return_rays : int
-        Rays cast; those of them that met nothing.
+        Number of rays; number of those without return.
     n_visits : int
         Voxels crossed by rays, each crossing counted.
     n_visits_skipped : int
-        Of these, crossings that rays passed in one step; see `VoxelMapConfig.skip`.
+        Number of these crossings that rays passed in one step; see `VoxelMapConfig.skip`.
     n_voxels : int
-        Voxels that hold points or that rays visited, without those passed: with `skip` "none" all
-        that the scan met.
+        Number of voxels with points or visited by rays, without those that were passed: with `skip`
+        "none" all voxels along the rays.
     n_voxels_changed : int
         Voxels whose value is another one than before; the same number for every `skip`.
     n_voxels_forgotten : int
@@ -72,9 +72,9 @@ class VoxelMap(FullState):
     threads : int
         Threads used by `integrate`, >= 1.
     origin : array_like, shape (3,)
-        World coordinates of the point that coordinates are stored relative to [m]. Give one
-        near the data if it lies far from the world's origin (UTM, say): float64 coordinates
-        then lose nothing.
+        World coordinates of the reference point of stored coordinates [m]. Choose it near the data
+        if they are far from the world's origin, for example with UTM: float64 coordinates then stay
+        exact.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class VoxelMap(FullState):
             A `PointClass` each: INVALID is skipped and casts no ray, MOVING
             counts as UNKNOWN.
         sensor_origin : array_like, shape (3,) or (N, 3), float64
-            Where the rays start [m], world frame.
+            Position of the sensor [m], world frame.
         ray_directions : array_like, shape (N, 3), float32, optional
             Direction of every ray, world frame. Needed where `no_return` is set.
         no_return : array_like, shape (N,), bool, optional
@@ -217,7 +217,7 @@ class VoxelMap(FullState):
         self._map.set_free(self._local(points_world))
 
     def is_floating(self, points_world: ArrayLike, *, search_distance: float) -> bool:
-        """Whether a cluster of points is surrounded by free voxels (Algorithm 1).
+        """True if a cluster of points is surrounded by free voxels (Algorithm 1).
 
         Parameters
         ----------
@@ -265,9 +265,9 @@ class VoxelMap(FullState):
         points_world : array_like, shape (N, 3), float32
             Points [m], world frame.
         labels : array_like, shape (N,), int32
-            Number of each point's cluster as from `cluster_points`; -1 is none.
+            Number of each point's cluster as from `cluster_points`; -1 for none.
         sensor_origin : array_like, shape (3,), float64
-            Where they were seen from [m].
+            Position of the sensor [m].
         config : ClassifyConfig, optional
             Rules; best mode by default.
 
@@ -292,21 +292,21 @@ class VoxelMap(FullState):
 
     @property
     def n_stored(self) -> int:
-        """Voxels for which memory is held."""
+        """Number of voxels in memory."""
         return self._map.size()[0]
 
     @property
     def n_observed(self) -> int:
-        """Voxels that a point or a ray has met."""
+        """Number of voxels that a point or a ray has touched."""
         return self._map.size()[1]
 
     @property
     def memory_bytes(self) -> int:
-        """Bytes held by the stored voxels and their index."""
+        """Size of the stored voxels and their index [bytes]."""
         return self._map.size()[2]
 
     def save(self, path: str | PathLike[str], *, full: bool = False) -> None:
-        """Write the map to a file, whole or not at all.
+        """Write the map to a file atomically.
 
         Parameters
         ----------

@@ -26,16 +26,17 @@ IN_SPACE = "-3d"
 
 
 class PublishedModel(Config):
-    """What the paper leaves open about its model.
+    """Choices that the paper leaves open for its model.
 
     Source: Remote Sens. 2023, 15, 3396, eqs 5-28.
     """
 
     reading: Literal["a", "b", "c", "d"] = Field(
         "a",
-        description="What the radar measures besides x and y, eq. 26 (no unit): a: v is the range"
-        " rate, theta the bearing, w zero; b: as a, w is the range rate; c: v and theta are the"
-        " true ones, as fourth and fifth value of the measurement; d: nothing.",
+        description="Further states that the radar measures besides x and y, eq. 26 (no"
+        " unit): a: v is the range rate, theta the bearing, w zero; b: as a, but w"
+        " is the range rate; c: v and theta are the true ones, the fourth and"
+        " fifth value of the measurement; d: none.",
     )
     alpha: Literal["literal", "fixed"] = Field(
         "literal",
@@ -59,9 +60,9 @@ class PublishedModel(Config):
         0.0,
         ge=0,
         le=1e3,
-        description="Speed of the platform, V0 of eq. 7 [m/s]. The paper gives none, and its"
-        " recordings are of a sensor at rest: zero, so that nothing is taken from x and y and the"
-        " column of w_d in eqs 18 and 19 is zero.",
+        description="Speed of the platform, V0 of eq. 7 [m/s]. The paper states none, and its"
+        " recordings are of a sensor at rest: zero, so nothing is subtracted from"
+        " x and y, and the column of w_d in eqs 18 and 19 is zero.",
     )
     elevation: float = Field(
         0.0, ge=-1.6, le=1.6, description="Elevation of the platform, phi of eq. 7 [rad]."
@@ -71,8 +72,8 @@ class PublishedModel(Config):
 class FusionConfig(Config):
     """A filter of one target that LiDAR and radar measure.
 
-    `FusionConfig()` is what works; `FusionConfig.paper()` is the filter as published. Noise of
-    the sensors is used for measurements that bring no covariance.
+    `FusionConfig()` is best mode; `FusionConfig.paper()` is the filter as published. The noise of
+    the sensors applies to measurements without a covariance.
 
     Source: Remote Sens. 2023, 15, 3396; Bar-Shalom, Li & Kirubarajan, "Estimation with
     Applications to Tracking and Navigation", 2001.
@@ -96,10 +97,11 @@ class FusionConfig(Config):
         3.0,
         gt=0,
         le=1e3,
-        description="Square of the distance of sigma points of ukf, in standard deviations (no"
-        " unit); none: the number of states plus 2. Below the number of states a weight is"
-        " negative: what it takes off a covariance is left out where nothing would be left. Points"
-        " far away spoil models with a heading, which means nothing while a target stands.",
+        description="Square of the distance of sigma points of ukf, in standard deviations"
+        " (no unit); none: the number of states plus 2. Below the number of states"
+        " a weight is negative; its part of a covariance is left out if the"
+        " covariance would not stay positive. Distant points spoil models with a"
+        " heading, which is undefined while a target is at rest.",
     )
     sigma_points: Literal["redrawn", "carried"] = Field(
         "redrawn",
@@ -154,8 +156,9 @@ class FusionConfig(Config):
         0.5,
         ge=0,
         le=1e6,
-        description="The same of the platform, where its turn rate is a state [rad/s^1.5], or"
-        " discrete [rad/s^2].",
+        description="Noise of the angular acceleration of the platform, if its turn rate is a"
+        " state: root of its density [rad/s^1.5], or discrete its standard"
+        " deviation [rad/s^2].",
     )
     lidar_std: Pair | Triple = Field(
         (0.15, 0.15),
@@ -164,28 +167,30 @@ class FusionConfig(Config):
     )
     radar_std: Triple | Four = Field(
         (0.3, 0.03, 0.3),
-        description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of the"
-        " radar, > 0; or of range, bearing, elevation and range rate, else the elevation has that"
-        " of the bearing.",
+        description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of"
+        " the radar, > 0; or of range, bearing, elevation and range rate. Without"
+        " the fourth, the elevation has the value of the bearing.",
     )
     gyro_std: float = Field(
         0.01, gt=0, le=1e3, description="Standard deviation of the gyro's turn rate [rad/s]."
     )
     pose_std: Triple | Six = Field(
         (0.0, 0.0, 0.0),
-        description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses, >= 0;"
-        " or of x, y, z [m], roll, pitch and yaw [rad]:"
-        " what they make of a place enters the noise of LiDAR and radar; zeros: exact.",
+        description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses,"
+        " >= 0; or of x, y, z [m], roll, pitch and yaw [rad]. Their effect on a"
+        " measured place is added to the noise of LiDAR and radar; zeros: exact.",
     )
     gyro: Literal["input", "exact", "measurement", "none"] = Field(
         "input",
-        description="Use of the gyro by model ctrv-drone (no unit): its rate, of which the bias"
-        " and the delay are estimated as states gyro_bias [rad/s] and gyro_delay [s]; or its rate"
-        " as it is; or as a measurement of a sixth state w_d; or not at all, w_d being estimated.",
+        description="Use of the gyro by model ctrv-drone (no unit): its rate as an input,"
+        " with bias and delay estimated as states gyro_bias [rad/s] and gyro_delay"
+        " [s]; or its rate as an exact input; or as a measurement of a sixth state"
+        " w_d; or not used, with w_d estimated.",
     )
     lever_arm: Pair | Triple = Field(
         (0.0, 0.0),
-        description="From the platform's origin to the sensor, platform axes: x, y (and z) [m].",
+        description="Position of the sensor relative to the platform's origin, platform axes:"
+        " x, y (and z) [m].",
     )
     start_rows: int = Field(
         6,
@@ -203,14 +208,20 @@ class FusionConfig(Config):
         0.7071, gt=0, le=1e6, description="Standard deviation of the first position [m]."
     )
     initial_speed: float = Field(
-        5.0, gt=0, le=1e6, description="Same of the speed, or of the velocity per axis [m/s]."
+        5.0,
+        gt=0,
+        le=1e6,
+        description="Standard deviation of the first speed, or of the first velocity per axis"
+        " [m/s].",
     )
-    initial_heading: float = Field(1.732, gt=0, le=100, description="Same of the heading [rad].")
+    initial_heading: float = Field(
+        1.732, gt=0, le=100, description="Standard deviation of the first heading [rad]."
+    )
     initial_turn_rate: float = Field(
-        1.0, gt=0, le=1e3, description="Same of the turn rate [rad/s]."
+        1.0, gt=0, le=1e3, description="Standard deviation of the first turn rate [rad/s]."
     )
     initial_acceleration: float = Field(
-        3.0, gt=0, le=1e6, description="Same of the acceleration [m/s^2]."
+        3.0, gt=0, le=1e6, description="Standard deviation of the first acceleration [m/s^2]."
     )
     gate_probability: float | None = Field(
         0.9999,
@@ -236,14 +247,14 @@ class FusionConfig(Config):
         0.5,
         ge=0,
         le=3600,
-        description="How long measurements are kept: late ones are put where they belong, what"
-        " came after them is filtered again, and duplicates are refused [s].",
+        description="Time for which measurements are kept: late ones are processed at their"
+        " time, later ones are filtered again, and duplicates are rejected [s].",
     )
     published: PublishedModel = PublishedModel()
 
     @classmethod
     def turning_sensor(cls) -> Self:
-        """Targets in the frame of a sensor that turns and moves, as its gyro says."""
+        """Return a configuration for targets in the frame of a moving sensor with a gyro."""
         return cls(model="ctrv-drone", acceleration_noise=1.0)
 
     @classmethod

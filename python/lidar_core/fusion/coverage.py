@@ -1,4 +1,4 @@
-"""How well many targets are tracked, while their scanners see them."""
+"""Scores of a tracker of many targets, while scanners see the targets."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,16 +16,17 @@ from lidar_core.objects import TargetTracks
 
 @dataclass(frozen=True, slots=True)
 class TargetCoverage:
-    """How well one target is tracked.
+    """Scores of the track of one target.
 
     Attributes
     ----------
     n_scans : int
         Scans in which it is counted: those between detections of it at most `gap` apart.
     share : float
-        Of them, with a track within `reach` that serves no other target; NaN without any.
+        Share of these scans with a track within `reach` that serves no other target; NaN without
+        scans.
     rmse : float
-        Of that track [m]; NaN without any.
+        RMS position error of that track [m]; NaN without a track.
     n_ids : int
         Tracks that served it.
     n_switches : int
@@ -54,7 +55,7 @@ def target_coverage(
     Parameters
     ----------
     scans : sequence of DetectionScan
-        With truth.
+        Scans with ground truth.
     tracks : sequence of TargetTracks
         After each of them.
     reach : float
@@ -76,7 +77,7 @@ def mean_gospa(
 
 
 def empty_gospa(scans: Sequence[DetectionScan], *, cutoff: float) -> dict[str, float]:
-    """As `mean_gospa` of an output without a single track: what a score has to be better than."""
+    """Return `mean_gospa` of an output without tracks: the limit that a useful score must beat."""
     return _mean_gospa(scans, [np.empty((0, 2))] * len(scans), cutoff)
 
 

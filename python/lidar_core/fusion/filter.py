@@ -18,7 +18,7 @@ from lidar_core.util.full_state import FullState
 
 @dataclass(frozen=True, slots=True)
 class FilterHealth:
-    """Noise of the sensors, as it was configured and as the measurements show it.
+    """Noise of the sensors, as configured and as estimated from the measurements.
 
     Attributes
     ----------
@@ -37,10 +37,10 @@ class FilterHealth:
 class TargetFilter(FullState):
     """Position and motion of one target.
 
-    The state is in the frame of the sensor where that stands still or where the model moves it
-    (ctrv-drone), and in the world once a measurement "pose" has come, or "pose-3d" for a model in
-    space. The model names the states and their order: x, y, z, vx, vy, vz of cv-3d; these and ax,
-    ay, az of ca-3d; x, y, z, horizontal speed, heading, turn rate and climb of ctrv-3d.
+    The state is in the frame of the sensor if the sensor stands still or the model moves it
+    (ctrv-drone). It is in the world after a measurement "pose", or "pose-3d" for a model in space.
+    The model names the states and their order: x, y, z, vx, vy, vz of cv-3d; these and ax, ay, az
+    of ca-3d; x, y, z, horizontal speed, heading, turn rate and climb of ctrv-3d.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class TargetFilter(FullState):
         self._filter = _core.TargetFilter(self.config)
 
     def step(self, measurement: Measurement) -> _core.FusionStep:
-        """Take in one measurement.
+        """Process one measurement.
 
         Parameters
         ----------
@@ -77,14 +77,14 @@ class TargetFilter(FullState):
         Returns
         -------
         step : FusionStep
-            `stamp_ns`, `state` (n,) and `covariance` (n, n) after it, None before the target has
-            been seen; `innovation` (k,) and `nis`, None where there was nothing to compare;
-            `accepted`; and `outcome`: "updated", "started", "restarted" (the filter was lost),
-            "told" (how the platform moves), "gated", "invalid" (values that cannot be used),
-            "late" (older than `config.buffer_time` allows), "duplicate", "singular" (covariances
-            without a factor). After the last four the filter is as before, after "gated" it is
-            predicted only. A late measurement within the buffer is put where it belongs:
-            `innovation` is then of that time, the state of the newest.
+            `stamp_ns`; `state` (n,) and `covariance` (n, n) after the step, None before the target
+            was seen; `innovation` (k,) and `nis`, None if nothing was compared; `accepted`; and
+            `outcome`: "updated", "started", "restarted" (the filter had lost the target), "told"
+            (motion of the platform), "gated", "invalid" (unusable values), "late" (older than
+            `config.buffer_time` allows), "duplicate", "singular" (a covariance could not be
+            factorised). After the last four the filter is unchanged; after "gated" it is only
+            predicted. A late measurement within the buffer is processed at its own time:
+            `innovation` then belongs to that time, the state to the newest.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class TargetFilter(FullState):
     def health(self) -> FilterHealth:
         """Return the noise of the sensors as configured and as estimated.
 
-        A value that no measurement without a covariance has shown is the configured one.
+        A value without evidence, because all measurements have a covariance, is the configured one.
         """
         lidar, radar = self._filter.sensor_stds()
         configured = told_stds(self.config)

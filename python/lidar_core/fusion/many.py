@@ -24,16 +24,16 @@ MAX_SOURCES = 64
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ScanResult(ShortRepr):
-    """What became of the measurements of a scan, a row per measurement.
+    """Assignment of the measurements of a scan, one row per measurement.
 
     Attributes
     ----------
     id : ndarray, shape (K,), int64
-        Track of every measurement, confirmed or not; -1 for none. By joint probabilities it is
-        that which the measurement is of with more than one half.
+        Number of the track of every measurement, confirmed or not; -1 for none. With joint
+        probabilities, the track whose probability is above one half.
     innovations : ndarray, shape (K, 3)
-        Measured minus what that track expected; NaN beyond the values that were compared, and
-        where a track began.
+        Measured minus expected values of that track; NaN for values that were not compared, and for
+        the start of a track.
     nis : ndarray, shape (K,)
         Normalised innovation squared; NaN where nothing was compared.
     """
@@ -45,7 +45,7 @@ class ScanResult(ShortRepr):
 
 @dataclass(frozen=True, slots=True)
 class TrackerHealth:
-    """What the scans of a tracker have cost.
+    """Cost of the scans of a tracker.
 
     Attributes
     ----------
@@ -120,18 +120,18 @@ class MultiTargetTracker(FullState):
     def process(
         self, stamp_ns: int, measurements: Iterable[Measurement], *, source: str
     ) -> ScanResult:
-        """Take in what one scanner saw at one time; an empty scan is information, too.
+        """Process the measurements of one scanner at one time; an empty scan is information, too.
 
-        Scans may come late: one that is at most `config.target.buffer_time` older than the newest
-        is put where it belongs, and those after it are gone through again; tracks keep the
-        numbers that these gave them. A scan that is there already changes nothing.
+        Scans may come late: a scan that is at most `config.target.buffer_time` older than the
+        newest is processed at its time, and the scans after it are processed again; tracks keep
+        their numbers. A scan that was already processed changes nothing.
 
         Parameters
         ----------
         stamp_ns : int
             Time of the scan and its measurements [ns].
         measurements : iterable of Measurement
-            Of targets, one each, and of the platform's motion.
+            Measurements of targets, one each, and of the platform's motion.
         source : str
             Name of the scanner. Only scans of scanners that have measured a track count against
             it while it waits for its confirmation.
@@ -139,7 +139,7 @@ class MultiTargetTracker(FullState):
         Returns
         -------
         ScanResult
-            As this scan found the tracks; a later one that belongs before it may change that.
+            Assignment at the time of this scan; a late scan may change it afterwards.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class MultiTargetTracker(FullState):
         return ScanResult(*result)
 
     def health(self) -> TrackerHealth:
-        """Return what the scans have cost; a tracker from a saved state begins anew."""
+        """Return the cost of the scans; it starts at zero for a tracker from a saved state."""
         return TrackerHealth(*self._tracker.work())
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
@@ -172,7 +172,7 @@ class MultiTargetTracker(FullState):
         stamp_ns : int
             A time before the last measurement of a track gives its state at that measurement [ns].
         confirmed : bool
-            Whether tracks that are not reported yet are left out.
+            Leave out tracks that are not yet reported.
         """
         stamp = as_stamp(stamp_ns)
         arrays = self._tracker.tracks_at(stamp)

@@ -14,12 +14,12 @@ Density = Annotated[float, Field(gt=0, le=1e6)]
 class MultiTargetConfig(Config):
     """Tracks of many targets from scans of LiDAR and radar.
 
-    Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and
-    Navigation", 2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999;
-    Fortmann, Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic
-    data association", 1983; Musicki & Evans, "Joint integrated probabilistic data association:
-    JIPDA", 2004; Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994,
-    whose Markov chain two tells hidden targets from those that do not exist.
+    Source: Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    2001; Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999; Fortmann,
+    Bar-Shalom & Scheffe, "Sonar tracking of multiple targets using joint probabilistic data
+    association", 1983; Musicki & Evans, "Joint integrated probabilistic data association: JIPDA",
+    2004; Musicki, Evans & Stankovic, "Integrated probabilistic data association", 1994, whose
+    second Markov chain separates hidden targets from targets that do not exist.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -71,27 +71,30 @@ class MultiTargetConfig(Config):
         0.0,
         ge=0,
         le=1e6,
-        description="No track starts nearer than this to one that the same scan measured: parts"
-        " of an object are no objects. A track that goes along ahead or astern of one with more"
-        " measurements, up to 1.5 times as far along and 0.6 times across, is a part of it and not"
-        " reported. Half of the spread of the measurements within this distance of a track is"
-        " added to the covariance of its reported position [m].",
+        description="Least distance of a new track from a track that the same scan measured:"
+        " parts of an object are not objects [m]. A track that moves along ahead"
+        " or astern of one with more measurements, up to 1.5 times this distance"
+        " along and 0.6 times across, is a part of it and not reported. Half of"
+        " the spread of the measurements within this distance of a track is added"
+        " to the covariance of its reported position.",
     )
     report_speed: float = Field(
         0.0,
         ge=0,
         le=1e3,
-        description="A track is not reported while the mean of its speed over the last 15 s is"
-        " below this: for clutter that stands, where targets do not. Places that return again and"
-        " again for more than 10 s then count as clutter; 0: nothing of this [m/s].",
+        description="Least mean speed over the last 15 s of a reported track [m/s]: against"
+        " static clutter, where targets always move. Places with measurements"
+        " again and again for more than 10 s then count as clutter; 0 switches"
+        " both off.",
     )
 
     association: Literal["integrated", "nearest", "joint"] = Field(
         "integrated",
-        description="Measurements within gates are of all near tracks, each with its probability,"
-        " and each track has a probability of existence (JIPDA); or of the nearest track, all"
-        " distances together (global nearest neighbours); or of all near ones, confirmed by counts"
-        " (JPDA) (no unit).",
+        description="Assignment of measurements within gates: to all near tracks, each with"
+        " its probability, where each track has a probability of existence"
+        " (JIPDA); or to the nearest track, over all distances together (global"
+        " nearest neighbours); or to all near ones, confirmed by counts (JPDA) (no"
+        " unit).",
     )
     detection_probability: float = Field(
         0.9,
@@ -117,7 +120,7 @@ class MultiTargetConfig(Config):
 
     @classmethod
     def boats(cls) -> Self:
-        """Return what suits boats of 10 to 40 m, scanned every 0.5 to 2 s."""
+        """Return a configuration for boats of 10 to 40 m, scanned every 0.5 to 2 s."""
         return cls(
             target=FusionConfig(
                 model="cv",

@@ -1,4 +1,4 @@
-"""Measurements, as a filter takes them."""
+"""Measurements for filters."""
 
 from collections.abc import Iterable, Sequence
 from typing import Literal, TypeAlias
@@ -35,7 +35,7 @@ class Measurement:
     stamp_ns : int
         Time [ns].
     sensor : {"lidar", "radar", "gyro", "pose", "pose-3d"}
-        Where it comes from. "radar" is every sensor that measures ranges, angles or range rates.
+        Kind of the sensor. "radar" is every sensor that measures ranges, angles or range rates.
     values : array_like
         lidar: x, y, or x, y, z [m]. radar: range [m], bearing counter-clockwise from x [rad],
         elevation above the plane of x and y [rad], range rate [m/s], positive when the range
@@ -49,15 +49,15 @@ class Measurement:
         or these, vx, vy, vz in the world [m/s] and the turn rates about its own axes [rad/s].
         Values that are not finite are allowed: a filter refuses them and says so.
     covariance : array_like, optional
-        Of all values of a lidar or radar (K, K), of a gyro's turn rate (1, 1), of a pose's x, y
-        and yaw (3, 3), of the first six values of a pose-3d (6, 6); without it the filter's
-        configuration holds.
+        Covariance of all values of a lidar or radar (K, K), of a gyro's turn rate (1, 1), of a
+        pose's x, y and yaw (3, 3), of the first six values of a pose-3d (6, 6); without it the
+        filter's configuration applies.
     measures : sequence of str, optional
-        Of a radar: which of range, bearing, elevation and range_rate its values are, in this
-        order. A filter in the plane takes an elevation to level range and range rate.
+        Names of the values of a radar, in their order: range, bearing, elevation, range_rate. A
+        filter in the plane uses an elevation to convert range and range rate to the plane.
     seen_from : array_like, shape (2,), optional
-        With sensor "lidar", if a radar has measured that position: where it was, in the same frame
-        [m]. `MultiTargetTracker` then tells echoes that came back twice from targets.
+        With sensor "lidar", if a radar has measured that position: position of the radar in the
+        same frame [m]. `MultiTargetTracker` then distinguishes double echoes from targets.
 
     Raises
     ------
@@ -193,8 +193,8 @@ class Measurements:
         values : array_like, shape (K, W)
             A row holds as many values as its sensor has at least; the rest is not looked at.
         covariances : array_like, shape (K, 3, 3) or (K, 6, 6), optional
-            As of `Measurement`, in the first rows and columns of each matrix; the rest is not
-            looked at. Without it the filter's configuration holds.
+            Covariances as in `Measurement`, in the first rows and columns of each matrix; the rest
+            is ignored. Without it the filter's configuration applies.
 
         Raises
         ------
@@ -237,7 +237,7 @@ class Measurements:
 
 
 def as_measurements(measurements: Iterable[Measurement] | Measurements) -> Measurements:
-    """`measurements`, kept by the core."""
+    """Return `measurements` in the core's own storage."""
     if isinstance(measurements, Measurements):
         return measurements
     return Measurements(measurements)

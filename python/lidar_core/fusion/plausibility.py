@@ -1,4 +1,4 @@
-"""Whether measurements can be what a filter takes them for, and what may be wrong with them."""
+"""Checks whether measurements fit the assumptions of a filter, with probable causes if not."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -48,11 +48,11 @@ class Implausible:
     Attributes
     ----------
     n_compared : int
-        Measurements that were compared with what the filter expected.
+        Number of measurements that were compared with expected values.
     ratio : float
-        Sum of the least 80 % of their NIS over what is expected of it (1 is expected).
+        Sum of the least 80 % of their NIS divided by its expected value (1 is expected).
     limit : float
-        What it may be.
+        Largest plausible value.
     shown : tuple of str
         Causes that the data shows.
     possible : tuple of str
@@ -85,31 +85,31 @@ class Implausible:
 
 
 def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Implausible | None:
-    """Say whether and why measurements cannot be those of one target in the expected units.
+    """Check whether measurements can belong to one target in the expected units.
 
     Parameters
     ----------
     measurements : sequence of Measurement
     config : FusionConfig
-        Of their filter. The noise that is configured is believed here: noise that is estimated
-        would explain every mistake.
+        Configuration of the filter. The configured noise is used: estimated noise would explain
+        every mistake.
 
     Returns
     -------
     Implausible or None
-        None where nothing is wrong, with less than 20 measurements compared, and for the model
-        as published, whose NIS means nothing: what it has for covariances are none.
+        None if nothing is wrong, if fewer than 20 measurements were compared, and for the model as
+        published: its matrices are no covariances, so its NIS has no meaning.
 
     Notes
     -----
-    The sum of the NIS of a right recording is chi-square distributed. Noise may be three times
-    what the filter is told, which makes it nine times as large; a fifth of the measurements, those
-    with the largest NIS, is left out, and with it about half of the sum (`KEPT_SUM`). What is left
-    is beyond reason above the quantile of 1 - 1e-6 of a chi-square variable with its variance. A
-    sum that one of the mistakes makes ten times larger is refused from `SUSPICIOUS` on. A sum, or a
-    scatter of a LiDAR's places, below the quantile of 1e-6 with noise 30 times smaller
-    than told is refused only where places look like geographic coordinates: simulated
-    measurements without any noise are no mistake.
+    The sum of the NIS of a correct recording is chi-square distributed. The noise may be three
+    times the configured one, which multiplies the sum by nine; a fifth of the measurements, those
+    with the largest NIS, is left out, and with it about half of the sum (`KEPT_SUM`). The rest is
+    implausible above the quantile of 1 - 1e-6 of a chi-square variable with its variance. If one of
+    the known mistakes makes a sum ten times larger, it is refused from `SUSPICIOUS` on. A sum, or a
+    scatter of LiDAR positions, below the quantile of 1e-6 with noise 30 times smaller than
+    configured is refused only if positions look like geographic coordinates: simulated measurements
+    without noise are correct.
     """
     if config.model == "paper":
         return None
@@ -139,18 +139,18 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
 def mistaken_for_noise(
     measurements: Sequence[Measurement], told: FusionConfig, fitted: FusionConfig
 ) -> str | None:
-    """What mistake the noise of a fit explains; None where it seems to be noise.
+    """Return the mistake that the noise of a fit hides; None if it seems to be real noise.
 
-    A fit explains every mistake as noise. It is one if undoing it makes the measurements agree,
-    under the noise that was told before, or ten times better under the fitted one; or if the
-    bearings of the radar tell nothing any more.
+    A fit explains every mistake as noise. It is a mistake if its correction makes the measurements
+    agree, either under the noise before the fit, or ten times better under the fitted one; or if
+    the bearings of the radar carry no information any more.
 
     Parameters
     ----------
     measurements : sequence of Measurement
         In the order of their times.
     told, fitted : FusionConfig
-        Where the fit began, and what it found.
+        Configuration before and after the fit.
     """
     before = implausible(measurements, told)
     shown = before.shown if before is not None else ()
@@ -272,10 +272,11 @@ def _clock(
 
 
 def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
-    """What to say about poses of the platform that may be latitude and longitude.
+    """Return a warning about poses of the platform that may be latitude and longitude.
 
-    A target seen from a platform that seems to stand still moves smoothly, too: the NIS does not
-    tell. A platform that does stand still has such poses as well, so that they are not refused.
+    A target seen from a platform that seems to stand still also moves smoothly, so the NIS does not
+    reveal the mistake. A platform that really stands still has such poses too, so they are not
+    refused.
     """
     found = _geographic(measurements[:HEAD], "pose", "poses of the platform")
     return found[0] if found else None

@@ -1,4 +1,4 @@
-"""Mistakes in measurements, what undoes them, and the option that cures them."""
+"""Mistakes in measurements: how to undo each, and the option that corrects it."""
 
 from collections.abc import Callable
 
@@ -37,7 +37,7 @@ def _scaled(factor: float) -> Change:
 
 
 def later(seconds: float) -> Change:
-    """The same measurement, so much later [s]."""
+    """Return the same measurement with a later time [s]."""
 
     def changed(m: Measurement) -> Measurement:
         return m.with_values(m.values, stamp_ns=m.stamp_ns + round(seconds * 1e9))

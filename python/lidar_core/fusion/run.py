@@ -20,7 +20,7 @@ MAX_LAG = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a filter said, one row per measurement in the order of their stamps.
+    """Output of a filter, one row per measurement in the order of the stamps.
 
     Attributes
     ----------
@@ -29,18 +29,19 @@ class Run:
     states : ndarray, shape (K, n)
         Means after the measurement; NaN before the target has been seen.
     covariances : ndarray, shape (K, n, n)
-        Their covariances.
+        Covariances of the states.
     innovations : ndarray, shape (K, 3), or (K, 4) in space
         Measured minus expected; NaN beyond the values that were compared.
     nis : ndarray, shape (K,)
         Normalised innovation squared; NaN where nothing was compared.
     outcomes : ndarray, shape (K,), str
-        As `FusionStep.outcome`.
+        Outcomes, as in `FusionStep.outcome`.
     lidar_std_estimated : ndarray, shape (2,), or (3,) in space
         Standard deviations of x, y (and z) of the LiDAR [m] as the measurements show them at the
         end; those of the configuration where they are not estimated.
     radar_std_estimated : ndarray, shape (3,), or (4,) in space
-        The same of the radar's range [m], bearing (and elevation) [rad] and range rate [m/s].
+        Estimated standard deviations of the radar's range [m], bearing (and elevation) [rad] and
+        range rate [m/s].
     """
 
     stamps_ns: NDArray[np.int64]
@@ -54,7 +55,7 @@ class Run:
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
-        """Whether each measurement was used, (K,)."""
+        """True for each measurement that was used, (K,)."""
         return np.isin(self.outcomes, ["updated", "started", "restarted", "told"])
 
 
@@ -96,7 +97,7 @@ def run_batch(
     *,
     threads: int = 1,
 ) -> list[Run]:
-    """As `run` for thousands of targets, or runs with other noise, in one call.
+    """Run a filter for thousands of targets, or with several noise values, in one call.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def smooth(
     *,
     lag: float | None = None,
 ) -> Run:
-    """As `run`, but every state also knows the measurements that came after it.
+    """Run a filter, and let later measurements also correct every state.
 
     Parameters
     ----------
@@ -137,8 +138,8 @@ def smooth(
     config : FusionConfig, optional
         Any but model paper and method imm.
     lag : float, optional
-        Measurements up to this much later count [s]: what a filter knows that may answer so
-        late. Without it all do.
+        Measurements up to this much later are used [s], as by a filter that may answer so late.
+        Default: all.
 
     Returns
     -------

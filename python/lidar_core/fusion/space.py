@@ -1,4 +1,4 @@
-"""Three dimensions from a track in the plane: sensors that swivel, and how high they look."""
+"""Positions in space from a track in the plane, by the elevation of sensors that swivel."""
 
 from dataclasses import dataclass
 
@@ -11,16 +11,16 @@ from lidar_core.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class LevelSight:
-    """What sensors that swivel measured, in the level frame at the sensors.
+    """Measurements of sensors that swivel, in the level frame at the sensors.
 
     Attributes
     ----------
     values : ndarray, shape (K, 3)
         Horizontal range [m], bearing [rad], horizontal range rate [m/s].
     covariances : ndarray, shape (K, 3, 3)
-        Their covariances.
+        Covariances of the measurements.
     elevation, elevation_variance : ndarray, shape (K,)
-        Of the target above the horizon [rad], [rad^2].
+        Elevation of the target above the horizon [rad], and its variance [rad^2].
     """
 
     values: NDArray[np.float64]
@@ -56,7 +56,7 @@ def level_sight(
     swivel_std: float,
     pitch_std: float,
 ) -> LevelSight:
-    """Turn what was measured in a swivelled plane into the horizontal plane.
+    """Convert measurements in a swivelled plane to the horizontal plane.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def level_sight(
     swivel : array_like, shape (K,)
         Elevation of the sight above the plane of the body [rad].
     pitch : array_like, shape (K,)
-        Of the body, nose down [rad].
+        Pitch of the body, positive with the nose down [rad].
     std : array_like, shape (K, 3)
         Standard deviations of `values`.
     swivel_std, pitch_std : float
@@ -136,14 +136,14 @@ def in_space(
     Parameters
     ----------
     position, covariance : array_like, shapes (K, 2) and (K, 2, 2)
-        Of the track, world [m], [m^2].
+        Position [m] and covariance [m^2] of the track, world frame.
     elevation, elevation_variance : array_like, shape (K,)
-        Of the target above the horizon of the sensor [rad], [rad^2].
+        Elevation of the target above the horizon of the sensor [rad], and its variance [rad^2].
     sensor : array_like, shape (K, 3)
-        Where the sensor is, world [m].
+        Position of the sensor [m], world frame.
     drift : array_like, shape (K,), optional
-        Variance by which the target's height may have changed since the row before [m^2]: heights
-        are filtered. Without it every row stands for itself.
+        Variance of the change of the target's height since the row before [m^2]: heights are then
+        filtered. Without it every row is independent.
 
     Returns
     -------

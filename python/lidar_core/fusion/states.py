@@ -1,4 +1,4 @@
-"""What the numbers of a state are, model by model."""
+"""Names and meaning of the states of each model."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ def state_names(config: FusionConfig) -> tuple[str, ...]:
 
 
 def is_in_space(config: FusionConfig) -> bool:
-    """Whether targets have a height.
+    """True if the states include a height.
 
     Examples
     --------

@@ -33,13 +33,13 @@ def fit_noise(
     Parameters
     ----------
     measurements : iterable of Measurement, Measurements, or sequence of Measurements
-        Of one target, or of several that move alike.
+        Measurements of one target, or of several that move alike.
     config : FusionConfig, optional
         Model and method, and where the search begins; values that are zero stay zero. Without it
         the model is found, too: ct or ctrv, which of them makes the measurements likelier.
     sensors : bool
-        Whether deviations of LiDAR and radar are found, too, for measurements that bring no
-        covariance; else only the process noise is.
+        Also fit the standard deviations of LiDAR and radar, for measurements without a covariance;
+        otherwise only the process noise.
     least_range_rate_std : float
         Least deviation of the radar's range rate, if it is sought [m/s], >= 0. A target whose speed
         jumps has range rates that no model follows, though the radar is exact.
@@ -94,7 +94,7 @@ def fit_likeliest(
     Raises
     ------
     InputError
-        As `fit_noise`, if no configuration can be fitted.
+        As for `fit_noise`, if no configuration can be fitted.
     """
     targets, found, errors = _targets(measurements), [], []
     for one in configs:

@@ -21,7 +21,7 @@ class ChainedRecording(Recording):
     path : Path
         The folder.
     options : ReadOptions
-        How to read the files.
+        Options for reading the files.
     files : list of Path
         The recordings in it.
     opened : callable

@@ -34,7 +34,7 @@ class TopicInfo:
     Attributes
     ----------
     name, type, kind, note : str
-        As in `Topic`.
+        Properties of the topic, as in `Topic`.
     count : int
         Stored messages.
     rate_hz : float or None
@@ -69,7 +69,7 @@ class RecordingInfo:
     path, format : str
         File or folder, and its format.
     topics : tuple of TopicInfo
-        By name.
+        Topics by name.
     start_ns, end_ns : int or None
         First and last time of any message [ns].
     transforms : tuple of (parent, child, is_static)
@@ -77,13 +77,13 @@ class RecordingInfo:
     point_time, no_return : dict
         Verdict per topic of scans.
     defects : tuple of str
-        What is wrong or missing, and what was assumed.
+        Defects, missing parts, and assumptions that were made.
     looked_at : dict
         Scans that were decoded, and all of them, per topic of which not all were: large
         recordings are not read to their end.
     stamps : dict
-        What to take for the stamps of a topic, as `ReadOptions.stamps`, where most scans would be
-        rejected for theirs.
+        Suggested value of `ReadOptions.stamps` per topic, if most scans would be rejected for their
+        stamps.
     """
 
     path: str
@@ -111,7 +111,7 @@ class RecordingInfo:
 
 
 def info_of(values: dict[str, Any]) -> RecordingInfo:
-    """The summary of which `RecordingInfo.to_dict` gave these values, or JSON made of them."""
+    """Return the summary whose `RecordingInfo.to_dict` gave these values, maybe through JSON."""
     given = {name: value for name, value in values.items() if name != "duration_s"}
     topics = [TopicInfo(**one | {"frames": tuple(one["frames"])}) for one in given["topics"]]
     return RecordingInfo(

@@ -41,12 +41,11 @@ def open_recording(
     path : str or Path
         File or folder.
     options : ReadOptions, optional
-        How to read it.
+        Options for reading it.
     trusted : bool, optional
-        True parses the file in this process. False has a process of its own parse formats that
-        other people's libraries read, with limits on memory and processor time: a file that makes
-        a library crash is then an error. The default is False, or True within
-        `lidar_core.io.trusted_files()`. Windows reads all files in this process.
+        True parses the file in this process. False parses formats of third-party libraries in a
+        child process with limits on memory and processor time: a file that crashes a library then
+        causes an error. The default is False, or True within `lidar_core.io.trusted_files`.
     **values
         Single fields of `ReadOptions`; they override `options`.
 
@@ -58,7 +57,7 @@ def open_recording(
     Raises
     ------
     FormatError
-        Unknown or broken format; the text names the file and what is wrong.
+        Unknown or broken format; the text names the file and the problem.
     LimitError
         A record is larger than the options allow.
     MissingExtraError

@@ -14,13 +14,14 @@ LONGEST = 9e9  # times in nanoseconds fit into 64 bits [s]
 
 
 class ReadOptions(Config):
-    """Options of `open_recording`; each reader uses those that concern its format."""
+    """Options of `open_recording`; each reader uses the ones that its format needs."""
 
     no_return: Literal["auto", "zero", "nan", "max", "none"] = Field(
         "auto",
-        description="What marks a ray without return, besides +inf in a 2D scan: zeros, NaN, in a"
-        " 2D scan ranges of range_max or more (max), or nothing; auto decides by the first scan"
-        " that shows a mark, and never takes NaN in a 2D scan for one (no unit).",
+        description="Mark of a ray without return, besides +inf in a 2D scan: zeros, NaN, in"
+        " a 2D scan ranges of range_max or more (max), or nothing; auto decides by"
+        " the first scan with a mark, and never takes NaN in a 2D scan for one (no"
+        " unit).",
     )
     point_time: str = Field(
         "auto",
@@ -59,8 +60,8 @@ class ReadOptions(Config):
     )
     recover: bool = Field(
         False,
-        description="MCAP: read what is whole in a file that was not closed, was cut, or has broken"
-        " chunks, and say what is lost (no unit).",
+        description="MCAP: read the complete part of a file that was not closed, was cut, or"
+        " has broken chunks, and report the lost part (no unit).",
     )
     max_record_bytes: int = Field(
         64 * 2**20,
@@ -85,8 +86,8 @@ class ReadOptions(Config):
 class Span(Config):
     """Part of a recording, in seconds from its first stamp."""
 
-    start: float = Field(0.0, ge=0, le=LONGEST, description="What comes before is left out [s].")
-    end: float | None = Field(None, le=LONGEST, description="What comes after is left out [s].")
+    start: float = Field(0.0, ge=0, le=LONGEST, description="Start of the part that is used [s].")
+    end: float | None = Field(None, le=LONGEST, description="End of the part that is used [s].")
 
     @field_validator("end")
     @classmethod
@@ -135,14 +136,16 @@ class PoseOptions(Span):
     odom: str | None = Field(
         None,
         description="Topic of the poses, instead of the transforms; mountings still come from"
-        " these. Poses without a frame of their own are of the frame whose transforms move as they"
-        " do, else of the frame that the sensor is mounted on, else the sensor's (no unit).",
+        " these. Poses without a child frame belong to the frame whose transforms"
+        " have the same motion, else to the frame that the sensor is mounted on,"
+        " else to the sensor (no unit).",
     )
     mounting: tuple[str, ...] = Field(
         (),
-        description="Where sensors sit, if the recording does not say, as texts PARENT FRAME x y z"
-        " roll pitch yaw: FRAME is that of the scans, PARENT the one whose poses are known; lengths"
-        " in metres, angles in radians (no unit).",
+        description="Mountings of sensors that the recording does not contain, as texts"
+        " PARENT FRAME x y z roll pitch yaw: FRAME is the frame of the scans,"
+        " PARENT a frame with known poses; lengths in metres, angles in radians"
+        " (no unit).",
     )
     max_gap: float = Field(
         1.0, gt=0, description="Longest time between two poses to interpolate over [s]."
@@ -150,7 +153,8 @@ class PoseOptions(Span):
     max_extrapolation: float = Field(
         0.1,
         ge=0,
-        description="How long the first and last pose are used before and after their times [s].",
+        description="Time for which the first pose holds before, and the last pose after, its"
+        " own time [s].",
     )
 
     @field_validator("mounting")
@@ -171,7 +175,7 @@ def mounting_of(text: str) -> Pose:
     Raises
     ------
     ValueError
-        It is no such text.
+        The text has another form.
     """
     words = text.split()
     try:

@@ -1,4 +1,4 @@
-"""Readers of recordings: how one is registered, and which one a file needs."""
+"""Registry of readers of recordings, and choice of the reader of a file."""
 
 import warnings
 from collections.abc import Callable, Iterable
@@ -24,25 +24,25 @@ class Reader:
     Attributes
     ----------
     name : str
-        Of the format, for people; unique.
+        Name of the format in tables; unique.
     suffixes : tuple of str
         Ends of the names of its files, with the dot.
     open : callable
         `open(path, options)`, with `folder="together"` `open(path, options, files)`.
     sniff : callable or None
-        `sniff(path, options)`: whether a file is of this format. Readers with it are asked before
-        the one without.
+        `sniff(path, options)`: true if a file has this format. Readers with it are tried before the
+        one without.
     extra : str or None
         Optional feature of the package that it needs.
     folder : str
-        What several files in a folder are: single recordings, of which one has to be named;
+        Meaning of several files in a folder: single recordings, of which one must be named;
         recordings to be merged by time; or together one recording.
     subfolders : tuple of str
-        Where its files lie below a folder that has none itself.
+        Subfolders with the files, for a folder that contains none itself.
     marker : str or None
-        File by which a folder is known to be of this format, whatever else is in it.
+        File that marks a folder of this format, whatever else it contains.
     note : str
-        What else a user has to know, for tables of formats.
+        Additional note for tables of formats.
     module : str
         Module that registers it.
     """
@@ -59,12 +59,12 @@ class Reader:
     module: str = ""
 
     def opened(self, path: Path, options: ReadOptions, files: list[Path]) -> Recording:
-        """Open a recording; `files` are those that `path` holds, or `path` itself.
+        """Open a recording; `files` are the files in the folder `path`, or `path` itself.
 
         Raises
         ------
         PluginError
-            The reader is of another package, and broken.
+            The reader belongs to another package and is broken.
         """
         with READERS.calling(self):
             if self.folder == "together":
@@ -97,30 +97,30 @@ def register_reader(
 ) -> Callable[[OpenT], OpenT]:
     """Register a reader: a subclass of `Recording`, or a function that returns one.
 
-    What it decorates is called as `open(path, options)`. From then on `open_recording`,
-    `lidar-core info`, the error for unknown files and the tables of formats know it. Another
-    package names the module of its reader as an entry point of the group `lidar_core.readers`.
+    The decorated function is called as `open(path, options)`. `open_recording`, `lidar-core info`,
+    the error for unknown files and the tables of formats use the registry. Another package names
+    the module of its reader as an entry point of the group `lidar_core.readers`.
 
     Parameters
     ----------
     name : str
-        Of the format, for people; unique.
+        Name of the format in tables; unique.
     suffixes : iterable of str
         Ends of the names of its files, with the dot.
     sniff : callable, optional
-        `sniff(path, options)` says whether a file is of this format, where several share an
-        ending.
+        `sniff(path, options)` returns true if a file has this format, for endings that several
+        formats share.
     extra : str, optional
         Extra of lidar_core that has to be installed.
     folder : str
-        What several files in a folder are: "single" recordings, recordings to be "merged" by
-        time, or "together" one recording: then it is called as `open(path, options, files)`.
+        Meaning of several files in a folder: "single" recordings, recordings to be "merged" by
+        time, or "together" one recording, which is opened with `open(path, options, files)`.
     subfolders : iterable of str
-        Where its files lie below a folder that has none itself.
+        Subfolders with the files, for a folder that contains none itself.
     marker : str, optional
-        File by which a folder is known to be of this format, whatever else is in it.
+        File that marks a folder of this format, whatever else it contains.
     note : str
-        What else a user has to know.
+        Additional note for tables of formats.
 
     Raises
     ------
@@ -168,16 +168,16 @@ def suffix_of(path: Path) -> str | None:
 
 
 def owner_of(suffix: str) -> Reader:
-    """The reader that takes every file of an ending: the one that looks for nothing in them."""
+    """Return the reader of all files of an ending: the one without `sniff`."""
     takers = [reader for reader in READERS.parts() if suffix in reader.suffixes]
     return min(takers, key=lambda reader: reader.sniff is not None)
 
 
 def reader_of(path: Path, options: ReadOptions) -> Reader | None:
-    """The reader that a file needs; None for an unknown ending.
+    """Return the reader of a file; None for an unknown ending.
 
-    Among readers of one ending, the first that recognises the file has it, else the one that
-    takes any.
+    Among readers of one ending, the first one that recognises the file is used, or else the one
+    without `sniff`.
     """
     suffix = suffix_of(path)
     if suffix is None:

@@ -23,7 +23,7 @@ class Recording(ABC):
     path : Path
         File or folder.
     options : ReadOptions
-        How it is read.
+        Options for reading it.
     skipped : Counter
         Messages per topic that no reader understands.
     findings : Findings
@@ -57,7 +57,7 @@ class Recording(ABC):
     def first_stamp(self) -> int | None:
         """Time of the first scan or moving pose [ns]; None without.
 
-        A zero that other times follow days later is a stamp that nobody set.
+        A stamp of zero, followed by times days later, was never set.
         """
         stamps = (item.stamp_ns for item in self if not (isinstance(item, Pose) and item.is_static))
         first = next(stamps, None)
@@ -82,7 +82,7 @@ class Recording(ABC):
         return inspect(self)
 
     def close(self) -> None:
-        """Release the file, where one is held; further reads are not allowed."""
+        """Close the file, if one is open; further reads are not allowed."""
         return
 
     def __enter__(self) -> Self:

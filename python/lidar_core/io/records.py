@@ -38,13 +38,13 @@ class Topic:
     Attributes
     ----------
     name, type : str
-        As the recording names them.
+        Name and type in the recording.
     kind : str
-        What a reader makes of it.
+        Kind of message that the reader returns.
     count : int or None
         Messages, where the recording states it.
     note : str
-        Why it is not read, or what was assumed.
+        Reason why it is not read, or assumptions that were made.
     """
 
     name: str
@@ -65,9 +65,9 @@ class Record:
     time_ns : int
         When it was stored [ns].
     decode : callable
-        Its messages; none for a record that no reader understands or that was rejected.
+        Decode the messages of the record; none if it was rejected or has no reader.
     parse : callable, optional
-        The message as its ROS type says, where it has one.
+        Parse the message by its ROS type, if it has one.
     """
 
     topic: Topic

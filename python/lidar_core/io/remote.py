@@ -14,7 +14,7 @@ EXTRA, PURPOSE = "cloud", "files of other machines"
 
 
 def is_remote(text: str) -> bool:
-    """Whether a text is an address such as s3://bucket/a.mcap; file:// counts, too."""
+    """True if a text is an address such as s3://bucket/a.mcap; file:// also counts."""
     return _ADDRESS.match(text) is not None
 
 
@@ -51,7 +51,7 @@ def fetched(address: str, folder: Path) -> Path:
     Raises
     ------
     FileNotFoundError
-        Nothing is there.
+        The address does not exist.
     """
     files, path = _opened(address)
     place = folder / _name(path)
@@ -75,7 +75,7 @@ def fetched(address: str, folder: Path) -> Path:
 
 
 def texts(pattern: str) -> dict[str, bytes]:
-    """What the files hold that match a pattern, by address; they are read together."""
+    """Read the files that match a pattern, all at a time; return their content by address."""
     files, path = _opened(pattern)
     files.invalidate_cache()
     names = files.glob(path)
@@ -84,7 +84,7 @@ def texts(pattern: str) -> dict[str, bytes]:
 
 
 def held_names(address: str) -> set[str]:
-    """Names of the files and folders in a folder; none where it is not there."""
+    """Names of the files and folders in a folder; empty if it does not exist."""
     files, path = _opened(address)
     files.invalidate_cache()
     try:
@@ -97,9 +97,10 @@ def held_names(address: str) -> set[str]:
 def stored(
     folder: Path, address: str, *, last: Sequence[str] = (), is_replaced: bool = True
 ) -> None:
-    """Copy a folder to an address; what was there goes first, the files `last` come last.
+    """Copy a folder to an address, without its old files; the files `last` are copied last.
 
-    `is_replaced` is false where nothing was there, which saves the requests that look.
+    With `is_replaced` false the folder must be new, which saves the requests that look for old
+    files.
     """
     files, path = _opened(address)
     files.invalidate_cache()

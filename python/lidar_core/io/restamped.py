@@ -13,12 +13,12 @@ from lidar_core.messages import Message, Scan
 class RestampedRecording(Recording):
     """A recording with the times at which messages were stored, or counted ones, as stamps.
 
-    Static poses keep theirs: they hold at all times.
+    Static poses keep their stamps: they hold at all times.
 
     Parameters
     ----------
     recording : Recording
-        As it is; closed with this one.
+        Recording with the original stamps; closed with this one.
     options : ReadOptions
         `stamps` is recorded or counted.
     """
@@ -43,7 +43,7 @@ class RestampedRecording(Recording):
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
         """Stored messages in the order of the recording, with other stamps.
 
-        Counted are the scans of every topic on its own; poses have the time of the last scan.
+        The scans of every topic are counted separately; poses have the time of the last scan.
         """
         if self.options.stamps == "recorded":
             for record in self._recording.records(kinds):

@@ -16,7 +16,7 @@ def unit_quaternion(quaternion: NDArray[np.float64], *, place: str) -> NDArray[n
     Raises
     ------
     FormatError
-        Its length is not one within rounding: not a rotation.
+        The length is not one within rounding, so it is not a rotation.
     """
     # Plain sums, not BLAS: its kernels, and so the last bit, differ from CPU to CPU.
     length = math.sqrt(sum(part * part for part in quaternion.tolist()))

@@ -1,4 +1,4 @@
-"""Which topic of a recording has the scans that are wanted."""
+"""Selection of the topic of a recording that has the wanted scans."""
 
 from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
@@ -36,18 +36,18 @@ def scan_topics(
     Parameters
     ----------
     recording : Recording
-        Where to look.
+        Recording to search.
     sorts : collection of type
         `Scan`, `LaserScan`, or both.
     names : collection of str
-        Of topics; each must be there.
+        Names of topics; each must exist.
 
     Raises
     ------
     ConfigError
-        No such topic with scans of this sort.
+        There is no topic of this name with scans of this kind.
     FormatError
-        No scans of this sort at all.
+        There are no scans of this kind.
     """
     words = [WORDS[sort] for sort in sorts]
     plural = " or ".join(word.plural for word in words)
@@ -75,7 +75,7 @@ def scan_topics(
 
 
 def scan_topic(recording: "Recording", name: str | None, sort: type) -> Topic:
-    """The only topic with scans of a sort, or the one that is named; otherwise as `scan_topics`."""
+    """Return the only topic with scans of a kind, or the named one; otherwise as `scan_topics`."""
     chosen = scan_topics(recording, [sort], [] if name is None else [name])
     if name is None and len(chosen) > 1:
         words, found = WORDS[sort], listed([topic.name for topic in chosen])

@@ -1,4 +1,4 @@
-"""Writers: how one is registered, and which one a file needs."""
+"""Registry of writers, and choice of the writer of a file."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,18 +21,18 @@ class Writer:
     Attributes
     ----------
     format : str
-        Of what it writes, for people.
+        Name of the format in tables.
     suffixes : tuple of str
         Ends of the names of its files, with the dot; empty for a new folder.
     takes : str
-        What it writes: messages of a recording, objects of a run, points of a cloud or map.
+        Input of the writer: messages of a recording, objects of a run, points of a cloud or map.
     write : callable
         `write(path, messages)`, `write(path, objects)` with `RunObjects`, or
         `write(path, points, resolution)`.
     extra : str or None
         Optional feature of the package that it needs.
     needs_resolution : bool
-        Whether it writes voxels, of points.
+        True if it writes voxels made of points.
     module : str
         Module that registers it.
     """
@@ -47,7 +47,7 @@ class Writer:
 
     @property
     def name(self) -> str:
-        """Unique among writers: formats can hold more than one sort of things."""
+        """Unique name: formats can hold more than one kind of data."""
         return f"{self.format} of {self.takes}"
 
     def __call__(self, *values: Any) -> Any:
@@ -80,15 +80,15 @@ def register_writer(
     takes: Takes,
     needs_resolution: bool = False,
 ) -> Callable[[WriteT], WriteT]:
-    """Register a function that writes one output format, whole or not at all.
+    """Register a function that writes one output format atomically.
 
-    `lidar-core convert` and the errors for unknown endings know it from then on. Another package
-    names the module of its writer as an entry point of the group `lidar_core.writers`.
+    `lidar-core convert` and the errors for unknown endings use the registry. Another package names
+    the module of its writer as an entry point of the group `lidar_core.writers`.
 
     Parameters
     ----------
     name : str
-        Of the format, for people; unique among writers that take the same.
+        Name of the format in tables; unique among writers with the same input.
     suffixes : iterable of str
         Ends of the names of its files, with the dot; empty for a new folder.
     extra : str, optional
@@ -99,12 +99,12 @@ def register_writer(
         run; it may return names of topics. "points": `write(path, points, resolution)` with an
         array (N, 3) [m], and the edge of the voxels that they are the centres of [m], or None.
     needs_resolution : bool
-        Whether it writes voxels, of points: then `resolution` is a number.
+        True if it writes voxels made of points: `resolution` is then a number.
 
     Raises
     ------
     ConfigError
-        Another writer has this name, or takes an ending for the same.
+        Another writer has this name, or the same ending for the same input.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def register_writer(
 
 
 def writers_of(takes: Takes) -> dict[str, Writer]:
-    """Writers of one sort of things by the endings of their files; the first one has an ending."""
+    """Return the writers for one kind of input by the endings of their files."""
     known: dict[str, Writer] = {}
     for writer in WRITERS.parts():
         if writer.takes == takes:
@@ -146,7 +146,7 @@ def writers_of(takes: Takes) -> dict[str, Writer]:
 
 
 def ending_of(path: Path, known: Iterable[str]) -> str:
-    """The longest of the `known` endings that a name has; else what follows its last dot."""
+    """Return the longest `known` ending of a name, or else the part after its last dot."""
     name = path.name.lower()
     ends = [end for end in known if end and name.endswith(end) and name != end]
     return max(ends, key=len, default=path.suffix.lower())

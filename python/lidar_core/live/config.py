@@ -1,4 +1,4 @@
-"""How a live run waits, forgets and reports."""
+"""Configuration of a live run: waiting times, memory of poses, reports."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
@@ -25,7 +25,7 @@ CONNECT_TIMEOUT = 10.0
 
 
 class LiveConfig(Config):
-    """How `lidar-core live` waits, forgets and reports. Source: tests on the loopback."""
+    """Waiting times, memory and reports of `lidar-core live`. Source: tests on the loopback."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "report_interval": "reports come every second",
@@ -38,8 +38,9 @@ class LiveConfig(Config):
     pose_wait: float = Field(
         0.2,
         ge=0,
-        description="How long a scan waits for the pose of its last point; after it the newest"
-        " pose counts, if it is not older than `poses.max_extrapolation` [s].",
+        description="Time that a scan waits for the pose of its last point; after it the"
+        " newest pose is used, if it is not older than `poses.max_extrapolation`"
+        " [s].",
     )
     max_waiting: int = Field(
         8, ge=1, description="Scans of one LiDAR that wait for their poses (no unit)."

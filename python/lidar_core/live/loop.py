@@ -1,4 +1,4 @@
-"""The loop of a live run: what arrived, what has its pose, through the pipeline, to the outputs."""
+"""Loop of a live run: scans wait for a pose, pass the pipeline, and go to the outputs."""
 
 import time
 from collections import deque
@@ -29,35 +29,36 @@ class _Waiting(Generic[ScanT]):
 
 
 class LiveLoop(Generic[ScanT]):
-    """Takes scans from a source; the newest one that has its pose wins.
+    """Takes scans from a source; only the newest one with a pose is processed.
 
     Parameters
     ----------
     source : Source
         Started by `run`, and closed.
     pipeline : callable
-        Makes the pipeline for scans of a sort, or returns None for a sort that is not wanted.
+        Makes the pipeline for scans of a kind, or returns None for an unwanted kind.
     poses : LivePoses
-        Where the sensor is.
+        Source of the sensor's poses.
     outputs : sequence of Output
         Get every update, in this order; closed at the end.
     config : LiveConfig
-        How long to wait.
+        Waiting times.
     topics : sequence of str
-        Topics of the LiDARs; empty for the first that brings a scan.
+        Topics of the LiDARs; empty for the first one with a scan.
     tape : Tape, optional
         Gets everything that arrives.
     on_report : callable
-        Told how it goes, every second.
+        Called with a report every second.
     on_silence : callable
-        Told once, if no wanted scan comes in the first seconds, what the source has instead.
+        Called once if no wanted scan comes in the first seconds, with the topics that the source
+        has.
 
     Attributes
     ----------
     stats : LiveStats
-        What was counted.
+        Counts of the run.
     inbox : Inbox
-        What arrived.
+        Messages that have arrived.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class LiveLoop(Generic[ScanT]):
         self._reported_scans = 0
 
     def run(self, seconds: float | None = None) -> None:
-        """Work until the source ends, for so many seconds, or until Ctrl-C, which is raised.
+        """Work until the source ends, for a number of seconds, or until Ctrl-C, which is raised.
 
         Raises
         ------
@@ -116,7 +117,7 @@ class LiveLoop(Generic[ScanT]):
 
     @property
     def heard_nothing(self) -> bool:
-        """Whether a stream brought no scan that was asked for, not even one that is unreadable."""
+        """True if a stream brought none of the requested scans, not even an unreadable one."""
         heard = self.inbox.heard & self._wanted if self._wanted else self.inbox.heard
         return self._source.is_stream and not heard
 
@@ -132,7 +133,7 @@ class LiveLoop(Generic[ScanT]):
             self._on_silence(self._source.advertised())
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         self.stats.dropped.update(self.inbox.dropped)
         self.inbox.dropped.clear()
         findings = self._source.findings

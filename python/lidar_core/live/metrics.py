@@ -1,4 +1,4 @@
-"""How a live run goes, for Prometheus: text that it fetches.
+"""State of a live run as text that Prometheus fetches.
 
 Format: Prometheus text exposition format 0.0.4.
 """
@@ -16,7 +16,7 @@ PREFIX = "lidar_core_live_"
 
 
 def metrics_text(report: Report | None) -> str:
-    """All metrics of a report; before the first one only that the run is there."""
+    """Return all metrics of a report as text; before the first report, only that the run exists."""
     return "\n".join([*_lines(report), ""])
 
 
@@ -71,7 +71,7 @@ class MetricsServer:
     Parameters
     ----------
     host, port : str, int
-        Where it listens; port 0 takes a free one.
+        Address to listen at; port 0 selects a free one.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class MetricsServer:
     Attributes
     ----------
     address : str
-        Where the metrics are.
+        URL of the metrics.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -122,7 +122,7 @@ class MetricsServer:
             return self._report
 
     def update(self, report: Report) -> None:
-        """Take in a report."""
+        """Update the metrics with a report."""
         with self._lock:
             self._report = report
 

@@ -1,4 +1,4 @@
-"""The pipelines that a stream can go through; each is made when the first scans are known."""
+"""Pipelines for streams; each is made when the first scans are known."""
 
 from abc import ABC, abstractmethod
 from typing import Generic
@@ -11,12 +11,12 @@ from lidar_core.messages import LaserScan, PosedScan, Scan, ScanT
 
 
 class LivePipeline(ABC, Generic[ScanT]):
-    """Takes posed scans of one sort.
+    """Pipeline for posed scans of one kind.
 
     Attributes
     ----------
     capability : str
-        What it looks for.
+        Capability of the pipeline.
     sort : type
         `Scan` or `LaserScan`.
     """
@@ -31,7 +31,7 @@ class LivePipeline(ABC, Generic[ScanT]):
 
     @abstractmethod
     def take(self, item: PosedScan[ScanT], frame_id: str) -> Update | str:
-        """Process one scan; a text says why it was rejected."""
+        """Process one scan; return the reason if it was rejected."""
 
 
 class FlyingLive(LivePipeline[Scan]):
@@ -61,7 +61,7 @@ class CirclesLive(LivePipeline[LaserScan]):
     Parameters
     ----------
     config : CirclesConfig
-        Its `scanner` limits the ranges.
+        Configuration; its `scanner` limits the ranges.
     n_scanners : int
         LiDARs of which a scan has to be known before the first one is taken.
 
@@ -71,7 +71,7 @@ class CirclesLive(LivePipeline[LaserScan]):
         Gets every scan; None until all LiDARs are known.
     config : CirclesConfig
     allow_untrusted : bool
-        As given.
+        True if untrusted models may run.
 
     Raises
     ------

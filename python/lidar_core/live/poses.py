@@ -1,4 +1,4 @@
-"""Poses as they come, and scans that wait for theirs."""
+"""Poses of a stream, and scans that wait for their poses."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -17,17 +17,18 @@ from lidar_core.messages import Pose, ScanT
 
 
 class LivePoses:
-    """Transforms and odometry of a stream; says where the sensor was during a scan.
+    """Poses of the sensor from transforms and odometry of a stream.
 
-    Where recordings are read twice, a stream is not: the source of the poses is chosen with the
-    first scan that has one, and kept. Transforms come first, odometry where they move nothing.
+    Recordings are read twice, a stream is not: the source of the poses is chosen with the first
+    scan that has one, and kept. Transforms have priority; odometry is used if they contain no
+    motion.
 
     Parameters
     ----------
     options : PoseOptions
-        Where the poses come from: auto, static, or kiss for the scans themselves.
+        Source of the poses: auto, static, or kiss for the scans themselves.
     config : LiveConfig
-        How long they are kept.
+        Time for which they are kept.
 
     Attributes
     ----------
@@ -70,12 +71,12 @@ class LivePoses:
         self.on_note(text)
 
     def add(self, topic: Topic, pose: Pose, carried_frame: str) -> None:
-        """Take in one pose; one without child frame is of what carries `carried_frame`.
+        """Add a pose; without child frame it belongs to what carries `carried_frame`.
 
         Raises
         ------
         ConfigError
-            Several frames carry it, and nothing says which of them is meant.
+            Several frames carry it, and the stream does not state which one is meant.
         """
         if topic.type in POSE_TYPES or topic.name == self._options.odom:
             self._add_odometry(topic.name, pose, carried_frame)
@@ -92,7 +93,7 @@ class LivePoses:
                 self._add_to(buffer, topic.name, pose)
 
     def is_complete(self, scan: ScanT) -> bool:
-        """Whether every pose that a scan needs is known, so that waiting brings nothing."""
+        """True if every pose that a scan needs is known, so that waiting is of no use."""
         if self._options.pose == "static" or self._kiss is not None:
             return True
         try:
@@ -103,12 +104,12 @@ class LivePoses:
         return until is None or until >= span_ns(scan)[1]
 
     def posed(self, scan: ScanT) -> PosedScan[ScanT]:
-        """`scan` with the sensor's poses; what is older than the history is forgotten.
+        """Return `scan` with the sensor's poses; poses older than the history are dropped.
 
         Raises
         ------
         NoTransformError
-            There is none; the text says what is missing.
+            There is no pose; the text states what is missing.
         ConfigError
             KISS-ICP is given 2D scans, or those of a second LiDAR.
         """

@@ -1,4 +1,4 @@
-"""What a live run counts: rates, latencies, everything that was left out and why."""
+"""Counts of a live run: rates, latencies, and skipped messages with the reason."""
 
 from collections import Counter, deque
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Delay:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What one line on the console says.
+    """Content of one line on the console.
 
     Attributes
     ----------
@@ -29,13 +29,13 @@ class Report:
     from_stamp, from_arrival : Delay or None
         Since the last report.
     counts : dict
-        What was left out since the start.
+        Counts of skipped messages since the start.
     processed : int
         Scans since the start.
     objects : int
         Tracks or elements now.
     trouble : str
-        What the source waits for.
+        Problem that the source waits for.
     """
 
     elapsed_s: float
@@ -49,9 +49,10 @@ class Report:
 
 
 def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) -> float | None:
-    """How much later this clock is than that of the stamps [ms]; None where both may agree.
+    """Offset of this clock to the clock of the stamps [ms]; None if both may agree.
 
-    No network takes `LONGEST_WAY_MS` from a stamp to the arrival, and none takes less than no time.
+    A stamp and its arrival differ by at least zero, and in any network by less than
+    `LONGEST_WAY_MS`: other differences come from the clocks.
     """
     if from_stamp is None or from_arrival is None:
         return None
@@ -60,7 +61,7 @@ def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) ->
 
 
 def told_difference(difference_ms: float) -> str:
-    """A difference of clocks for people, in the unit that suits it."""
+    """Return a difference of clocks as text, in a suitable unit."""
     seconds = abs(difference_ms) * 1e-3
     for unit, size in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0)):
         if seconds >= 2 * size:
@@ -81,12 +82,12 @@ class LatencyLog:
         self._recent.append(latency_ns * 1e-6)
 
     def recent(self) -> Delay | None:
-        """Of those since the last call; None without."""
+        """Summary of latencies since the last call; None without any."""
         values, self._recent = self._recent, []
         return _delay(values)
 
     def total(self) -> Delay | None:
-        """Of all that are kept; None without."""
+        """Summary of all latencies that are kept; None without any."""
         return _delay(list(self._all))
 
 
@@ -105,8 +106,8 @@ class LiveStats:
     processed : int
         Scans that went through the pipeline.
     dropped, without_pose, rejected, ignored : Counter
-        Scans replaced by newer ones, by topic; without a pose, by what is missing; that the
-        pipeline or an output refused, by reason; of topics that were not asked for, by topic.
+        Counts of scans: replaced by newer ones, by topic; without a pose, by the missing frame;
+        rejected by pipeline or output, by reason; of topics that were not requested, by topic.
     from_stamp, from_arrival : LatencyLog
         Latencies to the end of the outputs: from the stamp of the scan, and from its arrival.
     """

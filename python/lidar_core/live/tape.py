@@ -1,4 +1,4 @@
-"""Keeps what came in, as a recording."""
+"""Recording of everything that arrives."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -64,7 +64,7 @@ class Tape:
         self._thread.start()
 
     def keep(self, record: Record) -> Record:
-        """Take in a record; returns it with messages that are decoded only once."""
+        """Write a record; return it with messages that are decoded only once."""
         shared = replace(record, decode=_Once(record))
         try:
             self._waiting.put_nowait(shared)
@@ -80,7 +80,7 @@ class Tape:
         OSError
             It could not be written.
         LidarCoreError
-            The format cannot hold what came.
+            The format cannot store the messages.
         """
         if self._thread.is_alive():
             self._waiting.put(None)

@@ -56,10 +56,10 @@ def topic_of(key: str) -> RosKey | None:
 
 
 def topic_of_token(token: str) -> str | None:
-    """Publisher that a token of the ROS graph tells of, for people; None for other tokens.
+    """Return the publisher in a token of the ROS graph as text; None for other tokens.
 
-    Of rmw_zenoh: @ros2_lv/DOMAIN/../MP/../NODE/%topic/type/hash/qos; of zenoh-bridge-ros2dds:
-    @/ID/@ros2_lv/MP/topic/type/qos, with a paragraph sign for every slash.
+    Tokens of rmw_zenoh: @ros2_lv/DOMAIN/../MP/../NODE/%topic/type/hash/qos; of
+    zenoh-bridge-ros2dds: @/ID/@ros2_lv/MP/topic/type/qos, with a paragraph sign for every slash.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def topic_of_token(token: str) -> str | None:
 
 
 def told_of_key(key: str) -> str:
-    """A key that something is published at, for people: topic, type and domain, or as it is."""
+    """Return a key with messages as text: topic, type and domain, or the key itself."""
     found = topic_of(key)
     if found is None:
         return f"/{key} (no type in its key)"
@@ -87,21 +87,21 @@ def told_of_key(key: str) -> str:
 
 
 def open_session(endpoint: str, *, timeout: float) -> Any:
-    """Session that is linked to `endpoint`, and links again by itself when that comes back.
+    """Open a session that is linked to `endpoint`, and that reconnects by itself.
 
     Parameters
     ----------
     endpoint : str
         Such as tcp/127.0.0.1:7447.
     timeout : float
-        How long the first link may take [s].
+        Longest time until the first link [s].
 
     Raises
     ------
     ConfigError
         No such endpoint can be.
     LinkError
-        Nobody listens there.
+        No router or peer answers there.
     MissingExtraError
         eclipse-zenoh is not installed.
     """
@@ -138,5 +138,5 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
 
 
 def is_linked(session: Any) -> bool:
-    """Whether any router or peer is there."""
+    """True while a router or peer is connected."""
     return bool(list(session.info.routers_zid()) or list(session.info.peers_zid()))

@@ -1,9 +1,9 @@
 """Tables and figures of the papers, run again: the paper's numbers | paper mode | best mode.
 
-Where printed equations contradict each other, a column `equations_corrected` has them put right.
+Where printed equations contradict each other, a column `equations_corrected` has corrected ones.
 
-One folder per paper: `flying`, `circles`, `fusion`. An item is a declaration: its name, how long it
-takes, what it measures, and how rows and picture are made of that. A module that declares items is
+There is one folder per paper: `flying`, `circles`, `fusion`. An item declares its name, its
+duration, its measurement, and how rows and picture are made of it. A module that declares items is
 named in `registry.MODULES`.
 """
 

@@ -1,4 +1,4 @@
-"""What the items share: modes, what counts, how it is drawn, and the seeds of flights."""
+"""Shared parts of the items: modes, scoring, drawing, and seeds of flights."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -23,9 +23,9 @@ GATE = 2.0
 
 
 def evaluation_config(**given: Any) -> EvaluationConfig:
-    """What counts: a gate that a lagging track passes, else as `given`.
+    """Return the scoring: a gate wide enough for a lagging track, or else as `given`.
 
-    The scans of the burn-in are those that a run counted: see `flying.simulated.flights.tables`.
+    The scans of the burn-in are counted by the run: see `flying.simulated.flights.tables`.
     """
     return EvaluationConfig(**{"gate": GATE, **given})
 

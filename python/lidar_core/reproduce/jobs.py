@@ -1,4 +1,4 @@
-"""Independent parts of a long run: over several processes, and kept for a run that goes on.
+"""Independent parts of a long run: spread over processes, and kept for a run that continues.
 
 A part is a mapping of names to arrays, so that a finished one can lie on the disk as .npz.
 """
@@ -42,7 +42,7 @@ class Job:
     arguments : mapping
         Numbers, texts, tuples of them and configurations.
     scans : int
-        Its share of the progress.
+        Number of scans, its share of the progress.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Job:
 
     @property
     def stamp(self) -> str:
-        """What made the part; a part with another stamp is of no use."""
+        """Return the origin of the part; parts with another stamp are not used."""
         plain = {
             name: value.model_dump(mode="json") if isinstance(value, Config) else value
             for name, value in self.arguments.items()
@@ -63,8 +63,8 @@ class Job:
 def run(jobs: Sequence[Job], request: Request) -> list[Part]:
     """Do all jobs and return their parts, in the order of the jobs.
 
-    With `request.parts` every finished part is kept there, and parts of an earlier run of the
-    same build with the same arguments are taken instead of made again, unless it is a fresh run.
+    With `request.parts` every finished part is stored there. Parts of an earlier run of the same
+    build with the same arguments are reused, unless the run is fresh.
     """
     parts: dict[str, Part] = {}
     for job in jobs:
@@ -84,7 +84,7 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
 def flights(
     name: str, function: Callable[..., Part], request: Request, *, longest: int
 ) -> list[Job]:
-    """Jobs `function(seed=, number=, scans=)` with `request.scans` scans in all, or nearly so.
+    """Return jobs `function(seed=, number=, scans=)` with about `request.scans` scans in total.
 
     A part has `longest` scans, or all of a shorter run.
     """
@@ -103,7 +103,7 @@ def flights(
 def grouped(
     jobs: Sequence[Job], parts: Sequence[Part], argument: str, values: Iterable[str]
 ) -> dict[str, list[Part]]:
-    """Parts by what their jobs were given for `argument`, in the order of `values`."""
+    """Group the parts by the value of `argument` of their jobs, in the order of `values`."""
     return {
         value: [
             part for job, part in zip(jobs, parts, strict=True) if job.arguments[argument] == value

@@ -28,7 +28,7 @@ def recording(name: str) -> Path:
 
 
 def is_missing(names: tuple[str, ...]) -> bool:
-    """Whether one of these recordings cannot be read."""
+    """True if one of these recordings cannot be read."""
     try:
         return not all(recording(name) for name in names)
     except ConfigError:

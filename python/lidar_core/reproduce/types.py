@@ -1,4 +1,4 @@
-"""What an item of `lidar-core reproduce` is, is asked for, and returns."""
+"""Items of `lidar-core reproduce`: their definition, their request and their results."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,9 +14,9 @@ Draw: TypeAlias = Callable[[Any], None]
 class Row(NamedTuple):
     """One number, as the paper has it and as the modes give it; None where it is not known.
 
-    `paper_mode` is the algorithm as printed. `equations_corrected` is the same algorithm where
-    its printed equations contradict each other and somebody put them right; most items have no
-    such column. A curve is one row per point: `recall@10m`.
+    `paper_mode` is the algorithm as printed. `equations_corrected` is the same algorithm with
+    corrections where its printed equations contradict each other; most items have no such column. A
+    curve is one row per point: `recall@10m`.
     """
 
     name: str
@@ -27,7 +27,7 @@ class Row(NamedTuple):
     equations_corrected: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As `--json` writes it: from what the paper says to what the package does."""
+        """Return the row as `--json` writes it: from the paper's value to the package's."""
         return {name: getattr(self, name) for name in ("name", "unit", *COLUMNS)}
 
 
@@ -42,23 +42,23 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """How to run an item.
+    """Options for the run of an item.
 
     Attributes
     ----------
     seed : int
-        Of everything random, >= 0.
+        Seed of all random numbers, >= 0.
     scans : int
-        Length of the run, in what the item counts, >= 1. An item may do a little more or less:
+        Length of the run in the unit of the item, >= 1. An item may run slightly more or less:
         whole flights.
     threads : int
         Processes or threads to use, >= 1; the rows do not depend on it.
     parts : Path, optional
         Folder for finished parts of a long run, see `jobs.run`; None keeps none.
     is_fresh : bool
-        Whether parts that lie there are made again.
+        Compute parts again even if they exist.
     advance : callable
-        Told how much of `scans` is done since the last call.
+        Called with the number of `scans` that were done since the last call.
     """
 
     seed: int
@@ -71,7 +71,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What an item gave.
+    """Result of an item.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class Result:
     draw : callable
         Draws the picture into an empty matplotlib Figure.
     scans : int
-        What was really run.
+        Number of scans that were really run.
     note : str
-        What a reader of the table has to know.
+        Note for readers of the table.
     config : mapping
         Configurations in force, by name, for the note beside the results.
     """
@@ -94,24 +94,24 @@ class Result:
     config: Mapping[str, Config] = field(default_factory=dict)
 
     def to_dict(self, *, item: str, seed: int, command: str) -> dict[str, Any]:
-        """As `--json` writes it."""
+        """Return the result as `--json` writes it."""
         rows = [row.to_dict() for row in self.rows]
         return {"item": item, "seed": seed, "command": command, "rows": rows}
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What an item measured.
+    """Measurements of an item.
 
     Attributes
     ----------
     data : tuple
-        What the rows are made of: the arguments of `Item.rows`.
+        Input of the rows: the arguments of `Item.rows`.
     scans, note, config
         See `Result`.
     drawn : tuple, optional
-        What the picture is made of: the arguments of `Item.draw` after the figure; None for those
-        of the rows.
+        Input of the picture: the arguments of `Item.draw` after the figure; None for the same as
+        the rows.
     """
 
     data: tuple[Any, ...]
@@ -128,9 +128,9 @@ class Item:
     Attributes
     ----------
     name : str
-        As the command calls it.
+        Name of the item on the command line.
     title : str
-        What it shows, in one line.
+        Subject of the item in one line.
     scans : int
         Length of the full run.
     minutes : float
@@ -138,15 +138,15 @@ class Item:
     measure : callable
         Does the work of a request.
     rows : callable
-        Makes the table of what was measured.
+        Makes the table of the measurements.
     draw : callable
-        Draws what was measured into an empty matplotlib Figure, its first argument.
+        Draws the measurements into an empty matplotlib Figure, its first argument.
     heading : str
         Above the picture; empty if `draw` writes its own.
     grid : {"both", "x", "y", ""}
-        Lines behind what is drawn: across both axes, one, or none.
+        Grid lines behind the drawing: across both axes, one, or none.
     counts : str
-        What `scans` counts.
+        Unit that `scans` counts.
     data : tuple of str
         Recordings that it needs, see `recordings.recording`.
     """
@@ -164,7 +164,7 @@ class Item:
     data: tuple[str, ...] = ()
 
     def run(self, request: Request) -> Result:
-        """Measure, and make the table; the picture is drawn when somebody wants it."""
+        """Measure, and make the table; the picture is drawn on request."""
         found = self.measure(request)
 
         def draw(figure: Any) -> None:
@@ -177,7 +177,7 @@ class Item:
         return Result(tuple(self.rows(*found.data)), draw, found.scans, found.note, found.config)
 
     def duration(self, scans: int) -> str:
-        """Say how long `scans` take on two cores."""
+        """Return how long `scans` take on two cores, in words."""
         seconds = self.minutes * 60 * scans / self.scans
         if seconds < 90:
             return f"{max(1, round(seconds))} s"

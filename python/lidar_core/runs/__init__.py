@@ -1,4 +1,4 @@
-"""What the commands do, as functions: each reads a recording and writes the folder of a run."""
+"""The work of the commands as functions: each reads a recording and writes a run folder."""
 
 from lidar_core.runs.batch_jobs import BatchResult, batch
 from lidar_core.runs.circle_map import circles

@@ -1,4 +1,4 @@
-"""Jobs of a batch, which are commands: which are done, how one is run, and the table of all."""
+"""Jobs of a batch, which are commands: their state, their run, and the table of all."""
 
 import hashlib
 import json
@@ -57,7 +57,7 @@ class BatchResult(RunResult):
     Attributes
     ----------
     records : tuple of JobRecord
-        Of the jobs that have ended, in the order of the file.
+        Records of the jobs that have ended, in the order of the file.
     """
 
     records: tuple[JobRecord, ...] = ()
@@ -100,8 +100,8 @@ def batch(
     Returns
     -------
     BatchResult
-        Its summary counts jobs and names those that failed; `ended_by` is a KeyboardInterrupt
-        after Ctrl-C: the next run goes on from there.
+        The summary counts jobs and names the failed ones. `ended_by` is a KeyboardInterrupt after
+        Ctrl-C: the next run continues from there.
 
     Raises
     ------
@@ -160,19 +160,19 @@ class Batch:
     Attributes
     ----------
     folder : Path
-        Of the results on this machine.
+        Folder of the results on this machine.
     jobs : dict of str to BatchJob
-        By the names of their folders.
+        Jobs by the names of their folders.
     keys : dict of str to str
-        Digests of what makes their results.
+        Digests of everything that determines their results.
     kept : dict of str to JobRecord
-        Those that an earlier run did.
+        Jobs that an earlier run completed.
     made : dict of str to JobRecord
-        Those that this run did.
+        Jobs that this run completed.
     remote : str or None
         Address that the results go to, if it is not the folder.
     held : frozenset of str
-        Names of the jobs of which the address held something when the batch began.
+        Names of the jobs whose address contained files when the batch began.
     """
 
     folder: Path
@@ -209,7 +209,7 @@ class Batch:
         return cls(folder, by_name, key_of, kept, {}, remote, _held(remote))
 
     def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
-        """Do what is left; yield each record as the job ends."""
+        """Do the remaining jobs; yield each record as the job ends."""
         left = [name for name in self.jobs if name not in self.kept]
         threads = max(1, all_threads() // workers)
         # A folder that is passed through is new, and what an address holds says what is done.
@@ -224,9 +224,9 @@ class Batch:
                 yield record
 
     def records(self) -> list[JobRecord]:
-        """Of the jobs that have ended, in the order of the file.
+        """Return the records of the jobs that have ended, in the order of the file.
 
-        What an end by Ctrl-C kept from being told is read from the folders of the jobs.
+        Records that Ctrl-C interrupted on their way are read from the folders of the jobs.
         """
         known = {**self.kept, **self.made}
         found = (known.get(name) or JobRecord.read(self.folder / name) for name in self.jobs)
@@ -240,7 +240,7 @@ class Batch:
         return {"jobs": len(self.jobs), "done": done, "kept": len(self.kept), "failed": failed}
 
     def write(self, config: Mapping[str, Config], file: Path) -> tuple[str, ...]:
-        """Write the tables and what made them; return their names, that of the results first."""
+        """Write the tables and their note; return the file names, results first."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with written_whole(self.folder / "batch.toml") as temporary:
             temporary.write_text(note_of({"jobs": str(file)}, config), encoding="utf-8")

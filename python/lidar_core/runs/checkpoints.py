@@ -1,4 +1,4 @@
-"""Checkpoints of a run: what it needs to go on after its process was killed.
+"""Checkpoints of a run, from which it continues after its process was killed.
 
 They lie in the folder of the run: new results as `.checkpoint-N` files, each written once, and
 `run.checkpoint` with everything else, replaced as a whole. Every file ends with a checksum.
@@ -37,7 +37,7 @@ class Resumable(Protocol):
         """All state but the rows, of limited size; whole states of the core as arrays of bytes."""
 
     def rows(self, since: int) -> list[Any]:
-        """What each item but the first `since` left, for ever."""
+        """Return the permanent rows of each item, except the first `since`."""
 
     def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
         """Take over the state of another run of the same recording and configuration."""
@@ -54,7 +54,7 @@ class Checkpoints:
     every : float or None
         Time between two checkpoints [s]; None writes none.
     inputs : mapping
-        What decides about the results: files with their hashes, configuration, options.
+        All that determines the results: files with their hashes, configuration, options.
     """
 
     folder: Path
@@ -135,7 +135,7 @@ class Checkpoints:
         self._last = monotonic()
 
     def end(self) -> None:
-        """Remove what the finished run does not need any more."""
+        """Remove the files that a finished run does not need any more."""
         remove_checkpoint(self.folder)
 
     def _part(self, number: int) -> Path:

@@ -1,4 +1,4 @@
-"""The circle map of a recording of 2D scans: what `lidar-core circles` does."""
+"""The circle map of a recording of 2D scans: the work of `lidar-core circles`."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -48,23 +48,23 @@ def circles(
     Parameters
     ----------
     recording, config, output, pose, read, mcap, picture, overwrite, checkpoint, resume, on_progress
-        As in `detect`; `config` is a `CirclesConfig`.
+        See `detect`; `config` is a `CirclesConfig`.
     scans : sequence of str
         Topics of the 2D LiDARs; empty for the only one.
     allow_untrusted : bool
         Run an ONNX file that was not exported by this user: a model is a program.
     film : bool
-        Whether to draw film.mp4, or film.gif without ffmpeg, beside the picture.
+        Also draw film.mp4 beside the picture, or film.gif without ffmpeg.
 
     Returns
     -------
     RunResult
-        As in `detect`.
+        See `detect`.
 
     Raises
     ------
     ConfigError, FormatError, InputError, FileExistsError, MissingExtraError
-        As in `detect`; also if a model is not trusted, or rays are configured that the recording
+        See `detect`; also if a model is not trusted, or if rays are configured that the recording
         states.
     """
     source = Path(recording)

@@ -1,4 +1,4 @@
-"""What `lidar-core convert` makes of a run: its objects for other programs."""
+"""Conversion of the objects of a run for other programs, by `lidar-core convert`."""
 
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ SENSORS = {"flying": ("lidar",), "circles": ("lidar",), "fusion": ("lidar", "rad
 
 
 def is_run(place: Path) -> bool:
-    """Whether a command left this folder."""
+    """True if a command wrote this folder."""
     return (place / RUN_FILE).is_file()
 
 
 def convert_run(run: Path, output: Path, *, name: str | None) -> dict[str, Any]:
-    """Write the objects of a run; return what was written, as plain values.
+    """Write the objects of a run; return a list of the files as plain values.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Flying objects in a recording: what `lidar-core detect` does."""
+"""Flying objects in a recording: the work of `lidar-core detect`."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -51,13 +51,14 @@ def detect(
         Folder to write: tables of tracks and detections in SI units in the world frame,
         trajectories, the map, summary.json, run.toml, run.mcap, picture.png.
     pose : PoseOptions, optional
-        Where the poses come from, and the part of the recording to use [s].
+        Source of the poses, and part of the recording to use [s].
     read : ReadOptions, optional
-        How the recording is read.
+        Options for reading the recording.
     clouds : sequence of str
         Topics of the LiDARs; empty for the only one.
     repeat : int
-        How often the recording is played: opens the burn-in gate on short recordings.
+        Number of times that the recording is played: more than one opens the burn-in gate on short
+        recordings.
     known_map : str or Path, optional
         Map of an earlier run (.lcvm), or a cloud or mesh in the fixed frame [m].
     static_map : str or Path, optional
@@ -66,31 +67,32 @@ def detect(
     threads : int
         Threads used, >= 1; results do not depend on it.
     mcap : bool, optional
-        Whether to write run.mcap for viewers; None: if the extra `viz` is installed.
+        Write run.mcap for viewers; None: if the extra `viz` is installed.
     picture : bool
-        Whether to draw picture.png (extra `plot`).
+        Draw picture.png (extra `plot`).
     overwrite : bool
-        Whether to replace an earlier run in the folder.
+        Replace an earlier run in the folder.
     checkpoint : float, optional
-        Write what it takes to go on into the folder, this often [s]; then there is no run.mcap.
+        Time between two checkpoints in the folder [s], from which a run can continue; run.mcap is
+        then not written.
     resume : bool
-        Go on from the last checkpoint of a run with the same inputs that was killed or ended
-        early; the results are those of a run that was not. Without a checkpoint it starts again.
+        Continue from the last checkpoint of a run with the same inputs that was killed or ended
+        early; the results are those of an uninterrupted run. Without a checkpoint it starts again.
     on_progress : callable
-        Is called with what is done, how many scans of it, and of how many or None.
+        Called with the name of the step, the number of scans done, and their total or None.
 
     Returns
     -------
     RunResult
-        Ctrl-C and errors after the first scan end the run early: the folder then holds the scans
-        so far, and `ended_by` says what ended it; `raise_if_failed` raises that.
+        Ctrl-C and errors after the first scan end the run early: the folder then holds the scans so
+        far, and `ended_by` is the cause; `raise_if_failed` raises it.
 
     Raises
     ------
     ConfigError
         A value or topic that cannot be used, or a `static_map` that cannot be written.
     FormatError
-        The recording cannot be read, or has no poses; no folder is left. Or a checkpoint is
+        The recording cannot be read, or has no poses: no folder is written. Or a checkpoint is
         damaged.
     InputError
         The checkpoint is one of another recording, configuration or build.
@@ -155,7 +157,7 @@ def detect(
 
 
 def load_known_map(detector: FlyingObjectDetector, path: Path) -> None:
-    """Load a map of an earlier run, or make occupied for good what another file holds."""
+    """Load a map of an earlier run, or mark the points of another file as permanently occupied."""
     if path.suffix.lower() == ".lcvm":
         detector.load_map(path)
         return

@@ -1,4 +1,4 @@
-"""Targets from the LiDAR and radar of a recording: what `fuse` and `config fit` do."""
+"""Targets from the LiDAR and radar of a recording: the work of `fuse` and `config fit`."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -64,27 +64,28 @@ def fuse(
         These values of the configuration instead of its own; `association` is for many targets,
         also of a table.
     lag : float, optional
-        Smooth: every state uses what came up to this much later [s]; for one target.
+        Smooth: every state uses measurements up to this much later [s]; for one target.
     columns : mapping of str to str, optional
         Names of a table's columns, such as {"x": "pos_x"}.
     topics : mapping of str to sequence of str, optional
         Topics of a ROS recording, such as {"radar": ["/front"]}.
     time_unit, angle_unit : str, optional
-        Of a table: ns, us, ms or s; rad or deg.
+        Units of a table: ns, us, ms or s; rad or deg.
     azimuth : mapping of str to str, optional
-        Of a table: what does not count counter-clockwise from x, such as {"bearing": "clockwise"}.
+        Angles of a table that are not counter-clockwise from x, such as {"bearing": "clockwise"}.
     clock : mapping of str to float, optional
-        Of a table: how far the clock of a sensor is ahead [s], such as {"radar": 0.5}.
+        Offset of the clock of a sensor in a table, positive if it is ahead [s], such as {"radar":
+        0.5}.
     span : Span, optional
         Part of the recording to use, from its first measurement [s].
     fit_noise : bool
         Find the noise of motion and sensors from the measurements first, as `fit_config` does.
     force : bool
-        Go on with measurements of one target whose NIS is beyond reason.
+        Continue with implausible measurements of one target.
     mcap, picture, overwrite
-        As in `detect`.
+        See `detect`.
     checkpoint, resume
-        As in `detect`. The run of one target is short: it starts again, with the same results.
+        See `detect`. The run of one target is short: it starts again, with the same results.
 
     Returns
     -------
@@ -95,9 +96,9 @@ def fuse(
     InputError
         No measurements in `span`, or their NIS is beyond reason; the text names likely causes.
     ConfigError
-        A value that cannot be used, or that says nothing about this recording.
+        A value that cannot be used, or that has no meaning for this recording.
     FormatError, FileExistsError, MissingExtraError
-        As in `detect`.
+        See `detect`.
     """
     source = Path(recording)
     folder, writes_mcap = folder_to_write(
@@ -112,7 +113,7 @@ def fuse(
     keeps = checkpoint is not None or resume
 
     def checkpoints(decides: Mapping[str, Any]) -> Checkpoints:
-        """What keeps a run on many targets, and finds it."""
+        """Return the checkpoints of a run on many targets."""
         inputs = {"command": "fuse", **decides}
         if keeps:
             read = fingerprint(source)
@@ -207,15 +208,15 @@ def fit_config(
     model, method : str, optional
         These values of the configuration instead of its own.
     columns, topics, time_unit, angle_unit, azimuth, clock, span
-        As in `fuse`, for every recording.
+        See `fuse`; they apply to every recording.
     force : bool
-        Take mistakes in the measurements, such as exchanged axes, for noise.
+        Fit the noise even if mistakes in the measurements, such as exchanged axes, are likely.
 
     Returns
     -------
     FusionConfig
-        `config` with the noise under which the measurements are most likely; where no model or
-        method is told, also with the likelier model of ct and ctrv.
+        `config` with the noise under which the measurements are most likely. Without a given model
+        or method, also the likelier model of ct and ctrv.
 
     Raises
     ------

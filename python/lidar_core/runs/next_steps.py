@@ -1,4 +1,4 @@
-"""Commands that go on from a recording, tried out as far as the first scan with a pose."""
+"""Suggested commands for a recording, tried out up to the first scan with a pose."""
 
 import shlex
 from collections.abc import Iterator
@@ -39,9 +39,9 @@ class _Try(NamedTuple):
 
 
 def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
-    """Commands that go on from an open recording, with the options that it needs.
+    """Return commands for an open recording, with the options that it needs.
 
-    Options that somebody gave to read it are in them.
+    They include the options that the user gave for reading.
     """
     read = _read_options(recording.options)
     if recording.options.recover:

@@ -19,7 +19,7 @@ from lidar_core.runs.scans.source import ScanSource
 
 
 class ScanRun(Resumable, Protocol[ScanT]):
-    """A pipeline, and what it found so far."""
+    """A pipeline with its results so far."""
 
     frame_id: str
 
@@ -29,7 +29,7 @@ class ScanRun(Resumable, Protocol[ScanT]):
 
     @property
     def notes(self) -> list[str]:
-        """What looks wrong so far, in words."""
+        """Return warnings about the scans so far, in words."""
 
     def take(self, item: PosedScan[ScanT]) -> object:
         """Process one scan."""
@@ -49,14 +49,14 @@ class ScanRun(Resumable, Protocol[ScanT]):
 
 @dataclass(frozen=True, slots=True)
 class RecordingJob(Generic[ScanT]):
-    """A recording, how it is read, and what is written.
+    """A recording, the options for reading it, and the files to write.
 
     Attributes
     ----------
     command : str
         Name of the command.
     sort : type
-        `Scan` or `LaserScan`: what is read.
+        `Scan` or `LaserScan`: the kind of scans to read.
     recording : Path
         File or folder.
     folder : RunFolder
@@ -64,13 +64,13 @@ class RecordingJob(Generic[ScanT]):
     config : mapping of str to Config
         Configurations that run.toml keeps, by name.
     read : ReadOptions
-        How the recording is read.
+        Options for reading the recording.
     pose : PoseOptions
-        Where the poses come from, and which part of the recording is used.
+        Source of the poses, and part of the recording that is used.
     topics : tuple of str
         Topics of the sensors; empty for the only one.
     repeat : int
-        How often the recording is played.
+        Number of times that the recording is played.
     inputs : mapping of str to Path or None
         Further files that run.toml names with their hashes.
     note : mapping of str to Any
@@ -78,13 +78,13 @@ class RecordingJob(Generic[ScanT]):
     checkpoint : float or None
         Time between two checkpoints [s]; None writes none.
     resume : bool
-        Whether to go on from the last checkpoint in the folder.
+        Continue from the last checkpoint in the folder.
     mcap : bool
-        Whether run.mcap is written.
+        Write run.mcap.
     picture : bool
-        Whether pictures are drawn.
+        Draw pictures.
     on_progress : callable
-        Is told how far the run is.
+        Called with the progress of the run.
     """
 
     command: str
@@ -107,8 +107,8 @@ class RecordingJob(Generic[ScanT]):
     def run(self, run: ScanRun[ScanT]) -> RunResult:
         """Process the recording and write the folder.
 
-        Ctrl-C and errors on the way end it early; the folder then holds the scans so far. Errors
-        before the first scan are raised, and leave no folder.
+        Ctrl-C and errors during the run end it early; the folder then holds the scans so far.
+        Errors before the first scan are raised, and no folder is written.
         """
         source = ScanSource(
             self.recording, self.read, self.pose, self.topics, self.repeat, self.sort
@@ -212,7 +212,7 @@ def folder_to_write(
 ) -> tuple[RunFolder, bool]:
     """Folder of a run, and whether it gets a run.mcap; refused before any work.
 
-    Runs with checkpoints get none: nobody can go on with a file that was cut.
+    Runs with checkpoints get none: an interrupted file cannot be continued.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a run returns: its folder, its summary, its files, and what ended it early."""
+"""Result of a run: its folder, its summary, its files, and the cause of an early end."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -34,9 +34,9 @@ class RunResult:
     files : tuple of str
         Names of the files in the folder, sorted.
     notes : tuple of str
-        What looks wrong, and what could not be written because an extra is missing.
+        Warnings, and files that could not be written because an extra is missing.
     ended_by : KeyboardInterrupt, LidarCoreError or OSError, optional
-        What ended the run early; the files hold the scans up to there.
+        Cause of an early end; the files hold the scans up to there.
     """
 
     folder: Path | None
@@ -46,7 +46,7 @@ class RunResult:
     ended_by: KeyboardInterrupt | LidarCoreError | OSError | None = None
 
     def raise_if_failed(self) -> None:
-        """Raise what ended the run early, or that most of its scans were rejected.
+        """Raise the cause of an early end, or an error if most scans were rejected.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class RunResult:
 
 
 def wants_mcap(mcap: bool | None) -> bool:
-    """Whether to write run.mcap: None means where the package for it is installed.
+    """True if run.mcap is written; None means: if the package for it is installed.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def wants_mcap(mcap: bool | None) -> bool:
 
 
 def no_mcap_of(stamps: NDArray[np.int64]) -> str | None:
-    """Why results of these times [ns] go into no run.mcap; None if they do."""
+    """Return why results at these times [ns] cannot be written to run.mcap; None if they can."""
     first = int(stamps.min(initial=0))
     if first >= 0:
         return None

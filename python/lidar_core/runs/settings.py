@@ -18,7 +18,7 @@ Mode: TypeAlias = Literal["best", "paper"]
 
 @dataclass(frozen=True, slots=True)
 class ConfigChoice:
-    """Which configuration a run gets: that of a mode, then a file's values, then single ones.
+    """Configuration of a run: that of a mode, changed by a file, then by single values.
 
     Attributes
     ----------
@@ -61,17 +61,17 @@ def config_of_run(
 ) -> ConfigT:
     """Configuration of a run.
 
-    A scan that cannot be used is counted, unless the configuration says otherwise: one bad scan
-    is no reason to give a recording up.
+    A scan that cannot be used is counted, unless the configuration differs: one bad scan does not
+    end the run.
 
     Parameters
     ----------
     config : Config, ConfigChoice or None
-        A configuration, what to make it of, or None for best mode.
+        A configuration, its choice, or None for best mode.
     model : type
         `FlyingConfig`, `CirclesConfig`, `FusionConfig` or `MultiTargetConfig`.
     section : str
-        Its name in a run.toml.
+        Name of the section in a run.toml.
     base : Config, optional
         Configuration of best mode, if not `model()`.
 
@@ -101,17 +101,17 @@ def run_config(
 ) -> ConfigT:
     """Configuration of a run: that of its mode, then the file's values, then `a.b=c` ones.
 
-    A scan that cannot be used is counted, unless the file or an assignment says otherwise: one
-    bad scan is no reason to give a recording up.
+    A scan that cannot be used is counted, unless the file or an assignment differs: one bad scan
+    does not end the run.
 
     Parameters
     ----------
     base : Config
         Configuration of a pipeline in the mode of the run.
     section : str
-        Its name in a run.toml.
+        Name of the section in a run.toml.
     file, assignments
-        As the command line gives them.
+        Values of the command line.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def file_values(file: Path, section: str) -> dict[str, Any]:
 def model_of(file: Path) -> str:
     """Name of the model that a file fills: the first of a run.toml, which is its pipeline's.
 
-    Of other files the first that has all their values; "flying" where none has.
+    For other files, return the first model that has all their values; "flying" if there is none.
     """
     return next(_models_of(file), "flying")
 

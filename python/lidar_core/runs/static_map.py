@@ -1,4 +1,4 @@
-"""A map of all that stands, which a run writes beside its folder."""
+"""A map of all static points, which a run writes beside its folder."""
 
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def _is_within(path: Path, folder: Path) -> bool:
 
 
 def write_static_map(detector: FlyingObjectDetector, path: Path) -> None:
-    """Write what stands: voxels of 0.1 m, or points in the world frame [m]."""
+    """Write the static map: voxels of 0.1 m, or points in the world frame [m]."""
     if path.suffix.lower() == ".lcvm":
         detector.save_static_map(path)
     else:

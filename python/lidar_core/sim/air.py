@@ -13,7 +13,7 @@ KOSCHMIEDER = 3.912
 
 
 class Rain(Config):
-    """Drops everywhere: a ray ends on the first one that fills enough of its section.
+    """Drops everywhere: a ray ends on the first one that fills enough of its cross-section.
 
     Drops of 3 mm are seen up to 6.6 m, of 4 mm up to 9.8 m; ten large drops per cubic metre, the
     default, take 3 % of the rays. The ray is that of an Ouster OS1 (its data sheet); the share
@@ -31,7 +31,7 @@ class Rain(Config):
 
 
 class Dust(Config):
-    """A ball of dust that drifts and grows; a ray ends in it after a random way."""
+    """A ball of dust that drifts and grows; a ray ends in it after a random distance."""
 
     kind: Literal["dust"] = "dust"
     center: Vector = Field(description="Middle at time 0 [m].")
@@ -44,10 +44,10 @@ class Dust(Config):
 
 
 class Fog(Config):
-    """Fog everywhere: light fades on its way to a surface and back, droplets nearby return some.
+    """Fog everywhere: light fades on its path to a surface and back; droplets nearby scatter some.
 
-    What fades below what the sensor sees is lost, the darker and the more aslant a surface the
-    sooner (`Surface`; those that state nothing count as of reflectivity 0.3, met head-on).
+    A return that fades below the limit of the sensor is lost; dark and inclined surfaces are lost
+    first (`Surface`; a surface without values counts as reflectivity 0.3, hit head-on).
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -58,12 +58,12 @@ class Fog(Config):
         gt=0, description="Distance at which 2 % of the contrast are left (Koschmieder) [m]."
     )
     speckle: float = Field(
-        0.01, ge=0, description="Returns of droplets per metre of a ray's way [1/m]."
+        0.01, ge=0, description="Returns of droplets per metre of a ray's path [1/m]."
     )
 
     @property
     def extinction(self) -> float:
-        """Loss of light per metre of way [1/m]."""
+        """Loss of light per metre [1/m]."""
         return KOSCHMIEDER / self.visibility
 
 

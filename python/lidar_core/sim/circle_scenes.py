@@ -1,4 +1,4 @@
-"""Scenes for 2D scanners: round things on their ways, alone, together, hidden, in a room.
+"""Scenes for 2D scanners: moving round objects, alone, together, hidden, in a room.
 
 World frame [m]; the sensor is near the origin, 1 m high, and looks along +x.
 """
@@ -58,20 +58,20 @@ def single(
     sensor: SensorMotion = "hovering",
     seed: int = 0,
 ) -> Scene:
-    """Make one cylinder on one of five ways: line, circle, eight, stop and go, wandering.
+    """Make one cylinder on one of five paths: line, circle, eight, stop and go, wandering.
 
     Parameters
     ----------
     radius : float
-        Of the cylinder [m].
+        Radius of the cylinder [m].
     trajectory : int
         1 to 5.
     speed : float
         Greatest speed on it; its root mean square when wandering [m/s].
     sensor : str
-        Whether it hovers, or moves along x, turns, pitches and rolls.
+        Motion of the sensor: it hovers, or moves along x, turns, pitches and rolls.
     seed : int
-        Of the wandering.
+        Seed of the wandering.
 
     Raises
     ------
@@ -99,9 +99,10 @@ def single(
 def several(
     seed: int, *, walls: bool = False, sensor: SensorMotion = "swinging", scans: int = 6000
 ) -> Scene:
-    """Make posts at rest and on their ways, which hide one another; `walls` close a room.
+    """Make posts at rest and in motion, which hide one another; `walls` close a room.
 
-    Radii, phases and speeds depend on the seed. Five minutes, unless `scans` says otherwise.
+    Radii, phases and speeds depend on the seed. The duration is five minutes unless `scans` is
+    given.
     """
     rng = np.random.default_rng([20240608, seed])
     places = np.array(
@@ -155,9 +156,9 @@ def lab(seed: int, *, scans: int = 1200) -> Scene:
 
 
 def walkers(seed: int, *, height: float = 0.3, scans: int = 600) -> Scene:
-    """Make three people who walk eights across each other's ways, and four thin posts.
+    """Make three people who walk crossing figures of eight, and four thin posts.
 
-    `height` is that of the scanner, which stands [m]: at 0.3 m it meets legs, at 1.2 m trunks and
+    `height` is the height of the static scanner [m]: at 0.3 m it sees legs, at 1.2 m trunks and
     arms. Places, paces and sizes depend on the seed.
     """
     rng = np.random.default_rng([20240614, seed])
@@ -207,7 +208,7 @@ def trees(seed: int, *, scans: int = 1200) -> Scene:
 def hidden(seed: int, *, sensor: SensorMotion = "hovering", scans: int = 200) -> Scene:
     """Make three posts, each 25 to 75 % hidden by another in front of it.
 
-    The targets come in pairs: what is hidden, and what hides it.
+    The targets come in pairs: a hidden one, and one that hides it.
     """
     rng = np.random.default_rng([20240610, seed])
     targets = []

@@ -26,10 +26,10 @@ class Body(Config):
 
 
 class Target(Config):
-    """A shape on its way. Its label in the truth: number of bodies + its place in the list."""
+    """A moving shape. Its label in the truth: number of bodies + its place in the list."""
 
     shape: Solid = Field(description="Surface (see the kinds for units).")
-    motion: Motion = Field(description="Way (see the kinds for units).")
+    motion: Motion = Field(description="Motion of the target (see the kinds for units).")
     surface: Surface | None = Field(
         None, description="Reflection of light; none: every ray returns (see there for units)."
     )
@@ -54,14 +54,15 @@ class Scene(Config):
     own_body: tuple[Body, ...] = Field(
         (),
         max_length=64,
-        description="What carries the sensor, in the sensor's frame (see there for units).",
+        description="Body that carries the sensor, in the sensor's frame (see there for units).",
     )
     lidar: LidarModel = Field(
         default_factory=lambda: LidarModel.preset("os1-128"),
         description="The sensor (see there for units).",
     )
     sensor: Scripted = Field(
-        Hover(position=(0.0, 0.0, 3.0)), description="Its way (see the kinds for units)."
+        Hover(position=(0.0, 0.0, 3.0)),
+        description="Motion of the sensor (see the kinds for units).",
     )
     scans: int = Field(60, ge=1, le=1_000_000, description="Length of the recording [scans].")
     start_ns: int = Field(0, ge=0, le=2**62, description="Start of the first scan [ns].")
@@ -69,8 +70,8 @@ class Scene(Config):
     def idealised(self) -> Self:
         """Return the same scene in clear air, where everything returns and all rays are known.
 
-        Rays without return of its scans met nothing: with the same seed they tell which of the
-        missing returns of this scene are sky.
+        Rays without return in its scans hit nothing: with the same seed they show which missing
+        returns of this scene are sky.
         """
         return self.model_copy(
             update={

@@ -1,4 +1,4 @@
-"""Scenes as real sensors meet them: fog, wet, dark and glass fronts, own body, wind, open sky."""
+"""Scenes with difficulties of real sensors: fog, wet, dark, glass, own body, wind, open sky."""
 
 from math import hypot
 from typing import Literal, TypeAlias
@@ -46,8 +46,8 @@ def moving_car(
 ) -> Scene:
     """Make a street with a driving car whose own roof and bonnet are in view.
 
-    With a `drone`, a quadcopter keeps up some 5 m ahead of the car, a little higher than it, before
-    the sky at the end of the road.
+    With a `drone`, a quadcopter flies some 5 m ahead of the car, slightly higher, in front of the
+    sky at the end of the road.
     """
     return _street(seed, scans, sensor, speed, drone=drone)
 
@@ -61,7 +61,7 @@ def fog_street(
     visibility: float = 60.0,
     drone: bool = False,
 ) -> Scene:
-    """Make the street of `moving_car` in fog: far and dark things fade, droplets speckle."""
+    """Make the street of `moving_car` in fog: far and dark objects fade, droplets give returns."""
     scene = _street(seed, scans, sensor, speed, drone=drone)
     return scene.model_copy(update={"air": (Fog(visibility=visibility),)})
 
@@ -115,7 +115,7 @@ def encounter(
 ) -> Scene:
     """Make a drone that circles within 12 m of a sensor at rest, before open sky and houses.
 
-    The LiDAR delivers what its driver does; of sensors that look ahead the circle lies ahead.
+    The LiDAR delivers scans like its driver; for sensors that look ahead the circle lies ahead.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def _reach_of(lidar: LidarModel) -> tuple[float, float]:
     if pattern.kind == "spinning":
         low, high = min(pattern.elevations_deg), max(pattern.elevations_deg)
     elif pattern.kind == "rosette":
-        low, high = pattern.elevation_min_deg, pattern.elevation_max_deg
+        low, high = pattern.elevation_deg
     else:
         raise ConfigError("sensor: expected a 3D LiDAR, got a planar one")
     return float(np.deg2rad(low + 5)), float(np.deg2rad(high - 5))

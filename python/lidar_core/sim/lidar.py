@@ -8,6 +8,8 @@ from pydantic import Field, model_validator
 from lidar_core.config import Config
 from lidar_core.sensors import sensor_named
 
+Elevation = Annotated[float, Field(ge=-90, le=90)]
+
 
 class Spinning(Config):
     """Rows of fixed elevation that turn once per scan, counter-clockwise seen from above.
@@ -16,7 +18,7 @@ class Spinning(Config):
     """
 
     kind: Literal["spinning"] = "spinning"
-    elevations_deg: tuple[Annotated[float, Field(ge=-90, le=90)], ...] = Field(
+    elevations_deg: tuple[Elevation, ...] = Field(
         min_length=1, max_length=4096, description="Elevation of every row [deg], top row first."
     )
     columns: int = Field(1024, ge=1, le=65536, description="Columns per turn (no unit).")
@@ -27,19 +29,22 @@ class Spinning(Config):
 class Rosette(Config):
     """One ray after the other; turns and swings without common measure never repeat.
 
-    The swing is a triangle wave in elevation; with `azimuth_half_deg`, azimuth has one instead of
-    turning. Modelled on what non-repetitive sensors show,
-    not on a maker's formula.
+    The swing is a triangle wave in elevation; with `azimuth_half_deg`, the azimuth is also one
+    instead of turning. The pattern imitates the scans of non-repetitive sensors, not a maker's
+    formula.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
         "turn_rate": "it makes 16.18 turns or swings in azimuth per second",
         "swing_rate": "it swings 2236 times per second in elevation",
+        "elevation_min_deg": "write it as the first value of elevation_deg",
+        "elevation_max_deg": "write it as the second value of elevation_deg",
     }
     kind: Literal["rosette"] = "rosette"
     rays: int = Field(20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
-    elevation_min_deg: float = Field(ge=-90, le=90, description="Lowest elevation [deg].")
-    elevation_max_deg: float = Field(ge=-90, le=90, description="Highest elevation [deg].")
+    elevation_deg: tuple[Elevation, Elevation] = Field(
+        description="Lowest and highest elevation [deg]."
+    )
     azimuth_half_deg: float | None = Field(
         None, gt=0, lt=180, description="Azimuth to either side of the x axis; none: turns [deg]."
     )
@@ -53,15 +58,16 @@ class Planar(Config):
     angle_min: float = Field(-2.356194490192345, description="Bearing of the first ray [rad].")
     angle_increment: float = Field(
         0.004363323129985824,
-        description="From one ray to the next, < 0 for clockwise; one turn in all at most [rad].",
+        description="Angle from one ray to the next, < 0 for clockwise; at most one turn in"
+        " total [rad].",
     )
     sweep_time: float = Field(
-        0.01875, ge=0, description="From the first ray to the last; 0: all at once [s]."
+        0.01875, ge=0, description="Time from the first ray to the last; 0: all at once [s]."
     )
 
     @property
     def time_increment_ns(self) -> int:
-        """From one ray to the next [ns]."""
+        """Time from one ray to the next [ns]."""
         return round(self.sweep_time * 1e9 / (self.beams - 1))
 
 
@@ -69,7 +75,9 @@ class Beam(Config):
     """Beam with a width in azimuth: at an edge it hits the object and the surface behind it."""
 
     half_width: float = Field(gt=0, le=0.1, description="To either side of the ray [rad].")
-    lines: int = Field(9, ge=2, le=64, description="Lines that stand for the beam (no unit).")
+    lines: int = Field(
+        9, ge=2, le=64, description="Number of lines that represent the beam (no unit)."
+    )
     returns: Literal["first", "mean", "mixed"] = Field(
         "first",
         description="Reported range: of the nearest surface that the beam hits (first), the mean of"
@@ -86,10 +94,11 @@ class Beam(Config):
 
 
 class LidarModel(Config):
-    """A LiDAR. `preset` fills in every value that is not given beside it.
+    """A LiDAR. `preset` supplies every value that is not given.
 
     Presets are the names of `lidar_core.sensors.SENSORS`, with the makers' nominal figures. A scan
-    of a preset holds what the sensor's driver delivers (`delivery`); `ideal` makes all rays known.
+    of a preset contains the output of the sensor's driver (`delivery`); `ideal` makes all rays
+    known.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -106,12 +115,12 @@ class LidarModel(Config):
     dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
     delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
         "rays",
-        description="How the driver of a 3D LiDAR delivers rays without return: as known rays with"
-        " directions (rays), not at all, as rows (0, 0, 0), or as rows of NaN; only rays has"
-        " directions and a mask (no unit).",
+        description="Output of the driver of a 3D LiDAR for rays without return: known rays"
+        " with directions (rays), missing rows, rows (0, 0, 0), or rows of NaN;"
+        " only rays has directions and a mask (no unit).",
     )
     point_times: bool = Field(
-        True, description="Whether the driver gives a time per point (no unit)."
+        True, description="True if the driver gives a time per point (no unit)."
     )
     ideal: bool = Field(
         False,

@@ -29,7 +29,7 @@ class PoseNoise(Config):
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """Standard deviations of the same, shape (6,)."""
+        """Standard deviations of translation [m] and angles about x, y, z [rad], shape (6,)."""
         return np.repeat([self.position_std, np.deg2rad(self.angle_std_deg)], 3)
 
 
@@ -41,7 +41,7 @@ class NoisyPoses:
     noise : PoseNoise
         Size and memory of the error.
     seed : int
-        Of the error, >= 0.
+        Seed of the error, >= 0.
     """
 
     def __init__(self, noise: PoseNoise, *, seed: int) -> None:

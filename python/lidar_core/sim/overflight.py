@@ -1,6 +1,6 @@
 """A drone with LiDAR and radar above a target on the ground: measurements and ground truth.
 
-Both sensors swivel so that their plane meets the target, and say by how much.
+Both sensors swivel so that their plane meets the target, and report the angle.
 """
 
 from collections.abc import Mapping
@@ -37,21 +37,21 @@ COLUMNS: dict[str, type] = {
 
 
 YAW_PERIOD = 8.0
-"""From one turn to the next alike [s]."""
+"""Period of the drone's yaw [s]."""
 RATE = 20.0
-"""Rows per second, LiDAR and radar in turn [Hz]."""
+"""Rows per second; LiDAR and radar take turns [Hz]."""
 PITCH_PERIOD = 3.0
-"""Period of the pitch [s]."""
+"""Period of the drone's pitch [s]."""
 TURN_PERIOD = 12.0
-"""From one of its turns to the next alike [s]."""
+"""Period of the target's turns [s]."""
 NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Overflight(Config):
-    """A drone that flies ahead and swings in yaw and pitch, and a target on level ground.
+    """A drone that flies straight on, with periodic yaw and pitch, above a target on level ground.
 
-    Source: Remote Sens. 2023, 15, 3396, Figs 3-5. Speeds and heights of the defaults: somebody
-    who walks.
+    The target starts ahead of the drone by 4/3 of `height`. The default speeds and height fit a
+    walking person. Source: Remote Sens. 2023, 15, 3396, Figs 3-5.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -59,28 +59,36 @@ class Overflight(Config):
         "pitch_period": "pitch has a period of 3 s",
         "target_turn_period": "turns of the target repeat after 12 s",
         "rate": "there are 20 rows per second",
+        "target_start": "the target starts ahead of the drone by 4/3 of `height`",
         "swivel_std": "`angle_std` has it, and then that of the pitch",
         "pitch_std": "`angle_std` has it after that of the swivel",
     }
     seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
-    height: float = Field(6.0, gt=0, le=1000, description="Of the sensors above the target [m].")
-    speed: float = Field(1.2, ge=0, le=100, description="Of the drone, along x [m/s].")
-    yaw_rate: float = Field(0.5, ge=0, le=10, description="Greatest, to and fro [rad/s].")
-    pitch_deg: float = Field(5.0, ge=0, le=45, description="Greatest pitch, up and down [deg].")
-    target_start: float = Field(8.0, description="Of the target, ahead of the drone [m].")
-    target_speed: float = Field(1.4, ge=0, le=100, description="Of the target [m/s].")
-    target_turn_rate: float = Field(
-        0.3, ge=0, le=10, description="Of the target, greatest, to and fro [rad/s]."
+    height: float = Field(
+        6.0, gt=0, le=1000, description="Height of the sensors above the target [m]."
     )
-    lidar_std: float = Field(0.05, ge=0, description="Of x and y in the LiDAR's plane [m].")
+    speed: float = Field(1.2, ge=0, le=100, description="Speed of the drone along x [m/s].")
+    yaw_rate: float = Field(0.5, ge=0, le=10, description="Largest yaw rate of the drone [rad/s].")
+    pitch_deg: float = Field(5.0, ge=0, le=45, description="Largest pitch of the drone [deg].")
+    target_speed: float = Field(1.4, ge=0, le=100, description="Speed of the target [m/s].")
+    target_turn_rate: float = Field(
+        0.3, ge=0, le=10, description="Largest turn rate of the target [rad/s]."
+    )
+    lidar_std: float = Field(
+        0.05, ge=0, description="Standard deviation of x and y in the LiDAR's plane [m]."
+    )
     radar_std: tuple[float, float, float] = Field(
-        (0.2, 0.02, 0.15), description="Of range [m], bearing [rad] and range rate [m/s]."
+        (0.2, 0.02, 0.15),
+        description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of the"
+        " radar.",
     )
     angle_std: tuple[NonNegative, NonNegative] = Field(
         (0.01, 0.005),
-        description="Of the angle of the swivel and of the pitch that is known [rad].",
+        description="Standard deviations of the measured angles of swivel and pitch [rad].",
     )
-    gyro_std: float = Field(0.01, ge=0, description="Of the turn rate [rad/s].")
+    gyro_std: float = Field(
+        0.01, ge=0, description="Standard deviation of the measured turn rate [rad/s]."
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +100,13 @@ class Overflown:
     stamps_ns : ndarray, shape (K,), int64
         Times [ns].
     is_lidar : ndarray, shape (K,), bool
-        Whether the row is of the LiDAR, else of the radar.
+        True for rows of the LiDAR, false for rows of the radar.
     values : ndarray, shape (K, 3)
-        In the swivelled plane: x, y [m] and nothing; or range [m], bearing [rad], range rate
-        [m/s].
+        LiDAR rows: x and y in the swivelled plane [m], then zero. Radar rows: range [m],
+        bearing in that plane [rad], range rate [m/s].
     swivel, pitch : ndarray, shape (K,)
-        Measured: angle of the plane above that of the drone's body, and the body's pitch, nose
-        down [rad].
+        Measured angles [rad]: of the sensor plane above the plane of the drone's body, and of the
+        pitch of the body, positive with the nose down.
     gyro : ndarray, shape (K,)
         Measured turn rate [rad/s].
     drone : ndarray, shape (K, 3)
@@ -106,13 +114,13 @@ class Overflown:
     yaw, yaw_rate : ndarray, shape (K,)
         True heading [rad] and turn rate [rad/s].
     drone_velocity : ndarray, shape (K, 3)
-        World [m/s].
+        True velocity of the drone in the world [m/s].
     true_pitch : ndarray, shape (K,)
-        Nose down [rad].
+        True pitch of the body, positive with the nose down [rad].
     position, velocity : ndarray, shape (K, 3)
-        Of the target, world [m], [m/s].
+        True position [m] and velocity [m/s] of the target in the world.
     config : Overflight
-        What was simulated.
+        Configuration of the simulation.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -131,7 +139,7 @@ class Overflown:
     config: Overflight
 
     def write_truth(self, path: str | Path) -> None:
-        """Write target and drone as CSV: t_ns, then m, m/s and rad, world."""
+        """Write true states of target and drone as CSV, in the world: t_ns, m, m/s, rad."""
         angles = np.stack([self.yaw, self.true_pitch], axis=1)
         rows = np.hstack([self.position, self.velocity, self.drone, angles]).tolist()
         stamps = self.stamps_ns.tolist()
@@ -147,7 +155,7 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
     ----------
     config : Overflight
     seed : int
-        Of all errors, >= 0.
+        Seed of all measurement errors, >= 0.
 
     Returns
     -------
@@ -199,7 +207,7 @@ def _walk(
     middle = heading[:-1] + turns / 2
     chords = config.target_speed / RATE * np.sinc(turns / 2 / np.pi)
     steps = chords[:, None] * np.stack([np.cos(middle), np.sin(middle), 0 * middle], axis=1)
-    start = np.array([[config.target_start, 0.0, 0.0]])
+    start = np.array([[4 * config.height / 3, 0.0, 0.0]])
     return np.cumsum(np.vstack([start, steps]), axis=0), config.target_speed * flat
 
 

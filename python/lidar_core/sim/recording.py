@@ -84,7 +84,7 @@ class Recorded:
 
 
 def messages(scans: Iterable[Made]) -> Iterator[Message]:
-    """Put scans and poses in line as a recording holds them, in the order of their stamps."""
+    """Order scans and poses by their stamps, as a recording contains them."""
     last = -1
     for made in scans:
         for stamp_ns, matrix in zip(made.pose_stamps_ns.tolist(), made.poses, strict=True):
@@ -106,13 +106,13 @@ def record(
 ) -> Recorded:
     """Simulate `scene` into the recording `path`.
 
-    Beside it: NAME.truth.csv, NAME.scene.toml, NAME.run.toml, all of one run: nobody else may
-    write there meanwhile.
+    The files NAME.truth.csv, NAME.scene.toml and NAME.run.toml beside it belong to the same run: no
+    other process may write there meanwhile.
 
     Parameters
     ----------
     scene, seed, scans, threads
-        As for `Simulator`.
+        See `Simulator`.
     path : str or Path
         Recording to write; its ending chooses the format, as for `write_recording`.
     on_scan : callable

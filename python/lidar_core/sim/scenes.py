@@ -104,9 +104,9 @@ def street(seed: int, *, keep_clear: ArrayLike, clearance: float) -> tuple[Body,
     Parameters
     ----------
     seed : int
-        Of sizes and places.
+        Seed of sizes and places.
     keep_clear : array_like, shape (N, 2), float64
-        Places that nothing but the ground may be near to [m]; many along a way keep it free.
+        Places that only the ground may be near to [m]; many along a path keep it free.
     clearance : float
         Least horizontal distance from them to a house, pole or tree [m].
 

@@ -30,7 +30,7 @@ class Simulator:
     Parameters
     ----------
     scene : Scene
-        What is looked at.
+        Scene to scan.
     seed : int
         Seed of noise and random motions, >= 0.
     scans : int, optional
@@ -81,7 +81,7 @@ class Simulator:
         return (self.scan(number) for number in range(self.scans))
 
     def scan(self, number: int, *, sensor: SimTrajectory | None = None) -> SimulatedScan:
-        """Scan `number`, from 0; with a `sensor` steered by the caller, from its way.
+        """Make scan `number`, from 0; with a `sensor` steered by the caller, from its path.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class Simulator:
     def truth(
         self, stamp_ns: int, label: NDArray[np.int32], rays: NDArray[np.uint32]
     ) -> TargetTruth:
-        """Describe the targets at `stamp_ns`, as a scan with the labels `label` saw them."""
+        """Describe the targets at `stamp_ns`; `label` is that of the scan."""
         stamps = np.array([stamp_ns])
         hits = np.array([np.count_nonzero(label == target) for target in self._ids], np.int64)
         position = [way.poses_at(stamps)[0, :3, 3] for way in self.targets]

@@ -19,13 +19,13 @@ __all__ = [
 
 
 class Surface(Config):
-    """Shares of the light that meets a surface.
+    """Shares of the light that hits a surface.
 
-    What is scattered back falls with the cosine of incidence and the square of the range; it is
-    seen if it exceeds what a surface of reflectivity 0.1 gives head-on at `range_max`, which is
-    what ranges of LiDARs are stated for. What is mirrored grows from `mirror` to all of it at
-    grazing incidence (Schlick 1994): the ray goes on, and a return lies as far ahead as its whole
-    way is long. A surface that states nothing returns every ray.
+    Scattered light falls with the cosine of incidence and the square of the range. It is detected
+    if it exceeds the light of a surface of reflectivity 0.1, hit head-on at `range_max`: data
+    sheets state ranges of LiDARs for that. The mirrored share grows from `mirror` to 1 at grazing
+    incidence (Schlick 1994): the ray goes on, and its return appears straight ahead at the length
+    of the whole path. A surface without values returns every ray.
     """
 
     reflectivity: float = Field(

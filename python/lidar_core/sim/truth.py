@@ -20,12 +20,12 @@ class SimulatedScan(ShortRepr):
     world_from_lidar : ndarray, shape (4, 4), float64
         At the start of the scan.
     pose_stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
-        The same over the whole scan, ends included.
+        Times and poses over the whole scan, including both ends.
     truth : TargetTruth
         The targets.
     label : ndarray, shape (N,), int32
-        What every row met: number of the body or target, -1 where there is no point, -2 for rain,
-        dust and fog, -3 for what was seen in a mirror, -4 for what carries the sensor.
+        Object that every ray hit: number of the body or target, -1 without a point, -2 for rain,
+        dust and fog, -3 for an object in a mirror, -4 for the body that carries the sensor.
     """
 
     scan: Scan
@@ -37,7 +37,7 @@ class SimulatedScan(ShortRepr):
 
     @property
     def posed(self) -> PosedScan[Scan]:
-        """The scan with its poses, as readers give it and detectors take it."""
+        """The scan with its poses, like scans of readers."""
         return PosedScan(self.scan, self.poses, self.pose_stamps_ns)
 
 
@@ -52,12 +52,12 @@ class SimulatedSweep(ShortRepr):
     world_from_lidar : ndarray, shape (4, 4), float64
         At the first ray.
     pose_stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
-        The same over the whole period of the scan, ends included.
+        Times and poses over the whole period of the scan, including both ends.
     truth : ObjectTruth
         The targets.
     label : ndarray, shape (B,), int32
-        What every ray met: number of the body or target, -1 where there is no range, -2 for rain
-        and dust.
+        Object that every ray hit: number of the body or target, -1 without a range, -2 for rain and
+        dust.
     """
 
     scan: LaserScan
@@ -69,5 +69,5 @@ class SimulatedSweep(ShortRepr):
 
     @property
     def posed(self) -> PosedScan[LaserScan]:
-        """The scan with its poses, as readers give it and pipelines take it."""
+        """The scan with its poses, like scans of readers."""
         return PosedScan(self.scan, self.poses, self.pose_stamps_ns)

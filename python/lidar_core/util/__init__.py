@@ -1,1 +1,1 @@
-"""What capabilities, runs and commands share and users do not call."""
+"""Internal helpers of capabilities, runs and commands."""

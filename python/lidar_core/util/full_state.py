@@ -28,7 +28,7 @@ _CHECKSUM = struct.Struct("<I")
 
 
 class FullState(ABC):
-    """An object whose whole state can be saved; what was saved goes on to the same bits.
+    """Object whose whole state can be saved; a loaded object continues with the same bits.
 
     `copy.copy`, `copy.deepcopy` and pickling use the same bytes. Nothing is pickled inside them:
     a file from a stranger can be refused, but it cannot run code.
@@ -98,7 +98,7 @@ class FullState(ABC):
             raise FormatError(f"byte 12: the state breaks its format: {error!r}") from error
 
     def save(self, path: str | Path) -> None:
-        """Write the whole state to a file, which is the old one or the new one, never a torn one.
+        """Write the whole state to a file atomically.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class FullState(ABC):
 
     @classmethod
     def load(cls, path: str | Path, **options: Any) -> Self:
-        """Make the object that `save` wrote; it goes on to the same bits.
+        """Load an object that `save` wrote; it continues with the same bits.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class FullState(ABC):
         Raises
         ------
         FormatError, ConfigError
-            As of `from_bytes`, with the name of the file.
+            As for `from_bytes`, with the name of the file.
         """
         content = read_whole(path, limit=MOST_BYTES)
         try:
@@ -151,7 +151,7 @@ class FullState(ABC):
 
 
 def is_full_state(path: str | PathLike[str]) -> bool:
-    """Whether a regular file begins like a saved state."""
+    """True if a regular file begins like a saved state."""
     known = Path(path)
     if not known.is_file():
         return False

@@ -1,4 +1,4 @@
-"""Configuration files of earlier versions: what they say that is no parameter any more."""
+"""Configuration files of earlier versions: handling of values that are no parameters any more."""
 
 import re
 from collections.abc import Mapping
@@ -18,16 +18,16 @@ _MOST = 1000
 
 
 class Change(NamedTuple):
-    """What became of one parameter.
+    """Change of one parameter between versions.
 
     Attributes
     ----------
     place : str
-        Where the file has it: dotted path.
+        Dotted path of the parameter in the file.
     value : Any
-        What the file says.
+        Value in the file.
     told : str
-        What holds instead, or where the value is now.
+        Replacement, or new place of the value.
     """
 
     place: str
@@ -38,16 +38,16 @@ class Change(NamedTuple):
 def migrated(
     model: type[Config], values: Mapping[str, Any]
 ) -> tuple[dict[str, Any], tuple[Change, ...]]:
-    """Values of a file of an earlier version as this one reads them, and what was changed.
+    """Convert the values of a file of an earlier version, and list the changes.
 
     Parameters that have moved take their values along. Problems of other kinds stay.
 
     Parameters
     ----------
     model : type
-        Of the configuration.
+        Model of the configuration.
     values : mapping
-        Those of the file; they are not changed.
+        Values of the file; they are not changed.
     """
     result, changes = deepcopy(dict(values)), list[Change]()
     while len(changes) < _MOST:
@@ -100,9 +100,13 @@ def _put(
 ) -> None:
     """Write a value into a list where its parameter has moved; the others are as usual."""
     index, name = _NUMBERS.index(moved[1]), moved[3]
-    if name not in table:
-        usual = next(one.model_fields[name].default for one in models if name in one.model_fields)
-        table[name] = [list(one) if isinstance(one, tuple) else one for one in usual]
+    field = next(one.model_fields[name] for one in models if name in one.model_fields)
+    if field.is_required():  # no usual values: all come from the file, one after another
+        listed = table.setdefault(name, [])
+        if isinstance(listed, list):
+            listed += [value] * (index + 1 - len(listed))
+    elif name not in table:
+        table[name] = [list(one) if isinstance(one, tuple) else one for one in field.default]
     with suppress(TypeError, IndexError):  # the next reading tells what is wrong with the list
         for entry in table[name] if moved[2] else [table[name]]:
             entry[index] = value

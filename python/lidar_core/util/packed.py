@@ -58,7 +58,7 @@ class _Writer:
         self.contents: list[bytes] = []
 
     def outline(self, value: Any) -> Any:
-        """A value as JSON: plain ones as they are, others as a tag and what it needs."""
+        """Return a value as JSON: plain ones as they are, others as a tag and their fields."""
         kind = type(value)
         name = kind.__name__
         if kind in _PLAIN:

@@ -12,5 +12,5 @@ class Row(NamedTuple):
 
 
 def number(value: float | None, digits: int, unit: str = "") -> str:
-    """A number for people; a dash where there is none."""
+    """Return a number as text; a dash for None."""
     return "-" if value is None else f"{value:.{digits}f}{unit}"

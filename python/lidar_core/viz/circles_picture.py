@@ -46,9 +46,9 @@ def draw_circles(view: CirclesView, path: str | Path) -> Path:
     Parameters
     ----------
     view : CirclesView
-        What to show.
+        Content of the picture.
     path : str or Path
-        File to write, whole or not at all.
+        File to write atomically.
 
     Raises
     ------
@@ -64,9 +64,9 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
     Parameters
     ----------
     view : CirclesView
-        What to show; scans whose points were not kept are left out.
+        Content of the film; scans whose points were not kept are left out.
     path : str or Path
-        .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
+        .gif, or .mp4 where ffmpeg is installed; written atomically.
     frames : int
         Frames at most, evenly picked.
     rate : float

@@ -19,7 +19,7 @@ DASHED = (0, (3, 2))
 def write_figure(
     path: str | Path, draw: Callable[[Any], None], *, size: tuple[float, float], dpi: int = 110
 ) -> Path:
-    """Let `draw` fill an empty matplotlib Figure, and write it as PNG, whole or not at all.
+    """Let `draw` fill an empty matplotlib Figure, and write it as PNG atomically.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ def write_film(
     Parameters
     ----------
     path : str or Path
-        .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
+        .gif, or .mp4 where ffmpeg is installed; written atomically.
     paint : callable
         Gets the Figure; yields whenever a frame is drawn.
     size : (float, float)

@@ -56,9 +56,9 @@ def draw_flying(view: FlyingView, path: str | Path) -> Path:
     Parameters
     ----------
     view : FlyingView
-        What to show.
+        Content of the picture.
     path : str or Path
-        File to write, whole or not at all.
+        File to write atomically.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A server of Foxglove's WebSocket protocol on 127.0.0.1 that asks who connects.
+"""A server of Foxglove's WebSocket protocol on 127.0.0.1 that checks its clients.
 
 foxglove-sdk has a server, too, but it takes web pages from anywhere, and programs of other hosts'
 names. Source of the protocol: the specification foxglove.websocket.v1 of ws-protocol.
@@ -44,9 +44,9 @@ class ServedChannel:
     Attributes
     ----------
     id : int
-        Number that viewers know it by.
+        Number of the channel in messages to viewers.
     description : dict
-        What they are told of it.
+        Description that viewers get.
     """
 
     def __init__(self, viewers: "Collection[_Viewer]", description: Mapping[str, Any]) -> None:
@@ -69,20 +69,20 @@ class FoxgloveServer:
     Parameters
     ----------
     port : int
-        Of the WebSocket; 0 takes a free one.
+        Port of the WebSocket; 0 selects a free one.
     option : str
-        What is said on the command line before the port, such as "--port ".
+        Text before the port on the command line, such as "--port ", for error messages.
     backlog : int
         Messages to a slow viewer; older ones go.
     allowed : collection of str
         Web pages that may connect beside those of this machine, from `allowed_origins`.
     on_refused : callable
-        Told why somebody was refused.
+        Called with the reason when a client is refused.
 
     Attributes
     ----------
     port : int
-        Where it listens.
+        Port that the server listens on.
 
     Raises
     ------
@@ -140,13 +140,13 @@ class FoxgloveServer:
         Parameters
         ----------
         topic : str
-            Its name.
+            Name of the topic.
         encoding : str
-            Of its messages, such as protobuf.
+            Encoding of its messages, such as protobuf.
         schema : foxglove.Schema or mcap.records.Schema
-            With name, encoding and data.
+            Schema with name, encoding and data.
         metadata : mapping
-            Of the channel.
+            Metadata of the channel.
         """
         is_text = schema.encoding not in ("protobuf", "flatbuffer")
         given = bytes(schema.data)
@@ -250,7 +250,7 @@ class _Viewer:
             return [name for name, number in self._subscriptions.items() if number == channel]
 
     def put(self, data: str | bytes, *, keep: bool = False) -> None:
-        """Queue data; a full queue drops its oldest messages, but none that are kept."""
+        """Queue data; a full queue drops its oldest messages, except permanent ones."""
         with self._changed:
             (self._kept if keep else self._waiting).append(data)  # type: ignore[arg-type]
             self._changed.notify()
@@ -341,17 +341,17 @@ def serve_foxglove(
     recording : str or Path
         MCAP file; its messages are sent as they are.
     port : int
-        Of the WebSocket on 127.0.0.1; 0 takes a free one.
+        Port of the WebSocket on 127.0.0.1; 0 selects a free one.
     speed : float
         Seconds of the recording per second.
     repeat : bool
-        Whether to begin again at the end.
+        Start again at the end.
     allowed : collection of str
         Web pages that may connect beside those of this machine, from `allowed_origins`.
     on_ready : callable
-        Told the port once viewers can connect.
+        Called with the port once viewers can connect.
     on_refused : callable
-        Told why somebody was refused.
+        Called with the reason when a client is refused.
 
     Raises
     ------

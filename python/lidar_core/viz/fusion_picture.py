@@ -27,14 +27,14 @@ BAND = 5.0  # standard deviations that a panel of errors shows, at the median
 def draw_fusion(view: FusionView, path: str | Path) -> Path:
     """Draw tracks with their 2 sigma bands, measurements, truth and NIS into a PNG file.
 
-    With one track and its truth, the bands lie about the error; else about the position.
+    With one track and its truth, the bands surround the error; otherwise the position.
 
     Parameters
     ----------
     view : FusionView
-        What to show.
+        Content of the picture.
     path : str or Path
-        File to write, whole or not at all.
+        File to write atomically.
 
     Raises
     ------

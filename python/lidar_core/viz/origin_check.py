@@ -1,8 +1,8 @@
 """Check of the clients of servers on 127.0.0.1: programs and named web pages may connect.
 
-A web page from anywhere can open connections to this machine. Browsers say which page it is in
-the header Origin, and which name the address had in the header Host: a foreign name that was made
-to point to 127.0.0.1 (DNS rebinding) stands there as it was typed.
+Any web page can open connections to this machine. Browsers send the origin of the page in the
+header Origin, and the name of the address in the header Host. A foreign name that resolves to
+127.0.0.1 (DNS rebinding) appears there as it was typed.
 """
 
 import re
@@ -47,7 +47,7 @@ def refusal(
     hosts, origins : collection of str
         All headers of these names; programs that are no browsers send no Origin.
     allowed : collection of str
-        From `allowed_origins`.
+        Result of `allowed_origins`.
     """
     if len(hosts) != 1 or _host_of(f"//{next(iter(hosts))}") not in LOCAL_NAMES:
         named = ", ".join(repr(host[:LONGEST]) for host in hosts) or "none"

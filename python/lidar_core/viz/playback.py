@@ -35,16 +35,16 @@ SMALLEST = 0.1  # side of a box that viewers show, also where nobody knows the e
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """A wall or another shape that is no circle, seen from above.
+    """A wall or another shape than a circle, seen from above.
 
     Attributes
     ----------
     id : int
         Number of the element.
     points : ndarray, shape (V, 3), float64
-        Both ends of a line, or a closed way around an ellipse or rectangle; world frame [m].
+        Both ends of a line, or a closed path around an ellipse or rectangle; world frame [m].
     visible : bool
-        Whether it is in sight.
+        True if it is in sight.
     """
 
     id: int
@@ -59,17 +59,18 @@ class Moment:
     Attributes
     ----------
     stamp_ns : int
-        [ns].
+        Time [ns].
     points : ndarray, shape (N, 3), float32
         Points of the scan, world frame [m]; none between scans.
     point_class : ndarray, shape (N,), uint8
         A `PointClass` each; INVALID where points have no class.
     objects : Objects
-        What was found.
+        Objects at that time.
     outlines : tuple of Outline
         Walls, ellipses and rectangles of a map of circles.
     sensor : ndarray, shape (3,), float64, or None
-        Where the sensor was, world frame [m]; None between scans, or where the run does not know.
+        Position of the sensor, world frame [m]; None between scans, or where the run does not
+        know.
     """
 
     stamp_ns: int
@@ -86,7 +87,7 @@ class Playback:
     Attributes
     ----------
     folder : Path
-        Where it is.
+        Folder of the run.
     capability : str
         flying, circles or fusion.
 
@@ -123,14 +124,14 @@ class Playback:
 
     @property
     def frame_id(self) -> str:
-        """Frame of the objects; "world" where the run does not say."""
+        """Frame of the objects; "world" if the run has none."""
         frames = self._columns.get("frame_id", _NO_ROWS)
         return str(frames[0]) if len(frames) else "world"
 
     def steps(self) -> Iterator[tuple[int, Objects]]:
-        """Processed times [ns] in ascending order with the objects at each; without scans.
+        """Processed times [ns] in ascending order with the objects at each, without scans.
 
-        Sizes are those of the run: zero where it knows none.
+        Sizes come from the run: zero if it has none.
         """
         timing = self._tables("timing")
         looked_at = read_columns(timing[0])["t_ns"].tolist() if timing else []
@@ -164,7 +165,7 @@ class Playback:
 
     @property
     def voxel_map(self) -> Path | None:
-        """The map; None where the run left none."""
+        """The map; None if the run wrote none."""
         path = self.folder / MAP
         return path if path.is_file() else None
 
@@ -183,7 +184,7 @@ class Playback:
                 yield self._moment(*view)
 
     def trails(self, moment: Moment, most: int | None) -> Trails:
-        """Positions (S, 3) [m] of every object of a moment up to then, at most the last so many."""
+        """Return the last positions (S, 3) [m] of every object of a moment, at most this many."""
         found = {}
         for name in moment.objects.id.tolist():
             stamps, places = self._ways[name]
@@ -318,7 +319,7 @@ def _objects(columns: Columns, rows: NDArray[np.int64], *, least: float) -> Obje
 
 
 def outlines_of(shapes: ShapeElements) -> tuple[Outline, ...]:
-    """Elements of a map that are no circles, as they are drawn."""
+    """Return the outlines of map elements with other shapes than circles."""
     return tuple(
         _outline_from(number, outline(shapes, row, CORNERS), is_visible=bool(shapes.visible[row]))
         for row, number in enumerate(shapes.id.tolist())

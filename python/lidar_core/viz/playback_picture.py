@@ -49,7 +49,7 @@ def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> 
     run : Playback
         The run.
     path : str or Path
-        PNG to write, whole or not at all.
+        PNG to write atomically.
     at : float, optional
         Time since the start [s]; without it the last time with a scan.
 
@@ -88,7 +88,7 @@ def draw_film(
     run : Playback
         The run.
     path : str or Path
-        .gif, or .mp4 where ffmpeg is installed; written whole or not at all.
+        .gif, or .mp4 where ffmpeg is installed; written atomically.
     frames : int
         At most, evenly picked.
     rate : float
@@ -165,7 +165,7 @@ class _Scene:
 
     @classmethod
     def of(cls, run: Playback, shown: Sequence[tuple[Moment, Trails]]) -> "_Scene":
-        """All ways of the moments; of a map of circles, those of what moved."""
+        """Return all paths of the moments; for a map of circles, those of moving elements."""
         ways = [way for _, trails in shown for way in trails.values()]
         points = np.concatenate([moment.points[::20] for moment, _ in shown]).astype(np.float64)
         bulk = bulk_of(points)
@@ -179,7 +179,7 @@ class _Scene:
         return cls(run.folder.name, is_fused, is_fused, ways, around, *_map_of(run))
 
     def window(self, axes: tuple[int, int], tall: float) -> Window:
-        """What a panel of such a height over its width shows."""
+        """Return the part of the world that a panel of this height over width shows."""
         moving = [way[:, axes] for way in self.moving]
         around = [rows[:, axes] for rows in self.around]
         if not moving:

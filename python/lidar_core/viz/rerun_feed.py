@@ -1,4 +1,4 @@
-"""The bytes of a rerun recording for pages that come and go: of a file, or of a stream."""
+"""The bytes of a rerun recording, of a file or of a stream, for pages that connect at any time."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -29,9 +29,10 @@ class LiveFeed:
     Parameters
     ----------
     begin : bytes
-        What every page gets first, whenever it is opened.
+        First data for every page, whenever it is opened.
     max_bytes : int
-        Of blocks that are kept; the oldest ones go. A page that is slower misses those, too.
+        Size of the blocks that are kept; the oldest ones are dropped. A slower page misses them
+        too.
     """
 
     def __init__(self, begin: bytes, *, max_bytes: int) -> None:
@@ -51,7 +52,7 @@ class LiveFeed:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Say that nothing more will come."""
+        """Mark the end of the stream."""
         with self._changed:
             self._is_ended = True
             self._changed.notify_all()

@@ -47,12 +47,12 @@ class RerunLog:
     Parameters
     ----------
     name : str
-        Of the recording: logs of one name are one recording to the viewer.
+        Name of the recording: the viewer joins logs of the same name.
 
     Attributes
     ----------
     stream : rerun.RecordingStream
-        Where it goes, for the caller to connect to a file or a viewer.
+        Stream that the caller connects to a file or a viewer.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class RerunLog:
         self._filled: set[str] = set()
 
     def begin(self) -> None:
-        """Say which way is up; to be called once the stream is connected."""
+        """Log which axis points up; to be called once the stream is connected."""
         self.stream.log("world", self._rr.ViewCoordinates.FLU, static=True)
         classes = [
             (int(one), one.name.lower().replace("_", " "), CLASS_COLOURS[one].tolist())
@@ -83,7 +83,7 @@ class RerunLog:
         self._rr.send_blueprint(blueprint, recording=self.stream)
 
     def frame(self, places: NDArray[np.float64]) -> None:
-        """Let viewers begin with a look at `places` (N, 3) [m], from the south-west and above."""
+        """Set the first view to `places` (N, 3) [m], seen from the south-west and above."""
         views = require("rerun.blueprint", extra="rerun", purpose=PURPOSE)
         low, high = places.min(axis=0), places.max(axis=0)
         target = (low + high) / 2
@@ -166,7 +166,7 @@ class RerunLog:
 def write_rerun(run: Playback, path: str | Path) -> Path:
     """Write a run as rerun's recording (.rrd); the file is complete or does not exist.
 
-    What `RerunLog` says, and occupied voxels under world/map.
+    Write the content of `RerunLog`, and occupied voxels under world/map.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def show_window(recording: str | Path) -> int:
     Parameters
     ----------
     recording : str or Path
-        As `write_rerun` wrote it.
+        File that `write_rerun` wrote.
     """
     with rerun_process([str(recording), "--port", str(free_port())]) as process:
         try:

@@ -1,4 +1,4 @@
-"""Rerun's viewer in the browser, served by this process alone, with no way to the network.
+"""Rerun's viewer in the browser, served by this process alone, without access to the network.
 
 The page that rerun serves reports usage to its makers and loads fonts from elsewhere. This page
 takes only the script and the WebAssembly module of the installed rerun-sdk, and a
@@ -65,14 +65,14 @@ class RerunPage:
     feed : callable
         Gives the recording.
     port : int
-        Of the page; 0 takes a free one.
+        Port of the page; 0 selects a free one.
     option : str
-        What is said on the command line before the port, such as "--port ".
+        Text before the port on the command line, such as "--port ", for error messages.
 
     Attributes
     ----------
     address : str
-        What to open in the browser.
+        Address to open in the browser.
 
     Raises
     ------
@@ -113,9 +113,9 @@ def open_browser(address: str) -> None:
 
 @cache
 def viewer_files() -> dict[str, bytes]:
-    """Script and WebAssembly module of rerun's viewer, as its own server gives them.
+    """Return script and WebAssembly module of rerun's viewer, from its own server.
 
-    They are part of rerun's program, which is started for as long as that takes.
+    They are part of rerun's program, which runs only as long as necessary.
     """
     port = free_port()
     # With an address to look at, rerun opens no other server than that of its page.
@@ -202,4 +202,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, *_: Any) -> None:
-        """Say nothing on the console."""
+        """Print nothing on the console."""

@@ -32,10 +32,10 @@ def rerun_process(
 ) -> "Iterator[subprocess.Popen[bytes]]":
     """Rerun's program, which ends with the `with` block.
 
-    It listens on 127.0.0.1 alone. The process itself collects no usage data: its settings are
-    those of an empty folder in which that was switched off, not the user's. What it asks of other
-    machines goes to a proxy that is not there. Pages that it can serve know nothing of all that;
-    `rerun_page` serves one that does not need to. A quiet process prints nothing.
+    It listens on 127.0.0.1 alone. The process itself collects no usage data: it gets the settings
+    of an empty folder in which collection is switched off, not the user's. Its requests to other
+    machines go to a proxy that does not exist. Pages that it serves itself do not have these
+    settings; `rerun_page` serves one that needs none. A quiet process prints nothing.
     """
     require("rerun", extra="rerun", purpose=PURPOSE)
     viewer = [sys.executable, "-m", "rerun"]

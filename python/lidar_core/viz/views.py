@@ -99,9 +99,9 @@ class PlanarLine:
     stamp_ns : ndarray, shape (K,), int64
         Times, ascending [ns].
     position : ndarray, shape (K, 2), float64
-        [m].
+        Position [m].
     covariance : ndarray, shape (K, 2, 2), float64, or None
-        Of the position [m^2]; None for a truth.
+        Covariance of the position [m^2]; None for a truth.
     """
 
     stamp_ns: NDArray[np.int64]
@@ -124,7 +124,8 @@ class FusionView:
     truth : mapping of int to PlanarLine
         True positions by target; empty without truth.
     nis : mapping of str to pair of ndarray, shape (N,)
-        By sensor, times [ns] and NIS over its 95 % limit: one in twenty is above 1.
+        By sensor: times [ns], and NIS divided by its 95 % limit. One value in twenty is expected
+        above 1.
     """
 
     title: str

@@ -1,4 +1,4 @@
-//! The one error type of the crate: every text states what was expected and what was received.
+//! The only error type of the crate: every text states the expected and the received value.
 
 use std::fmt;
 
@@ -59,7 +59,7 @@ pub enum Error {
         /// Textbook letter of the matrix.
         matrix: &'static str,
     },
-    /// A stamp lies before one that has been processed.
+    /// A stamp lies before one that was processed.
     Time {
         /// The late or duplicate input, with both stamps and the cure.
         what: String,

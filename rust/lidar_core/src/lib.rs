@@ -1,9 +1,9 @@
-//! From raw LiDAR to the list of things around a robot that matter.
+//! LiDAR processing for robots: flying objects, maps of round obstacles, fusion with radar.
 //!
-//! Three capabilities stand on shared modules and never import one another:
-//! [`flying`] finds and tracks flying objects in 3D scans, [`circles`] maps round obstacles in 2D
-//! scans, [`fusion`] tracks a target that LiDAR and radar see. [`geometry`], [`estimation`],
-//! [`tracking`] and [`util`] hold what they share.
+//! Three capabilities are built on shared modules and never import one another: [`flying`] finds
+//! and tracks flying objects in 3D scans, [`circles`] maps round obstacles in 2D scans, [`fusion`]
+//! tracks targets with LiDAR and radar. [`geometry`], [`estimation`], [`tracking`] and [`util`] are
+//! shared.
 //!
 //! SI units and radians; right-handed frames, x forward, y left, z up; stamps are `i64`
 //! nanoseconds; points are `f32`, poses and filter states `f64`.

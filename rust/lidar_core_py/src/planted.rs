@@ -1,4 +1,4 @@
-//! Panics on purpose, in every way that work enters the core: tests see that none gets out.
+//! Panics on purpose, for every kind of entry into the core: tests check that none escapes.
 
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached, stoppable};

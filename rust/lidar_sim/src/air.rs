@@ -19,7 +19,7 @@ const VISIBLE_SHARE: f64 = 0.01;
 /// Up to here droplets of fog give returns [m]: from further away too little light comes back.
 const SPECKLE_RANGE: f64 = 6.0;
 
-/// A volume of particles. Every ray of every scan meets other particles: they are far smaller than
+/// A volume of particles. Every ray of every scan hits other particles: they are far smaller than
 /// the gaps between rays, and move far between scans.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Particles {
@@ -43,7 +43,7 @@ pub enum Particles {
         /// Mean length of a ray in it before it ends on a grain [m].
         free_path: f64,
     },
-    /// Fog everywhere: light fades on its way, and near the sensor droplets give returns.
+    /// Fog everywhere: light fades on its path, and droplets near the sensor give returns.
     Fog {
         /// Extinction of light per metre [1/m].
         extinction: f64,

@@ -45,20 +45,20 @@ const MIXED_DEPTH: f64 = 0.1;
 pub struct Disturbance {
     /// Standard deviation of a range [m].
     pub range_std: [f64; 2],
-    /// Half the width of a ray [rad]: it returns if its edge meets the circle.
+    /// Half the width of a ray [rad]: it returns if its edge hits the circle.
     pub beam_half_width: [f64; 2],
     /// Share of samples with one side hidden by something nearer; one in four of them has both
     /// sides hidden.
     pub occluded_share: f64,
-    /// Share of the ends of circles at which the last ray meets circle and background at once.
+    /// Share of the ends of circles at which the last ray hits circle and background at once.
     pub mixed_share: f64,
     /// Largest distances from the nearer and the farther range limit at which it may cut a side
     /// [m].
     pub cut_margins: [f64; 2],
 }
 
-/// Samples in a row. Of each scan only the window is kept: from the first ray that met the circle
-/// to the last one.
+/// Several samples. Only the window of each scan is kept: from the first ray that hit the circle to
+/// the last one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Samples {
     /// Centre x, centre y, radius [m].

@@ -8,13 +8,13 @@ pub enum Purpose {
     Ray = 1,
     /// Steps of a random motion.
     Motion = 2,
-    /// Particles that one ray may meet.
+    /// Particles that one ray may hit.
     Air = 3,
     /// A circle and its disturbances.
     Circle = 4,
-    /// Range noise of the rays that meet a circle.
+    /// Range noise of the rays that hit a circle.
     CircleNoise = 5,
-    /// Reflection of one ray at the surfaces that it meets.
+    /// Reflection of one ray at the surfaces that it hits.
     Surface = 6,
 }
 

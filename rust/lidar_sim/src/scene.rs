@@ -35,7 +35,7 @@ pub struct SceneObject {
     pub world_from_shape: Transform,
     /// Sway of the body.
     pub sway: Option<Sway>,
-    /// Optical properties; None: every ray that meets it returns.
+    /// Optical properties; None: every ray that hits it returns.
     pub surface: Option<Surface>,
     /// Label in the ground truth; several bodies may share one.
     pub label: i32,
@@ -48,7 +48,7 @@ pub struct Mover {
     pub shape: Shape,
     /// Trajectory of the shape.
     pub trajectory: Trajectory,
-    /// Optical properties; None: every ray that meets it returns.
+    /// Optical properties; None: every ray that hits it returns.
     pub surface: Option<Surface>,
     /// Label in the ground truth; successive movers with the same label are one object.
     pub label: i32,
@@ -227,7 +227,7 @@ impl Scene {
         &self.objects
     }
 
-    /// First body that `ray` meets before `limit` [m], `seconds` after time 0.
+    /// First body that `ray` hits before `limit` [m], `seconds` after time 0.
     #[must_use]
     pub fn meet(&self, ray: &CastRay, limit: f64, seconds: f64) -> Option<RayHit> {
         let test = |index: u32, limit: f64| {

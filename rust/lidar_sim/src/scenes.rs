@@ -12,7 +12,7 @@ use rayon::ThreadPool;
 
 /// Number of scans of the scene.
 pub const SCANS: u64 = 20;
-/// Number of scans of the longer sequence: the same way further on, which stays free of boxes.
+/// Number of scans of the longer sequence: the same path further on, without boxes near it.
 pub const SEQUENCE: u64 = 61;
 const PERIOD_NS: i64 = 100_000_000;
 const SEED: u64 = 20_240_607;

@@ -61,7 +61,7 @@ pub struct Beam {
     /// Number of lines that represent the beam, evenly from edge to edge.
     pub lines: usize,
     /// Distance behind the first hit within which the range is the mean over the lines [m]: 0 for
-    /// the first return, infinite for the mean of everything met.
+    /// the first return, infinite for the mean of all hits.
     pub echo_length: f64,
 }
 
@@ -80,7 +80,7 @@ pub struct Lidar {
     pub range_max: f64,
     /// Standard deviation of the ranges [m].
     pub range_std: f64,
-    /// Probability that a return is lost: it tells nothing.
+    /// Probability that a return is lost: the ray then has no information.
     pub dropout: f64,
     /// Width of the beam; None for single lines.
     pub beam: Option<Beam>,

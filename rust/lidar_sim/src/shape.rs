@@ -7,7 +7,7 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot, norm};
 use std::sync::Arc;
 
-/// A surface around the origin of its own frame. Rays from inside meet it as well.
+/// A surface around the origin of its own frame. Rays from inside also hit it.
 #[derive(Clone, Debug)]
 pub enum Shape {
     /// Rectangle in z = 0, both sides; an infinite half size makes it a plane.
@@ -112,7 +112,8 @@ impl Shape {
         found.filter(|&distance| distance < limit)
     }
 
-    /// Unit normal, to either side, where `ray` (in the shape's frame) meets it at `distance` [m].
+    /// Unit normal, on either side, at the point that `ray` (in the shape's frame) hits at
+    /// `distance` [m].
     #[must_use]
     pub fn normal(&self, ray: &CastRay, distance: f64) -> [f64; 3] {
         let [x, y, z]: [f64; 3] =

@@ -55,9 +55,9 @@ pub struct SimulatedScan {
     pub sweep: SweepRays,
     /// Range of every ray [m]; +inf is no return, NaN no information.
     pub ranges: Vec<f64>,
-    /// Label of the body that every ray met; [`NO_LABEL`] for rays without a range.
+    /// Label of the body that every ray hit; [`NO_LABEL`] for rays without a range.
     pub labels: Vec<i32>,
-    /// For every object ([`Scene::objects`]) the number of rays that would meet it within range if
+    /// For every object ([`Scene::objects`]) the number of rays that would hit it within range if
     /// nothing else were there.
     pub unoccluded: Vec<u32>,
 }

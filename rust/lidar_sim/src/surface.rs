@@ -62,7 +62,7 @@ impl Surface {
         self.mirror + (1.0 - self.mirror) * grazing * grazing * grazing * grazing * grazing
     }
 
-    /// Result of a ray in `direction` that meets the surface with `normal`; the two samples are
+    /// Result of a ray in `direction` that hits the surface with `normal`; the two samples are
     /// uniform in (0, 1).
     #[must_use]
     pub fn interaction(

@@ -11,7 +11,7 @@ from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.parameters import MODELS, model_named, models_within
-from lidar_core.sim import Scene
+from lidar_core.sim import Rosette, Scene
 from lidar_core.util.migration import migrated
 
 OLD = {
@@ -43,6 +43,15 @@ def test_a_file_keeps_what_still_is_a_parameter_and_values_that_have_moved():
 def test_several_values_that_moved_into_one_list_meet_there():
     values, _ = migrated(FlyingConfig, {"tracker": {"radius_max": 9.0, "radius_min": 0.4}})
     assert values == {"tracker": {"radius_limits": [0.4, 9.0]}}
+
+
+@pytest.mark.parametrize("order", [("min", "max"), ("max", "min")])
+def test_values_that_moved_into_a_list_without_default_meet_there(order):
+    old = {"min": -20.0, "max": 25.0}
+    pattern = {f"elevation_{end}_deg": old[end] for end in order}
+    values, _ = migrated(Rosette, pattern)
+    assert values == {"elevation_deg": [-20.0, 25.0]}
+    assert Rosette.load(values).elevation_deg == (-20.0, 25.0)
 
 
 def test_a_value_of_each_entry_goes_into_all_of_them():

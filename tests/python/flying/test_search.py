@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.flying_scenes import VLP_16, lidar
+from helpers.flying_scenes import VLP_16, lidar, record_rounds
 
 from golden.digest import Record
 from golden.flying_replay import play_deskewed, yard
@@ -10,7 +10,6 @@ from lidar_core import PointClass
 from lidar_core.flying import ClassifyConfig, ClusterConfig, FlyingConfig, FlyingObjectDetector
 from lidar_core.sim import Circle, Hover, simulate
 
-TEXTS = frozenset({"reason", "rejected"})
 ROUND = Circle(center=(0.0, 0.0, 3.0), radius=2.0, speed=3.0)
 STILL = Hover(position=(0.0, 0.0, 3.0))
 
@@ -29,19 +28,7 @@ def play(model, sensor, scans, *, sensors=("lidar",), rounds=1, classify=(), **c
         one = one.model_copy(update={**changes, "classify": own})
         detector = FlyingObjectDetector(one, threads=threads)
         made = list(simulate(yard(model, sensor, scans=scans), seed=1021))
-        for number in range(rounds * scans):
-            simulated = made[number % scans]
-            frame = detector.process(
-                simulated.scan.points,
-                simulated.poses[0],
-                stamp_ns=number * 100_000_000,
-                no_return=simulated.scan.no_return,
-                directions=simulated.scan.directions,
-                sensor=sensors[number % len(sensors)],
-            )
-            record.add("frame", frame, skip=TEXTS)
-        record.add("occupied", detector.occupied_points())
-        record.add("n_observed", detector.n_observed)
+        record_rounds(record, detector, made, rounds, sensors)
 
     return run
 

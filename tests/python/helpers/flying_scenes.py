@@ -80,3 +80,23 @@ def feed(detector, simulated, **changes):
         "pose_stamps_ns": simulated.pose_stamps_ns,
     }
     return detector.process(**arguments | changes)
+
+
+TEXTS = frozenset({"reason", "rejected"})
+
+
+def record_rounds(record, detector, made, rounds, sensors):
+    """Process simulated scans several times, by sensors in turn, and record the results."""
+    for number in range(rounds * len(made)):
+        simulated = made[number % len(made)]
+        frame = detector.process(
+            simulated.scan.points,
+            simulated.poses[0],
+            stamp_ns=number * 100_000_000,
+            no_return=simulated.scan.no_return,
+            directions=simulated.scan.directions,
+            sensor=sensors[number % len(sensors)],
+        )
+        record.add("frame", frame, skip=TEXTS)
+    record.add("occupied", detector.occupied_points())
+    record.add("n_observed", detector.n_observed)

@@ -18,9 +18,9 @@ class Layer(NamedTuple):
     Attributes
     ----------
     name : str
-        As in Table I.
+        Name of the layer in Table I.
     length : int
-        How many positions, or rays, leave it.
+        Number of positions, or rays, in the output of the layer.
     channels : int
         Numbers at each of them.
     parameters : int

@@ -18,7 +18,7 @@ from lidar_core.errors import ConfigError, InputError
 
 
 class CircleDetector:
-    """Estimate circles, each from a scan that shows nothing else.
+    """Estimator of circles, each from a scan that shows one object only.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ class CircleDetector:
         that comes with the package, "cnn" or "paper-cnn"; or an ONNX file that `lidar-core export`
         wrote.
     config : FitConfig, optional
-        Everything else about the fit; its `method` gives way to `detector`. A network heeds
-        `range_std` and `beam_half_width`.
+        Other settings of the fit; `detector` replaces its `method`. A network uses `range_std` and
+        `beam_half_width`.
     scanner : Scanner, optional
-        Where the ranges come from; only its range limits count.
+        Scanner that measures the ranges; only its range limits matter.
     threads : int
-        Of a network, >= 1.
+        Number of threads of a network, >= 1.
     allow_untrusted : bool
         Run an ONNX file that is neither shipped nor exported by this user. A model is a program.
 
@@ -41,7 +41,7 @@ class CircleDetector:
     ConfigError
         There is no such detector, its file is not trusted, or `threads` is not >= 1.
     FormatError
-        The file is no network for circles.
+        The file is not a network for circles.
 
     Notes
     -----
@@ -49,8 +49,9 @@ class CircleDetector:
     the edges of the field of view and the range limits, with centres and radii evenly
     distributed beforehand. Its covariance is that of the same distribution.
 
-    Networks on the window of each object, in the window's own frame, answer with the covariance,
-    too. The paper's network (Table I) knows one scanner; its circles all have the same covariance.
+    Networks that take the window of each object, in the window's own frame, also estimate the
+    covariance. The paper's network (Table I) works with one scanner only, and gives all circles the
+    same covariance.
     """
 
     def __init__(

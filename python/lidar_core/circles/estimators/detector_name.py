@@ -1,4 +1,4 @@
-"""Names of ways to estimate a circle: fits, networks of the package, files."""
+"""Names of circle estimators: fits, networks of the package, files."""
 
 from pathlib import Path
 from typing import get_args
@@ -14,12 +14,12 @@ def shipped() -> list[str]:
 
 
 def checked(detector: object) -> object:
-    """`detector`, if there is such a fit or network, or if it is the path of an .onnx file.
+    """Return `detector` if it is a fit, a network, or the path of an .onnx file.
 
     Raises
     ------
     ValueError
-        It is none of these: what was expected.
+        It is none of these; the text states what was expected.
     """
     known = (*get_args(FitMethod), *shipped())
     if isinstance(detector, str | Path) and (

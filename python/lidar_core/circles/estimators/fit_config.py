@@ -1,4 +1,4 @@
-"""How circles are fitted to rays."""
+"""Configuration of the fit of circles to rays."""
 
 from typing import Literal, Self, TypeAlias
 
@@ -13,15 +13,15 @@ FitMethod: TypeAlias = Literal["ml", "mode", "taubin", "pratt", "kasa"]
 class FitConfig(Config):
     """Fit of circles to groups of rays.
 
-    "ml" and "mode" hold circles against the ranges and against the rays that passed beside the
-    object; "ml" reports the expected circle, "mode" the most likely one. "taubin", "pratt" and
-    "kasa" are algebraic fits to the points.
+    "ml" and "mode" compare circles with the ranges and with the rays that passed beside the object;
+    "ml" reports the expected circle, "mode" the most likely one. "taubin", "pratt" and "kasa" are
+    algebraic fits to the points.
     """
 
     method: FitMethod = Field(
         "ml",
-        description="How a circle is fitted (no unit): with the likelihood of ranges and misses,"
-        " the expected or the most likely circle; or an algebraic fit to the points.",
+        description="Fit of a circle (no unit): the expected or the most likely circle under"
+        " the likelihood of ranges and misses; or an algebraic fit to the points.",
     )
     range_std: float = Field(
         0.01,

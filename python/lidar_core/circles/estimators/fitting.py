@@ -24,12 +24,12 @@ class Circles(ShortRepr):
     parameters : ndarray, shape (C, 3), float64
         Centre x, centre y and radius [m].
     covariance : ndarray, shape (C, 3, 3), float64
-        Of the parameters [m^2].
+        Covariance of the parameters [m^2].
     n_hits : ndarray, shape (C,), int64
         Rays that ended on the circle.
     is_fallback : ndarray, shape (C,), bool
-        Whether no circle within the bounds of the radius explains the rays: then it is the
-        algebraic fit, with a rough covariance. None is, if not given.
+        True if no circle within the bounds of the radius explains the rays. The circle is then the
+        algebraic fit, with a rough covariance. All false if not given.
     """
 
     parameters: NDArray[np.float64]
@@ -67,17 +67,17 @@ def fit_circles(
     ranges : array_like, shape (B,), float
         Range of every ray [m]; +inf is a miss, NaN no information.
     bearings : array_like, shape (B,), float
-        Their directions [rad] in the order of the sweep; need not be equally spaced.
+        Directions of the rays [rad] in the order of the sweep; need not be equally spaced.
     segments : Segments
-        What `segment` made of the same scan.
+        Result of `segment` for the same scan.
     method : str, optional
         "ml", "mode", "taubin", "pratt" or "kasa"; none: that of `config`.
     range_std : float, optional
         Standard deviation of a range [m]; none: that of `config`.
     config : FitConfig, optional
-        None: the defaults.
+        None for the defaults.
     scanner : Scanner, optional
-        Whose range limits apply; none: the defaults.
+        Scanner whose range limits apply; None for the defaults.
 
     Returns
     -------

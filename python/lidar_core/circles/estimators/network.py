@@ -39,28 +39,28 @@ class CircleNetwork:
     Parameters
     ----------
     model : str or Path
-        Name of a model that comes with the package, or an ONNX file that `lidar-core export`
-        wrote. If a card lies beside it, the file must be the one that the card is about.
+        Name of a model of the package, or an ONNX file that `lidar-core export` wrote. If there is
+        a card beside it, the file must be the one that the card describes.
     allow_untrusted : bool
         Run a file that is neither shipped nor exported by this user. A model is a program.
     threads : int
-        Of onnxruntime, >= 1.
+        Number of threads of onnxruntime, >= 1.
 
     Raises
     ------
     ConfigError
         There is no such model, it is not trusted, or `threads` is not >= 1.
     FormatError
-        The file is no ONNX model, not the one of its card, or its inputs and outputs are not
-        those of a circle detector; or it has control flow, foreign operators or weights in other
-        files, which are refused from anybody.
+        The file is not an ONNX model, does not match its card, or has other inputs and outputs than
+        a circle detector; or it has control flow, foreign operators or weights in other files,
+        which are always refused.
     LimitError
         The file is larger than 256 MiB.
 
     Notes
     -----
-    Networks on windows tell how sure they are. The paper's network, on whole scans, does not: all
-    its circles have the variances of its errors on its test data; the paper gives none.
+    Networks on windows estimate a covariance. The paper's network, which takes whole scans, does
+    not: all its circles have the variances of its errors on its test data; the paper states none.
     """
 
     def __init__(
@@ -90,14 +90,14 @@ class CircleNetwork:
         Parameters
         ----------
         scanner : Scanner
-            What gives the scans.
+            Scanner that measures the scans.
         place : str
-            Its name in the configuration, with which the text of the error begins.
+            Name of the scanner in the configuration; error messages start with it.
 
         Raises
         ------
         ConfigError
-            Its rays or range limits are others.
+            Rays or range limits of the scanner differ from those of the network.
         """
         if self.kind != "scans" or _is_like(scanner, self._scanner):
             return
@@ -160,7 +160,7 @@ class CircleNetwork:
     ) -> Circles:
         """One circle per segment of a scan, in one call of the network.
 
-        `config` says how noisy the ranges are and how wide the rays.
+        `config` has the noise of the ranges and the width of the rays.
         """
         counts = np.diff(segments.starts)
         if not len(segments):
@@ -211,14 +211,14 @@ class CircleNetwork:
 
 
 def checked_model(model: str | Path) -> tuple[Path, bytes, dict[str, Any]]:
-    """File, content and card of a model whose graph asks for nothing but arithmetic; not run.
+    """Return file, content and card of a model whose graph uses only arithmetic; do not run it.
 
     Raises
     ------
     ConfigError
         There is no such model.
     FormatError
-        The file is no ONNX model, not the one of its card, or asks for more.
+        The file is not an ONNX model, does not match its card, or uses other operators.
     LimitError
         The file is too large.
     """

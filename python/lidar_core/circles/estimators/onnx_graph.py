@@ -1,4 +1,4 @@
-"""What an ONNX file asks for, read before onnxruntime sees it: operators, graphs in graphs, files.
+"""Requirements of an ONNX file, checked before onnxruntime loads it: operators, subgraphs, files.
 
 A graph without loops does the same work for every input of a size, and reads no file. The wire
 format is that of protocol buffers; field numbers are those of onnx.proto.
@@ -33,8 +33,8 @@ def check_graph(path: Path, content: bytes) -> None:
     Raises
     ------
     FormatError
-        It is no ONNX model, has control flow (Loop, Scan, If: graphs within the graph), weights in
-        other files, functions or operators of its own, or is nested too deep.
+        The file is not an ONNX model, has control flow (Loop, Scan, If: graphs within the graph),
+        weights in other files, its own functions or operators, or is nested too deep.
     """
     left = [("model", content, 0)]
     counted, has_graph = 0, False

@@ -1,4 +1,4 @@
-"""Which ONNX models are run: those of the package, and those that the user trusts.
+"""ONNX models that may run: those of the package, and those that the user trusts.
 
 A model is a program. A card beside it proves that the file is whole, not where it comes from:
 whoever sends a model can write its card. So trust is kept where only the user writes: in a list of
@@ -26,13 +26,13 @@ def trust_model(path: str | Path) -> Path | None:
     Parameters
     ----------
     path : str or Path
-        The file; what counts from now on is its content.
+        The file; from now on its content is trusted, not its path.
 
     Returns
     -------
     Path or None
-        The list that it stands in; None if the user has no folder for settings or it cannot be
-        written: the model needs `allow_untrusted` then.
+        The list that contains it; None if the user has no folder for settings or it cannot be
+        written: the model then needs `allow_untrusted`.
 
     Raises
     ------

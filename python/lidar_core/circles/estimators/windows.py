@@ -1,4 +1,4 @@
-"""What the networks are shown: windows in their own frames, or whole scans, normalised."""
+"""Input of the networks: windows in their own frames, or whole scans, normalised."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +25,7 @@ class Spans:
     rays, owner : ndarray, shape (R,), int64
         Place of each ray in its sweep, and number of its object.
     starts : ndarray, shape (N + 1,), int64
-        Where each object begins.
+        Index of the first ray of each object.
     """
 
     rays: NDArray[np.int64]
@@ -34,7 +34,7 @@ class Spans:
 
     @classmethod
     def between(cls, first: NDArray[np.int64], count: NDArray[np.int64], n_beams: int) -> "Spans":
-        """So many rays from each first one on, over the end of the sweep if it must be."""
+        """Return this many rays from each first one on, past the end of the sweep if needed."""
         starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
         owner = np.repeat(np.arange(len(first)), count)
         rays = (first[owner] + np.arange(starts[-1]) - starts[owner]) % n_beams
@@ -59,7 +59,7 @@ def windows_of_segments(
     scanner: Scanner,
     noise: tuple[float, float],
 ) -> tuple[NDArray[Any], ...]:
-    """The same of the segments of one scan; `noise`: deviation of a range, half beam width."""
+    """Make windows of the segments of one scan; `noise`: deviation of a range, half beam width."""
     first = segments.rays[segments.starts[:-1]].astype(np.int64)
     last = segments.rays[segments.starts[1:] - 1].astype(np.int64)
     spans = Spans.between(first, (last - first) % len(bearings) + 1, len(bearings))
@@ -77,7 +77,7 @@ def windows_of_rows(
     scanner: Scanner,
     noise: tuple[float, float],
 ) -> tuple[NDArray[Any], ...]:
-    """The same of scans (B, n_beams) that show one object each, with at least one hit."""
+    """Make windows of scans (B, n_beams) that show one object each, with at least one hit."""
     hits = np.isfinite(ranges)
     n_beams = len(bearings)
     first, last = hits.argmax(axis=1), n_beams - 1 - hits[:, ::-1].argmax(axis=1)

@@ -20,7 +20,7 @@ _MOST_SENSORS = 2**32
 
 @dataclass(frozen=True, slots=True)
 class MapEvents:
-    """What one scan did to the map, unconfirmed elements included, by their numbers.
+    """Numbers of the elements that one scan changed, including unconfirmed ones.
 
     Attributes
     ----------
@@ -31,8 +31,8 @@ class MapEvents:
     born, confirmed, removed : ndarray, shape (K,), int64
         New elements; reported from now on; no more.
     merged : ndarray, shape (K, 2), int64
-        The element that stays and the one that went into it; of scans taken in again those that
-        are new.
+        Pairs of the element that stays and the one that was merged into it; when late scans are
+        processed again, only new pairs.
     """
 
     is_late: bool
@@ -103,7 +103,7 @@ class CircleMap(FullState):
         range_limits: tuple[float, float] = (0.0, np.inf),
         sensor: int = 0,
     ) -> MapEvents:
-        """Take in the circles of one scan; hand over empty sets as well.
+        """Process the circles of one scan; also pass empty sets.
 
         Parameters
         ----------
@@ -117,8 +117,8 @@ class CircleMap(FullState):
         stamp_ns : int
             Time of the scan [ns].
         pose_covariance : array_like, shape (6, 6), optional
-            Of the pose: translation [m], then the angles alpha, beta, gamma of
-            Rz(gamma) Ry(beta) Rx(alpha) [rad].
+            Covariance of the pose: translation [m], then the angles alpha, beta, gamma of Rz(gamma)
+            Ry(beta) Rx(alpha) [rad].
         delays : array_like, shape (C,), optional
             When each circle was measured, after `stamp_ns`, -10 to 10 [s]; `filter` "paper" does
             not heed it.
@@ -128,7 +128,7 @@ class CircleMap(FullState):
         range_limits : (float, float)
             Nearest and farthest range that is measured [m].
         sensor : int
-            Which of several sensors; their scans may have one stamp.
+            Number of the sensor, if there are several; their scans may have the same stamp.
 
         Returns
         -------
@@ -172,7 +172,7 @@ class CircleMap(FullState):
 
 
 def elements_of(arrays: tuple[Any, ...], stamp_ns: int) -> CircleElements:
-    """Confirmed elements of those that the core gives."""
+    """Return the confirmed elements of the core's result."""
     number, mean, covariance, age, seen_ns, visible, confirmed, *more = arrays
     person, existence, kinds = more
     mean = mean[confirmed]

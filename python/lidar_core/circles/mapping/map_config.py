@@ -17,8 +17,8 @@ Mode = tuple[
 class CircleMapConfig(Config):
     """Map of circles in the world, with identities, radii, velocities and covariances.
 
-    `CircleMapConfig()` is what works best; `CircleMapConfig.paper()` is the filter as published,
-    with values of ours where the paper gives none.
+    `CircleMapConfig()` is best mode; `CircleMapConfig.paper()` is the filter as published, with our
+    values where the paper gives none.
 
     Source: Sanchez-Lopez et al., sec. V.
     """
@@ -46,9 +46,10 @@ class CircleMapConfig(Config):
     }
     filter: Literal["paper", "independent"] = Field(
         "independent",
-        description="What keeps the elements: one filter for the robot and all of them, eqs 8-33,"
-        " with nearest neighbours, new elements at once and one limit for all eigenvalues; or a"
-        " filter per element (no unit). In both an element goes whose radius is no more positive.",
+        description="Filter of the elements: one for the robot and all elements, eqs 8-33,"
+        " with nearest neighbours, new elements at once and one limit for all"
+        " eigenvalues; or one filter per element (no unit). Both remove an element"
+        " whose radius is not positive.",
     )
     gate_probability: float = Field(
         0.9999,
@@ -77,21 +78,24 @@ class CircleMapConfig(Config):
         0.5,
         ge=0,
         le=0.999,
-        description="Share of new elements that stand still, one more mode beside those of"
-        " `modes`; 0: no element is known to stand (no unit).",
+        description="Share of new elements at rest, a mode besides those of `modes`; 0"
+        " switches it off (no unit).",
     )
     standing_time: float = Field(
-        10.0, ge=1e-3, le=1e6, description="Mean time that an element stands [s]."
+        10.0, ge=1e-3, le=1e6, description="Mean time that an element stays at rest [s]."
     )
     moving_time: float = Field(
-        5.0, ge=1e-3, le=1e6, description="Mean time that an element moves until it stands [s]."
+        5.0,
+        ge=1e-3,
+        le=1e6,
+        description="Mean time that an element moves before it comes to rest [s].",
     )
     standing_noise: float = Field(
         1e-4,
         ge=0,
         le=1e3,
-        description="Density of the random walk of the centre of what stands [m^2/s]: another part"
-        " of it comes into view.",
+        description="Density of the random walk of the centre of an element at rest [m^2/s]:"
+        " other parts of it come into view.",
     )
     start_speed: float = Field(
         1.0,
@@ -131,21 +135,22 @@ class CircleMapConfig(Config):
         1.0,
         gt=0,
         le=50,
-        description="An element that is not hidden goes when the standard deviation of its centre"
-        " in its worst direction is larger, eq. 33 for a block of the covariance [m].",
+        description="Largest standard deviation of the centre of a visible element, in its"
+        " worst direction; a more uncertain element is removed, eq. 33 for a block"
+        " of the covariance [m].",
     )
     max_coast: float | None = Field(
         5.0,
         ge=0,
-        description="An element goes when it has been hidden or out of view for longer without a"
+        description="An element is removed after this time hidden or out of view without a"
         " measurement [s]; none: never.",
     )
     buffer_time: float = Field(
         0.25,
         ge=0,
         le=60,
-        description="How late a scan may come: all scans since are taken in again after it, of"
-        " which the last 1000 are kept [s].",
+        description="Largest delay of a late scan: all later scans, of which the last 1000"
+        " are kept, are then processed again [s].",
     )
     line_noise: float = Field(
         1e-6,
@@ -169,13 +174,14 @@ class CircleMapConfig(Config):
     max_eigenvalue: float = Field(
         3.0,
         gt=0,
-        description="An element goes when an eigenvalue of its covariance is larger, eq. 33 (no"
-        ' unit: it mixes metres and metres per second); `filter` "paper", which gives no value.',
+        description="An element is removed if an eigenvalue of its covariance is larger, eq."
+        " 33 (no unit: it mixes metres and metres per second); for `filter`"
+        ' "paper", which states no value.',
     )
 
     @classmethod
     def posts(cls) -> Self:
-        """A map of what stands still: elements out of view stay, and keep their numbers.
+        """Return a configuration for static objects: elements out of view keep numbers.
 
         Circles that move get new numbers all the time.
         """

@@ -1,4 +1,4 @@
-"""Elements of the map that are no circles."""
+"""Elements of the map with other shapes than circles."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from lidar_core.objects import ShapeElements
 
 
 def shape_elements_of(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> ShapeElements:
-    """Confirmed elements of those that the core gives."""
+    """Return the confirmed elements of the core's result."""
     *columns, confirmed = arrays
     number, kind, mean, covariance, ends, age, seen_ns, visible = (
         column[confirmed] for column in columns

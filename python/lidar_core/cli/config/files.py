@@ -1,4 +1,4 @@
-"""`lidar-core config show`, `init`, `migrate` and `schema`: what can be set, what is set, files."""
+"""`lidar-core config show`, `init`, `migrate` and `schema`: print, create and convert files."""
 
 import json
 import sys

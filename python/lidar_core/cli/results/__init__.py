@@ -1,1 +1,1 @@
-"""Commands about finished runs: how good they are, what happened in them, how they look."""
+"""Commands about finished runs: scores, events, reports, viewers."""

@@ -1,4 +1,4 @@
-"""`lidar-core evaluate`: what a run reported, held against the truth."""
+"""`lidar-core evaluate`: compare the results of a run with the ground truth."""
 
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,1 +1,1 @@
-"""What the commands share: options, consoles, tables of results."""
+"""Parts that commands share: options, consoles, tables of results."""

@@ -1,4 +1,4 @@
-"""What the commands share: consoles, progress, pictures, results for people and machines."""
+"""Parts that commands share: consoles, progress, pictures, results for people and machines."""
 
 import json
 import re
@@ -71,7 +71,7 @@ JsonFile: TypeAlias = Annotated[
 
 
 def printing(show: Callable[[], None]) -> Callable[[bool], None]:
-    """Callback of an option that prints something instead of running the command."""
+    """Make the callback of an option that prints something instead of running the command."""
 
     def called(is_wanted: bool) -> None:
         if is_wanted:
@@ -82,7 +82,7 @@ def printing(show: Callable[[], None]) -> Callable[[bool], None]:
 
 
 def help_text(command: Callable[..., None]) -> str:
-    """What `--help` says of a command: its paragraphs, for whatever width there is."""
+    """Return the `--help` text of a command, each paragraph as one line."""
     paragraphs = (command.__doc__ or "").split("\n\n")
     return "\n\n".join(" ".join(one.split()) for one in paragraphs)
 
@@ -141,7 +141,7 @@ VALUE = re.compile(r'\bset (?=[\w."]+=)')
 
 
 def as_options(text: str) -> str:
-    """A text that names arguments as `name=value`, with the options that give them."""
+    """Replace names of arguments (`name=value`) in a text by the options of the command."""
     text = PREFIX.sub(lambda found: f"{PREFIXES[found[1]]} ", text)
     text = UNUSED.sub(lambda one: f"{one[1]}--{one[2].replace('_', '-')} {one[3]}", text)
     text = VALUE.sub(
@@ -156,7 +156,7 @@ def as_options(text: str) -> str:
 
 
 def stoppable(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; errors name its options, and Ctrl-C gives its exit status."""
+    """Wrap a command: errors name its options, and Ctrl-C gives its exit status."""
 
     @wraps(command)
     def called(*arguments: Any, **options: Any) -> None:
@@ -174,7 +174,7 @@ def stoppable(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def with_trust(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --trusted."""
+    """Add the option --trusted to a command."""
 
     @wraps(command)
     def called(*arguments: Any, trusted: bool, **options: Any) -> None:
@@ -194,7 +194,7 @@ def with_trust(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def consoles(json_file: Path | None) -> "tuple[Console, Console]":
-    """Where the table goes, and where progress goes: standard output stays clean for `--json -`."""
+    """Return the consoles of tables and of progress: `--json -` needs a clean standard output."""
     from rich.console import Console
 
     quiet = voice().is_quiet
@@ -204,9 +204,9 @@ def consoles(json_file: Path | None) -> "tuple[Console, Console]":
 
 @contextmanager
 def shown_progress(console: "Console", *, counts: str = "scans") -> "Iterator[OnProgress]":
-    """What runs call to say how far they are: each of their steps gets a bar.
+    """Return the callback with which runs report progress: each of their steps gets a bar.
 
-    Bars go away at the end. Without a terminal there is a line a minute.
+    Bars disappear at the end. Without a terminal there is one line per minute.
     """
     if not console.is_terminal or voice().style == "json":
         yield Pace(console, counts).show
@@ -258,7 +258,7 @@ def report(
 
 
 def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Say which scans of a summary were not processed, and why, in words."""
+    """Report the scans of a summary that were not processed, with the reason in words."""
     scans = summary["scans"]
     for count, what in (
         (sum(summary["without_pose"].values()), "without pose"),
@@ -272,7 +272,7 @@ def left_out(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def told_reasons(counts: Mapping[str, int]) -> str:
-    """The most frequent reasons; of those that differ in stamps and values alone, one."""
+    """Return the most frequent reasons; those that differ only in numbers count as one."""
     kinds, examples = Counter[str](), dict[str, str]()
     for reason, count in counts.items():
         kind = _VALUE.sub("#", reason)
@@ -284,7 +284,7 @@ def told_reasons(counts: Mapping[str, int]) -> str:
 
 
 def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -> "Table":
-    """Measure, value, remark; None draws a line."""
+    """Make a table of name, value and remark; None draws a line."""
     from rich.markup import escape
     from rich.table import Table
 
@@ -308,7 +308,7 @@ def result_table(title: str, rows: Sequence[Row | None], *, caption: str = "") -
 
 
 def aligned(columns: Mapping[str, Sequence[str]]) -> list[str]:
-    """Lines of a table with a headline, as wide as they need: programs cut and sort them."""
+    """Return the lines of a table with a header, of any width: other programs process them."""
     widths = [max(map(len, (name, *values))) for name, values in columns.items()]
     rows = [tuple(columns), *zip(*columns.values(), strict=True)]
     return [
@@ -348,12 +348,12 @@ def _bar(share: float) -> str:
 
 
 def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those options that somebody gave."""
+    """Return the options that the user gave."""
     return {name: value for name, value in options.items() if value not in (None, [])}
 
 
 def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) -> None:
-    """Write `result` where `--json` says."""
+    """Write `result` to the place that `--json` names."""
     if json_file is None:
         return
     text = json.dumps(result, indent=2)

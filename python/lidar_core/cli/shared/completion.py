@@ -1,4 +1,4 @@
-"""Completion of topics in the shell: those that the recording on the command line has."""
+"""Completion of topics in the shell, from the recording on the command line."""
 
 from collections.abc import Callable
 

@@ -60,7 +60,7 @@ def clocks_of(texts: list[str]) -> dict[str, float]:
 
 
 def topics_of(texts: list[str]) -> dict[str, list[str]]:
-    """Options --topic OURS=THEIRS; whatever is ours may have several."""
+    """Read options --topic OURS=THEIRS; several may have the same left side."""
     return _pairs("topic", texts, "radar=/front")
 
 

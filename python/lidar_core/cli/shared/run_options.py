@@ -91,7 +91,7 @@ Resume: TypeAlias = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineOptions:
-    """What every command is told that passes scans through a pipeline."""
+    """Options of every command that processes scans with a pipeline."""
 
     odom: Odom = None
     pose: PoseSource = None
@@ -103,14 +103,14 @@ class PipelineOptions:
     json: JsonFile = None
 
     def poses(self) -> "PoseOptions":
-        """Where the poses come from, and which part of a recording counts."""
+        """Return the source of the poses, and the part of a recording that is used."""
         from lidar_core.io import PoseOptions
 
         names = [name for name in PoseOptions.model_fields if hasattr(self, name)]
         return PoseOptions.load(given_options({name: getattr(self, name) for name in names}))
 
     def choice(self) -> "ConfigChoice":
-        """Which configuration the pipeline gets."""
+        """Return the choice of the pipeline's configuration."""
         from lidar_core.runs import ConfigChoice
 
         return ConfigChoice(self.mode, self.config, tuple(self.values))
@@ -118,7 +118,7 @@ class PipelineOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions(PipelineOptions):
-    """The same for a recording, of which the run leaves a folder."""
+    """Options of commands that process a recording and write a run folder."""
 
     recording: RecordingPath
     output: Output
@@ -133,7 +133,7 @@ class RunOptions(PipelineOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodingOptions:
-    """How commands that only read a recording decode its messages."""
+    """Options for decoding messages, of commands that only read a recording."""
 
     point_time: PointTime = None
     no_return: NoReturn = None
@@ -143,7 +143,7 @@ class DecodingOptions:
     recover: Recover = False
 
     def to_values(self) -> dict[str, Any]:
-        """Values that were given, as `ReadOptions` takes them."""
+        """Return the given values for `ReadOptions`."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         return given_options(values | {"recover": self.recover or None})
 
@@ -151,7 +151,7 @@ class DecodingOptions:
 def with_options(
     sort: type[PipelineOptions | DecodingOptions],
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that gives typer every field of a command's first argument, a `sort`, as option."""
+    """Decorate a command so that typer offers every field of its first argument, a `sort`."""
     hints = get_type_hints(sort, include_extras=True)
     shared = [
         Parameter(

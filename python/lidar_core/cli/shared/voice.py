@@ -1,4 +1,4 @@
-"""How a command speaks: as text or JSON lines, quiet, or with more."""
+"""Messages of a command: as text or JSON lines, quiet or verbose."""
 
 import json
 import sys
@@ -60,12 +60,12 @@ _DEFAULTS = {"log": "text", "quiet": False, "verbose": False}
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """What the options say.
+    """Form of messages, as the options state it.
 
     Attributes
     ----------
     style : str
-        Of standard error: "text", or "json" for an object per line.
+        Form of standard error: "text", or "json" for one object per line.
     is_quiet, is_verbose : bool
         Only errors; more than usual.
     """
@@ -84,12 +84,12 @@ _chosen = Voice()
 
 
 def voice() -> Voice:
-    """What the options of the command that runs, or ran last, say."""
+    """Return the form of messages of the command that runs, or ran last."""
     return _chosen
 
 
 def entry(text: str, **fields: Any) -> str:
-    """One JSON line: time, level, text and what else is known."""
+    """Return one JSON line: time, level, text and further fields."""
     level = next((one for one in _LEVELS if text.startswith(f"{one}:")), "info")
     known = {
         "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -106,7 +106,7 @@ class JsonLines(TextIOBase):
         self._stream, self._begun = stream, ""
 
     def write(self, text: str) -> int:
-        """Take in text; complete lines go out."""
+        """Buffer text; write the complete lines."""
         *lines, self._begun = (self._begun + text).split("\n")
         for line in lines:
             if line.strip():
@@ -119,13 +119,13 @@ class JsonLines(TextIOBase):
         self._stream.flush()
 
     def close(self) -> None:
-        """Write what was begun; the stream stays open."""
+        """Write the last incomplete line; the stream stays open."""
         if self._begun.strip():
             self.write("\n")
 
 
 def tell(console: "Console", text: str, **fields: Any) -> None:
-    """Say something on standard error; `fields` are what a program wants to know of it."""
+    """Write a message to standard error; `fields` has its values for programs."""
     if isinstance(sys.stderr, JsonLines) and console.stderr and not console.quiet:
         sys.stderr.say(" ".join(text.split()), **fields)
     else:
@@ -133,7 +133,7 @@ def tell(console: "Console", text: str, **fields: Any) -> None:
 
 
 class Command(TyperCommand):
-    """A command whose help leaves out the variables that every option has by its name."""
+    """Command without names of environment variables in its help."""
 
     def __init__(self, *arguments: Any, **values: Any) -> None:
         super().__init__(*arguments, **values)
@@ -143,7 +143,7 @@ class Command(TyperCommand):
 
 
 def with_voice(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options --log, --quiet and --verbose."""
+    """Add the options --log, --quiet and --verbose to a command."""
 
     @wraps(command)
     def called(*arguments: Any, **options: Any) -> None:
@@ -195,13 +195,13 @@ def _greet() -> None:
 
 
 def print_error(text: str) -> None:
-    """The line that a command ends with."""
+    """Print the last line of a command, an error."""
     line = f"error: {text}"
     print(entry(line) if _chosen.style == "json" else line, file=sys.stderr)
 
 
 class Pace:
-    """Lines about progress for logs: one a minute for every step."""
+    """Lines about progress for logs: one per minute for every step."""
 
     def __init__(self, console: "Console", counts: str) -> None:
         self._console, self._counts, self._every_s = console, counts, _chosen.every_s
@@ -209,7 +209,7 @@ class Pace:
         self._told: dict[str, float] = {}
 
     def show(self, what: str, done: int, total: int | None) -> None:
-        """Say how far a step is, if it is time to."""
+        """Report the progress of a step, if it is time to."""
         now = time.monotonic()
         begun = self._begun.setdefault(what, now)
         if now - self._told.setdefault(what, begun) < self._every_s:

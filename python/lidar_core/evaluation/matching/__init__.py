@@ -1,1 +1,1 @@
-"""Which estimate is which target."""
+"""Assignment of estimates to targets."""

@@ -21,7 +21,7 @@ class Matches:
     distance : ndarray, shape (K,), float64
         Between the two [m].
     nearest : ndarray, shape (E,), float64
-        From every estimate to the nearest target [m]; infinite without targets.
+        Distance of every estimate to the nearest target [m]; infinite without targets.
     nearest_target : ndarray, shape (E,), int64
         Row of that target; -1 without targets.
     """
@@ -48,7 +48,8 @@ def match(estimates: ArrayLike, targets: ArrayLike, *, gate: float) -> Matches:
     Returns
     -------
     Matches
-        As many pairs as possible, and among those the least sum of distances.
+        The most pairs that are possible; among such matchings the one with the least sum of
+        distances.
 
     Raises
     ------
@@ -64,7 +65,7 @@ def match(estimates: ArrayLike, targets: ArrayLike, *, gate: float) -> Matches:
 
 
 def distances(estimates: ArrayLike, targets: ArrayLike) -> NDArray[np.float64]:
-    """From every estimate to every target [m], shape (E, T)."""
+    """Return the distance of every estimate to every target [m], shape (E, T)."""
     found = as_finite_rows(estimates, name="estimates", rows=None, shape=(3,))
     true = as_finite_rows(targets, name="targets", rows=None, shape=(3,))
     table: NDArray[np.float64] = np.linalg.norm(found[:, None] - true[None], axis=-1)
@@ -72,7 +73,7 @@ def distances(estimates: ArrayLike, targets: ArrayLike) -> NDArray[np.float64]:
 
 
 def matches_of(distance: NDArray[np.float64], *, gate: float) -> Matches:
-    """Pairs by a table of distances, shape (E, T), as `match` makes them."""
+    """Pair targets and estimates by a table of distances, shape (E, T), like `match`."""
     rows, columns = assign(distance, gate=gate)
     known = distance.shape[1] > 0
     return Matches(
@@ -97,7 +98,8 @@ def assign(cost: ArrayLike, *, gate: float) -> tuple[NDArray[np.int64], NDArray[
     Returns
     -------
     rows, columns : ndarray, shape (K,), int64
-        As many pairs as possible, among those the least sum of costs; by ascending row.
+        The most pairs that are possible; among such matchings the one with the least sum of costs;
+        by ascending row.
 
     Raises
     ------

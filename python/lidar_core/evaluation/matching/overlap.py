@@ -1,4 +1,4 @@
-"""Estimates and truth that have no time or place in common: scores of them mean nothing."""
+"""Warnings about estimates and truth without common times or places: their scores mean nothing."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +16,23 @@ BESIDE = 0.1
 def overlap_warnings(
     estimates: Estimates, truth: Truth, *, what: str, config: EvaluationConfig | None = None
 ) -> list[str]:
-    """Say where estimates and truth have nothing in common; empty where all is well.
+    """Return warnings if estimates and truth do not overlap in time or space.
 
     Parameters
     ----------
     estimates : Estimates
-        As they were reported, their times not yet `aligned`.
+        Estimates with their reported times, before `aligned`.
     truth : Truth
     what : str
-        What the estimates are, such as tracks.
+        Name of the estimates in the text, such as "tracks".
     config : EvaluationConfig, optional
         `time_tolerance` and `gate`.
 
     Returns
     -------
     warnings : list of str
-        No time in common, with both spans; times just outside the tolerance, with the typical
-        offset; nothing within the gate of any target, with the distances.
+        Warnings: no common time, with both spans; times just outside the tolerance, with the
+        typical offset; no estimate within the gate of any target, with the distances.
     """
     config = as_config(config, EvaluationConfig)
     if not (len(estimates.stamp_ns) and len(truth.stamp_ns)):
@@ -43,7 +43,7 @@ def overlap_warnings(
 
 
 def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray[np.float64]:
-    """From the nearest time of the truth to every time [s]: positive is later."""
+    """Return every time minus the nearest time of the truth [s]."""
     when = np.unique(truth)
     after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
     both = np.stack([stamps - when[np.maximum(after - 1, 0)], stamps - when[after]])
@@ -53,7 +53,7 @@ def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray
 
 
 def spans(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> str:
-    """When estimates and truth begin and end."""
+    """Return the time spans of estimates and truth."""
     texts = [
         f"{column.min() * 1e-9:.3f} to {column.max() * 1e-9:.3f} s" for column in (stamps, truth)
     ]
@@ -89,7 +89,7 @@ def typical_offset(offsets: NDArray[np.float64]) -> str:
 
 
 def wider_tolerance(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> float | None:
-    """Tolerance [s] that takes in times just beside those of the truth; None if they are not."""
+    """Return a tolerance [s] for times just outside the present one; None if there are none."""
     offsets, when = np.abs(time_offsets(stamps, truth)), np.unique(truth)
     interval = float(np.median(np.diff(when))) * 1e-9 if len(when) > 1 else np.inf
     if np.median(offsets) > BESIDE * interval:

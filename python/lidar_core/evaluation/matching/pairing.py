@@ -1,4 +1,4 @@
-"""Which estimate is which target, over all scans, and which rows count."""
+"""Assignment of estimates to targets over all scans, and selection of the rows that count."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,13 +27,13 @@ class Pairing:
     target_of : ndarray, shape (E,), int64
         Row of the truth that every estimate was paired with; -1 for none.
     estimate_of : ndarray, shape (R,), int64
-        The same the other way round.
+        Row of the estimate of each target; -1 without one.
     nearest : ndarray, shape (E,), float64
-        From every estimate to the nearest target of its scan [m]; infinite without targets.
+        Distance of every estimate to the nearest target of its scan [m]; infinite without targets.
     nearest_target : ndarray, shape (E,), int64
         Row of that target; -1 without targets.
     found : ndarray, shape (K,), int64
-        Rows of the targets that had to be found and were, by time.
+        Rows of the targets that were required and found, by time.
     """
 
     target_of: Rows
@@ -46,14 +46,14 @@ class Pairing:
 def pair(estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None) -> Pairing:
     """Pair estimates and targets scan by scan; the assignment is optimal within the gate.
 
-    All targets take part, also those that need not be found; each where it was when the estimate
-    was measured, if `time_ns` and velocities are known. Use the rows to group errors by
-    anything the tables or the caller know: speed, acceleration, distance (`binned`).
+    All targets are paired, including those that need not be found. If `time_ns` and velocities are
+    known, each target is where it was at the time of measurement. Use the rows to group errors by
+    any value that the tables or the caller have: speed, acceleration, distance (`binned`).
 
     Raises
     ------
     InputError
-        Tables whose columns differ in length, that hold an object twice at one time, or a number
+        Tables whose columns differ in length, with an object twice at one time, or with a number
         that is not finite.
 
     Examples
@@ -83,10 +83,10 @@ def pair(estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None 
 def counted(
     estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None
 ) -> tuple[Estimates, Truth]:
-    """Rows that count: targets that had to be found, and estimates that are not of the others.
+    """Return the rows that count: required targets, and estimates of no other target.
 
-    An estimate is left out if it was paired with a target that need not be found, or has no
-    partner and the nearest target, within the gate, is such a one.
+    An estimate is left out if it is paired with a target that is not required. It is also left out
+    if it has no partner and the nearest target within the gate is not required.
     """
     config = as_config(config, EvaluationConfig)
     pairing = pair(estimates, truth, config=config)
@@ -96,7 +96,7 @@ def counted(
 
 
 def counting(pairing: Pairing, is_eligible: NDArray[np.bool_], gate: float) -> NDArray[np.bool_]:
-    """Which estimates `counted` keeps, shape (E,)."""
+    """Return which estimates `counted` keeps, shape (E,)."""
     is_near = (pairing.target_of < 0) & (pairing.nearest <= gate)
     partner = np.where(is_near, pairing.nearest_target, pairing.target_of)
     counts: NDArray[np.bool_] = partner < 0
@@ -115,7 +115,7 @@ def scans(estimates: Estimates, truth: Truth) -> Iterator[tuple[Rows, Rows]]:
 def distances_at(
     estimates: Estimates, here: Rows, truth: Truth, there: Rows
 ) -> NDArray[np.float64]:
-    """From every estimate to every target of one scan [m], by rows, shape (E, T)."""
+    """Return the distance of every estimate to every target of one scan [m], shape (E, T)."""
     places = _places(truth, there[None], _delays(estimates)[here][:, None])
     away = estimates.position[here][:, None] - places
     table: NDArray[np.float64] = np.linalg.norm(away, axis=-1)
@@ -123,7 +123,7 @@ def distances_at(
 
 
 def errors_of(estimates: Estimates, truth: Truth, pairing: Pairing) -> NDArray[np.float64]:
-    """Estimates minus the targets that had to be found and were [m], shape (K, 3)."""
+    """Return estimates minus the required targets that were found [m], shape (K, 3)."""
     partners = pairing.estimate_of[pairing.found]
     places = _places(truth, pairing.found, _delays(estimates)[partners])
     away: NDArray[np.float64] = estimates.position[partners] - places

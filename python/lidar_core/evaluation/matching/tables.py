@@ -18,7 +18,7 @@ from lidar_core.sim import SimulatedScan
 def truth_of(
     made: SimulatedScan, *, is_burn_in: bool, config: EvaluationConfig | None = None
 ) -> Truth:
-    """Targets of one simulated scan; during the burn-in none of them has to be found."""
+    """Return the targets of one simulated scan; none is required during the burn-in."""
     targets = made.truth
     sensor = made.world_from_lidar[:3, 3]
     return Truth(
@@ -33,7 +33,7 @@ def truth_of(
 
 
 def joined(parts: Iterable[Truth]) -> Truth:
-    """Several tables as one; a column that one of them lacks is left out."""
+    """Join several tables; a column that is missing in one of them is left out."""
     tables = list(parts)
     velocity = [part.velocity for part in tables if part.velocity is not None]
     sensor = [part.sensor for part in tables if part.sensor is not None]
@@ -81,7 +81,7 @@ def aligned(
 ) -> Estimates:
     """The estimates with the times of the truth, where one is within `time_tolerance`.
 
-    When in the scan each was measured, `time_ns - stamp_ns`, stays as it is.
+    The time within the scan, `time_ns - stamp_ns`, does not change.
     """
     tolerance = as_config(config, EvaluationConfig).time_tolerance * 1e9
     when = np.unique(truth.stamp_ns)

@@ -1,4 +1,4 @@
-"""NEES and NIS: whether errors are as large as a filter's covariance says."""
+"""NEES and NIS: agreement of errors with the covariances of a filter."""
 
 from dataclasses import dataclass
 
@@ -58,10 +58,9 @@ class Consistency:
 
     @property
     def warning(self) -> str | None:
-        """Text that says how the covariances are wrong; None if the mean is about right.
+        """Warning about covariances that are too small or too large; None if they fit.
 
-        Covariances that are too large count as those that are too small: below half the right mean,
-        or above twice it.
+        The mean is acceptable from half the expected value to twice of it.
         """
         ratio = self.mean / self.degrees
         if self.count < FEWEST or LEAST_RATIO <= ratio <= MOST_RATIO:
@@ -77,14 +76,14 @@ class Consistency:
 def nees(error: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64]:
     """Squared errors normalised by their covariance: e' P^-1 e.
 
-    Of an innovation and its covariance this is the NIS.
+    With an innovation and its covariance the result is the NIS.
 
     Parameters
     ----------
     error : array_like, shape (..., D), float64
         Estimate minus truth, or innovations.
     covariance : array_like, shape (..., D, D), float64
-        Their covariances, in the squared unit.
+        Covariances of the errors, in the squared unit.
 
     Returns
     -------

@@ -20,7 +20,7 @@ class Continuity:
 
 
 def continuity(truth: Truth, pairing: Pairing) -> Continuity:
-    """Delays, gaps and losses of the targets that ever had to be found."""
+    """Compute delays, gaps and losses of the targets that were required at least once."""
     delays: dict[int, float | None] = {}
     gaps: dict[int, float] = {}
     losses = 0

@@ -29,7 +29,7 @@ class IdentityScores:
     idf1, id_recall, id_precision : float
         Under the best assignment of whole tracks to whole targets.
     n_switches, n_fragmentations : int
-        As CLEAR counts them.
+        Numbers as defined by CLEAR MOT.
     mostly_tracked, mostly_lost : int
         Targets found in more than 80 % and in less than 20 % of the scans.
     """

@@ -19,7 +19,7 @@ class Latency:
     total : Spread
         Whole scan [ms].
     stages : dict of Spread
-        By stage [ms].
+        Times of each stage [ms].
     """
 
     total: Spread

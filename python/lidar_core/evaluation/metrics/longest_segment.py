@@ -1,4 +1,4 @@
-"""Share of the time of the targets that one track alone holds."""
+"""Share of the time of the targets that is covered by their longest track."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from lidar_core.evaluation.metrics.continuity import histories
 
 @register_metric("longest_segment", "longest track segment", of="tracks")
 def longest_segment(paired: Paired) -> float | None:
-    """Share of the sightings that the most frequent track of each target holds, over all targets.
+    """Return the share of sightings that belong to the most frequent track of each target.
 
     1 if every target is one track from its first sighting to its last; identity changes and gaps
     lower it. None without sightings or numbers of tracks.

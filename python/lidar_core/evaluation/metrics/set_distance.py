@@ -16,9 +16,10 @@ class Gospa:
     Attributes
     ----------
     distance : float
-        [m].
+        Distance of the two sets [m].
     localisation, missed, false : float
-        From pairs; c^p/2 per target without estimate; c^p/2 per estimate without target [m^p].
+        Parts of the distance [m^p]: of pairs; c^p/2 per target without estimate; c^p/2 per estimate
+        without target.
     """
 
     distance: float
@@ -37,14 +38,14 @@ def ospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: floa
     targets : array_like, shape (T, 3), float64
         True positions [m], same frame.
     cutoff : float
-        c: what a missed or false object costs, and the most that a pair costs [m], > 0.
+        c: cost of a missed or false object, and largest cost of a pair [m], > 0.
     order : float
         p >= 1 (no unit).
 
     Returns
     -------
     distance : float
-        [m], at most `cutoff`; 0 for two empty sets.
+        Distance of the two sets [m], at most `cutoff`; 0 for two empty sets.
 
     Raises
     ------

@@ -48,20 +48,20 @@ Way: TypeAlias = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True)
 class DetectionScan:
-    """What one scanner saw at one time.
+    """Detections of one scanner at one time.
 
     Attributes
     ----------
     stamp_ns : int
-        [ns].
+        Time of the scan [ns].
     source : str
         "lidar" or "radar".
     measurements : list of Measurement
         Positions in the world, each with its covariance.
     sensor : ndarray, shape (2,)
-        Where the scanner was [m].
+        Position of the scanner [m].
     truth : mapping of int to ndarray, shape (2,)
-        Where the targets were [m]; targets whose place is not known are left out.
+        Positions of the targets [m]; targets without a known position are left out.
     """
 
     stamp_ns: int
@@ -82,13 +82,13 @@ def read_autoferry(path: str | Path) -> list[DetectionScan]:
     Returns
     -------
     scans : list of DetectionScan
-        By time, empty ones included, stamped with the time of their measurement: the radar's
-        entries are 1.7 s late, the LiDAR's 0.6 s. Cameras are left out.
+        Scans by time, including empty ones, with the time of measurement: the radar's entries are
+        1.7 s late, the LiDAR's 0.6 s. Cameras are left out.
 
     Raises
     ------
     FormatError
-        Not such a file; the text names the entry.
+        The file has another format; the text names the entry.
     LimitError
         More than 256 MiB.
 

@@ -45,7 +45,7 @@ Turn: TypeAlias = NDArray[np.float64] | None
 
 
 class BagOptions(Config):
-    """Which topics of a ROS recording are measurements of which sensor."""
+    """Topics of a ROS recording that contain measurements, by sensor."""
 
     topics: dict[SensorName, tuple[str, ...]] = Field(
         {},
@@ -62,7 +62,7 @@ class BagOptions(Config):
 
 
 def read_bag(path: str | Path, options: BagOptions | None = None) -> list[DetectionScan]:
-    """Read what LiDAR and radar saw, and how the platform moved, from a ROS recording.
+    """Read measurements of LiDAR and radar, and the motion of the platform, from a ROS recording.
 
     Parameters
     ----------

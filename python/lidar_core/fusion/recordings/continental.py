@@ -22,13 +22,13 @@ METADATA = "metadata.yaml"
 
 
 def is_continental(path: str | Path) -> bool:
-    """Whether a YAML file, or the first one of a folder, holds a list of a radar."""
+    """True if a YAML file, or the first file of a folder, contains a list of a radar."""
     head = head_of(_files(Path(path))).decode("utf-8", "replace")
     return any(f"\n{name}:" in head for name in LISTS)
 
 
 def read_continental(path: str | Path) -> list[DetectionScan]:
-    """Read what ARS548 and SRR520 radars detected or tracked, scan by scan.
+    """Read detections or tracks of ARS548 and SRR520 radars, scan by scan.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ def read_continental(path: str | Path) -> list[DetectionScan]:
     Returns
     -------
     scans : list of DetectionScan
-        By time, empty ones included; `source` is the frame of the radar and the kind of the list.
-        Detections give range, bearing, elevation and range rate with their deviations, as far as
-        they are valid; objects give range, bearing and range rate of position and velocity.
+        Scans by time, including empty ones; `source` is the frame of the radar and the kind of the
+        list. Detections have range, bearing, elevation and range rate with standard deviations, as
+        far as they are valid; objects have range, bearing and range rate of position and velocity.
 
     Raises
     ------
@@ -56,8 +56,9 @@ def read_continental(path: str | Path) -> list[DetectionScan]:
 
     Notes
     -----
-    Angles count counter-clockwise from ahead. Velocities of objects are relative to the radar,
-    which an ARS548 says; those of an SRR520 are over ground, and its own speed is taken from them.
+    Angles are counter-clockwise from ahead. Velocities of objects of an ARS548 are relative to the
+    radar, as its messages state; those of an SRR520 are over ground, and the velocity of the radar
+    is subtracted.
     """
     place = Path(path)
     files = _files(place)

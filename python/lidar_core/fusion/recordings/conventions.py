@@ -64,7 +64,7 @@ def local_places(
 
 
 def stamps_of_texts(texts: NDArray[np.str_], where: str) -> NDArray[np.int64] | None:
-    """Times [ns] since 1970 of ISO 8601 texts, UTC where they say nothing; None for others.
+    """Return times [ns] since 1970 of ISO 8601 texts, UTC without a zone; None for other texts.
 
     Raises
     ------

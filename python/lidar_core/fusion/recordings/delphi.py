@@ -28,7 +28,7 @@ PAUSE_NS = 5_000_000
 
 
 def is_delphi(path: str | Path) -> bool:
-    """Whether a file, or the first one of a folder of CSV files, has the columns of such lists."""
+    """True if a file, or the first CSV file of a folder, has the columns of such lists."""
     head = head_of(_files(Path(path)))
     names = head.partition(b"\n")[0].decode("utf-8-sig", "replace")
     return VALUES[0] in [name.strip(' \r"') for name in re.split("[,;\t]", names)]
@@ -47,9 +47,9 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
     Returns
     -------
     scans : list of DetectionScan
-        By time, empty ones included: range, bearing and range rate in the frame of the radar,
-        whose x points ahead and y to the left; the radar counts angles to the right. All rows of
-        a scan have the stamp of its first.
+        Scans by time, including empty ones: range, bearing and range rate in the frame of the
+        radar, x ahead and y to the left; the radar itself counts angles to the right. All rows of a
+        scan have the stamp of its first row.
 
     Raises
     ------

@@ -23,7 +23,7 @@ def files_of(place: Path, *endings: str) -> list[Path]:
 
 
 def head_of(files: Sequence[Path]) -> bytes:
-    """First bytes of the first file; none where no regular file is there."""
+    """Return the first bytes of the first file; none without a regular file."""
     if not files or not files[0].is_file():
         return b""
     with files[0].open("rb") as file:
@@ -31,14 +31,14 @@ def head_of(files: Sequence[Path]) -> bytes:
 
 
 def check_sizes(place: Path, files: Sequence[Path], *, what: str = "files") -> None:
-    """Refuse files of a recording that are together too large, or are no regular files.
+    """Reject files of a recording that are together too large, or are not regular files.
 
     Raises
     ------
     LimitError
         More than 256 MiB.
     FileNotFoundError, IsADirectoryError, FormatError
-        As of `check_regular`.
+        See `check_regular`.
     """
     size = sum(check_regular(file).stat().st_size for file in files)
     check_size(str(place), size, limit=MAX_FILE_BYTES, key="nothing", what=f"{what} of bytes")

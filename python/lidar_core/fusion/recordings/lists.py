@@ -1,4 +1,4 @@
-"""Recordings of many targets, by what their files hold."""
+"""Recordings of many targets, by the content of their files."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""How sensors are turned on their platform, as the static transforms of a recording say."""
+"""Mounting of sensors on their platform, from the static transforms of a recording."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ class Mountings:
     Parameters
     ----------
     body : str
-        Frame of the platform; empty if nothing tells it.
+        Frame of the platform; empty if unknown.
     transforms : TransformBuffer
         Static transforms.
     """
@@ -31,7 +31,7 @@ class Mountings:
 
     @classmethod
     def of(cls, recording: Recording) -> "Mountings":
-        """Those of a recording; the platform is what its odometry moves."""
+        """Read the mountings of a recording; its odometry gives the motion of the platform."""
         transforms = TransformBuffer(max_gap=1.0, max_extrapolation=0.0)
         names = {topic.name for topic in recording.topics() if topic.kind == "pose"}
         static = {name for name in names if name.rstrip("/").endswith(STATIC)}

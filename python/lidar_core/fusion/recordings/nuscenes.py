@@ -28,7 +28,7 @@ SAMPLES = "sample.json"
 
 
 def is_radar_sweep(path: str | Path) -> bool:
-    """Whether a file, or the first one of a folder, is named as radar sweeps of nuScenes are.
+    """True if a file, or the first file of a folder, has the name of a radar sweep of nuScenes.
 
     Examples
     --------
@@ -50,9 +50,9 @@ def read_nuscenes_radar(path: str | Path) -> list[DetectionScan]:
     Returns
     -------
     scans : list of DetectionScan
-        By time, empty ones included; `source` is the channel. Range, bearing and range rate in
-        the frame of the radar, whose x points ahead and y to the left. Returns that the radar
-        calls invalid or ambiguous are left out.
+        Scans by time, including empty ones; `source` is the channel. Range, bearing and range rate
+        in the frame of the radar, x ahead and y to the left. Returns that the radar marks as
+        invalid or ambiguous are left out.
 
     Raises
     ------
@@ -118,13 +118,13 @@ def read_nuscenes_boxes(path: str | Path) -> list[DetectionScan]:
     Returns
     -------
     scans : list of DetectionScan
-        By time, empty ones included; `source` is "lidar". Boxes with a score below 0.1 are left
-        out; their size, heading, velocity and class are not read.
+        Scans by time, including empty ones; `source` is "lidar". Boxes with a score below 0.1 are
+        left out; their size, heading, velocity and class are not read.
 
     Raises
     ------
     FormatError
-        No such file, or nothing tells the times; the text names sample and box.
+        The file does not exist or has no times; the text names sample and box.
     LimitError
         More than 256 MiB.
     """
@@ -186,7 +186,7 @@ def _times(place: Path, boxes: Mapping[str, Any]) -> dict[str, int]:
 
 
 def is_boxes(path: Path) -> bool:
-    """Whether a JSON file holds an object, as results of nuScenes do, not a list."""
+    """True if a JSON file contains an object, as results of nuScenes do, not a list."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""What a simulated drone measured of its target, levelled and as a table."""
+"""Measurements of a simulated drone, converted to the level frame, and written as a table."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ _COLUMNS: dict[str, type] = {
 
 
 def level_overflight(made: "Overflown") -> LevelSight:
-    """Level what both sensors of a simulated drone measured, by the measured angles.
+    """Level the measurements of both sensors of a simulated drone, by the measured angles.
 
     Parameters
     ----------

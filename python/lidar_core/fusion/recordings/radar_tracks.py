@@ -1,4 +1,4 @@
-"""What a radar measures of a thing whose position and velocity it tells."""
+"""Radar measurements from a track of a radar that reports positions and velocities."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,17 @@ def radar_of_track(
     Parameters
     ----------
     stamp_ns : int
-        [ns].
+        Time of the track [ns].
     position, velocity : ndarray, shape (2,)
-        In the frame of the radar [m], [m/s].
+        Position [m] and velocity [m/s] in the frame of the radar.
     position_covariance, velocity_covariance : ndarray, shape (2, 2)
-        [m^2], [m^2/s^2]; unusable ones, such as zeros, leave the covariance of the measurement out.
+        Covariances [m^2], [m^2/s^2]; with an unusable one, such as zeros, the measurement has no
+        covariance.
 
     Returns
     -------
     measurement : Measurement or None
-        None at the radar itself, where there is no bearing.
+        None at the radar itself, because there is no bearing.
 
     Examples
     --------
@@ -48,7 +49,7 @@ def radar_of_track(
 
 
 def definite(covariance: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """A covariance that can be used; None for zeros, which say that nobody knows, and others.
+    """Return a usable covariance; None for zeros, which mean unknown, and for invalid ones.
 
     Examples
     --------

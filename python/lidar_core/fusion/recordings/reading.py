@@ -18,7 +18,7 @@ TRUTH_COLUMNS = (4, 6)
 
 @dataclass(frozen=True, slots=True)
 class TargetTruth:
-    """Where a target really was, one row per measurement.
+    """True states of a target, one row per measurement.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class TargetTruth:
     position, velocity : ndarray, shape (K, 2)
         Frame of the sensor [m], [m/s].
     heading, turn_rate : ndarray, shape (K,), or None
-        [rad], [rad/s]; None where the file does not tell.
+        Heading [rad] and turn rate [rad/s]; None if the file does not contain them.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -37,7 +37,7 @@ class TargetTruth:
     turn_rate: NDArray[np.float64] | None
 
     def rows(self, chosen: NDArray[np.int64]) -> "TargetTruth":
-        """Those rows, in that order."""
+        """Return the rows with these indices, in this order."""
         return TargetTruth(
             self.stamps_ns[chosen],
             self.position[chosen],
@@ -81,7 +81,7 @@ def read_laser_radar(path: str | Path) -> TargetRecording:
     Raises
     ------
     FormatError
-        A row is none of these; the text names file and line.
+        A row has none of these forms; the text names file and line.
     LimitError
         The file is too large.
     """

@@ -1,4 +1,4 @@
-"""Scans of several targets, also of a table that holds them."""
+"""Scans of several targets, from recordings and tables."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,21 @@ from lidar_core.fusion.recordings.table import MeasurementLog
 
 @dataclass(frozen=True, slots=True)
 class TargetScans:
-    """Detections of many targets, and what kind of recording they are of."""
+    """Detections of many targets, with the kind of their recording."""
 
     scans: list[DetectionScan]
     source: str
 
 
 def scans_of(log: MeasurementLog) -> list[DetectionScan]:
-    """Measurements of one sensor and one time together, by time; poses before what they carry.
+    """Group the measurements by time and sensor, in the order of time; poses before the other ones.
 
     Parameters
     ----------
     log : MeasurementLog
-        Of several targets: every row is a detection. True places belong to the numbers in the
-        column true_id; without it they are left out, since nothing tells whose they are.
+        Measurements of several targets: every row is a detection. True positions belong to the
+        numbers in the column true_id; without it they are left out, because their targets are
+        unknown.
 
     Returns
     -------

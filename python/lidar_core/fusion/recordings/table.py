@@ -65,7 +65,7 @@ TABLES = (".csv", ".npz", ".parquet", ".tsv")
 
 
 class TableOptions(Config):
-    """How a table of measurements is to be read; not used for L/R text files."""
+    """Options for reading a table of measurements; not used for L/R text files."""
 
     columns: dict[str, str] = Field(
         {},
@@ -82,14 +82,15 @@ class TableOptions(Config):
     )
     azimuth: dict[Turned, Azimuth] = Field(
         {},
-        description="What does not count counter-clockwise from x (no unit): bearing, pose_yaw,"
-        " turn_rate or lidar (x and y of a LiDAR), each clockwise (from x; y to the right) or"
-        " compass (clockwise from y, which is north; x and y exchanged).",
+        description="Angles that are not counter-clockwise from x (no unit): bearing,"
+        " pose_yaw, turn_rate or lidar (x and y of a LiDAR), each clockwise (from"
+        " x; y to the right) or compass (clockwise from y, which is north; x and y"
+        " exchanged).",
     )
     clock: dict[SensorName, float] = Field(
         {},
-        description="How far the clocks of sensors are ahead, by sensor [s]: it is taken from"
-        " their times.",
+        description="Offset of the clocks of sensors, by sensor, positive if ahead [s]: it is"
+        " subtracted from their times.",
     )
 
 
@@ -104,12 +105,12 @@ class MeasurementLog:
     truth : TargetTruth or None
         One row per measurement.
     format : str
-        What kind of file it was.
+        Format of the file.
     origin : tuple of float, or None
         Latitude, longitude [deg] and altitude [m] of x = y = z = 0, with x to the east and y to
         the north, where the file has places on the Earth (WGS84).
     targets : ndarray, shape (K,), int64, or None
-        Number of the target that each measurement is of, -1 for none, where the file says it.
+        Number of the target of each measurement, -1 for none, if the file states it.
     """
 
     measurements: list[Measurement]
@@ -119,7 +120,7 @@ class MeasurementLog:
     targets: NDArray[np.int64] | None = None
 
     def rows(self, chosen: list[int]) -> "MeasurementLog":
-        """Those measurements, in that order."""
+        """Return the measurements with these indices, in this order."""
         truth = None if self.truth is None else self.truth.rows(np.array(chosen, np.int64))
         targets = None if self.targets is None else self.targets[np.array(chosen, np.int64)]
         kept = [self.measurements[row] for row in chosen]
@@ -184,7 +185,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
 
 
 def is_table(place: Path) -> bool:
-    """Whether a file is read as a table; other ones are L/R text.
+    """True if a file is read as a table; other files are L/R text.
 
     Examples
     --------

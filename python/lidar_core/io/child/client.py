@@ -49,7 +49,7 @@ class _Forker:
         return child, ours
 
     def ended(self, child: int, *, is_gone: bool) -> int | None:
-        """Status of a reader, once it has ended; None if nobody knows. Others are ended."""
+        """Status of a reader that has ended; None if it is unknown. A reader that runs is ended."""
         try:
             return self._ordered(WAIT if is_gone else END, child, [])
         except (OSError, EOFError):
@@ -93,7 +93,7 @@ class _Forker:
             self._control = self._process = None
 
     def after_fork(self) -> None:
-        """A fork of this process has no readers: those are its parent's."""
+        """After a fork the child has no readers: they belong to its parent."""
         self._lock = threading.Lock()
         if self._control is not None:
             self._control.close()
@@ -113,7 +113,7 @@ class ReaderLink:
     Parameters
     ----------
     path : Path
-        What it reads; errors name it.
+        Path of the recording; error messages name it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -135,7 +135,7 @@ class ReaderLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the reader is still there, as far as is known."""
+        """True if the reader still runs, as far as is known."""
         return self._end.alive
 
     def close(self) -> None:
@@ -197,7 +197,7 @@ class ReaderLink:
 
 
 def valued(answer: dict[str, Any]) -> Any:
-    """The value of an answer; its warnings and its error are given again."""
+    """Return the value of an answer; its warnings and its error are repeated here."""
     for name, text in answer.get("warned", ()):
         kind = getattr(errors, str(name), UserWarning)
         is_warning = isinstance(kind, type) and issubclass(kind, Warning)
@@ -208,7 +208,7 @@ def valued(answer: dict[str, Any]) -> Any:
 
 
 def call(name: str, path: Path, **arguments: Any) -> Any:
-    """What a function of `lidar_core.io`, named MODULE:FUNCTION, returns in a reader of its own."""
+    """Call a function of `lidar_core.io`, named MODULE:FUNCTION, in a child process."""
     with ReaderLink(path) as link:
         link.send("call", name=name, path=str(path), folder=os.getcwd(), arguments=arguments)
         return valued(link.receive())

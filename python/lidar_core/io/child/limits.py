@@ -1,4 +1,4 @@
-"""What a reader in a child may use: memory, processor time, files that it writes."""
+"""Limits of a reader in a child process: memory, processor time, files that it writes."""
 
 import os
 import time
@@ -29,7 +29,7 @@ def limit_child(most_written: int) -> None:
 
 
 def allow_cpu(seconds: int) -> None:
-    """Let this process compute for so long from now on; then the system ends it."""
+    """Allow this process so much processor time from now on; then the system ends it."""
     import resource
 
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]

@@ -16,14 +16,14 @@ from lidar_core.io.records import Record, Topic
 
 
 class ChildRecording(Recording):
-    """A recording whose file a process of its own parses; it sends records ahead.
+    """A recording that a child process parses; the process sends records ahead of time.
 
     Parameters
     ----------
     path : Path
         File or folder.
     options : ReadOptions
-        How to read it.
+        Options for reading it.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:

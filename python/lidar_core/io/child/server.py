@@ -1,7 +1,7 @@
-"""The side of the child: a process that forks a reader for every file, and what a reader answers.
+"""Server in the child process: it forks a reader for every file, and the reader answers calls.
 
-The process that forks has one thread and has loaded what readers need, so that a reader starts in
-milliseconds. It ends, and its readers with it, when its caller is gone.
+The process that forks has one thread and has loaded all modules of the readers, so that a reader
+starts in milliseconds. It ends, with its readers, when its caller has ended.
 """
 
 import os
@@ -110,7 +110,7 @@ def _has_ended(child: int) -> bool:
 
 
 class Reader:
-    """One recording in a process of its own, and the requests about it."""
+    """One recording in its own process, with the requests about it."""
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
@@ -308,7 +308,7 @@ def _kinds(given: list[str] | None) -> frozenset[str] | None:
 
 
 def vars_of(topic: Topic) -> dict[str, Any]:
-    """Fields of a topic."""
+    """Return the fields of a topic."""
     names = ("name", "type", "kind", "count", "note")
     return {name: getattr(topic, name) for name in names}
 

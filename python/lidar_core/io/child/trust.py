@@ -1,4 +1,4 @@
-"""Which files are trusted: those are read in this process, by the libraries of their formats."""
+"""Trusted files: they are read in this process, by the libraries of their formats."""
 
 import os
 import sys
@@ -22,5 +22,5 @@ def trusted_files(is_trusted: bool = True) -> Iterator[None]:
 
 
 def is_trusted(given: bool | None) -> bool:
-    """Whether to read in this process: as `given`, else as the enclosing `trusted_files` says."""
+    """True if a file is read in this process: `given`, or else the enclosing `trusted_files`."""
     return not HAS_CHILDREN or (_TRUSTED.get() if given is None else given)

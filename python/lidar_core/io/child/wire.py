@@ -67,7 +67,7 @@ def receive(link: socket.socket) -> Any:
     EOFError
         The other side is gone.
     FormatError, LimitError
-        What it sent is no frame, or a larger one than any.
+        The bytes are not a frame, or the frame is too large.
     """
     n_text, n_buffers = _HEAD.unpack(_exactly(link, _HEAD.size))
     if n_text > MOST_JSON or n_buffers > MOST_BUFFERS:
@@ -105,7 +105,7 @@ def _exactly(link: socket.socket, size: int) -> bytearray:
 
 
 def packed(value: Any, buffers: list[memoryview]) -> Any:
-    """The value as JSON can hold it; its arrays go to `buffers`."""
+    """Return the value in a form for JSON; its arrays go to `buffers`."""
     kind = type(value)
     if kind in _LITERALS:
         return value
@@ -192,7 +192,7 @@ def _dtype(name: str) -> np.dtype[Any]:
 
 
 def told_error(error: BaseException, place: str) -> dict[str, Any]:
-    """An error as a value; those that no reader should raise become a `FormatError`."""
+    """Encode an error as a value; errors that no reader should raise become a `FormatError`."""
     if isinstance(error, MemoryError):
         error = LimitError(f"{place}: takes more memory than available")
     if isinstance(error, OSError) and not isinstance(error, LidarCoreError) and error.errno:
@@ -206,7 +206,7 @@ def told_error(error: BaseException, place: str) -> dict[str, Any]:
 
 
 def error_of(told: dict[str, Any]) -> Exception:
-    """The error that `told_error` told."""
+    """Return the error that `told_error` encoded."""
     name, args = str(told["class"]), told["args"]
     if name == "OSError":
         return OSError(*args)

@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written beside their place, then renamed into it."""
+"""Files that are complete or absent: written beside their place, then renamed into it."""
 
 import os
 import re
@@ -19,7 +19,7 @@ _TEMPORARY = re.compile(r"\.(.+)\.([1-9][0-9]{0,9})\.tmp", re.DOTALL)
 class WrittenInBlock(ABC):
     """A writer for a `with` block: its file is kept, unless an error ends the block.
 
-    Ctrl-C is no error: what was written until then is kept.
+    Ctrl-C is not an error: everything written before it is kept.
     """
 
     @abstractmethod
@@ -41,7 +41,7 @@ class WrittenInBlock(ABC):
 def temporary_for(path: Path) -> Path:
     """Temporary path to write to before `commit`, in the same folder so that the rename is atomic.
 
-    What a process left there for the same file, and no longer lives, is removed.
+    Leftovers of a process that has ended, for the same file, are removed.
     """
     remove_stale(path.parent, name=path.name)
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -53,7 +53,7 @@ def remove_stale(folder: Path, *, name: str | None = None) -> None:
     Parameters
     ----------
     folder : Path
-        Where to look; nothing happens where it is missing.
+        Folder to clean; nothing happens if it does not exist.
     name : str, optional
         Only those for the file of this name.
     """
@@ -103,10 +103,10 @@ def commit(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def synced_together() -> Iterator[None]:
-    """Files that the block writes go to the disk at its end, at once, and not one by one.
+    """Write the files of a block to the disk together, at its end.
 
-    For files that count only when a later one says so: after a loss of power within the block they
-    may be empty. An error leaves them as they are. The block is for one thread of a process.
+    For files that count only when a later file names them: after a loss of power within the block
+    they may be empty. An error leaves them as they are. The block is for one thread of a process.
     """
     global _waiting  # noqa: PLW0603 all writers of the process look at it
     files, _waiting = dict[Path, None](), {}
@@ -168,9 +168,9 @@ def check_place(path: Path) -> None:
     FileNotFoundError
         The folder is missing.
     PermissionError
-        Nothing may be written there.
+        The folder is not writable.
     IsADirectoryError
-        A folder is there.
+        The path is a folder.
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path.parent}: no such folder, to write {path.name} in")
@@ -190,8 +190,8 @@ def written_whole(path: str | Path, *, synced: bool = True) -> Iterator[Path]:
     path : str or Path
         The file.
     synced : bool
-        Wait until it is on the disk. Otherwise it may be empty after a loss of power; what reads it
-        before that finds it whole or absent all the same.
+        Wait until the file is on the disk. Without it, the file may be empty after a loss of power;
+        other readers see it either complete or not at all.
 
     Raises
     ------

@@ -60,8 +60,8 @@ def unpack_zstd(source: Path, target: Path, limit: int) -> int:
     FormatError
         The file is cut short or broken, or there is another frame behind the first.
     LimitError
-        There would be more bytes, or more than 1,000 times as many as the file has; never are more
-        than that written.
+        The content would be larger than the limit, or more than 1,000 times as large as the file;
+        no more than that is written.
     OSError
         `target` cannot be written, as on a full disk.
     """

@@ -12,15 +12,15 @@ _FILES_FAULT = (None, errno.EINVAL, errno.EOVERFLOW)
 
 @contextmanager
 def reading(place: str) -> Iterator[None]:
-    """Turn whatever a library raises while it reads `place` into a typed error that names it.
+    """Turn any exception of a library that reads `place` into a typed error that names it.
 
     Raises
     ------
     FormatError
-        What the library says.
+        The library reports an error.
     LimitError
-        The library asked for more memory than there is: a size in the file is a lie, or the
-        machine is too small.
+        The library asked for too much memory: a size in the file is wrong, or the machine is too
+        small.
     """
     try:
         yield

@@ -1,8 +1,8 @@
 """LAS and LAZ: places and intensities, by our own reading of everything that states a size.
 
-lazrs believes what a file says of its chunks and layers, and asks for that much memory: a file of
-2 KB ended the process. So it is given one chunk at a time, cut out and measured here, and never a
-table that the file brings.
+lazrs trusts the sizes of chunks and layers in a file, and allocates that much memory: a file of 2
+KB ended the process. So lazrs gets one chunk at a time, cut out and measured here, and never a
+table from the file.
 """
 
 import struct
@@ -91,7 +91,7 @@ def read_las(path: Path, options: ReadOptions) -> tuple[NDArray[np.float64], NDA
     FormatError
         Sizes and counts of the file contradict each other or the file's own size, or it is broken.
     LimitError
-        More points than `options` allow, or more than the compressed data can honestly hold.
+        More points than `options` allow, or more than the compressed data can contain.
     """
     place, data = str(path), path.read_bytes()
     with reading(place):

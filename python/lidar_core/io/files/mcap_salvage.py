@@ -23,7 +23,7 @@ class Salvage:
     end : str
         Why the file could not be read to its end; empty if it could.
     known_bytes : int
-        Where the last whole record ended.
+        End of the last complete record.
     messages, chunks, broken : int
         Messages and chunks found, and chunks left out.
     """

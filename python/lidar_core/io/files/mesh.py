@@ -12,7 +12,7 @@ from lidar_core.io.options import ReadOptions
 
 
 def load_mesh(path: Path, suffix: str, options: ReadOptions) -> Any:
-    """Mesh or cloud of a file, as trimesh gives it, its vertices counted."""
+    """Load a mesh or cloud through trimesh, after counting its vertices."""
     library = require("trimesh", extra="io", purpose="reading meshes and PLY")
     with reading(str(path)), path.open("rb") as file:
         loaded = library.load(file, file_type=suffix[1:], process=False)

@@ -1,4 +1,4 @@
-"""Arrays of .npz archives, their sizes checked before memory is asked for."""
+"""Arrays of .npz archives; their sizes are checked before memory is allocated."""
 
 import math
 from io import BytesIO
@@ -13,12 +13,12 @@ from lidar_core.io.files.guard import check_size
 
 
 def array_in(archive: ZipFile, name: str, *, what: str, limit: int, key: str) -> NDArray[Any]:
-    """The array `name` of an archive, of at most `limit` bytes; errors call it `what`.
+    """Return the array `name` of an archive, of at most `limit` bytes; errors call it `what`.
 
     Raises
     ------
     FormatError
-        Its header states another size than its data has: nothing is allocated for it.
+        The header states another size than the data have; nothing is allocated.
     LimitError
         It is larger; the text names the option `key`.
     """

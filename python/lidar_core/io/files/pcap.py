@@ -34,7 +34,7 @@ def packet_sizes(path: Path) -> Counter[int]:
     Raises
     ------
     FormatError
-        No packet capture, or one that ends inside a packet.
+        The file is not a packet capture, or ends inside a packet.
     """
     magic = _magic(path)
     if magic == pcapng.MAGIC:
@@ -60,7 +60,7 @@ def packets(path: Path) -> Iterator[Packet]:
 
 
 def readable(path: Path) -> Any:
-    """Input for libraries that read only pcap: the file's name, or pcapng shown as pcap."""
+    """Return an input for libraries that read only pcap: the file's name, or pcapng as pcap."""
     with path.open("rb") as file:
         is_next = file.read(4) == pcapng.MAGIC
     return pcapng.AsPcap(path) if is_next else str(path)

@@ -123,7 +123,7 @@ class AsPcap:
         self._parts, self._left = self._pcap(), b""
 
     def read(self, size: int) -> bytes:
-        """So many bytes, fewer at the end."""
+        """Read this many bytes, or fewer at the end."""
         while len(self._left) < size and (part := next(self._parts, None)) is not None:
             self._left += part
         taken, self._left = self._left[:size], self._left[size:]

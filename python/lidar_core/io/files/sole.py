@@ -15,15 +15,14 @@ LARGEST = 4096
 def sole_writer(path: Path) -> Iterator[None]:
     """Lock the files that belong to `path` against other writers until the block ends.
 
-    Files that differ in their endings belong together: NAME.npz, NAME.mcap and NAME.truth.csv.
-    The lock is one of the system on `.NAME.lock`, which a process loses when it ends in any way:
-    a file that a killed one left behind holds nobody up. Systems and file systems that know no
-    such locks go without.
+    Files that differ only in their endings belong together: NAME.npz, NAME.mcap and NAME.truth.csv.
+    The lock is a system lock on `.NAME.lock`. It disappears with its process, so a killed process
+    blocks nobody. Systems and file systems without such locks run without a lock.
 
     Raises
     ------
     FileExistsError
-        Somebody is writing there; the text says who.
+        Another process is writing there; the text names it.
     """
     place = path.with_name(f".{path.with_suffix('').name}.lock")
     held = _lock(place, path)

@@ -30,7 +30,7 @@ MOST_PENDING = 256
 
 
 class Datagram(NamedTuple):
-    """What a program received.
+    """UDP packet that a program received.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Datagram(NamedTuple):
     source : bytes
         Address of the sender.
     port : int
-        Where it was sent to.
+        Destination port.
     data : bytes
         Content.
     """
@@ -68,7 +68,7 @@ class _Pending:
         self._size: int | None = None
 
     def add(self, part: _Part) -> bytes | None:
-        """The packet, if this was the fragment that it waited for."""
+        """Return the packet, if this was its last missing fragment."""
         self._parts[part.offset] = part.data
         if part.is_last:
             self._size = part.offset + len(part.data)
@@ -84,7 +84,7 @@ def datagrams(path: Path) -> Iterator[Datagram]:
     Raises
     ------
     FormatError
-        No packet capture, or one that is broken.
+        The file is not a packet capture, or is broken.
     """
     pending: dict[bytes, _Pending] = {}
     for packet in packets(path):

@@ -66,7 +66,7 @@ class _Line(NamedTuple):
     words: list[str]
 
     def numbers(self, start: int, count: int) -> NDArray[np.float64]:
-        """Numbers `start` to `start + count` after the name."""
+        """Read numbers `start` to `start + count` after the name."""
         words = self.words[start : start + count]
         try:
             values = np.array(words, np.float64)
@@ -79,7 +79,7 @@ class _Line(NamedTuple):
         return values
 
     def count(self, at: int) -> int:
-        """The number of readings that word `at` states, all of them there."""
+        """Return the number of readings at word `at`, after checking that all of them exist."""
         text = self.words[at] if at < len(self.words) else ""
         if not text.isdecimal() or len(text) > 9 or int(text) > len(self.words):
             raise FormatError(
@@ -89,7 +89,7 @@ class _Line(NamedTuple):
         return int(text)
 
     def stamp_ns(self, end: int) -> int:
-        """Time [ns]: the first of the words that end a message, after its `end` values."""
+        """Read the time [ns] from the words after the `end` values of a message."""
         (seconds,) = self.numbers(end, 1)
         if not abs(seconds) < LATEST_S:
             raise FormatError(f"{self.place}: {self.name} has no time, got {self.words[end]!r}")

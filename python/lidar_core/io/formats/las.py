@@ -17,7 +17,7 @@ FAR = 1000.0  # coordinates beyond are given from a nearer corner [m]
 class LasRecording(SequenceRecording):
     """LAS and LAZ files: coordinates from a corner near the cloud, which is a pose.
 
-    Coordinates of a country's grid have more digits than float32 holds.
+    National grid coordinates have more digits than float32.
     """
 
     format = "LAS"

@@ -88,7 +88,7 @@ class McapRecording(Recording):
         yield from ouster.rest()
 
     def foxglove(self, type_name: str) -> Iterator[tuple[str, Any]]:
-        """Protobuf messages of one schema, as they are, with their places, in order of log time."""
+        """Return raw protobuf messages of one schema, with their places, by log time."""
         wanted = {
             number
             for number, channel in self._summary.channels.items()
@@ -102,7 +102,7 @@ class McapRecording(Recording):
             yield place, self._foxglove.message(schema, message.data, place)
 
     def stored(self) -> Iterator[tuple[Any, Any, Any]]:
-        """Every message as it is stored, with its channel and schema, in order of log time."""
+        """Return every stored message with its channel and schema, by log time."""
         for _, message in self._messages(set(self._topics)):
             channel = self._summary.channels[message.channel_id]
             yield channel, self._summary.schemas.get(channel.schema_id), message

@@ -26,13 +26,13 @@ SENSOR_KEY = b'"beam_altitude_angles"'
 
 
 def is_ouster_capture(path: Path, options: ReadOptions) -> bool:
-    """Whether the JSON file of a sensor was named, or lies beside a capture."""
+    """True if the JSON file of a sensor was named, or is beside a capture."""
     packet_sizes(path)  # refuses what is no capture
     return options.metadata is not None or metadata_beside(path) is not None
 
 
 def metadata_beside(path: Path) -> Path | None:
-    """The JSON file of a capture: the one in its folder whose name begins its own."""
+    """Return the JSON file of a capture: its name begins the name of the capture."""
     names = [
         file
         for file in path.parent.glob("*.json")

@@ -25,8 +25,8 @@ MAX_TOPICS = 4096
 class RosRecording(Recording):
     """A ROS 1 bag, or the sqlite3 files of a ROS 2 recording.
 
-    A ROS 2 folder is read through its storage files: its metadata.yaml repeats what they say,
-    and is often incomplete (a missing serialization format) or stale.
+    A ROS 2 folder is read through its storage files: its metadata.yaml repeats their content, and
+    is often incomplete (a missing serialization format) or stale.
     """
 
     format = "ros"

@@ -1,4 +1,4 @@
-"""Folders of files that hold one scan each, ordered by number or time, with poses beside them."""
+"""Folders with one scan per file, ordered by number or time, with files of poses."""
 
 import re
 from abc import abstractmethod
@@ -26,7 +26,7 @@ _SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
 
 
 class SequenceRecording(Recording):
-    """Scans that lie one to a file, ordered by number or time in their names."""
+    """One scan per file, ordered by number or time in the file names."""
 
     def __init__(self, path: Path, options: ReadOptions, files: list[Path]) -> None:
         super().__init__(path, options)

@@ -20,7 +20,7 @@ from lidar_core.io.recording import Recording
     marker="metadata.yaml",
 )
 class UnpackedRecording(ChainedRecording):
-    """Files that `ros2 bag record --compression-mode file` left, in a temporary folder."""
+    """Files of `ros2 bag record --compression-mode file`, unpacked in a temporary folder."""
 
     def __init__(self, path: Path, options: ReadOptions, files: list[Path]) -> None:
         with ExitStack() as stack:

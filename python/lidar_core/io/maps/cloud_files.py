@@ -38,9 +38,9 @@ class Cloud(NamedTuple):
     Attributes
     ----------
     points : ndarray, shape (N, 3), float64
-        [m], as the file gives them.
+        Coordinates [m] of the file.
     resolution : float or None
-        Edge of the voxels whose centres they are [m]; None for points that were measured.
+        Edge of the voxels whose centres these are [m]; None for measured points.
     """
 
     points: NDArray[np.float64]
@@ -66,12 +66,12 @@ def read_cloud(
     options : ReadOptions, optional
         Limits.
     trusted : bool, optional
-        As of `open_recording`: False has a process of its own parse what libraries read.
+        See `open_recording`: with False a child process parses what libraries read.
 
     Returns
     -------
     cloud : Cloud
-        Points that are finite; rows of zeros in PCD and KITTI files are no points.
+        Finite points; rows of zeros in PCD and KITTI files are not points.
 
     Raises
     ------
@@ -110,19 +110,19 @@ def read_cloud(
 
 
 def read_in_child(path: Path, spacing: float, **options: Any) -> list[Any]:
-    """What `read_cloud` returns, for a process of its own."""
+    """Return the result of `read_cloud`; for a child process."""
     return list(read_cloud(path, spacing=spacing, options=ReadOptions(**options), trusted=True))
 
 
 def write_cloud(path: str | Path, points: ArrayLike, *, resolution: float | None = None) -> Path:
-    """Write points as .pcd or .ply, or the voxels they are in as OctoMap's .bt; whole or not.
+    """Write points as .pcd or .ply, or their voxels as OctoMap's .bt, atomically.
 
     Parameters
     ----------
     path : str or Path
-        Its ending chooses the format.
+        Path of the file; its ending chooses the format.
     points : array_like, shape (N, 3)
-        [m]; float64 in PLY, float32 in PCD.
+        Coordinates [m]; float64 in PLY, float32 in PCD.
     resolution : float, optional
         Edge of the voxels of .bt [m], which needs it.
 

@@ -1,8 +1,8 @@
 """OctoMap's binary trees (.bt): occupied voxels in and out.
 
-Inner nodes stand depth first, two bits per child in two bytes: 00 unknown, 01 free, 10 occupied,
-11 a node of its own; bit 0, 1 and 2 of a child's number are the upper halves in x, y and z. A leaf
-above the lowest level stands for all voxels below it.
+Inner nodes are stored depth first, two bits per child in two bytes: 00 unknown, 01 free, 10
+occupied, 11 an inner node; bits 0, 1 and 2 of a child's number select the upper halves in x, y and
+z. A leaf above the lowest level represents all voxels below it.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ def read_octomap(
     Raises
     ------
     FormatError
-        Not such a file.
+        The file has another format.
     LimitError
         A larger file, or more voxels, than the options allow.
     """
@@ -64,19 +64,20 @@ def read_octomap(
 
 @register_writer("OctoMap", [".bt"], takes="points", needs_resolution=True)
 def write_voxels(path: Path, points: NDArray[np.float64], resolution: float) -> None:
-    """Write the voxels that hold points."""
+    """Write the voxels that contain points."""
     write_octomap(path, points, resolution=resolution)
 
 
 def write_octomap(path: str | Path, points: ArrayLike, *, resolution: float) -> Path:
-    """Write the voxels that hold at least one of `points` (N, 3) [m] as occupied, nothing as free.
+    """Write the voxels that contain at least one of `points` (N, 3) [m] as occupied, none as free.
 
     Parameters
     ----------
     path : str or Path
-        .bt file, written whole or not at all.
+        .bt file, written atomically.
     points : array_like, shape (N, 3)
-        [m]; voxels are those of OctoMap's lattice, whose corners are multiples of the resolution.
+        Coordinates [m]; the voxels are those of OctoMap's lattice, whose corners are multiples of
+        the resolution.
     resolution : float
         Edge of a voxel [m].
 

@@ -11,7 +11,7 @@ from lidar_core.io.writers import register_writer
 
 @register_writer("PLY", [".ply"], takes="points")
 def write_ply(path: Path, points: NDArray[np.float64], _: float | None) -> None:
-    """Write points as float64, whole or not at all."""
+    """Write points as float64 atomically."""
     axes = "".join(f"property double {axis}\n" for axis in "xyz")
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
     with written_whole(path) as temporary:

@@ -108,7 +108,7 @@ class CloudDecoder:
         Raises
         ------
         FormatError
-            No x, y, z, or point times that are not where the options say.
+            x, y or z is missing, or the point times that the options name.
         """
         organised = rows.ndim == 2 and rows.shape[0] > 1
         flat = rows.reshape(-1)

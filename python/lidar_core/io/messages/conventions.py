@@ -77,7 +77,7 @@ class PointTimeRule:
     def apply(
         self, fields: dict[str, NDArray[Any]], stamp_ns: int, place: str
     ) -> NDArray[np.int64] | None:
-        """Absolute time of every point [ns], or None where the recording does not tell."""
+        """Return the absolute time of every point [ns], or None if the recording has none."""
         if not self.decided:
             self._decide(fields, stamp_ns, place)
         if self.rule is None:

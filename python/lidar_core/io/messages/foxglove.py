@@ -39,7 +39,7 @@ def foxglove_kind(type_name: str) -> Kind:
 
 
 class FoxgloveDecoder:
-    """Decodes the protobuf messages of one MCAP file, by the schemas it carries."""
+    """Decodes the protobuf messages of one MCAP file, by the schemas in the file."""
 
     def __init__(self, options: ReadOptions, findings: Findings) -> None:
         self._options = options
@@ -74,7 +74,7 @@ class FoxgloveDecoder:
             return [_transform(topic, item, place) for item in items]
 
     def message(self, schema: Any, raw: bytes, place: str) -> Any:
-        """One message as its schema says; errors as of `decode`."""
+        """Decode one message by its schema; errors as for `decode`."""
         self._check_size(raw, place)
         with reading(place):
             return self._parser(schema)(raw)

@@ -30,9 +30,9 @@ class RangeRule:
     verdict: str = ""
 
     def apply(self, scan: LaserScan) -> NDArray[np.float32]:
-        """Ranges by REP-117: +inf met nothing within range, NaN and -inf tell nothing.
+        """Convert ranges of REP-117: +inf is no return; NaN and -inf are no information.
 
-        What lies beyond `range_max` met nothing within it; what lies below `range_min` is no
+        A range above `range_max` is no return within range; a range below `range_min` is no
         measurement.
         """
         ranges = scan.ranges.astype(np.float32)

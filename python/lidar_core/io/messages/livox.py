@@ -1,6 +1,7 @@
 """Livox' own clouds, CustomMsg: a head, then rows of one size, which are read as one array.
 
-The library makes an object of every point, which takes longer than the scan: 0.1 s for 20,000.
+The library makes an object of every point, which takes longer than the scan itself: 0.1 s for
+20,000.
 """
 
 import struct

@@ -46,7 +46,7 @@ class LivoxStream:
     Attributes
     ----------
     topic : Topic
-        Of its scans.
+        Topic of its scans.
     """
 
     def __init__(self, options: ReadOptions, findings: Findings) -> None:

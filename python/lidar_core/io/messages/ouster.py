@@ -1,4 +1,4 @@
-"""Ouster's packets in ROS recordings: whose they are, and the scans of their frames."""
+"""Ouster's packets in ROS recordings: their sensors, and the scans of their frames."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -27,7 +27,7 @@ def _namespace(topic: str) -> str:
 
 
 class OusterTopics:
-    """Topics of a recording that bring the packets of known sensors.
+    """Topics of a recording with packets of known sensors.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class OusterStreams:
         self._begun: dict[str, tuple[Topic, int]] = {}
 
     def takes(self, topic: str) -> bool:
-        """Whether a topic brings packets of a known sensor."""
+        """True if a topic carries packets of a known sensor."""
         return topic in self._collectors
 
     def add(self, topic: Topic, time_ns: int, packet: bytes) -> Iterator[Record]:

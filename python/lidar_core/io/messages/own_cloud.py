@@ -51,7 +51,7 @@ def own_scan(rows: NDArray[Any], stamp_ns: int, frame_id: str, topic: str, heigh
     Raises
     ------
     FormatError
-        A field of it is missing, or holds more than one value per point.
+        A field is missing, or has more than one value per point.
     """
     names = [name for name in rows.dtype.names or () if rows[name].ndim == 1]
     wanted = [*"xyz", *(("dx", "dy", "dz") if "dx" in names else ())]

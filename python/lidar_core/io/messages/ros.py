@@ -99,7 +99,7 @@ class RosDecoder:
         Raises
         ------
         FormatError
-            The bytes are no message of this type.
+            The bytes are not a message of this type.
         LimitError
             The message is larger than the options allow.
         """
@@ -120,7 +120,7 @@ class RosDecoder:
             return []
 
     def message(self, type_name: str, raw: bytes, place: str) -> Any:
-        """One message as its type says; errors as of `decode`."""
+        """Decode one message by its type; errors as for `decode`."""
         plain = self._plain(raw, place)
         *others, last = RELEASES.get(type_name, (type_name,))
         for other in others:

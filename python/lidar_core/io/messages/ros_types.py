@@ -1,4 +1,4 @@
-"""Message types that the stores of rosbags do not know, and the stores with them.
+"""Message types that are missing in the stores of rosbags, and stores that contain them.
 
 Fields as the packages define them, checked against the hashes that ROS itself computed.
 """
@@ -125,7 +125,7 @@ _ROS2 = {
 
 @cache
 def ros_store(version: int) -> Any:
-    """Messages that every ROS 1 or ROS 2 distribution knows, and those above.
+    """Return a store with the messages of all ROS 1 or ROS 2 distributions, and those above.
 
     Building a store takes 30 ms.
     """

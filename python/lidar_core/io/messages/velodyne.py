@@ -21,7 +21,7 @@ X, INTENSITY, TIME, RING = 0, 3, 4, 6  # columns of velodyne-decoder's arrays
 
 
 class PacketDecoder:
-    """Decodes ROS messages that hold the packets of one revolution each."""
+    """Decodes ROS messages with the packets of one revolution each."""
 
     def __init__(self, topic: str, options: ReadOptions, findings: Findings) -> None:
         self._library = velodyne_library()
@@ -38,7 +38,7 @@ class PacketDecoder:
         Raises
         ------
         FormatError
-            The bytes are no Velodyne packets of a known model.
+            The bytes are not Velodyne packets of a known model.
         """
         if not packets:
             return None
@@ -59,7 +59,7 @@ class VelodyneStream:
     Attributes
     ----------
     topic : Topic
-        Of its scans.
+        Topic of its scans.
     """
 
     def __init__(self, options: ReadOptions, findings: Findings) -> None:
@@ -98,7 +98,7 @@ def velodyne_library() -> Any:
 
 
 def decoder_config(library: Any, options: ReadOptions) -> Any:
-    """Settings of the package; ConfigError for a model that it does not know."""
+    """Return the settings of the package; ConfigError for an unknown model."""
     config = library.Config(timestamp_first_packet=True)
     if options.velodyne_model is not None:
         models = library.Model.__members__

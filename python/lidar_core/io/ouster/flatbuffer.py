@@ -26,7 +26,7 @@ class Table:
         return int(self._number(code, at)) if at else default
 
     def bytes(self, field: int) -> memoryview:
-        """A vector of bytes, or a text; empty if there is none."""
+        """Return a vector of bytes, or a text; empty if it is missing."""
         return self.vector(field, 1)
 
     def vector(self, field: int, item_bytes: int) -> memoryview:

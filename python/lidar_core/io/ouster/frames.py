@@ -58,14 +58,14 @@ def scan_of(
 
 
 def told_returns(frame: Frame) -> str:
-    """Which of two returns is read, for a note."""
+    """Return a note about which of two returns is read."""
     if frame.is_second:
         return "second returns are read, not the first"
     return "second returns are not read (returns='second' of open_recording reads them instead)"
 
 
 def poses_of(sensor: Sensor, frame: Frame, *, topic: str, frame_id: str) -> list[Message]:
-    """Mounting of the sensor, and the body's poses where the file holds any."""
+    """Mounting of the sensor, and the body's poses if the file contains any."""
     valid = np.flatnonzero(frame.is_received)
     stamps = frame.stamps_ns
     mounting = sensor.body_from_sensor.copy()

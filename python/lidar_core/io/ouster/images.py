@@ -41,7 +41,7 @@ class _Rows(NamedTuple):
 
 
 def is_png(data: bytes) -> bool:
-    """Whether bytes are a PNG; those of Ouster have their rows shifted."""
+    """True if bytes are a PNG; Ouster's PNGs have shifted rows."""
     return data.startswith(PNG_MAGIC)
 
 
@@ -51,7 +51,7 @@ def decode_pngs(images: Sequence[bytes], shape: tuple[int, int], place: str) -> 
     Raises
     ------
     FormatError
-        One is no PNG of this size with 8, 16, 24 or 32 bits per pixel.
+        One is not a PNG of this size with 8, 16, 24 or 32 bits per pixel.
     """
     parts = [_png_rows(data, shape, place) for data in images]
     filters = np.concatenate(

@@ -54,19 +54,19 @@ class Frame:
     Attributes
     ----------
     ranges : ndarray of uint32, shape (rows, columns)
-        [mm]; 0 without return.
+        Ranges [mm]; 0 without return.
     reflectivity : ndarray or None, shape (rows, columns)
         Uncalibrated or calibrated, as the sensor's firmware has it.
     stamps_ns : ndarray of int64, shape (columns,)
-        By the sensor's clock.
+        Times by the sensor's clock [ns].
     is_received : ndarray of bool, shape (columns,)
         Columns that arrived and are valid.
     world_from_body : ndarray or None, shape (columns, 4, 4)
-        Poses, where a file holds any.
+        Poses, if the file contains any.
     returns : int
         Returns per pixel that were sent.
     is_second : bool
-        Whether the second of them is here, not the first.
+        True if this is the second return, not the first.
     """
 
     ranges: NDArray[np.uint32]
@@ -91,7 +91,7 @@ class PacketLayout:
     size : int
         Bytes of a packet.
     frame_numbers : int
-        How many numbers of frames there are before they begin again.
+        Number of frame numbers before they start again.
     """
 
     def __init__(self, sensor: Sensor, place: str, *, is_second: bool = False) -> None:
@@ -124,7 +124,7 @@ class PacketLayout:
         self.frame_numbers = 2**32 if self._is_fusa else 2**16
 
     def is_lidar(self, packet: bytes) -> bool:
-        """Whether bytes are a LiDAR packet of this layout; drivers may append a byte."""
+        """True if bytes are a LiDAR packet of this layout; drivers may append a byte."""
         if not self.size <= len(packet) <= self.size + 1:
             return False
         if self._is_legacy:
@@ -138,7 +138,7 @@ class PacketLayout:
         return int.from_bytes(packet[at : at + size], "little")
 
     def serial(self, packet: bytes) -> int | None:
-        """Serial number of the sensor that sent a packet; legacy packets do not tell."""
+        """Serial number of the sensor that sent a packet; legacy packets do not contain it."""
         if self._is_legacy:
             return None
         at = 11 if self._is_fusa else 7
@@ -174,7 +174,7 @@ class PacketLayout:
 
 
 def one_return(profile: str) -> str:
-    """What is wrong where the second return of such packets is wanted."""
+    """Return why the second return cannot be read from such packets."""
     return f"profile {profile} has one return per beam; expected returns='first', got 'second'"
 
 
@@ -198,7 +198,7 @@ class FrameCollector:
     Attributes
     ----------
     layout : PacketLayout
-        Of the packets.
+        Layout of the packets.
     late : int
         Packets that were dropped.
     """
@@ -216,7 +216,7 @@ class FrameCollector:
         self.late = 0
 
     def add(self, packet: bytes) -> list[Frame]:
-        """Take in a packet; the frames that it completes: the one before, or its own."""
+        """Process a packet; return the frames that it completes: the one before, or its own."""
         number = self.layout.frame_number(packet)
         done: list[Frame] = []
         if number != self._number:
@@ -239,7 +239,7 @@ class FrameCollector:
         return bool(self._packets)
 
     def rest(self) -> list[Frame]:
-        """The frame that has begun, complete or not; none if no packet waits."""
+        """Return the frame that has begun, complete or not; None if no packet waits."""
         if not self._packets:
             return []
         packets, self._packets = self._packets, []

@@ -1,4 +1,4 @@
-"""What an Ouster sensor says about itself: its JSON file, as firmware 1.12 to 3.2 write it.
+"""Description of an Ouster sensor: its JSON file, as firmware 1.12 to 3.2 write it.
 
 Layouts: Ouster firmware user manuals, "Sensor metadata"; ouster-sdk writes the same with more.
 """
@@ -33,7 +33,7 @@ class Beams(NamedTuple):
     Attributes
     ----------
     directions, offsets : ndarray, shape (rows, columns, 3)
-        In the sensor's frame; unit vectors, and [m].
+        Unit vectors and offsets [m] in the sensor's frame.
     """
 
     directions: FloatArray
@@ -59,11 +59,11 @@ class Sensor:
     profile : str
         Layout of its packets.
     is_fusa : bool
-        Whether packets begin with the header of functional safety.
+        True if packets begin with the header of functional safety.
     port : int or None
         UDP port that it sends to.
     shifts : ndarray, shape (rows,)
-        By how many columns each row is shifted when columns shall share an azimuth.
+        Number of columns by which each row must be shifted so that columns share an azimuth.
     altitudes, azimuths : ndarray, shape (rows,)
         Angles of the beams [rad].
     lidar_from_beam, sensor_from_lidar, body_from_sensor : ndarray, shape (4, 4)
@@ -111,9 +111,9 @@ def parse_sensor(text: str | bytes, place: str, *, max_points: int) -> Sensor:
     Raises
     ------
     FormatError
-        The text is no such file, or of a sensor whose frames are not read.
+        The text has another format, or describes a sensor whose frames are not read.
     LimitError
-        Its frames are larger than `max_points`.
+        The frames are larger than `max_points`.
     """
     with reading(f"{place}: metadata of an Ouster sensor"):
         stored = json.loads(text)

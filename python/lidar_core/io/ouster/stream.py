@@ -1,4 +1,4 @@
-"""Ouster's packets as they arrive over the network, and the sensor that tells its layout."""
+"""Ouster's packets from the network, and the sensor description with their layout."""
 
 from pathlib import Path
 from urllib.request import ProxyHandler, build_opener
@@ -16,14 +16,14 @@ METADATA_PATH, PATIENCE_S = "api/v1/sensor/metadata", 5.0
 
 
 def sensor_at(place: str, options: ReadOptions) -> Sensor:
-    """Sensor of a JSON file, or the one that answers at an address.
+    """Return the sensor of a JSON file, or the one at an address.
 
     Raises
     ------
     FormatError
-        It is no metadata of an Ouster sensor.
+        It is not the metadata of an Ouster sensor.
     LinkError
-        Nobody answers there.
+        No sensor answers at the address.
     """
     most = options.max_points
     if Path(place).is_file():
@@ -49,7 +49,7 @@ class OusterStream:
     Attributes
     ----------
     topic : Topic
-        Of its scans.
+        Topic of its scans.
     """
 
     def __init__(self, sensor: Sensor, options: ReadOptions, findings: Findings) -> None:

@@ -16,12 +16,12 @@ LOOKED_AT = 16  # poses that are compared
 
 
 class UnclearCarrierError(ConfigError):
-    """Several frames carry a sensor, and nothing says which of them poses are of.
+    """Several frames carry a sensor, and the recording does not state to which one poses belong.
 
     Attributes
     ----------
     mountings : list of str
-        Texts of the option that says so, the nearest frame first.
+        Values of the option that would settle it, the nearest frame first.
     """
 
     def __init__(self, text: str, mountings: list[str]) -> None:
@@ -34,27 +34,27 @@ def carrier_of(
 ) -> str:
     """Frame that `poses` without a child frame describe, as far as the recording shows it.
 
-    A stated mounting says it first, unless it is on a frame that moves in another way; then a
-    transform that moves as they do; then where the sensor is mounted. Without any of these they
-    are the sensor's own.
+    Evidence in this order: a stated mounting, unless its frame moves differently; a transform with
+    the same motion; the frame that the sensor is mounted on. Without any evidence the poses are
+    those of the sensor.
 
     Parameters
     ----------
     frame : str
         Frame of the sensor.
     poses : sequence of Pose
-        Of one topic, without child frame.
+        Poses of one topic, without child frame.
     others : iterable of Pose
         Transforms of the recording.
     mountings : iterable of Pose
-        Where somebody said that sensors sit.
+        Mountings of sensors that the user stated.
     topic : str
         Name of their topic, for errors.
 
     Raises
     ------
     UnclearCarrierError
-        Several frames carry the sensor, and nothing says which of them is meant.
+        Several frames carry the sensor, and the recording does not state which one is meant.
     ConfigError
         The sensor does not move in the frame of the poses.
     """
@@ -117,7 +117,7 @@ def _carriers(frame: str, known: Iterable[Pose]) -> list[str]:
 
 
 def same_movement(poses: Sequence[Pose], transforms: TransformBuffer) -> str | None:
-    """The frame that `transforms` move as `poses` move; None where there is none, or several."""
+    """Return the frame whose `transforms` have the motion of `poses`; None for none, or several."""
     looked_at = poses[:: max(1, len(poses) // LOOKED_AT)]
     parents = {item.frame_id for item in looked_at}
     found = [

@@ -54,9 +54,9 @@ FLOOR = np.array([0.002] * 3 + [2e-4] * 3) ** 2
 class Placed(NamedTuple):
     """Pose of a scan from odometry.
 
-    `poses` (4, 4), or (2, 4, 4) at `stamps_ns` where the scan tells the times of its points;
-    `covariance` (6, 6) of translation and angles about x, y, z, against the scan before: errors of
-    steps add up, so over K scans that of the motion is about the sum of K of them.
+    `poses` (4, 4), or (2, 4, 4) at `stamps_ns` if the scan has times of points; `covariance` (6, 6)
+    of translation and angles about x, y, z, relative to the scan before. Errors of steps add up:
+    over K scans the covariance of the motion is about the sum of K of them.
     """
 
     poses: NDArray[np.float64]
@@ -105,7 +105,7 @@ class KissOdometry:
         self.lost = 0
 
     def prepare(self, first: Scan, second: Scan) -> None:
-        """Estimate the motion during `first`, so that it is deskewed like the other scans."""
+        """Estimate the motion during `first`, so that this scan is deskewed like the others."""
         clouds = _usable(first), _usable(second)
         if any(len(cloud.points) < FEWEST or cloud.part is None for cloud in clouds):
             return
@@ -372,7 +372,7 @@ def placed_scans(
 ) -> Iterator[tuple[Any, Placed]]:
     """Scans of one LiDAR with their poses; scans without a pose are counted.
 
-    Warnings are given to `note`, too.
+    Warnings are also passed to `note`.
     """
     odometry, source = KissOdometry(note), iter(scans)
     held = list(islice(source, 2))

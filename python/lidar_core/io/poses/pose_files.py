@@ -69,7 +69,7 @@ def _stamps(path: Path, seconds: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def stamp_from_text(text: str) -> int:
-    """Seconds in decimal as nanoseconds, without a detour through float where there is one."""
+    """Convert decimal seconds to nanoseconds, exactly (without float) where possible."""
     whole, _, fraction = text.partition(".")
     if whole.lstrip("-").isdigit() and (fraction.isdigit() or not fraction):
         part = int(fraction.ljust(9, "0")[:9])

@@ -1,8 +1,9 @@
 """Detection of poses in a wrong frame: only correct poses align the scans with each other.
 
 Poses of a camera or of another body have the right motion about the wrong axes. So pairs of scans
-are laid over each other by the motion as it was given, and by the same motion about the axes of the
-24 ways to turn a frame by right angles, as it is and inverted: which of them fits best, by far?
+are aligned by the given motion, and by the same motion about the axes of the 24 right-angled
+rotations of a frame, as given and inverted. The frame changes only if one of them fits clearly
+best.
 """
 
 from collections.abc import Iterator
@@ -91,12 +92,12 @@ class _View(NamedTuple):
 
 
 class PoseFrameCheck:
-    """Watches the first scans and their poses; says once whether another frame fits better.
+    """Check of the first scans and their poses; reports once whether another frame fits better.
 
     Attributes
     ----------
     is_done : bool
-        Whether it has decided: further scans change nothing.
+        True after the decision: further scans change nothing.
     """
 
     def __init__(self) -> None:
@@ -104,7 +105,7 @@ class PoseFrameCheck:
         self.is_done = False
 
     def add(self, points: NDArray[np.float32], pose: NDArray[np.float64]) -> FrameMismatch | None:
-        """Take in one scan; a mismatch where the poses are in another frame."""
+        """Add one scan; return a mismatch if the poses are in another frame."""
         if self.is_done:
             return None
         rows = np.asarray(points, np.float64).reshape(-1, 3)
@@ -185,7 +186,7 @@ def _shares(
 
 
 def advice(mismatch: FrameMismatch, *, frame: str, source: str) -> str:
-    """The mismatch in words, with the cure."""
+    """Describe the mismatch in words, with a remedy."""
     fits = (
         f"{mismatch.found:.0%} of the points of one scan then fit another scan, with the given"
         f" poses {mismatch.given:.0%}"

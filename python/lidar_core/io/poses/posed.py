@@ -41,9 +41,9 @@ class PosedScans(Generic[ScanT]):
     fixed_frame : str
         Frame that the poses are in.
     source : str
-        Where the poses come from, in words.
+        Source of the poses, in words.
     without_pose : Counter
-        Scans left out, per reason.
+        Number of scans that were left out, per reason.
     """
 
     def __init__(self, recording: "Recording", options: PoseOptions, sort: type[ScanT]) -> None:
@@ -277,19 +277,19 @@ def posed_scans(
     recording : Recording
         Open recording; it is read twice, first for its poses.
     options : PoseOptions, optional
-        Where the poses come from.
+        Source of the poses.
     **values
         Single fields of `PoseOptions`, such as pose, cloud or start; they override `options`.
 
     Returns
     -------
     scans : PosedScans
-        Iterate it; scans outside the poses' time are left out and counted.
+        Iterator over the scans; scans outside the poses' time are left out and counted.
 
     Raises
     ------
     FormatError
-        No poses (while iterating); the text says what was found and which option helps.
+        No poses (while iterating); the text states what was found and which option helps.
     InputError
         No scans within the span that was asked for (while iterating).
     ConfigError

@@ -67,7 +67,7 @@ class TransformBuffer:
     max_gap : float
         Longest time between two poses to interpolate over [s].
     max_extrapolation : float
-        How long the first or last pose is held before or after its time [s].
+        Time for which the first pose holds before, and the last pose after, its own time [s].
     """
 
     def __init__(self, *, max_gap: float, max_extrapolation: float) -> None:
@@ -95,7 +95,7 @@ class TransformBuffer:
         return {key: edge.static is not None for key, edge in self._edges.items()}
 
     def root_of(self, frame: str) -> str:
-        """Top of the tree that `frame` hangs in; `frame` itself, if nothing holds it."""
+        """Return the root of the tree that contains `frame`; `frame` itself if it has no parent."""
         parents = {child: parent for parent, child in self._edges}
         seen = {frame}
         while frame in parents and parents[frame] not in seen:
@@ -108,7 +108,7 @@ class TransformBuffer:
         return all(self._edges[key].static is not None for key, _ in self._path(target, source))
 
     def known_until(self, target: str, source: str) -> int | None:
-        """Stamp up to which every pose on the way is known [ns]; None where nothing moves.
+        """Stamp up to which every pose along the chain is known [ns]; None if nothing moves.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class TransformBuffer:
         return min((max(edge.stamps) for edge in edges if edge.static is None), default=None)
 
     def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
-        """Stamps strictly between two times at which some pose on the way was recorded."""
+        """Stamps strictly between two times with a recorded pose along the chain."""
         stamps = [np.empty(0, np.int64)]
         for key, _ in self._paths.get((target, source)) or self._path(target, source):
             edge = self._edges[key]

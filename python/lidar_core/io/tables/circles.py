@@ -22,14 +22,14 @@ COLUMNS = element_columns(STATE, texts=("kind",), more=BELIEFS)
 def write_circles_table(
     path: str | Path, maps: Iterable[CircleElements], *, frame_id: str = "world"
 ) -> Path:
-    """Write the maps of successive times as one long table, whole or not at all.
+    """Write the maps of successive times as one long table atomically.
 
     Parameters
     ----------
     path : str or Path
         Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
     maps : iterable of map states
-        As `CirclePipeline.map_at` gives them.
+        Maps as `CirclePipeline.map_at` returns them.
     frame_id : str
         Frame of the states.
 
@@ -44,8 +44,8 @@ def write_circles_table(
 def map_columns(maps: Iterable[CircleElements], frame_id: str) -> dict[str, Any]:
     """Every element that successive maps ever report, one row each, as columns.
 
-    First and last measurement, and the state as it was when it was last in sight: what was driven
-    past long ago is still where it was then.
+    Return first and last measurement, and the state at the time when the element was last in sight:
+    the place of an element that was passed long ago is still valid.
     """
     first: dict[int, int] = {}
     last: dict[int, tuple[CircleElements, int]] = {}

@@ -41,24 +41,24 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
     Parameters
     ----------
     path : str or Path
-        A table with a row per object and time, .csv or .tsv (commas, semicolons or tabs between
-        values, also as a first line `sep=;` says; with the latter two numbers may have decimal
-        commas), .parquet or .npz (one array per column); a
-        TUM trajectory .txt or .tum, or a folder of track_ID.txt as `write_tum` writes; an MCAP
-        file with tracks as `write_mcap` writes.
+        A table with a row per object and time: .csv or .tsv (separated by commas, semicolons or
+        tabs; a first line `sep=;` also counts; with semicolons and tabs, numbers may have decimal
+        commas), .parquet or .npz (one array per column); a TUM trajectory .txt or .tum, or a folder
+        of track_ID.txt as `write_tum` writes it; an MCAP file with tracks as `write_mcap` writes
+        it.
     trusted : bool, optional
-        As of `lidar_core.io.open_recording`: False has a process of its own parse Parquet and MCAP.
+        See `lidar_core.io.open_recording`: with False a child process parses Parquet and MCAP.
 
     Returns
     -------
     columns : dict of ndarray
-        By name, as `write_tracks_table` names them. Trajectories and MCAP give t_ns, track_id,
-        x, y, z.
+        Columns by name, as `write_tracks_table` names them. Trajectories and MCAP have t_ns,
+        track_id, x, y, z.
 
     Raises
     ------
     FormatError
-        Not such a file; rows of tables count from 1, below the names of columns.
+        The file has another format; rows of tables count from 1, below the names of columns.
     LimitError
         More than 256 MiB.
     MissingExtraError
@@ -91,7 +91,7 @@ def read_columns(path: str | Path, *, trusted: bool | None = None) -> Columns:
 
 
 def read_in_child(path: Path) -> Columns:
-    """What `read_columns` returns, for a process of its own."""
+    """Return the result of `read_columns`; for a child process."""
     return read_columns(path, trusted=True)
 
 

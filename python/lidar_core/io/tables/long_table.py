@@ -13,7 +13,7 @@ from lidar_core.io.files.atomic import written_whole
 def write_long_table(
     path: str | Path, columns: Mapping[str, type], rows: Iterable[Sequence[Any]]
 ) -> Path:
-    """Write rows, whole or not at all; return the file that was written.
+    """Write rows atomically; return the file that was written.
 
     Parameters
     ----------

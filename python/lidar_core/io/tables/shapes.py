@@ -1,4 +1,4 @@
-"""Elements of a map that are no circles: tables and outlines."""
+"""Tables and outlines of map elements with other shapes than circles."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -28,9 +28,9 @@ def write_shapes_table(
     ----------
     path : str or Path
         Parquet, if it ends in .parquet and pyarrow is installed; otherwise CSV, ending in .csv.
-        Whole or not at all.
+        Written atomically.
     shapes : iterable of map states
-        As `CirclePipeline.shapes_at` gives them.
+        Shapes as `CirclePipeline.shapes_at` returns them.
     frame_id : str
         Frame of the states.
 

@@ -38,7 +38,7 @@ COLUMNS: dict[str, type] = {
 def write_tracks_table(
     path: str | Path, tracks: Iterable[Tracks], *, frame_id: str = "world"
 ) -> Path:
-    """Write tracks as one long table, a row per track and time, whole or not at all.
+    """Write tracks as one long table, a row per track and time atomically.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ LIKELY = 0.5  # probability from which on an element is called a person
 
 
 def label_of(circles: CircleElements, row: int) -> str:
-    """Return the number of an element, and what it is."""
+    """Return number and kind of an element."""
     name = str(int(circles.id[row]))
     return f"{name} person" if circles.person_probability[row] > LIKELY else name
 

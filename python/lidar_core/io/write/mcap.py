@@ -216,7 +216,7 @@ class FoxgloveLog:
 
 
 def partial_path(path: Path) -> Path:
-    """Where `McapWriter` writes what nobody can make again, until it is complete."""
+    """Return the temporary path of a file that cannot be computed again, until it is complete."""
     return path.with_suffix(f".partial{path.suffix}")
 
 
@@ -273,7 +273,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
         Raises
         ------
         OSError
-            The file is not complete: of a write that failed the library tells here, if at all.
+            The file is not complete; the library reports failed writes only here, if at all.
         """
         try:
             self._writer.close()
@@ -300,7 +300,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
 def write_mcap(
     path: str | Path, items: Iterable[Message | Boxes], *, tracks_frame: str = "world"
 ) -> None:
-    """Write scans, poses and tracks to one MCAP file, whole or not at all.
+    """Write scans, poses and tracks to one MCAP file atomically.
 
     Parameters
     ----------

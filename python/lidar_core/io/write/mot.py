@@ -14,7 +14,7 @@ def write_run(path: Path, objects: RunObjects) -> None:
 
 
 def write_mot(path: str | Path, steps: Steps) -> None:
-    """Write a results file of MOTChallenge's 3D tracking, whole or not at all.
+    """Write a results file of MOTChallenge's 3D tracking atomically.
 
     Parameters
     ----------

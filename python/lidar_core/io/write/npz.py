@@ -17,7 +17,7 @@ from lidar_core.messages import LaserScan, Message, Pose, Scan
 
 @register_writer("exact, lidar_core's own", [".npz"], takes="messages")
 def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
-    """Write scans in 3D and 2D and poses to one .npz recording, whole or not at all.
+    """Write scans in 3D and 2D and poses to one .npz recording atomically.
 
     Parameters
     ----------

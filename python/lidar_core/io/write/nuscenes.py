@@ -19,7 +19,7 @@ def write_run(path: Path, objects: RunObjects) -> None:
 def write_nuscenes(
     path: str | Path, steps: Steps, *, name: str, sensors: tuple[str, ...] = ("lidar",)
 ) -> None:
-    """Write the results file of nuScenes' tracking challenge, whole or not at all.
+    """Write the results file of nuScenes' tracking challenge atomically.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def write_nuscenes(
     name : str
         Class of all objects.
     sensors : tuple of str
-        Of camera, lidar, radar, map, external: what was used.
+        Sensors that were used, of camera, lidar, radar, map, external.
     """
     used = {f"use_{one}": one in sensors for one in ("camera", "lidar", "radar", "map", "external")}
     results = {

@@ -28,7 +28,7 @@ class RunObjects:
     name : str
         Class of all objects.
     sensors : tuple of str
-        Of camera, lidar, radar, map, external: what was used.
+        Sensors that were used, of camera, lidar, radar, map, external.
     frame_id : str
         Frame of the objects.
     segments : mapping of int to ndarray

@@ -1,4 +1,4 @@
-"""Which writer a path needs, by its ending."""
+"""Selection of the writer of a path by its ending."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,14 +16,14 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
         NAME.npz (exact), NAME.mcap (Foxglove's messages; no covariances of poses), NAME.bag
         (ROS 1), or a name without ending: the new folder of a ROS 2 recording.
     items : iterable of Scan, LaserScan and Pose
-        In the order of their times.
+        Messages in the order of their times.
 
     Raises
     ------
     ConfigError
         Another ending.
     InputError
-        What the format cannot hold.
+        The format cannot store a value.
     MissingExtraError
         The format needs a package that is not installed.
     """

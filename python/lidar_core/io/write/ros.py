@@ -39,7 +39,7 @@ class RosMessages:
     Attributes
     ----------
     store : rosbags.typesys.store.Typestore
-        What turns messages into bytes.
+        Store that serialises messages.
     types : mapping of str to type
         Messages by their names.
     """
@@ -60,7 +60,7 @@ class RosMessages:
         Raises
         ------
         InputError
-            A time that ROS cannot tell, or point times more than two seconds from the stamp.
+            ROS cannot represent a time, or point times are more than two seconds from the stamp.
         """
         self.check_stamp(item.stamp_ns)
         if isinstance(item, Scan):
@@ -75,7 +75,7 @@ class RosMessages:
         return topic if topic.startswith("/") else f"/{topic}", message
 
     def check_stamp(self, stamp_ns: int) -> None:
-        """Refuse a time that ROS cannot tell."""
+        """Reject a time that ROS cannot represent."""
         if not 0 <= stamp_ns < (LAST_SECOND[self._version] + 1) * 10**9:
             raise InputError(
                 f"stamp_ns: ROS {self._version} holds times from 1970 on to"
@@ -203,7 +203,7 @@ class RosWriter(WrittenInBlock):
         Raises
         ------
         InputError
-            A time that ROS cannot tell, or point times more than two seconds from the stamp.
+            ROS cannot represent a time, or point times are more than two seconds from the stamp.
         """
         if isinstance(item, Pose) and item.is_static and not self._is_started:
             self._waiting.append(item)
@@ -264,7 +264,7 @@ class RosWriter(WrittenInBlock):
         Raises
         ------
         InputError
-            A time that ROS cannot tell.
+            ROS cannot represent a time.
         """
         self._messages.check_stamp(time_ns)
         name = message.__msgtype__
@@ -290,7 +290,7 @@ def write_ros(path: str | Path, items: Iterable[Message]) -> None:
     Raises
     ------
     InputError
-        The folder exists, or a time that ROS cannot tell.
+        The folder exists, or ROS cannot represent a time.
     MissingExtraError
         rosbags is not installed.
     """

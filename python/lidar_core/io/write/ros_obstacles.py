@@ -73,7 +73,7 @@ def write_ros_objects(
     Returns
     -------
     topics : list of str
-        That were written.
+        Topics that were written.
     """
     with RosWriter(path) as writer:
         arrays = ObstacleArrays(writer.messages, frame_id=frame_id, name=name)
@@ -90,9 +90,9 @@ class ObstacleArrays:
     Parameters
     ----------
     messages : RosMessages
-        Of ROS 1 or ROS 2.
+        Messages of ROS 1 or ROS 2.
     frame_id, name : str
-        As for `write_ros_objects`.
+        Names as in `write_ros_objects`.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class ObstacleArrays:
         objects : Objects
             One row each.
         covariance : ndarray, shape (K, 6, 6), float64
-            Of position and velocity.
+            Covariance of position and velocity.
         """
         header = self._messages.header(stamp_ns, self._frame_id)
         zero = self._vector(np.zeros(3))

@@ -1,1 +1,1 @@
-"""Where live results go."""
+"""Outputs of live results."""

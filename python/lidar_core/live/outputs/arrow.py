@@ -52,7 +52,7 @@ class ArrowOutput(Output):
         self._file.flush()
 
     def close(self) -> None:
-        """Complete the file; without scans there is none."""
+        """Complete the file; without scans none is written."""
         if self._writer is not None:
             self._writer.close()
             self._file.close()

@@ -1,4 +1,4 @@
-"""Where live results go: viewers and files. `zenoh_output` has the one for robots."""
+"""Outputs of live results: viewers and files. `zenoh_output` has the output for robots."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
@@ -28,7 +28,7 @@ class Output(ABC):
     Attributes
     ----------
     name : str
-        Where it goes, for people.
+        Name of the output in messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -36,7 +36,7 @@ class Output(ABC):
 
     @abstractmethod
     def publish(self, update: Update) -> None:
-        """Send or write what one scan gave; never waits for a receiver."""
+        """Send or write the results of one scan; never waits for a receiver."""
 
     @abstractmethod
     def close(self) -> None:
@@ -49,11 +49,11 @@ class FoxgloveOutput(Output):
     Parameters
     ----------
     port : int
-        Of the WebSocket; 0 takes a free one.
+        Port of the WebSocket; 0 selects a free one.
     allowed : collection of str
         Web pages that may connect beside those of this machine, from `allowed_origins`.
     on_refused : callable
-        Told why somebody was refused.
+        Called with the reason when a client is refused.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class FoxgloveOutput(Output):
         self._log: ServedLog | None = None
 
     def publish(self, update: Update) -> None:
-        """Send what viewers draw."""
+        """Send the objects to viewers."""
         if self._log is None:
             self._log = ServedLog(self._server, tracks_frame=update.frame_id)
         update.log_to(self._log)
@@ -112,13 +112,13 @@ class McapOutput(Output):
         self._writer: McapWriter | None = None
 
     def publish(self, update: Update) -> None:
-        """Append what viewers draw."""
+        """Append the objects to the file."""
         if self._writer is None:
             self._writer = McapWriter(self._path, tracks_frame=update.frame_id, is_live=True)
         update.log_to(self._writer)
 
     def close(self) -> None:
-        """Complete the file; without scans there is none."""
+        """Complete the file; without scans none is written."""
         if self._writer is not None:
             self._writer.close()
 
@@ -153,7 +153,7 @@ class RerunOutput(Output):
         self._log.log(update.moment())
 
     def close(self) -> None:
-        """Complete the file; without scans there is none."""
+        """Complete the file; without scans none is written."""
         self._log.close()
         if self._is_empty:
             temporary_for(self._path).unlink(missing_ok=True)
@@ -202,7 +202,7 @@ class RerunPageOutput(Output):
     Parameters
     ----------
     port : int
-        Of the page; 0 takes a free one.
+        Port of the page; 0 selects a free one.
 
     Raises
     ------

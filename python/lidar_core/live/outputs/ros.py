@@ -1,4 +1,4 @@
-"""What ROS 2 gets of an update, whatever carries it."""
+"""ROS 2 messages of an update, independent of the transport."""
 
 from collections.abc import Iterator
 from typing import Any

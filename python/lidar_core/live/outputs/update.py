@@ -1,4 +1,4 @@
-"""What one scan of a stream gave, in the terms of those who get it."""
+"""Results of one scan of a stream, in the form that outputs need."""
 
 from abc import ABC, abstractmethod
 from typing import Literal, TypeAlias
@@ -23,7 +23,7 @@ class Update(ABC):
     Attributes
     ----------
     capability : str
-        What was looked for.
+        Capability that processed the scan.
     stamp_ns : int
         Time of the scan [ns].
     frame_id : str
@@ -31,7 +31,7 @@ class Update(ABC):
     objects : Objects
         Tracks, or elements of the map of circles.
     covariance : ndarray, shape (K, 6, 6), float64
-        Of their positions and velocities.
+        Covariances of positions and velocities.
     """
 
     capability: LiveCapability
@@ -53,11 +53,11 @@ class Update(ABC):
 
     @abstractmethod
     def log_to(self, log: FoxgloveLog) -> None:
-        """Log what viewers draw."""
+        """Log the objects for viewers."""
 
 
 class FlyingUpdate(Update):
-    """What the detector of flying objects made of a scan."""
+    """Results of the detector of flying objects for one scan."""
 
     capability = "flying"
 
@@ -85,7 +85,7 @@ class FlyingUpdate(Update):
 
 
 class CirclesUpdate(Update):
-    """What the pipeline of circles made of a scan."""
+    """Results of the pipeline of circles for one scan."""
 
     capability = "circles"
 
@@ -113,7 +113,7 @@ class CirclesUpdate(Update):
 
 
 def objects_of_tracks(tracks: Tracks) -> tuple[Objects, NDArray[np.float64]]:
-    """Tracks as viewers know objects, and the covariances (T, 6, 6) of position and velocity."""
+    """Convert tracks to objects of viewers, with covariances (T, 6, 6) of position and velocity."""
     covariance = np.ascontiguousarray(tracks.covariance[:, :6, :6])
     objects = Objects(
         id=tracks.id,
@@ -126,7 +126,7 @@ def objects_of_tracks(tracks: Tracks) -> tuple[Objects, NDArray[np.float64]]:
 
 
 def objects_of_circles(circles: CircleElements) -> tuple[Objects, NDArray[np.float64]]:
-    """Elements of a map in the same way; heights, and what is about them, are zero."""
+    """Convert map elements to objects of viewers; heights and their covariances are zero."""
     zero = np.zeros((len(circles), 1))
     covariance = np.zeros((len(circles), 6, 6))
     planar = np.array([0, 1, 3, 4])

@@ -21,7 +21,7 @@ QOS = "::,10:,:,:,,"
 class ZenohOutput(Output):
     """Publishes Detection3DArray at NAMESPACE/tracks, Odometry per object at NAMESPACE/odometry.
 
-    With the keys of rmw_zenoh and, for bridges to DDS, plain ones.
+    Publishes under keys of rmw_zenoh and, for bridges to DDS, under plain keys.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class ZenohOutput(Output):
     Raises
     ------
     LinkError
-        Nobody listens at the endpoint.
+        No router or peer answers at the endpoint.
     MissingExtraError
         eclipse-zenoh or rosbags is not installed.
     """

@@ -1,1 +1,1 @@
-"""Where live messages come from."""
+"""Sources of live messages."""

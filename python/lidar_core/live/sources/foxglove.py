@@ -53,18 +53,18 @@ class _Channel:
 
 
 class FoxgloveSource(Source):
-    """Subscribes to the channels that bring what is wanted; connects again when the server is gone.
+    """Subscribes to the channels of the requested topics; connects again after the server has gone.
 
     Parameters
     ----------
     address : str
         Such as ws://127.0.0.1:8765.
     topics : StreamTopics
-        What is wanted.
+        Requested topics.
     options : ReadOptions
-        How to read the messages.
+        Options for reading the messages.
     config : LiveConfig
-        How long to wait for the server.
+        Waiting time for the server.
 
     Raises
     ------
@@ -111,7 +111,7 @@ class FoxgloveSource(Source):
             self._thread.join()
 
     def trouble(self) -> str:
-        """Whether the server is there; if not, what went wrong last."""
+        """Problem of the connection: the last error, empty while connected."""
         if self._connected.is_set():
             return ""
         reason = f" ({self._error})" if self._error else ""
@@ -119,11 +119,11 @@ class FoxgloveSource(Source):
 
     @property
     def is_linked(self) -> bool:
-        """Whether the server is there."""
+        """True while the server is connected."""
         return self._connected.is_set()
 
     def advertised(self) -> list[str]:
-        """The channels that the server told of."""
+        """Channels that the server announced."""
         topics = {topic.name: topic for topic in list(self._told_of.values())}
         return [f"{topic.name} ({topic.type})" for _, topic in sorted(topics.items())]
 

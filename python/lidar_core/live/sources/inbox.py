@@ -1,4 +1,4 @@
-"""What has arrived and was not looked at yet: bounded, whatever the stream does."""
+"""Messages that have arrived and wait to be processed, in bounded memory."""
 
 import time
 from collections import Counter, deque
@@ -13,7 +13,7 @@ MAX_TOPICS = 64  # with scans that wait at once
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A record that came in, undecoded, and when."""
+    """A record that arrived, not yet decoded, with its time of arrival."""
 
     record: Record
     time_ns: int
@@ -21,7 +21,7 @@ class Arrival:
 
 @dataclass(slots=True)
 class Batch:
-    """What came in since the last look.
+    """Messages since the last call.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Inbox:
     max_poses : int
         Messages with poses that may wait; beyond, the oldest go.
     tape : Tape, optional
-        Keeps every record, also those that are replaced.
+        Keeps every record, including replaced ones.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Inbox:
         self._changed = Condition()
 
     def put(self, record: Record) -> None:
-        """Take in one record; returns at once."""
+        """Add one record; returns at once."""
         time_ns = time.time_ns()
         arrival = Arrival(record if self._tape is None else self._tape.keep(record), time_ns)
         topic = record.topic.name
@@ -100,18 +100,18 @@ class Inbox:
             self._changed.notify()
 
     def finish(self) -> None:
-        """Say that nothing more will come."""
+        """Mark the end of the stream."""
         with self._changed:
             self._is_finished = True
             self._changed.notify()
 
     def take(self, timeout: float) -> Batch:
-        """Everything that waits; if nothing does, what comes within `timeout` seconds.
+        """Return all waiting records; wait up to `timeout` seconds for the first.
 
         Raises
         ------
         Exception
-            The one that the source failed with.
+            The error that the source failed with.
         """
         with self._changed:
             self._changed.wait_for(self._has_news, timeout)

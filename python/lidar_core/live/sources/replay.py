@@ -1,4 +1,4 @@
-"""A recording, played as if it came from a robot."""
+"""Playback of a recording in real time."""
 
 import heapq
 import time
@@ -27,18 +27,18 @@ class ReplaySource(Source):
     path : Path
         Recording of any format.
     options : ReadOptions
-        How to read it.
+        Options for reading it.
     rate : float
         Seconds of the recording per second.
     topics : StreamTopics
-        What is wanted of it.
+        Requested topics.
 
     Raises
     ------
     ConfigError
         The recording has no such topic.
     FormatError
-        It has no scans of the sort that is wanted.
+        It has no scans of the wanted kind.
     """
 
     def __init__(
@@ -73,11 +73,11 @@ class ReplaySource(Source):
 
     @property
     def is_stream(self) -> bool:
-        """No: what a recording holds was checked before."""
+        """False: the content of a recording was checked before."""
         return False
 
     def lead_ns(self, stamp_ns: int) -> int:
-        """From the time of the recording to the time at which it is played [ns]."""
+        """Difference from the time of the recording to the time of playback [ns]."""
         return self._begin_ns + round((stamp_ns - self._first_ns) / self._rate) - stamp_ns
 
     def _play(self, inbox: Inbox) -> None:

@@ -14,10 +14,10 @@ KEPT = 600
 
 
 class SensorClock:
-    """The difference of two clocks, from arrivals that can only be late.
+    """Offset between two clocks, estimated from arrivals, which can only be late.
 
-    The least difference between arrival and the newest measurement is that of the clocks and of
-    the fastest way over the network.
+    The least difference between arrival and the newest measurement is the offset of the clocks plus
+    the shortest delay of the network.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -25,7 +25,7 @@ class SensorClock:
         self._differences: deque[int] = deque(maxlen=KEPT)
 
     def to_local_clock(self, scan: Scan, arrival_ns: int) -> Scan:
-        """The scan by the clock of this machine."""
+        """Return the scan with stamps of the clock of this machine."""
         times = scan.point_time_ns
         newest = scan.stamp_ns if times is None or not times.size else int(times.max())
         self._differences.append(arrival_ns - newest)

@@ -1,4 +1,4 @@
-"""Where live messages come from."""
+"""Interface of sources of live messages."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ from lidar_core.live.sources.inbox import Inbox
 
 @dataclass(frozen=True, slots=True)
 class StreamTopics:
-    """What is wanted of a stream.
+    """Topics that are requested from a stream.
 
     Attributes
     ----------
     clouds, scans : tuple of str
         Topics of LiDARs in 3D and in 2D that were named.
     wants_clouds, wants_scans : bool
-        Whether topics of that sort are wanted at all.
+        True if topics of this kind are requested.
     odometry : str, optional
         Topic of the poses that was named.
     """
@@ -34,9 +34,9 @@ class Source(ABC):
     Attributes
     ----------
     name : str
-        Where it listens, for people.
+        Address of the source in messages.
     findings : Findings
-        What its decoders detected and rejected.
+        Defects and rejected messages that its decoders found.
     """
 
     def __init__(self, name: str) -> None:
@@ -58,24 +58,24 @@ class Source(ABC):
         """Stop; no record comes afterwards."""
 
     def trouble(self) -> str:
-        """What it waits for, in words; empty while connected."""
+        """Reason for waiting, in words; empty while connected."""
         return ""
 
     def advertised(self) -> list[str]:
-        """What is there to listen to, each with its type; empty where nobody tells."""
+        """Available topics with their types; empty if they are unknown."""
         return []
 
     @property
     def is_linked(self) -> bool:
-        """Whether the broker or server is there."""
+        """True while the broker or server is connected."""
         return True
 
     @property
     def is_stream(self) -> bool:
-        """Whether nothing may ever come, because nobody knows beforehand what will."""
+        """True if it may never bring a message, because nobody knows what will arrive."""
         return True
 
     def lead_ns(self, stamp_ns: int) -> int:
-        """What has to be added to a stamp to get the time at which it was due here [ns]."""
+        """Difference from a stamp to the time at which the message was due here [ns]."""
         del stamp_ns  # stamps of live sources are times of this clock
         return 0

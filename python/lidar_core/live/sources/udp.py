@@ -26,13 +26,13 @@ class PacketStream(Protocol):
     Attributes
     ----------
     topic : Topic
-        Of its scans.
+        Topic of its scans.
     """
 
     topic: Topic
 
     def scan(self, stamp_ns: int, packet: bytes, *, place: str) -> Scan | None:
-        """Scan that a packet completes, which arrived at a time; FormatError for what is none."""
+        """Return the scan that a packet completes; FormatError for a packet of another kind."""
 
 
 class UdpSource(Source):
@@ -45,9 +45,9 @@ class UdpSource(Source):
     stream : callable
         Makes the decoder of the packets, from the findings that it adds to.
     kind : str
-        Of the source, as a user names it.
+        Kind of the source, as a user names it.
     own_clock : bool
-        Whether stamps are by the sensor's clock.
+        True if stamps come from the sensor's clock.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class UdpSource(Source):
         self._socket.close()
 
     def trouble(self) -> str:
-        """Whether packets come."""
+        """Problem of the source, if no packets arrive."""
         is_silent = time.monotonic() - self._heard > SILENCE_S
         return f"no packets on port {self.port}" if is_silent else ""
 

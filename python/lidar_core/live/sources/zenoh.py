@@ -43,9 +43,9 @@ class ZenohSource(Source):
     endpoint : str
         Router, bridge or peer to link to.
     topics : StreamTopics
-        What is wanted. Topics of a bridge from DDS have to be named: their keys carry no type.
+        Requested topics. Topics of a bridge from DDS must be named: their keys have no type.
     options : ReadOptions
-        How to read the messages.
+        Options for reading the messages.
     config : LiveConfig
         Domain, topics of transforms, and how long to wait for the link.
     """
@@ -81,19 +81,19 @@ class ZenohSource(Source):
             self._session = None
 
     def trouble(self) -> str:
-        """Whether the link is there."""
+        """Problem of the link; empty while it is connected."""
         return "" if self.is_linked else f"no link to {self._endpoint}, trying again"
 
     @property
     def is_linked(self) -> bool:
-        """Whether any router or peer is there."""
+        """True while a router or peer is connected."""
         return self._session is not None and is_linked(self._session)
 
     def advertised(self) -> list[str]:
-        """Publishers that the ROS graph knows, and keys at which something comes meanwhile.
+        """Publishers in the ROS graph, and keys with messages in the meantime.
 
-        Those who announce nothing are found by their messages: all of them are asked for during
-        `LISTEN_S`.
+        Publishers that announce nothing are found by their messages: all messages are requested
+        during `LISTEN_S`.
         """
         if self._session is None:
             return []

@@ -1,4 +1,4 @@
-"""The rule by which popular ROS packages turn a group of points into a circle."""
+"""The rule of popular ROS packages for a circle from a group of points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,9 @@ def chord_circles(
 ) -> NDArray[np.float64]:
     """Circles (N, 3) of the hits of scans (N, n_beams).
 
-    A line is fitted to the hits and cut off at the first and the last of them. On this chord stands
-    an equilateral triangle, away from the scanner; the circle is the one around the triangle. Of
-    one hit that leaves a point.
+    A line is fitted to the hits and cut off at the first and the last of them. On this chord an
+    equilateral triangle is built, away from the scanner; the circle is its circumscribed circle.
+    For one hit the result is a point.
     """
     is_hit = np.isfinite(ranges)
     near = np.where(is_hit, ranges, 0.0).astype(np.float64)

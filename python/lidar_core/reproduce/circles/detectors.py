@@ -1,4 +1,4 @@
-"""`circles-detectors`: every way to estimate a circle, on the same circles anywhere."""
+"""`circles-detectors`: all circle estimators on the same circles at random places."""
 
 from collections.abc import Callable, Iterator
 from time import perf_counter

@@ -1,4 +1,4 @@
-"""What the items about networks share: who estimates circles, and how wrong the circles are."""
+"""Shared parts of the items about networks: circle estimators, and errors of circles."""
 
 from functools import cache
 
@@ -40,7 +40,7 @@ def measures(errors: NDArray[np.float64]) -> list[float | None]:
 
 
 def groups(hits: NDArray[np.int64], is_whole: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:
-    """All circles, whole and cut ones, and those with so many hits."""
+    """Return groups of circles: all, whole and cut ones, and by number of hits."""
     found = {
         "all": np.ones(len(hits), np.bool_),
         "whole, 4 hits or more": is_whole & (hits >= 4),

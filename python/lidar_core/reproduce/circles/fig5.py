@@ -1,4 +1,4 @@
-"""`circles-fig5`: how the loss of the networks that come with the package went down (Fig. 5)."""
+"""`circles-fig5`: loss of the networks of the package during training (Fig. 5)."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,4 +1,4 @@
-"""`circles-fig8`: posts at rest and on their ways, which hide one another (Fig. 8), and cases."""
+"""`circles-fig8`: posts at rest and in motion that hide one another (Fig. 8), and further cases."""
 
 from collections.abc import Callable
 from typing import Any
@@ -132,7 +132,7 @@ def _measures(made: dict[str, MapRun]) -> list[Measure]:
 
 
 def world_measures(name: str, one: MapRun) -> list[Measure]:
-    """What the map shows of a scene of several posts."""
+    """Return what the map shows of a scene of several posts."""
     ghosts = one.ghosts()
     reported, due = one.presence()
     errors = np.concatenate(
@@ -171,14 +171,14 @@ def _case_measures(cases: dict[str, list[MapRun]]) -> list[Measure]:
 
 
 def is_kept(one: MapRun) -> bool:
-    """Whether the first post has the same element before and after it was hidden."""
+    """True if the first post has the same element before and after it was hidden."""
     numbers = one.ids(0)
     before, after = (numbers[one.seconds.searchsorted(time)] for time in (BEFORE, AFTER))
     return bool(before >= 0 and before == after)
 
 
 def are_apart(one: MapRun) -> NDArray[np.bool_]:
-    """Whether both posts have elements of their own near by, in every scan after the first."""
+    """True if each post has its own element near by, in every scan after the first."""
     late = one.seconds >= CONFIRM_TIME
     near = [np.hypot(*one.errors(target)[:, :2].T) <= APART_GATE for target in (0, 1)]
     return np.asarray((near[0] & near[1])[late], np.bool_)

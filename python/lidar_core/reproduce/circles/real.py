@@ -1,4 +1,4 @@
-"""`circles-real`: recordings of 2D scanners: what stands, numbers, vehicles, people."""
+"""`circles-real`: recordings of 2D scanners: static objects, track numbers, vehicles, people."""
 
 from typing import Any
 
@@ -60,7 +60,7 @@ def room(*, name: str, scans: int) -> Part:
 
 
 def measures(one: Room, scans: int, config: CirclesConfig | None = None) -> list[Measure]:
-    """Measures of a recording; `config` is the default one if it is None."""
+    """Measure one recording; `config` None is the default one."""
     items = room_scans(one)[:scans]
     config = room_config(items, config or CirclesConfig())
     stamps = np.array([item.scan.stamp_ns for item in items])

@@ -1,4 +1,4 @@
-"""Simulated 2D scans through the circle pipeline: what is kept of them, and what it says."""
+"""Runs of the circle pipeline on simulated 2D scans: stored results and scores."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -89,7 +89,7 @@ def mapped(scene: Scene, config: CirclesConfig, *, seed: int, scans: int) -> Par
 
 
 def processed(pipeline: CirclePipeline, made: SimulatedSweep) -> CircleFrame:
-    """Give one scan to a pipeline, with everything that is known about it."""
+    """Process one scan with all its data in a pipeline."""
     scan = made.scan
     return pipeline.process(
         scan.ranges,
@@ -121,7 +121,7 @@ class MapRun:
 
     @classmethod
     def of(cls, part: Part) -> "MapRun":
-        """Pair what `mapped` returned: as many pairs as possible, then the nearest."""
+        """Pair the results of `mapped`: as many pairs as possible, then the nearest."""
         row = np.full(part["hits"].shape, -1, np.int64)
         starts = np.searchsorted(part["element_scan"], np.arange(len(row) + 1))
         for scan, (first, last) in enumerate(pairwise(starts)):
@@ -200,10 +200,10 @@ class MapRun:
         return changes
 
     def ghosts(self, *, hidden: bool = False) -> NDArray[np.float64]:
-        """How long every element without an object stayed, at a stretch [s].
+        """Return how long every element without an object stayed without interruption [s].
 
-        Only while the map holds it to be in sight, or `hidden`: always, also while it waits where
-        no ray goes and its object may have turned elsewhere.
+        Only the time in which the map considers it in sight counts. With `hidden` all time counts,
+        also while no ray passes its place and the object may have turned elsewhere.
         """
         unpaired = hidden | self.part["element_visible"]
         unpaired[self.row[self.row >= 0]] = False
@@ -216,7 +216,7 @@ class MapRun:
 
 
 def lasting(ghosts: NDArray[np.float64]) -> int:
-    """Ghosts that count."""
+    """Return the false elements that last long enough to count."""
     return int(np.count_nonzero(ghosts > GHOST_TIME + 1e-6))
 
 

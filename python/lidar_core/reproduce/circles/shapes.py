@@ -1,4 +1,4 @@
-"""`circles-shapes`: single circles, ellipses, rectangles and lines, and what they are taken for.
+"""`circles-shapes`: classification of single circles, ellipses, rectangles and lines.
 
 The paper lists shapes other than circles as future work: there is no number of its own.
 """
@@ -41,8 +41,8 @@ def shapes(*, seed: int, number: int, count: int) -> Part:
     Returns
     -------
     part : dict
-        `true` and `taken`, shape (K,): what each is and what it is taken for, -1 for more or
-        fewer segments than one.
+        `true` and `taken`, shape (K,): true and estimated shape, -1 unless there is exactly one
+        segment.
     """
     rng = scene_rng(seed, number)
     true: list[int] = []

@@ -153,7 +153,7 @@ def rows(
 
 
 def worst_rows(some: Mapping[Mode, Sequence[MapRun]]) -> tuple[Row, ...]:
-    """Over all runs: the largest of each number, and what the map lost or made up."""
+    """Return the largest of each number over all runs, and lost and false elements."""
     return both(_worst(some["paper"]), _worst(some["best"]))
 
 

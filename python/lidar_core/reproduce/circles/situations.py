@@ -1,4 +1,4 @@
-"""`circles-situations`: what real rooms do to a map, each simulated alone: noise, poses, people."""
+"""`circles-situations`: difficulties of real rooms, each simulated alone: noise, poses, people."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -35,24 +35,24 @@ DRIFT = 0.01
 
 
 def as_they_are(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses without an error."""
+    """Return poses without an error."""
     return made.poses
 
 
 def late(_: SimulatedSweep, before: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses of 50 ms ago: of the scan before."""
+    """Return poses that are 50 ms late: those of the scan before."""
     return before.poses
 
 
 def stretched(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses of an odometry that takes 1.00 m for 1.02 m."""
+    """Return poses of an odometry whose scale is wrong: 1.00 m for every 1.02 m."""
     poses = made.poses.copy()
     poses[:, :2, 3] *= 1.02
     return poses
 
 
 def turned(made: SimulatedSweep, _: SimulatedSweep) -> NDArray[np.float64]:
-    """Poses of an odometry that turns by itself."""
+    """Return poses of an odometry whose heading drifts."""
     angle = DRIFT * made.pose_stamps_ns * 1e-9
     turn = np.tile(np.eye(4), (len(angle), 1, 1))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)

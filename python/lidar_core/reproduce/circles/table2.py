@@ -1,4 +1,4 @@
-"""`circles-table2`: how many circles the lattice has, and how they are dealt out."""
+"""`circles-table2`: number of circles on the lattice, and their split."""
 
 from collections.abc import Mapping
 from typing import Any

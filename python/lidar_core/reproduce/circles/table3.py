@@ -1,4 +1,4 @@
-"""`circles-table3`: how wrong networks are on the lattice of circles."""
+"""`circles-table3`: errors of networks on the lattice of circles."""
 
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -93,8 +93,8 @@ def _jobs(request: Request, models: tuple[tuple[str, str], ...]) -> Iterator[Job
 def sums(seed: int, starts: tuple[int, ...], models: tuple[tuple[str, str], ...]) -> Part:
     """Sums over blocks of the lattice: samples; squared and absolute errors of each detector.
 
-    Of `PAPER` and, of the test alone, of `GROUPS`.
-    `models` are the checksums of the networks: another network, another part.
+    Return sums over `PAPER` and, for the test set alone, over `GROUPS`. `models` are the checksums
+    of the networks: another network makes another part.
     """
     config = DatasetConfig()
     is_test = _is_test(seed)

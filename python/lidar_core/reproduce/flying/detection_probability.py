@@ -1,4 +1,4 @@
-"""`flying-detection-probability`: is a target met by a ray at all? Eq. 49 against scans."""
+"""`flying-detection-probability`: does any ray hit a target? Eq. 49 against scans."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""`flying-fig4`: drones stand on the ground as part of it, and take off."""
+"""`flying-fig4`: drones on the ground count as part of it, and take off."""
 
 from typing import Any
 

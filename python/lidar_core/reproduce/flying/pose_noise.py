@@ -1,4 +1,4 @@
-"""`flying-pose-noise`: poses that jitter and drift, and a map that knows or does not."""
+"""`flying-pose-noise`: poses with jitter and drift, with and without a model of them in the map."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -29,7 +29,7 @@ SEEN_HITS, SEEN_RANGE = 3, 19.0
 
 
 class JitterAndDrift:
-    """Poses with two errors: one white per scan, one that wanders."""
+    """Poses with two errors: white noise per scan, and a random walk."""
 
     def __init__(self, *, seed: int) -> None:
         jitter = PoseNoise(position_std=JITTER[0], angle_std_deg=JITTER[1])

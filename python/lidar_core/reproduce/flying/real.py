@@ -1,4 +1,4 @@
-"""`flying-real`: real sequences in which nothing flies, as they are and with inserted targets."""
+"""`flying-real`: real sequences without flying objects, unchanged and with inserted targets."""
 
 from functools import lru_cache
 from typing import Any
@@ -58,7 +58,7 @@ def _measure(request: Request) -> Measured:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Every sequence as it is, and `FLIGHTS` runs with targets, or as many as `scans` allow."""
+    """Return jobs: every sequence unchanged, and `FLIGHTS` runs with targets, as `scans` allow."""
     whole = sum(LENGTHS.values())
     flights = min(FLIGHTS, max(1, round(request.scans / whole) - 2))
     share = min(1.0, request.scans / (3 * whole))

@@ -51,7 +51,7 @@ def _measure(request: Request) -> Measured:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Flights in every condition; each sensor in turn at rest and driving, with and without."""
+    """Return flights in every condition and for each sensor, with and without target."""
     each = max(12, min(SCANS_PER_FLIGHT, request.scans // (4 * len(CONDITIONS))))
     count = max(2, round(request.scans / (each * len(CONDITIONS))))
     found = []
@@ -108,7 +108,7 @@ def flight(*, seed: int, number: int, scans: int, condition: str) -> Part:
 
 
 def turn_of(number: int) -> tuple[str, float]:
-    """Sensor and speed of flight `number`: all pairs in turn, with a target and without."""
+    """Return sensor and speed of flight `number`: flights go through all pairs in order."""
     group, place = divmod(number, EMPTY_PER_FLIGHT + 1)
     turn = group if is_with_target(number) else EMPTY_PER_FLIGHT * group + place - (place > 1)
     speed, sensor = divmod(turn, len(SENSORS))
@@ -116,7 +116,7 @@ def turn_of(number: int) -> tuple[str, float]:
 
 
 def scene(seed: int, number: int, scans: int, condition: str) -> Scene:
-    """Street in the given condition, a car that stands or drives in it, a quadcopter or none."""
+    """Make a street in the given condition with a car, and a quadcopter or none."""
     rng = scene_rng(seed, number, CONDITIONS.index(condition))
     sensor, speed = turn_of(number)
     named: dict[str, Any] = {
@@ -144,7 +144,7 @@ class Truth:
     world : Scene
         The scene as it is.
     seed : int
-        Of its simulator.
+        Seed of its simulator.
     """
 
     def __init__(self, world: Scene, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""What no filter can beat on average: the posterior Cramer-Rao bound along a true path."""
+"""Posterior Cramer-Rao bound along a true path: no filter is better on average."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""`fusion-consistency`: errors against what covariances say, where the filter knows everything."""
+"""`fusion-consistency`: errors against covariances, for filters with the true models."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 
 def config(model: str, method: str, factors: Mapping[str, float] | None = None) -> FusionConfig:
-    """Return a filter that knows how targets move and sensors measure, but for `factors`."""
+    """Return a filter with the true motion and noise, apart from `factors`."""
     told: dict[str, Any] = TRUE | {"model": model, "method": method, "gyro": "exact"}
     factors = factors or {}
     told |= {name: factors.get("process", 1.0) * told[name] for name in PROCESS}

@@ -1,4 +1,4 @@
-"""Filters that the items of the third paper compare, as others publish them and as they do best."""
+"""Filters that the items of the third paper compare: as published, and our best ones."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ BEST = "IMM of CV and CTRV"
 
 
 def printed() -> dict[str, Contender]:
-    """What the paper runs: linear filters, and its own with the equations as printed."""
+    """Return the filters of the paper: linear ones, and its own with the equations as printed."""
     return {
         LINEAR_LIDAR: Contender("fixed-lidar", _of_courses("cv", "kf"), FIXED),
         LINEAR: Contender("fixed", _of_courses("cv", "kf"), FIXED),
@@ -59,7 +59,7 @@ def _of_courses(model: str, method: str) -> FusionConfig:
 
 
 def ours() -> dict[str, Contender]:
-    """Noise known, densities of the process noise, gate and way back.
+    """Return our filters: known noise, densities of the process noise, gate and restart.
 
     The densities were found with seeds from 1000 on.
     """

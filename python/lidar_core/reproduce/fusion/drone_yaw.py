@@ -1,4 +1,4 @@
-"""`fusion-drone-yaw`: what becomes of a track while the sensor itself turns."""
+"""`fusion-drone-yaw`: tracks while the sensor itself turns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ STYLES = {
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """How the sensor moves, a row per row of the recording.
+    """Motion of the sensor, one row per row of the recording.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Ride:
 
     @classmethod
     def of(cls, seconds: NDArray[np.float64], rate: float, speed: float) -> "Ride":
-        """Turn to and fro like a pendulum, on a way of arcs."""
+        """Make a path of arcs on which the sensor swings like a pendulum."""
         swings = np.pi / SWING
         yaw = rate / swings * np.sin(swings * seconds)
         steps = np.diff(seconds, append=2 * seconds[-1] - seconds[-2])
@@ -80,7 +80,7 @@ class Ride:
     def gyro(
         self, seconds: NDArray[np.float64], bias: float = 0.0, delay: float = 0.0
     ) -> NDArray[np.float64]:
-        """What a gyro reads at these times [s]: the turn rate then, or a while before [rad/s]."""
+        """Return the turn rate that a gyro reads at these times [s], maybe late [rad/s]."""
         return self.greatest * np.cos(np.pi / SWING * (seconds - delay)) + bias
 
     def relative(self, truth: TargetTruth) -> TargetTruth:
@@ -100,10 +100,10 @@ def turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDA
 
 
 def configs() -> dict[str, FusionConfig]:
-    """Filters, by what they know of the sensor's motion.
+    """Return filters that differ in what they know about the sensor's motion.
 
-    Their process noise is the most likely one of the recording as it is; that of the sensors is
-    known.
+    Their process noise is the most likely one for the unchanged recording; the noise of the sensors
+    is known.
     """
     of = course(OBJ_POSE)
     begin = FusionConfig(model="ctrv", acceleration_noise=1.0)

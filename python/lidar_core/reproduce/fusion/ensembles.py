@@ -1,4 +1,4 @@
-"""Targets that move exactly as a model of fusion says, and what LiDAR and radar see of them."""
+"""Targets that move exactly by a model of fusion, and their LiDAR and radar measurements."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -57,7 +57,7 @@ class Ensemble:
     targets : list of Measurements
         One per target, with a measurement per step; that of a gyro before it, if the sensor turns.
     rows : slice
-        Which measurements are of the target.
+        Indices of the measurements of the target.
     """
 
     states: Array
@@ -66,7 +66,7 @@ class Ensemble:
 
 
 def draw_ensemble(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
-    """Draw targets that move as `model` of `FusionConfig` says, or that start and end turns."""
+    """Draw targets that move by the `model` of `FusionConfig`, or that start and end turns."""
     states = _simulate_states(model, _started(model, runs, rng), rng)
     stamps, names = np.arange(STEPS) * STEP_NS, np.where(_is_lidar(), "lidar", "radar")
     if model != "ctrv-drone":

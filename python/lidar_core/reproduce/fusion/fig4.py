@@ -37,10 +37,8 @@ FLIGHTS = {"level": False, "rolling and climbing": True}
 
 
 def scenes() -> dict[str, Overflight]:
-    """Somebody who walks, and a car."""
-    car = Overflight(
-        height=15.0, speed=7.5, target_start=20.0, target_speed=8.0, target_turn_rate=0.2
-    )
+    """A walking person and a car."""
+    car = Overflight(height=15.0, speed=7.5, target_speed=8.0, target_turn_rate=0.2)
     return {"walking": Overflight(), "driving": car}
 
 

@@ -31,14 +31,14 @@ range and bearing come as a position with its covariance, and the range rate bes
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of what sensors measure.
+    """Standard deviations of the sensors.
 
     Attributes
     ----------
     lidar : float
-        Of x and y [m].
+        Standard deviation of x and y [m].
     radar : tuple of float
-        Of range [m], bearing [rad], range rate [m/s].
+        Standard deviations of range [m], bearing [rad], range rate [m/s].
     """
 
     lidar: float
@@ -52,7 +52,7 @@ class Course:
     Attributes
     ----------
     is_lidar : ndarray, shape (K,), bool
-        Whether a row is of the LiDAR, else of the radar.
+        True for rows of the LiDAR, false for rows of the radar.
     values : ndarray, shape (K, 3)
         x, y and nothing; or range, bearing, range rate.
     truth : TargetTruth
@@ -88,7 +88,7 @@ def places(values: NDArray[np.float64], is_lidar: NDArray[np.bool_]) -> NDArray[
 
 
 def add_noise(of: Course, std: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Values with white noise on x and y of every row; range rates stay what they are."""
+    """Add white noise to x and y of every row; range rates do not change."""
     noisy = places(of.values, of.is_lidar) + std * rng.normal(size=(len(of.values), 2))
     values, radar = of.values.copy(), ~of.is_lidar
     values[of.is_lidar, :2] = noisy[of.is_lidar]
@@ -98,7 +98,7 @@ def add_noise(of: Course, std: float, rng: np.random.Generator) -> NDArray[np.fl
 
 
 def measured(truth: TargetTruth, noise: Noise, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Values of a LiDAR and a radar in turn, the LiDAR first, of a target on a true way."""
+    """Return the values of a LiDAR and a radar in turn, the LiDAR first, along a true path."""
     (x, y), (vx, vy) = truth.position.T, truth.velocity.T
     rho = np.hypot(x, y)
     radar = np.stack([rho, np.arctan2(y, x), (x * vx + y * vy) / rho], axis=1)
@@ -109,7 +109,7 @@ def measured(truth: TargetTruth, noise: Noise, rng: np.random.Generator) -> NDAr
 
 
 def in_turn(rows: int) -> NDArray[np.bool_]:
-    """Which rows are of the LiDAR where both sensors take turns."""
+    """Return which rows belong to the LiDAR if both sensors take turns."""
     return np.asarray(np.arange(rows) % 2 == 0)
 
 
@@ -187,8 +187,7 @@ class Contender:
     form : Form
     config : FusionConfig
     noise : Noise
-        What the sensors have without the noise that is added; form fixed takes the
-        configuration's.
+        Noise of the sensors without the added noise; form fixed uses the configuration's.
     """
 
     form: Form

@@ -1,4 +1,4 @@
-"""`fusion-fig10`, `fusion-fig11`: error over the power of the noise, and what none can beat."""
+"""`fusion-fig10`, `fusion-fig11`: error over the power of the noise, and its lower bound."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -102,7 +102,7 @@ def _rows(modes: Mapping[str, Curves], raw: list[float], bound: list[float]) -> 
 
 
 def rows_of(paper: Curves, best: Curves, right: Curves | None = None) -> list[Row]:
-    """One per filter and level; `right` is that of corrected equations."""
+    """Return one row per filter and level; `right` are the values of corrected equations."""
     nothing, right = [None] * len(LEVELS), right or {}
     return [
         Row(

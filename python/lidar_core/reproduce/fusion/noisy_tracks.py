@@ -1,4 +1,4 @@
-"""`fusion-fig7` to `fusion-fig9`: ways that filters find in noisy draws of the first recording."""
+"""`fusion-fig7` to `fusion-fig9`: filtered paths in noisy draws of the first recording."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -58,7 +58,7 @@ def truth() -> NDArray[np.float64]:
 
 
 def ways(level: float, request: Request) -> Ways:
-    """What was measured and what every filter makes of it, at a power of noise."""
+    """Return the measurements and the outputs of all filters at one power of noise."""
     of = course(SAMPLE_1)
     draws = draws_of(of, level, request.scans, seed=request.seed)
     found = {MEASURED: np.array([places(values, of.is_lidar) for values in draws])}

@@ -1,4 +1,4 @@
-"""`fusion-real`: recordings of LiDAR and radar that nobody of this project made."""
+"""`fusion-real`: recordings of LiDAR and radar by other groups."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -37,16 +37,7 @@ def _measured(
     made: Overflown, *, tilted: bool, rng: np.random.Generator
 ) -> tuple[list[Measurement], list[Measurement]]:
     config = made.config
-    seconds = (made.stamps_ns * 1e-9).astype(np.float64)
-    roll, roll_rate = _swing(seconds, ROLL * tilted, ROLL_PERIOD)
-    climb = CLIMB * tilted * np.cos(2 * np.pi / CLIMB_PERIOD * seconds)
-    height, _ = _swing(seconds, CLIMB * tilted * CLIMB_PERIOD / (2 * np.pi), CLIMB_PERIOD)
-    attitude = np.stack([roll, made.true_pitch, made.yaw], axis=1)
-    rates = np.stack([roll_rate, np.gradient(made.true_pitch, seconds), made.yaw_rate], axis=1)
-    body = _body_rates(attitude, rates)
-    up = np.array([0.0, 0.0, 1.0])
-    drone = made.drone + height[:, None] * up
-    own = made.drone_velocity + climb[:, None] * up
+    attitude, body, drone, own = _motion(made, tilted=tilted)
     R, arm = _rotations(attitude), np.array(ARM) * tilted
     into = np.swapaxes(R, 1, 2)
     place = (into @ (made.position - drone)[:, :, None])[..., 0] - arm
@@ -77,6 +68,21 @@ def _measured(
     poses = [Measurement(t, "pose-3d", row, spread) for t, row in zip(stamps, told, strict=True)]
     rows = zip(stamps, polar, stds, made.is_lidar.tolist(), strict=True)
     return poses, [_sensed(*row) for row in rows]
+
+
+def _motion(made: Overflown, *, tilted: bool) -> tuple[NDArray[np.float64], ...]:
+    """Return attitude, turn rates about the body's axes, position and velocity of the drone."""
+    seconds = (made.stamps_ns * 1e-9).astype(np.float64)
+    roll, roll_rate = _swing(seconds, ROLL * tilted, ROLL_PERIOD)
+    climb = CLIMB * tilted * np.cos(2 * np.pi / CLIMB_PERIOD * seconds)
+    height, _ = _swing(seconds, CLIMB * tilted * CLIMB_PERIOD / (2 * np.pi), CLIMB_PERIOD)
+    attitude = np.stack([roll, made.true_pitch, made.yaw], axis=1)
+    rates = np.stack([roll_rate, np.gradient(made.true_pitch, seconds), made.yaw_rate], axis=1)
+    body = _body_rates(attitude, rates)
+    up = np.array([0.0, 0.0, 1.0])
+    drone = made.drone + height[:, None] * up
+    own = made.drone_velocity + climb[:, None] * up
+    return attitude, body, drone, own
 
 
 def _sensed(

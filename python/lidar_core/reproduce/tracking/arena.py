@@ -27,7 +27,7 @@ FAR = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A scan: where the targets are, shape (N, 2), and what is measured, shape (M, 2) [m]."""
+    """A scan: true places of the targets, shape (N, 2), and measurements, shape (M, 2) [m]."""
 
     stamp_ns: int
     truth: NDArray[np.float64]
@@ -36,7 +36,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Arena:
-    """What there is, and how it is measured.
+    """Targets, clutter and sensor of a scene.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def followed(
 def are_matched(
     places: NDArray[np.float64], reach: NDArray[np.float64], truth: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether each place has a target of its own within its reach; as many as possible have."""
+    """Return which places have a target of their own within reach; as many as possible have."""
     away = np.linalg.norm(places[:, None] - truth[None], axis=2)
     matched = np.zeros(len(places), np.bool_)
     rows, _ = cheapest(np.where(away <= reach[:, None], away, np.inf), gate=FAR, alone=FAR)

@@ -26,7 +26,7 @@ class Score:
     Attributes
     ----------
     ospa : float
-        [m].
+        OSPA distance [m].
     false, missed : float
         Reported tracks without a target, targets without a reported track.
     """
@@ -37,7 +37,7 @@ class Score:
 
 
 def scored(arena: Arena, config: MultiTargetConfig, rng: np.random.Generator) -> Score:
-    """Of one run."""
+    """Score one run."""
     rows = []
     for moment, tracks in followed(arena, config, rng):
         places = tracks.position[tracks.confirmed]

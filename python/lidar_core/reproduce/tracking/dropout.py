@@ -1,4 +1,4 @@
-"""`tracking-dropout`: turning targets that nobody sees for 5 s."""
+"""`tracking-dropout`: turning targets that are not measured for 5 s."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""`tracking-existence`: how often what exists with probability p does exist."""
+"""`tracking-existence`: how many tracks with probability p of existence do exist."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Hypotheses:
     Attributes
     ----------
     existence : ndarray, shape (K,)
-        Its probability.
+        Probability of existence.
     is_true : ndarray, shape (K,), bool
     tracks : int
         Different numbers among them.
@@ -46,7 +46,7 @@ class Hypotheses:
 
     @classmethod
     def joined(cls, parts: list["Hypotheses"]) -> "Hypotheses":
-        """Those of several runs."""
+        """Join the hypotheses of several runs."""
         return cls(
             np.concatenate([part.existence for part in parts]),
             np.concatenate([part.is_true for part in parts]),
@@ -61,7 +61,7 @@ class Hypotheses:
 
     @property
     def middle(self) -> "Hypotheses":
-        """Those that are neither sure nor gone."""
+        """Keep the hypotheses that are neither certain nor excluded."""
         low, high = MIDDLE
         rows = (self.existence >= low) & (self.existence <= high)
         return Hypotheses(self.existence[rows], self.is_true[rows], self.tracks)
@@ -82,7 +82,7 @@ class Hypotheses:
 
 
 def hypotheses(arena: Arena, config: MultiTargetConfig, rng: np.random.Generator) -> Hypotheses:
-    """Those of one run."""
+    """Collect the hypotheses of one run."""
     existence, is_true, numbers = [np.empty(0)], [np.empty(0, np.bool_)], set()
     for moment, tracks in followed(arena, config, rng):
         rows = tracks.existence >= LEAST

@@ -1,4 +1,4 @@
-"""`tracking-noise`: filters that are told wrong noise of their sensors."""
+"""`tracking-noise`: filters with wrong noise of their sensors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class Group:
 
 
 def groups(count: int, seed: int) -> dict[str, Group]:
-    """Targets that move as the filter's model says, and those on a recorded way."""
+    """Draw targets that move by the filter's model, and targets on a recorded path."""
     found = {}
     for number, model in enumerate(("cv", "ctrv")):
         some = ensembles.draw_ensemble(

@@ -52,7 +52,7 @@ class Crowd:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Time of a scan [s], and what it took."""
+    """Time of a scan [s], and counts of its work."""
 
     seconds: float
     predictions: float

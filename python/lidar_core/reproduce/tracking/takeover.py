@@ -1,4 +1,4 @@
-"""`tracking-takeover`: another target appears near one that is hidden; whose is the number."""
+"""`tracking-takeover`: the number of a hidden target when another appears nearby."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ STOOD = {"1 m": (1.0, 1.0), "1 to 3 m": (1.0, 3.0)}
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a number: whether the target seen last carries it, and any at all."""
+    """Fate of a track number: whether it follows the target seen last, or any target."""
 
     has_number: bool
     is_found: bool
@@ -62,7 +62,7 @@ class Scene:
         return self.tracker.tracks_at((self.step - 1) * 1_000_000_000 // RATE)
 
     def place(self) -> NDArray[np.float64]:
-        """Where the target would be at the next scan [m]."""
+        """Return the expected place of the target at the next scan [m]."""
         return self.velocity * self.step / RATE
 
     def scan(self, *seen: NDArray[np.float64]) -> None:
@@ -108,7 +108,7 @@ class Scene:
 
 
 def number_at(tracks: TargetTracks, place: NDArray[np.float64]) -> int | None:
-    """Number of the nearest track, if there is one near the place."""
+    """Return the number of the nearest track, if one is near the place."""
     away = np.linalg.norm(tracks.position - place, axis=1)
     return int(tracks.id[away.argmin()]) if away.min(initial=np.inf) < NEAR else None
 

@@ -51,7 +51,7 @@ def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "
     Parameters
     ----------
     folder : str or Path
-        That `detect`, `circles`, `fuse` or `demo` wrote.
+        Folder that `detect`, `circles`, `fuse` or `demo` wrote.
     recording : str, optional
         Name of the recording; without it that of run.toml.
     run : str
@@ -60,7 +60,7 @@ def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "
     Returns
     -------
     columns : dict of ndarray
-        As `OBJECTS` names them.
+        Columns with the names of `OBJECTS`.
 
     Raises
     ------
@@ -105,12 +105,12 @@ def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "
 
 
 def events_of(folder: str | Path, *, recording: str | None = None, run: str = "") -> Columns:
-    """What happened to the objects of a run: three rows per track at most.
+    """Return the events of the objects of a run: at most three rows per track.
 
     Parameters
     ----------
     folder : str or Path
-        That `detect`, `circles`, `fuse` or `demo` wrote.
+        Folder that `detect`, `circles`, `fuse` or `demo` wrote.
     recording : str, optional
         Name of the recording; without it that of run.toml.
     run : str
@@ -119,7 +119,7 @@ def events_of(folder: str | Path, *, recording: str | None = None, run: str = ""
     Returns
     -------
     columns : dict of ndarray
-        As `EVENTS` names them, by track and time.
+        Columns with the names of `EVENTS`, by track and time.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def matching_rows(columns: Columns, query: str) -> Columns:
     Raises
     ------
     ConfigError
-        Not such a query, or a column that is not there.
+        The query is not valid, or names an unknown column.
     """
     tree = _parsed(query)
     count = len(next(iter(columns.values()), ()))

@@ -1,4 +1,4 @@
-"""Which commands a job may hold: they end by themselves, and write to the folder of the job."""
+"""Commands that a job may contain: they end by themselves, and write to the folder of the job."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -44,7 +44,7 @@ def _commands() -> Mapping[str, Any]:
 
 
 def check_commands(job: BatchJob) -> None:
-    """Refuse commands that are no jobs, and those that write outside of the folder of the job.
+    """Reject commands that cannot be jobs, and those that write outside of the folder of the job.
 
     Raises
     ------

@@ -31,7 +31,7 @@ INPUT = "input"
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Where a job writes, and where its results go.
+    """Folder that a job writes to, and destination of its results.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Workplace:
     remote : str or None
         Address that the results go to; they do not stay on this machine then.
     is_held : bool
-        Whether the address may hold something of the job, which has to go first.
+        True if the address may contain old files of the job, which must be removed first.
     """
 
     batch: Path
@@ -66,7 +66,7 @@ class Workplace:
             self.tracks.with_suffix(suffix).unlink(missing_ok=True)
 
     def deliver(self, record: JobRecord) -> None:
-        """Note how the job ended. What goes to an address goes there first, job.json last."""
+        """Write the outcome of the job. Files for an address are copied first, job.json last."""
         if self.remote is None:
             record.write(self.folder)
             return
@@ -100,8 +100,8 @@ def run_job(
 ) -> JobRecord:
     """Do the commands of a job in its folder, seen from `place`; return how it ended.
 
-    What they print goes into log.txt. Files of other machines are fetched first. All objects of
-    its runs go into one table.
+    The output of the commands goes into log.txt. Files of other machines are fetched first. All
+    objects of the runs go into one table.
     """
     # What goes to another machine is only passed through the disk of this one.
     with nullcontext() if workplace.remote is None else unsynced():
@@ -149,7 +149,7 @@ def _run_and_deliver(
 
 
 def told_error(error: Exception) -> str:
-    """What went wrong, in one text."""
+    """Return the error message of a job as one text."""
     text = (
         str(error)
         if isinstance(error, LidarCoreError | OSError)

@@ -1,1 +1,1 @@
-"""Runs over scans: flying objects, circles; where the scans come from, and their times."""
+"""Runs over scans: flying objects, circles; the source of the scans, and their times."""

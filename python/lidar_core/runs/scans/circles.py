@@ -1,4 +1,4 @@
-"""Circles in 2D scans: what a run keeps for its tables, trajectories and pictures."""
+"""Circles in 2D scans: data that a run keeps for its tables, trajectories and pictures."""
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -61,16 +61,16 @@ class _Found:
 
 
 class CirclesRun:
-    """Passes 2D scans to a pipeline and keeps what a summary, tables and pictures need.
+    """Passes 2D scans to a pipeline and keeps the data for summary, tables and pictures.
 
     Parameters
     ----------
     pipeline : CirclePipeline
         Gets every scan.
     film : bool
-        Whether a film is among the pictures.
+        True if a film is among the pictures.
     allow_untrusted : bool
-        Of the pipeline that a checkpoint brings back.
+        Setting of the pipeline that a checkpoint restores.
     """
 
     KINDS: tuple[type, ...] = (_Found, CircleElements, ShapeElements)
@@ -100,7 +100,7 @@ class CirclesRun:
 
     @property
     def notes(self) -> list[str]:
-        """What the scans tell that the recording or the configuration has otherwise."""
+        """Return properties that the scans show and that differ from recording or configuration."""
         health, told = self.pipeline.health(), self.pipeline.config.fit.range_std
         offset, noise = health.pose_offset_s, health.range_std_estimated
         notes = []
@@ -137,7 +137,7 @@ class CirclesRun:
             self.keep(item, frame, wall_ms)
 
     def keep(self, item: PosedScan[LaserScan], frame: CircleFrame, wall_ms: float) -> None:
-        """Keep what a scan gave that took `wall_ms`, and write it to run.mcap."""
+        """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""
         pose = item.world_from_lidar.reshape(-1, 4, 4)[0]
         self._last_points = _points_world(frame, pose)
         self._too_near += int(frame.too_near.sum())
@@ -152,7 +152,7 @@ class CirclesRun:
         return self._mcap
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         health = self.pipeline.health()
         return {
             "scans": {
@@ -198,7 +198,7 @@ class CirclesRun:
         return found
 
     def view(self, title: str, **more: Any) -> CirclesView:
-        """What pictures of the run show; `more` are further fields of `CirclesView`."""
+        """Return the content of pictures of the run; `more` are further fields of `CirclesView`."""
         counts = [len(item.element) for item in self._found]
         return CirclesView(
             title=title,
@@ -217,7 +217,7 @@ class CirclesRun:
         return {"pipeline": self.pipeline.to_bytes(), "last_points": last, "too_near": near}
 
     def rows(self, since: int) -> list[Any]:
-        """What the scans left that were kept since then."""
+        """Return the permanent rows of the scans since then."""
         kept = (self.maps, self.shapes, self._found, self._times.places, self._points)
         times = (self._times.wall_ms, self._times.stages_ms)
         return [list(row) for row in zip(*(one[since:] for one in (*kept, *times)), strict=True)]

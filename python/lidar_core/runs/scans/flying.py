@@ -1,4 +1,4 @@
-"""Flying objects in scans: what a run keeps for its tables, trajectories, map and picture."""
+"""Flying objects in scans: data that a run keeps for its tables, trajectories, map and picture."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -32,14 +32,14 @@ CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN, PointCl
 
 
 class FlyingRun:
-    """Passes scans to a detector and keeps what summary, tables, run.mcap and picture need.
+    """Passes scans to a detector and keeps the data for summary, tables, run.mcap and picture.
 
     Parameters
     ----------
     detector : FlyingObjectDetector
         Gets every scan.
     threads : int
-        Threads of the detector that a checkpoint brings back.
+        Number of threads of the detector that a checkpoint restores.
     """
 
     _KEPT = (
@@ -76,7 +76,7 @@ class FlyingRun:
         self._mcap: McapWriter | None = None
 
     def take(self, item: PosedScan[Scan]) -> FlyingFrame:
-        """Process one scan, with everything the recording knows about it."""
+        """Process one scan with all information of the recording about it."""
         start = perf_counter()
         frame = self.detector.process(item)
         if frame.rejected is not None:
@@ -139,7 +139,7 @@ class FlyingRun:
         }
 
     def rows(self, since: int) -> list[Any]:
-        """What the scans left that were kept since then."""
+        """Return the permanent rows of the scans since then."""
         lists = (self.frames, self._sensors, self._path, self._flying, self._wall_ms)
         return [list(row) for row in zip(*(one[since:] for one in lists), strict=True)]
 
@@ -159,7 +159,7 @@ class FlyingRun:
 
     @property
     def notes(self) -> list[str]:
-        """That the map was full, if it was."""
+        """Return a warning if the map was full."""
         forgotten = self.detector.health().n_voxels_forgotten
         budget = self.detector.config.voxel_map.max_voxels
         if not forgotten:
@@ -172,7 +172,7 @@ class FlyingRun:
 
     @property
     def n_scans(self) -> int:
-        """Scans that were processed or held."""
+        """Number of scans that were processed or held."""
         return len(self.frames)
 
     @property
@@ -247,7 +247,7 @@ class FlyingRun:
         return table | covariance_columns("xyz", covariance)
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         health = self.detector.health()
         return {
             "scans": {
@@ -289,7 +289,7 @@ class FlyingRun:
         return [tracks.name, table.name, timing.name, TRACKS_FOLDER, "map.lcvm"]
 
     def view(self, title: str, **more: Any) -> FlyingView:
-        """What a picture of the run shows; `more` are further fields of `FlyingView`."""
+        """Return the content of a picture of the run; `more` are further fields of `FlyingView`."""
         return FlyingView(
             title=title,
             cloud=self._cloud,

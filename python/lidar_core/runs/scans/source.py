@@ -32,21 +32,22 @@ class ScanSource(Generic[ScanT]):
     path : Path
         Recording.
     read : ReadOptions
-        How to read it.
+        Options for reading it.
     pose : PoseOptions
-        Where the poses come from; its `cloud` is not used.
+        Source of the poses; its `cloud` is not used.
     clouds : sequence of str
         Topics of the LiDARs; empty for the only one. Each is read through a handle of its own.
     repeat : int
-        How often the recording is played, one after the other: opens the gate of the background
-        on recordings that are too short for it.
+        Number of times that the recording is played: more than one opens the gate of the burn-in on
+        recordings that are too short for it.
     sort : type
-        `Scan` or `LaserScan`: what is wanted of the recording.
+        `Scan` or `LaserScan`: the kind of scans to read.
 
     Raises
     ------
     ConfigError
-        Several LiDARs and no poses to tell their mountings by, a topic twice, or no such topic.
+        Several LiDARs without poses that give their mountings, a topic named twice, or an unknown
+        topic.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ class ScanSource(Generic[ScanT]):
 
     @property
     def pose_source(self) -> str:
-        """Where the poses come from, in words."""
+        """Return the source of the poses, in words."""
         return self._lidars[0].scans.source
 
     @property
@@ -136,7 +137,7 @@ class ScanSource(Generic[ScanT]):
 
     @property
     def notes(self) -> list[str]:
-        """What the readers noticed: defects, conventions they assumed, messages left out."""
+        """Return the findings of the readers: defects, assumed conventions, skipped messages."""
         found = [lidar.recording.noticed() for lidar in self._lidars]
         rejected = Counter[str]()
         for item in found:

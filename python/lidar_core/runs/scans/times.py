@@ -1,4 +1,4 @@
-"""Time per scan, in all and per stage, as a run goes on."""
+"""Time per scan, in total and per stage, during a run."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -59,8 +59,7 @@ class ScanTimes:
     def ms_per_scan(self) -> dict[str, float]:
         """Mean time per scan, in all and per stage [ms].
 
-        The first scan is left out, if there are more: what is loaded and set up on the first
-        call is no time per scan.
+        The first scan is left out, if there are more: it includes loading and setting up.
         """
         later = slice(1 if len(self._wall_ms) > 1 else 0, None)
         stages_ms = {name: values[later] for name, values in self._stages_ms.items()}

@@ -36,7 +36,7 @@ VELODYNE_PORT, LIVOX_PORT = 2368, 56_301
 
 @dataclass(frozen=True, slots=True)
 class PipelineChoice:
-    """Which pipeline scans go through; made when the first scan tells its sort."""
+    """Pipeline for scans of a stream; it is made when the first scan shows its kind."""
 
     capability: Literal["auto", "flying", "circles"]
     clouds: tuple[str, ...]
@@ -58,20 +58,20 @@ class PipelineChoice:
 
     @property
     def wants_clouds(self) -> bool:
-        """Whether clouds go through."""
+        """True if the pipeline takes clouds."""
         return self.capability != "circles" and not self.scans
 
     @property
     def wants_scans(self) -> bool:
-        """Whether 2D scans go through."""
+        """True if the pipeline takes 2D scans."""
         return self.capability != "flying" and not self.clouds and self.known_map is None
 
     def topics(self, odometry: str | None) -> StreamTopics:
-        """What to ask a stream for."""
+        """Return the topics to request from a stream."""
         return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
 
     def silence(self, name: str, advertised: Sequence[str]) -> str:
-        """Say that the source `name` brings no scan that is wanted, and what it has instead."""
+        """Return a message: the source `name` brings no wanted scan, and its topics."""
         sorts = " or ".join(
             what
             for what, wanted in (("clouds", self.wants_clouds), ("2D scans", self.wants_scans))
@@ -81,7 +81,7 @@ class PipelineChoice:
         return f"no scan yet of {named}; {name} has: {'; '.join(advertised) or 'nothing'}"
 
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
-        """Pipeline for scans of a sort; None if it is not wanted."""
+        """Return the pipeline for scans of a kind; None if it is not wanted."""
         if sort is Scan and self.wants_clouds:
             return self._flying()
         return self._circles() if sort is LaserScan and self.wants_scans else None
@@ -253,13 +253,13 @@ def open_output(
     Parameters
     ----------
     text : str
-        As given.
+        Text of the option.
     live : LiveConfig
-        Names of what goes out over Zenoh.
+        Names of the Zenoh keys of the outputs.
     allowed : collection of str
         Web pages that may connect to a server, from `allowed_origins`.
     on_refused : callable
-        Told why somebody was refused.
+        Called with the reason when a client is refused.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The folder that a live run leaves: as `detect` and `circles` write it, of what was processed."""
+"""The folder of a live run: like those of `detect` and `circles`, for the processed scans."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -19,20 +19,20 @@ from lidar_core.runs.scans.flying import FlyingRun
 
 
 class LiveFolder(Output):
-    """Keeps what tables need, some kilobytes a scan; `write` makes whole files of it.
+    """Keeps the data of the tables, some kilobytes per scan; `write` makes complete files of it.
 
     Parameters
     ----------
     folder : RunFolder
         Begun with the first scan.
     pipeline : callable
-        Makes the pipeline for scans of a sort, as `LiveLoop` has it.
+        Makes the pipeline for scans of a kind, as in `LiveLoop`.
     checkpoint : float, optional
         Time between two checkpoints [s].
     resume : bool
-        Go on from the last checkpoint in the folder.
+        Continue from the last checkpoint in the folder.
     threads : int
-        Of a detector that goes on.
+        Number of threads of a detector that continues.
 
     Attributes
     ----------
@@ -61,12 +61,12 @@ class LiveFolder(Output):
         self.failed: OSError | None = None
 
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
-        """The pipeline for scans of a sort, which is remembered.
+        """Return the pipeline for scans of a kind, which is remembered.
 
         Raises
         ------
         InputError, FormatError
-            The checkpoint in the folder is of another configuration or build, or damaged.
+            The checkpoint in the folder is damaged, or belongs to another configuration or build.
         """
         self._pipeline = made = self._make(sort)
         if self._every is None and not self._resumes:
@@ -93,7 +93,7 @@ class LiveFolder(Output):
         return made
 
     def publish(self, update: Update) -> None:
-        """Keep what a scan gave."""
+        """Keep the results of a scan."""
         if self._run is None or not self._is_begun:
             self._begin(update.frame_id)
         run = self._run
@@ -128,7 +128,8 @@ class LiveFolder(Output):
         summary : dict
             `summary` with the results of the pipeline.
         files, notes : list of str
-            Names of the files; what could not be written because an extra is missing.
+            Names of the files; notes on files that could not be written because an extra is
+            missing.
         """
         self.close()
         run, folder = self._run, self._folder

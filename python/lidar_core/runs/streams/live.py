@@ -1,4 +1,4 @@
-"""A live run: a stream, or a recording as if it were one, through a pipeline to outputs."""
+"""A live run: scans of a stream, or of a recording in real time, through a pipeline to outputs."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
@@ -96,24 +96,25 @@ def live(
     capability : str
         "auto": flying objects if clouds arrive, circles if 2D scans do.
     clouds, scans : sequence of str
-        Topics of the LiDARs, 3D or 2D; empty for the first that brings a scan.
+        Topics of the LiDARs, 3D or 2D; empty for the first one with a scan.
     pose, read, known_map, threads, allow_untrusted, overwrite
-        As in `detect` and `circles`.
+        See `detect` and `circles`.
     checkpoint : float, optional
         Time between two checkpoints of `output` [s]; without run.mcap.
     resume : bool
-        Go on with the state and the tables of a run that was cut off. Scans that arrived in between
-        are lost, and older ones are rejected.
+        Continue with the state and the tables of a run that was interrupted. Scans that arrived in
+        between are lost, and older ones are rejected.
     stream : LiveConfig, optional
-        How long to wait for poses, names of topics.
+        Waiting times for poses, and names of topics.
     seconds : float, optional
         Length of the run [s]; without it until the source or Ctrl-C ends it.
     record : str or Path, optional
         Recording to write of everything that comes in; its ending chooses the format.
     metrics : str, optional
-        PORT or HOST:PORT at which Prometheus fetches how it goes.
+        PORT or HOST:PORT at which Prometheus fetches metrics.
     on_message : callable
-        Is called with texts: source and outputs, clients refused, what a silent stream has instead.
+        Called with texts: source and outputs, refused clients, topics of a stream without wanted
+        scans.
     on_report : callable
         Is called with a `Report` every second.
 

@@ -1,4 +1,4 @@
-"""A recording of LiDAR and radar, and how its targets are found: one target, or many."""
+"""A recording of LiDAR and radar, and the way its targets are tracked: one target, or many."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -186,7 +186,7 @@ class FuseJob:
 
 
 def with_ways(config: Any, ways: Mapping[str, str]) -> Any:
-    """`config` with single values by their dotted names."""
+    """Return `config` with single values set by their dotted names."""
     values = tuple(f'{name}="{value}"' for name, value in ways.items())
     if not isinstance(config, Config):
         choice = config or ConfigChoice()

@@ -47,24 +47,24 @@ REACH, GAP, CUTOFF = 15.0, 3.0, 30.0
 
 @dataclass(frozen=True, slots=True)
 class ManyRun:
-    """Many targets tracked, and what is told about them.
+    """Run of a tracker of many targets, with its results.
 
     Attributes
     ----------
     scans : list of DetectionScan
     config : MultiTargetConfig
     reading : mapping of str to Config
-        How they were read, as run.toml keeps it.
+        Options that they were read with, for run.toml.
     format : str
-        What kind of recording it was.
+        Format of the recording.
     tracks : list of TargetTracks
         Confirmed ones after each scan.
     results : list of ScanResult
-        What became of the measurements of each scan.
+        Assignment of the measurements of each scan.
     seconds : list of float
         Time that each scan took [s].
     tracker : list of MultiTargetTracker
-        The one that is used; a run that goes on puts another in its place.
+        The tracker; a run that continues replaces it.
     """
 
     scans: list[DetectionScan]
@@ -89,7 +89,7 @@ class ManyRun:
         checkpoints: Checkpoints,
         begin: Callable[[], None],
     ) -> "ManyRun":
-        """Track what scans see; `source` says what kind of recording they are of.
+        """Track targets in scans; `source` is the kind of recording.
 
         Calls `begin` before the first checkpoint is written.
         """
@@ -112,7 +112,7 @@ class ManyRun:
         return {"tracker": tracker.to_bytes()}
 
     def rows(self, since: int) -> list[Any]:
-        """What the scans left that were kept since then."""
+        """Return the permanent rows of the scans since then."""
         kept = (self.tracks, self.results, self.seconds)
         return [list(row) for row in zip(*(one[since:] for one in kept), strict=True)]
 
@@ -126,12 +126,12 @@ class ManyRun:
 
     @property
     def doubt(self) -> str | None:
-        """What looks wrong and may be right: poses of the platform."""
+        """Return a warning about suspicious poses of the platform, which may be right."""
         return geographic_poses([m for scan in self.scans for m in scan.measurements])
 
     @property
     def configs(self) -> dict[str, Config]:
-        """What run.toml keeps."""
+        """Return the configurations for run.toml."""
         return {"fusion_many": self.config, **self.reading}
 
     @property
@@ -140,7 +140,7 @@ class ManyRun:
         return np.array([scan.stamp_ns for scan in self.scans], np.int64)
 
     def nis(self) -> NisBySensor:
-        """By scanner, of the measurements that a track was given."""
+        """Return the NIS of all assigned measurements, by scanner."""
         counts = [len(scan.measurements) for scan in self.scans]
         return nis_by_sensor(
             np.repeat(np.array([scan.source for scan in self.scans], np.str_), counts),
@@ -150,7 +150,7 @@ class ManyRun:
         )
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         stamps, with_truth = self.stamps, [bool(scan.truth) for scan in self.scans]
         pairs = [
             (scan, state)
@@ -307,7 +307,7 @@ class ManyRun:
         return [(path, lambda: draw_fusion(self.view(name), path))]
 
     def view(self, name: str) -> FusionView:
-        """What a picture shows."""
+        """Return the content of a picture."""
         places = zip(self.scans, self._in_world(), strict=True)
         found: dict[str, list[NDArray[np.float64]]] = {}
         for scan, at in places:

@@ -18,7 +18,7 @@ SETTLED = 10
 def names_told(
     config: FusionConfig | MultiTargetConfig | ConfigChoice | None, ways: Iterable[str]
 ) -> frozenset[str]:
-    """Names of the values that somebody chose, so that a fit leaves them; `ways` are among them.
+    """Return the names of values that the user chose, `ways` included; a fit keeps them.
 
     A configuration that was made in Python chooses its model, also that of the defaults.
 
@@ -37,7 +37,7 @@ def names_told(
 
 
 def text_of_fit(config: FusionConfig, told: Set[str]) -> str:
-    """What a fit found, for the notes of a run."""
+    """Return the results of a fit as text, for the notes of a run."""
     names = ["acceleration_noise", "turn_noise", "lidar_std", "radar_std"]
     values = {name: np.atleast_1d(getattr(config, name)) for name in names}
     noise = ", ".join(
@@ -59,12 +59,12 @@ def fitted(
     told: Set[str],
     force: bool,
 ) -> FusionConfig:
-    """`config` with the noise of recordings, and the likelier model unless it is among `told`.
+    """Return `config` with fitted noise, and the likelier model unless it is among `told`.
 
     Raises
     ------
     InputError
-        As `fit_config`.
+        As for `fit_config`.
     """
     ordered = [
         (place, sorted(log.measurements, key=lambda one: one.stamp_ns)) for place, log in logs

@@ -39,7 +39,7 @@ COORDINATES = ("x", "y", "vx", "vy")
 
 @dataclass(frozen=True, slots=True)
 class TargetRun:
-    """One target filtered, and what is told about it.
+    """Run of a filter of one target, with its results.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class TargetRun:
         Row for row as the log.
     config : FusionConfig
     reading : mapping of str to Config
-        How it was read, as run.toml keeps it.
+        Options that it was read with, for run.toml.
     lag : float or None
-        Of the smoother [s].
+        Lag of the smoother [s].
     seconds : float
         Time that the filter took [s].
     implausible : str or None
-        What is beyond reason in the measurements of a run that was told to go on nevertheless.
+        Implausible properties of the measurements, in a run that was forced to continue.
     """
 
     log: MeasurementLog
@@ -86,12 +86,12 @@ class TargetRun:
 
     @property
     def doubt(self) -> str | None:
-        """What looks wrong and may be right."""
+        """Return a warning about suspicious measurements, which may be right."""
         return self.implausible or geographic_poses(self.log.measurements)
 
     @property
     def configs(self) -> dict[str, Config]:
-        """What run.toml keeps."""
+        """Return the configurations for run.toml."""
         return {"fusion": self.config, **self.reading}
 
     @property
@@ -113,7 +113,7 @@ class TargetRun:
 
     @property
     def states(self) -> NDArray[np.float64]:
-        """Those states."""
+        """Return the states at these rows."""
         rows = self.seen
         width = len(state_names(self.config))
         return self.result.states[rows] if rows.any() else np.empty((0, width))
@@ -133,12 +133,12 @@ class TargetRun:
         )
 
     def nis(self) -> "NisBySensor":
-        """By sensor, as `nis_by_sensor`."""
+        """Return the NIS by sensor, as `nis_by_sensor`."""
         result = self.result
         return nis_by_sensor(self.sensors, result.stamps_ns, result.innovations, result.nis)
 
     def summary(self) -> dict[str, Any]:
-        """What the run gave, as plain values."""
+        """Return the results of the run as plain values."""
         sensors, stamps = self.sensors, self.result.stamps_ns
         duration = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
         errors = self.errors
@@ -268,7 +268,7 @@ class TargetRun:
         return [(path, lambda: draw_fusion(self.view(name), path))]
 
     def view(self, name: str) -> FusionView:
-        """What a picture shows."""
+        """Return the content of a picture."""
         rows, truth, result = self.seen, self.log.truth, self.result
         stamps = result.stamps_ns
         line = PlanarLine(stamps[rows], self.states[:, :2], result.covariances[rows][:, :2, :2])

@@ -21,12 +21,12 @@ YAWS = {"pose": 2, "pose-3d": 5}
 
 @dataclass(frozen=True, slots=True)
 class PlanarStep:
-    """What was measured, and what is known of the targets, at one time.
+    """Measurements and tracks at one time, in the plane.
 
     Attributes
     ----------
     stamp_ns : int
-        [ns].
+        Time [ns].
     places : ndarray, shape (M, 2)
         Measured positions in the frame of the sensor [m].
     sensor : ndarray, shape (3,)
@@ -34,7 +34,7 @@ class PlanarStep:
     id : ndarray, shape (T,), int64
         Numbers of the tracks.
     planar_position, planar_velocity : ndarray, shape (T, 2)
-        [m], [m/s].
+        Position [m] and velocity [m/s] in the plane.
     """
 
     stamp_ns: int
@@ -46,7 +46,7 @@ class PlanarStep:
 
     @property
     def boxes(self) -> Boxes:
-        """The tracks in space: heights and extents, which are not known, are zero."""
+        """Return the tracks in space: unknown heights and extents are zero."""
         return Boxes(
             self.id,
             in_plane(self.planar_position),
@@ -57,7 +57,7 @@ class PlanarStep:
 
 
 def in_plane(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows (K, 2) with a zero as third value; those of three values as they are."""
+    """Return rows (K, 2) with a zero as third value; rows of three values do not change."""
     return np.pad(rows, ((0, 0), (0, 3 - rows.shape[1])))
 
 
@@ -69,7 +69,7 @@ def in_world(places: NDArray[np.float64], sensor: NDArray[np.float64]) -> NDArra
 
 
 def write_run_mcap(folder: RunFolder, steps: Iterable[PlanarStep]) -> str:
-    """Write run.mcap: the sensor in the world, measured places as clouds, tracks; its name."""
+    """Write run.mcap with the sensor, measured places as clouds, and tracks; return its name."""
     with McapWriter(folder.path / MCAP, tracks_frame=WORLD_FRAME) as writer:
         for step in steps:
             writer.write(Pose(step.stamp_ns, WORLD_FRAME, SENSOR_FRAME, _matrix(step.sensor)))

@@ -1,4 +1,4 @@
-"""A simulated target in real scans: its rays end on it, all others stay as they were recorded."""
+"""A simulated target in real scans: its rays end on it, all others stay unchanged."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -49,15 +49,17 @@ class InsertedFlight(Config):
         "scan_rate": "there are 10 scans per second",
     }
     scans: int = Field(200, ge=1, description="Length (count, no unit).")
-    radius: float = Field(0.325, gt=0, description="Of the target [m].")
+    radius: float = Field(0.325, gt=0, description="Radius of the target [m].")
     clearance: float = Field(1.0, ge=0, description="Least free space around the target [m].")
-    distance: tuple[float, float] = Field((4.0, 18.0), description="From the sensor [m].")
+    distance: tuple[float, float] = Field(
+        (4.0, 18.0), description="Distance of the target from the sensor [m]."
+    )
     circle: tuple[float, float] = Field((3.0, 6.0), description="Radius of the flight [m].")
     speed: tuple[float, float] = Field((1.0, 4.0), description="Least and greatest [m/s].")
     range_std: float = Field(
         0.03, ge=0, description="Noise added to every range of a repeated scan [m]."
     )
-    range_max: float = Field(100.0, gt=0, description="Of the sensor [m].")
+    range_max: float = Field(100.0, gt=0, description="Largest range of the sensor [m].")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ def insert_target(
     pattern: RayPattern | None = None,
     rng: np.random.Generator,
 ) -> tuple[Scan, NDArray[np.bool_]]:
-    """Put a solid into a scan: rays that would meet it before their return end on it.
+    """Put a solid into a scan: rays that would hit it before their return end on it.
 
     Parameters
     ----------
@@ -100,27 +102,28 @@ def insert_target(
     position : array_like, shape (3,) or (N, 3), float64
         Centre [m], lidar frame; one per ray if it moves during the scan.
     radius : float, optional
-        Of a sphere [m].
+        Radius of a sphere [m].
     shape : Solid, (vertices, faces), or a mesh, optional
         Instead of the sphere: a shape of `lidar_core.sim`, arrays (V, 3) and (F, 3), or an object
         that has them, such as a mesh of trimesh.
     rotation : array_like, shape (4,), float64
         Attitude of the shape in the lidar frame (x, y, z, w).
     range_min, range_max : float
-        Of the sensor [m]: what is nearer hides and is not seen, no ray meets anything further.
+        Range limits of the sensor [m]: nearer surfaces hide what is behind them but give no return;
+        no ray reaches further.
     range_std : float
         Standard deviation of the ranges to the solid [m].
     pattern : RayPattern, optional
-        Where rays went whose rows the driver dropped, or gave as zeros. Without it only rays that
-        the scan shows can end on the solid.
+        Directions of rays whose rows the driver dropped or wrote as zeros. Without it, only rays in
+        the scan can hit the solid.
     rng : numpy.random.Generator
         Source of the noise.
 
     Returns
     -------
     scan : Scan
-        With the solid in it. Where rows were dropped, its new ones stand at the end, and rows of
-        what it hides are missing.
+        The scan with the solid. If rows were dropped, new rows are at the end, and rows of hidden
+        points are missing.
     is_hit : ndarray, shape (N,), bool
         Rows of that scan that lie on it.
 
@@ -188,16 +191,16 @@ def with_target(
     flight : InsertedFlight, optional
         The target and its flight.
     seed : int
-        Of the flight and the noise.
+        Seed of the flight and the noise.
     shape : Solid, (vertices, faces), or a mesh, optional
         Instead of a sphere, as for `insert_target`; within `flight.radius`.
     pattern : RayPattern, optional
-        Tells which rays the scans leave out, as for `insert_target`.
+        Rays that the scans leave out, as for `insert_target`.
 
     Yields
     ------
     SimulatedScan
-        With the truth; labels are 0 for what was recorded and 1 for the target.
+        The scan with its truth; labels are 0 for recorded points and 1 for the target.
 
     Raises
     ------

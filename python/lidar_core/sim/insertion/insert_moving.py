@@ -42,8 +42,8 @@ def with_moving_target(
 ) -> Iterator[SimulatedScan]:
     """Insert a target with its own trajectory into the scans of a sensor that may move.
 
-    Every ray meets the target where both are at the time of that ray: the time of its point, or
-    of the nearest point in azimuth for a ray that the driver dropped.
+    Target and sensor are at their places at the time of each ray: the time of its point, or of the
+    nearest point in azimuth for a ray that the driver dropped.
 
     Parameters
     ----------
@@ -51,26 +51,26 @@ def with_moving_target(
         Scans with poses, as of `lidar_core.io.posed_scans`. Between single poses of successive
         scans the sensor moves evenly.
     shape : Solid, (vertices, faces), or a mesh
-        As for `insert_target`.
+        Shape as for `insert_target`.
     motion : Motion
-        Way of the shape from the stamp of the first scan on, world frame.
+        Motion of the shape from the stamp of the first scan on, world frame.
     seed : int
-        Of the noise.
+        Seed of the noise.
     seconds : float
-        How long the way is computed [s]; the target stays at its end.
+        Length of the path [s]; the target stays at its end.
     follows : bool
-        The way is one in the frame of the sensor instead: the target keeps up with it.
+        The motion is relative to the sensor: the target moves along with it.
     deskewed : bool
         Motion was taken out of the clouds: their points are in the sensor's frame at the stamp.
     pattern : RayPattern, optional
-        Tells which rays the scans leave out, as for `insert_target`.
+        Rays that the scans leave out, as for `insert_target`.
     range_min, range_max, range_std : float
-        Of the sensor [m].
+        Range limits and range noise of the sensor [m].
 
     Yields
     ------
     SimulatedScan
-        With the truth; labels are 0 for what was recorded and 1 for the target.
+        The scan with its truth; labels are 0 for recorded points and 1 for the target.
 
     Raises
     ------

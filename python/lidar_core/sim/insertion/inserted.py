@@ -1,4 +1,4 @@
-"""A solid in one recorded scan: rays that would meet it end on it, all others stay."""
+"""A solid in one recorded scan: rays that would hit it end on it, all others stay."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ class SolidTarget:
     Raises
     ------
     InputError
-        It is none of them.
+        The shape has another type.
     """
 
     def __init__(self, shape: Any) -> None:
@@ -54,7 +54,7 @@ class SolidTarget:
     def distances(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Way along rays (M, 3), frame of the shape, to it; infinite where they miss [m]."""
+        """Return the distance along rays (M, 3) to the shape [m]; infinite for misses."""
         along = np.maximum(-np.einsum("ij,ij->i", origins, directions), 0.0)
         near = np.linalg.norm(origins + along[:, None] * directions, axis=1) <= self.radius
         found = np.full(len(origins), np.inf)
@@ -71,14 +71,14 @@ class Inserted:
     Attributes
     ----------
     scan : Scan
-        New points stand in the rows of rays that were there, or, where the driver dropped those,
-        in rows at the end.
+        New points replace the rows of known rays, or, if the driver dropped those, are in rows at
+        the end.
     is_hit : ndarray, shape (N,), bool
         Rows that are returns of the solid.
     source : ndarray, shape (N,), int64
         Row of the recorded scan that each row was; -1 for a new one.
     rays : int
-        Rays that would meet it within range if nothing else were there.
+        Rays that would hit it within range if nothing else were there.
     """
 
     scan: Scan
@@ -98,19 +98,20 @@ def insert_solid(
     range_std: float,
     rng: np.random.Generator,
 ) -> Inserted:
-    """Let every ray of a scan that would meet a solid first end on it.
+    """End every ray of a scan that would hit a solid first on the solid.
 
     Parameters
     ----------
     scan : Scan
-        As recorded; rays without return may be marked, zeros, NaN of an organised cloud, or
+        Recorded scan; rays without return may be marked, zeros, NaN of an organised cloud, or
         dropped.
     target, world_from_target
         The solid, and where it is at which time.
     way : SensorWay
-        Where the sensor is at which time.
+        Poses of the sensor over time.
     pattern : RayPattern, optional
-        Tells which rays are missing where the scan does not; without it only known rays count.
+        Pattern of the sensor, to find missing rays that the scan does not mark; without it only
+        known rays count.
     range_limits : tuple of float
         Least and greatest range of the sensor [m]; a solid nearer than the least hides what is
         behind it and gives no return.
@@ -167,7 +168,7 @@ class Meeting:
     def of(
         self, rays: Rays, rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], int]:
-        """Points on it at the time of each ray, rays that end there, that show it, that could."""
+        """Return its points at the times of rays, and rays that end there, show it, or could."""
         distance = self.target.distances(
             np.ascontiguousarray(self.target_from_ray[:, :3, 3]),
             np.einsum("mij,mj->mi", self.target_from_ray[:, :3, :3], rays.directions),
@@ -203,7 +204,7 @@ def written(
     is_seen: NDArray[np.bool_],
     rays_on_it: int,
 ) -> Inserted:
-    """The scan with the returns of the solid in their rows, and without what it hides."""
+    """Return the scan with the returns of the solid in their rows, and without hidden points."""
     rows = scan.points.reshape(-1, 3).copy()
     hidden = rays.row[ends & ~is_seen & (rays.row >= 0)]
     taken = rays.row[is_seen & (rays.row >= 0)]
@@ -288,7 +289,7 @@ def truth_of_one(
     velocity: NDArray[np.float64],
     radius: float,
 ) -> TargetTruth:
-    """Tell the truth about the solid, world frame."""
+    """Return the truth about the solid, world frame."""
     return TargetTruth(
         id=np.array([TARGET], np.int32),
         position=position[None],

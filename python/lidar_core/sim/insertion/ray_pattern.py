@@ -1,4 +1,4 @@
-"""The rays that a recording does not show: which directions the sensor looked at in vain."""
+"""Rays that a recording does not contain: directions of rays without return."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,11 +33,12 @@ class RayPattern:
     Attributes
     ----------
     elevations : ndarray, shape (R,), float64
-        Of the rows [rad]; in the order of `Scan.ring` where rings are known. None for a density.
+        Elevations of the rows [rad], in the order of `Scan.ring` if rings are known. None for a
+        density.
     step : float
-        From one ray of a row to the next [rad].
+        Angle from one ray of a row to the next [rad].
     density : RayDensity or None
-        Of a pattern that does not repeat.
+        Density of rays of a pattern that does not repeat.
     """
 
     elevations: NDArray[np.float64]
@@ -48,8 +49,8 @@ class RayPattern:
     def of_scans(cls, scans: Sequence[Scan]) -> "RayPattern":
         """Estimate the pattern from scans of one sensor, in the frame of the sensor.
 
-        Motion must not have been taken out of them. More scans tell more of directions in which
-        the sensor meets something now and then only.
+        The scans must not be deskewed. More scans also show directions in which the sensor has a
+        return only now and then.
 
         Raises
         ------
@@ -74,7 +75,7 @@ class RayPattern:
 
     @classmethod
     def of_model(cls, lidar: LidarModel) -> "RayPattern":
-        """Return the pattern of a model or preset; where its rows start to turn is left open.
+        """Return the pattern of a model or preset; the azimuth at which its rows start stays open.
 
         Raises
         ------
@@ -105,7 +106,7 @@ class RayPattern:
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Directions (K, 3) that rays in the directions `known` (M, 3) leave out, and their rows.
 
-        Rows are -1 for a density; `total` is the number of missing rays where a cloud tells it.
+        Rows are -1 for a density; `total` is the number of missing rays if the cloud shows it.
         """
         if self.density is not None:
             lost = self.density.missing(known, rng, total=total)

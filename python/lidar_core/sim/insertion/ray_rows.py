@@ -1,4 +1,4 @@
-"""Directions of rays without return, from the places that they have among the rows of a cloud."""
+"""Directions of rays without return, from the gaps between the rows of a cloud."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ BEND = 2.0
 def grid_directions(known: NDArray[np.float64]) -> NDArray[np.float64]:
     """Directions (H*W, 3) of all cells of an organised cloud, from the known ones (H, W, 3).
 
-    Every row has one elevation and an azimuth of its own in column 0; columns are evenly apart.
-    Rows without any return lie between, or beyond, those that have some.
+    Every row has one elevation and its own azimuth in column 0; columns are evenly spaced. Rows
+    without any return are interpolated, or extrapolated, from those that have some.
     """
     rows, columns = known.shape[:2]
     azimuth, elevation = (one.reshape(rows, columns) for one in angles_of(known.reshape(-1, 3)))
@@ -45,8 +45,9 @@ def between_neighbours(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Rays that are missing in short gaps of lines, evenly between the rays before and after.
 
-    A rosette draws lines: rays that follow one another lie side by side. How many are missing is
-    told by the rows of the cloud if every ray has one, else by the time, else by the width.
+    A rosette draws lines: consecutive rays lie side by side. The number of missing rays follows
+    from the rows of the cloud if every ray has one, else from the time, else from the width of the
+    gap.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def between_neighbours(
     row, line : ndarray, shape (M,), int64
         Row of the cloud, and line of the sensor that it belongs to.
     times : ndarray, shape (M,), int64, optional
-        Of the rays [ns].
+        Times of the rays [ns].
     rows_are_rays : bool
         Rays without return have rows of their own.
 

@@ -18,7 +18,7 @@ class SensorWay:
     Attributes
     ----------
     stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
-        World from sensor at some times.
+        Poses of the sensor in the world at some times.
     deskewed : bool
         Motion was taken out: all points are in the frame of the sensor at `Scan.stamp_ns`.
     """
@@ -73,7 +73,7 @@ class Rays:
 def rays_of(
     scan: Scan, way: SensorWay, pattern: RayPattern | None, rng: np.random.Generator
 ) -> Rays:
-    """All rays of a scan in the sensor's frame, with those that its cloud leaves out."""
+    """Return all rays of a scan in the sensor's frame, also those missing in its cloud."""
     raw = scan.points.reshape(-1, 3)
     rows = np.flatnonzero(np.isfinite(raw).all(axis=1))
     fired = _as_fired(scan, raw[rows].astype(np.float64), rows, way)

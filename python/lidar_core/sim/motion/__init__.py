@@ -1,1 +1,1 @@
-"""Ways of sensors and targets."""
+"""Motions of sensors and targets."""

@@ -1,4 +1,4 @@
-"""Ways in a horizontal plane, and a vehicle that tilts: motions that tell 2D scanners apart."""
+"""Paths in a horizontal plane, and a vehicle that tilts: motions that 2D scanners can observe."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
@@ -21,7 +21,7 @@ class FigureEight(Config):
     kind: Literal["figure_eight"] = "figure_eight"
     center: Vector = Field(description="Middle, where it starts [m].")
     half_size: tuple[float, float] = Field((1.25, 2.5), description="Reach along x and y [m].")
-    speed: float = Field(gt=0, description="Greatest speed, in the middle [m/s].")
+    speed: float = Field(gt=0, description="Largest speed, in the middle [m/s].")
 
     def knots(self, seconds: float) -> Knots:
         """X = a sin 2wt, y = b sin wt from the middle."""
@@ -48,7 +48,7 @@ LEGS = 2
 
 
 class StopAndGo(Config):
-    """Legs along a line with a rest after each; after every few of them it turns back."""
+    """Legs along a line with a pause after each; after several legs the direction reverses."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "ramp": "speeding up and braking take 1 s each",
@@ -58,7 +58,7 @@ class StopAndGo(Config):
     }
     kind: Literal["stop_and_go"] = "stop_and_go"
     start: Vector = Field(description="Place at the start [m].")
-    velocity: Vector = Field(description="Of the steady part of the first leg [m/s].")
+    velocity: Vector = Field(description="Velocity of the steady part of the first leg [m/s].")
 
     def knots(self, seconds: float) -> Knots:
         """Places along the line."""
@@ -91,7 +91,7 @@ LOW, HIGH = (1.5, -4.0), (7.0, 4.0)
 
 
 class Wandering(Config):
-    """A velocity that forgets itself (Ornstein-Uhlenbeck per axis), reflected at a rectangle."""
+    """A random velocity that decays (Ornstein-Uhlenbeck per axis), reflected at a rectangle."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "time_constant": "the velocity forgets itself within 2 s",
@@ -159,10 +159,10 @@ class Swinging(Config):
     }
     kind: Literal["swinging"] = "swinging"
     position: Vector = Field(description="Middle [m].")
-    reach: Vector = Field((0.5, 0.0, 0.0), description="Greatest way from it [m].")
-    yaw: float = Field(0.3, description="Greatest turn [rad].")
-    pitch_deg: float = Field(15.0, ge=0, lt=90, description="Greatest pitch [deg].")
-    roll_deg: float = Field(10.0, ge=0, lt=90, description="Greatest roll [deg].")
+    reach: Vector = Field((0.5, 0.0, 0.0), description="Largest distance from it [m].")
+    yaw: float = Field(0.3, description="Largest turn [rad].")
+    pitch_deg: float = Field(15.0, ge=0, lt=90, description="Largest pitch [deg].")
+    roll_deg: float = Field(10.0, ge=0, lt=90, description="Largest roll [deg].")
 
     def knots(self, seconds: float) -> Knots:
         """Rz(yaw) Ry(pitch) Rx(roll), all angles zero at the start."""

@@ -23,8 +23,8 @@ class Steering(Config):
     removed: ClassVar[Mapping[str, str]] = {
         "stiffness": "the controller has 1.5 rad/s",
     }
-    speed_max: float = Field(8.0, gt=0, description="Greatest speed [m/s].")
-    acceleration_max: float = Field(5.0, gt=0, description="Greatest acceleration [m/s2].")
+    speed_max: float = Field(8.0, gt=0, description="Largest speed [m/s].")
+    acceleration_max: float = Field(5.0, gt=0, description="Largest acceleration [m/s2].")
 
 
 class SteeredSensor:
@@ -33,11 +33,11 @@ class SteeredSensor:
     Parameters
     ----------
     position : array_like, shape (3,), float64
-        Where it hovers at first [m].
+        Position at the start [m], where it hovers.
     stamp_ns : int
         When that is [ns].
     steering : Steering, optional
-        Its limits.
+        Limits of the motion.
 
     Attributes
     ----------
@@ -63,14 +63,14 @@ class SteeredSensor:
     def fly(
         self, goal: ArrayLike, *, seconds: float, goal_velocity: ArrayLike = (0, 0, 0)
     ) -> SimTrajectory:
-        """Fly on towards a goal that moves on steadily, and return the way for `Simulator.scan`.
+        """Fly on towards a goal that moves steadily, and return the path for `Simulator.scan`.
 
         Parameters
         ----------
         goal, goal_velocity : array_like, shape (3,), float64
-            Where to go [m], and how that moves [m/s], from now on.
+            Position to reach [m] and its velocity [m/s], from now on.
         seconds : float
-            For how long [s], > 0; whole steps of 0.01 s.
+            Duration of the flight [s], > 0; whole steps of 0.01 s.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""Shapes of targets and bodies, and those that move by themselves."""
+"""Shapes of targets and bodies, and shapes with moving parts."""

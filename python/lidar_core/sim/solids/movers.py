@@ -1,4 +1,4 @@
-"""Surfaces of targets on their ways."""
+"""Surfaces of moving targets."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ def reach_of(surfaces: Placed) -> float:
 def movers_of(
     shape: Solid, way: SimTrajectory, stamps_ns: NDArray[np.int64], seconds: NDArray[np.float64]
 ) -> list[tuple[SimShape, SimTrajectory]]:
-    """Every surface of a shape with its own way, at `stamps_ns`, which are at `seconds`."""
+    """Return every surface of a shape with its own path, at `stamps_ns`, which are at `seconds`."""
     surfaces = shape.surfaces()
     if len(surfaces) == 1:
         return [(surfaces[0][0], way)]

@@ -1,4 +1,4 @@
-"""Shapes of several surfaces that a 2D scanner meets: people, barrels."""
+"""Shapes of several surfaces for 2D scanners: people, barrels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -64,9 +64,9 @@ LEG_SWING_DEG = 20.0
 
 
 class Person(Config):
-    """Somebody who walks along x: a trunk (elliptic cylinder), a head, arms and legs that swing.
+    """A person who walks along x: a trunk (elliptic cylinder), a head, swinging arms and legs.
 
-    They stand on the origin of their frame. Sizes: about the 50th percentile of men.
+    The origin of the frame is on the ground. Sizes: about the 50th percentile of men.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -79,7 +79,7 @@ class Person(Config):
         "width": "a trunk is 0.36 m wide",
     }
     kind: Literal["person"] = "person"
-    height: Length = Field(1.75, description="From the ground to the top of the head [m].")
+    height: Length = Field(1.75, description="Height of the top of the head above the ground [m].")
     rate: float = Field(0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz].")
 
     def surfaces(self) -> Placed:
@@ -121,7 +121,7 @@ HOOP = 0.01
 
 
 class Barrel(Config):
-    """A drum with two hoops; it stands on the origin of its frame. Sizes: a 200 l drum."""
+    """A drum with two hoops; the origin of its frame is on the ground. Sizes: a 200 l drum."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "hoop": "hoops stand out by 1 cm",

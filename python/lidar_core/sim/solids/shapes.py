@@ -147,7 +147,9 @@ class Tree(Config):
     leaves: int = Field(300, ge=0, le=100_000, description="Leaf spheres (no unit).")
     seed: int = Field(0, ge=0, description="Seed of their places and of their sway (no unit).")
     sway: float = Field(
-        0.0, ge=0, description="Greatest way of the outermost leaves to either side in wind [m]."
+        0.0,
+        ge=0,
+        description="Largest displacement of the outermost leaves to either side in wind [m].",
     )
     sway_rate: float = Field(0.5, gt=0, le=100, description="Mean swings per second [Hz].")
 
@@ -164,7 +166,7 @@ class Tree(Config):
         return [(trunk, 0.5 * middle), *((leaf, middle + step) for step in way)]
 
     def sways(self) -> list[Sway | None]:
-        """Reach [m], rate [Hz] and phase [rad] of every surface: the further out, the wider."""
+        """Return reach [m], rate [Hz] and phase [rad] of every surface; reach grows outwards."""
         rng = np.random.default_rng([self.seed, 1])
         out = [
             float(np.linalg.norm(place - [0, 0, self.trunk_height]))

@@ -1,1 +1,1 @@
-"""What pictures share: the part of the world they show, numbers of tracks, scale bars."""
+"""Shared parts of pictures: the visible part of the world, numbers of tracks, scale bars."""

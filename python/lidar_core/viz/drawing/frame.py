@@ -1,4 +1,4 @@
-"""The part of the world that a picture shows: what moves is in its middle."""
+"""The part of the world that a picture shows, with moving objects in its middle."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class Window:
         return (self.low + self.high) / 2
 
     def holds(self, place: NDArray[np.float64]) -> bool:
-        """Whether a place is inside."""
+        """True if a place is inside."""
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def corner_away_from(self, places: Iterable[NDArray[np.float64]]) -> str:
@@ -77,10 +77,10 @@ def window_around(
     times: float = TIMES,
     smallest: float = SMALLEST,
 ) -> Window:
-    """Rectangle with what moves in its middle.
+    """Return a rectangle with moving objects in its middle.
 
-    It is `times` as large as what moves. It grows until it shows `also`, but at most to
-    `MOST_TIMES` as large as what moves, so that what moves can be seen.
+    It is `times` as large as the range of moving objects. It grows until it shows `also`, but at
+    most to `MOST_TIMES` of that range, so that moving objects stay visible.
 
     Parameters
     ----------
@@ -119,13 +119,13 @@ def window_over(
 ) -> Window:
     """Rectangle that shows all places, with some room around them.
 
-    It is extended, by at most `MOST_EXTENDED`, until the centre of what moves is in its middle
+    It is extended, by at most `MOST_EXTENDED`, until the centre of moving objects is in its middle
     third.
 
     Parameters
     ----------
     places, moving : iterable of ndarray, shape (N, 2)
-        [m]; rows that are not finite are left out.
+        Coordinates [m]; rows that are not finite are left out.
     tall : float
         Height of the panel over its width.
     smallest : float

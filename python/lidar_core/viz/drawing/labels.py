@@ -21,16 +21,16 @@ SHORT = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A number with the place that it names.
+    """Number beside the object that it belongs to.
 
     Attributes
     ----------
     text : str
-        What is written.
+        Text of the label.
     place : ndarray, shape (2,), float64
-        World [m].
+        Place of the object in the world [m].
     colour : str
-        Of the badge.
+        Colour of the badge.
     """
 
     text: str
@@ -39,7 +39,7 @@ class Label:
 
 
 def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.float64]]) -> None:
-    """Write numbers as badges: not over one another, and where possible not over ways.
+    """Write numbers as badges without overlap, and where possible beside the paths.
 
     Limits and size of the panel are set before. A number whose place is outside is left out.
 
@@ -91,13 +91,13 @@ def place_boxes(
 ) -> list[NDArray[np.float64]]:
     """Centres of boxes near their anchors that do not overlap.
 
-    Each box takes the place that hides the fewest points of `lines` among the nearest free ones.
-    Where every place that is tried is taken, it lies over others.
+    Each box gets the place among the nearest free ones that hides the fewest points of `lines`. If
+    no tried place is free, it overlaps others.
 
     Parameters
     ----------
     anchors, sizes : sequence of ndarray, shape (2,)
-        What each box names, and its width and height [pixel].
+        Place that each box belongs to, and its width and height [pixel].
     lines : ndarray, shape (N, 2)
         Points to keep free [pixel].
     panel : ndarray, shape (2, 2)

@@ -49,7 +49,7 @@ def round_length(most: float) -> float:
 
 
 def ring(axes: Any, place: NDArray[np.float64], colour: str, *, size: float = 0.0) -> None:
-    """Ring of `RING` pixels around an object; none where an outline of `size` [m] shows it."""
+    """Draw a ring of `RING` pixels around an object, unless an outline of `size` [m] shows it."""
     pixels = np.ptp(axes.transData.transform([(0.0, 0.0), (size, 0.0)])[:, 0])
     if pixels >= RING:
         return

@@ -1,4 +1,4 @@
-"""Occupied voxels behind what moves, as an image."""
+"""Occupied voxels behind moving objects, as an image."""
 
 from typing import Any
 

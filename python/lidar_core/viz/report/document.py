@@ -62,7 +62,7 @@ def write_report(
     run : str or Path
         Folder that `detect`, `circles`, `fuse` or `demo` wrote.
     output : str or Path, optional
-        File to write, whole or not at all; without it report.html in the folder.
+        File to write atomically; without it report.html in the folder.
     truth : str or Path, optional
         Ground truth, as `lidar_core.evaluation.read_truth` takes it; without it that of the
         folder, if there is one.
@@ -163,7 +163,7 @@ class _HeldAgainst:
         return [*consistency_warnings(report), *report.warnings], _Section("Errors", body)
 
     def ways(self, start_ns: int) -> dict[int, NDArray[np.float64]]:
-        """Times [s] and positions [m] of every target, shape (S, 4)."""
+        """Return times [s] and positions [m] of every target, shape (S, 4)."""
         seconds = (self.truth.stamp_ns - start_ns) * 1e-9
         table = np.column_stack([seconds, self.truth.position])
         return {

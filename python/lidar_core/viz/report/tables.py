@@ -1,4 +1,4 @@
-"""Tables of a report: what was found, what the summary says, times, parameters."""
+"""Tables of a report: objects, summary, times, parameters."""
 
 import json
 import tomllib
@@ -47,7 +47,7 @@ def read_note(folder: Path) -> tuple[str, dict[str, Any]]:
 
 
 def summary_rows(summary: Mapping[str, Any]) -> list[Row]:
-    """Every value of a summary, by its path, but those that other sections show."""
+    """Return every value of a summary, by its path, except those in other sections."""
     kept = {name: value for name, value in summary.items() if name not in ELSEWHERE}
     return [Row(path.replace("_", " "), _shown(value), "") for path, value in flat(kept)]
 

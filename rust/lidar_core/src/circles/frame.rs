@@ -109,14 +109,14 @@ pub struct CircleFrame {
     /// For every segment true if it is an object that was left out of the map, since a part of it
     /// may be nearer than the scanner measures.
     pub too_near: Vec<bool>,
-    /// Line of the map of every segment; None for a segment that is no line, or too short for a new
-    /// one.
+    /// Number of the line in the map for every segment; None for other shapes, and for segments
+    /// that are too short for a new line.
     pub lines: Vec<Option<i64>>,
     /// Changes of the map.
     pub stats: MapStats,
     /// Elements of the map at the time of the sweep.
     pub map: Vec<MapElement>,
-    /// Elements that are no circles, at the time of the sweep.
+    /// Map elements with other shapes than circles, at the time of the sweep.
     pub map_shapes: Vec<MapShape>,
     /// Standard deviation of the scanner's ranges, once it is estimated [m].
     pub range_std: Option<f64>,

@@ -308,7 +308,8 @@ impl CirclePipeline {
         self.map.map_at(stamp_ns)
     }
 
-    /// Elements that are no circles, predicted to a time [ns]; the map is not changed.
+    /// Map elements with other shapes than circles, predicted to a time [ns]; the map is not
+    /// changed.
     #[must_use]
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         self.map.shapes_at(stamp_ns)

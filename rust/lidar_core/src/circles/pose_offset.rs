@@ -1,5 +1,4 @@
-//! Offset in time between the scans of a scanner and the poses that come with them, estimated from
-//! what stands.
+//! Offset in time between the scans of a scanner and their poses, estimated from static objects.
 //!
 //! With poses that are late by `o`, what stands at `m` is measured at `m - o d`, where `d` is the
 //! velocity that the pose's motion gives to the place. Over time `d` changes, and `m` hardly does.

@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Matrix5};
 /// Standard deviations by which a mean square of noise may exceed its expectation by chance.
 const CHANCE: f64 = 2.0;
 
-/// Rules for segments that are no circles.
+/// Rules for segments that are not circles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeParameters {
     /// Largest half length of a line that is used as a circle, and of every object that is reported
@@ -21,8 +21,8 @@ pub struct ShapeParameters {
     pub max_size: f64,
     /// Standard deviation of real outlines from their ideal shape [m].
     pub model_std: f64,
-    /// Least number of rays of a circle beside something nearer; with fewer it is used only if its
-    /// other end is free. Other shapes beside something nearer always need a free end.
+    /// Least number of rays of a circle that a nearer object may hide in part. A circle with fewer
+    /// rays is used only if its other end is free. Other shapes always need a free end there.
     pub min_hits: usize,
 }
 
@@ -98,11 +98,11 @@ impl ShapeParameters {
 /// Use of a segment in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum MapUse {
-    /// A round object, or a small one that is nearly round.
+    /// A round object, or a small and nearly round one.
     Body(CircleEstimate),
     /// A line.
     Line,
-    /// Not used.
+    /// The segment is not used.
     Nothing,
 }
 

@@ -37,7 +37,7 @@ pub struct Jitter {
 }
 
 impl Jitter {
-    /// Estimate that starts at a variance [m^2] with the weight of so many samples.
+    /// Estimate that starts at a variance [m^2] with the weight of this many samples.
     #[must_use]
     pub fn new(variance: f64, weight: f64) -> Self {
         Self { recent: [None; 3], excess: variance, weight }
@@ -55,7 +55,7 @@ impl Jitter {
         (self.excess, self.weight)
     }
 
-    /// Take in a position [m] at a time [ns] with the mean of its stated variances [m^2].
+    /// Add a position [m] at a time [ns] with the mean of its stated variances [m^2].
     pub fn add(&mut self, time_ns: i64, place: [f64; 2], variance: f64) {
         let now = Sample { time_ns, place, variance };
         let [newest, older, oldest] = self.recent;

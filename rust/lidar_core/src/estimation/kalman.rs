@@ -137,7 +137,7 @@ pub fn correct<const N: usize, const M: usize>(
     believe: impl FnOnce(&Mahalanobis<M>) -> bool,
 ) -> Result<Mahalanobis<M>, Error> {
     let (P, H) = (&state.covariance.data.0, &model.H.data.0);
-    let mut A = [[0.0; N]; M]; // rows of H P
+    let mut A = [[0.0; N]; M]; // H P by rows: sums of whole rows become vector code
     for k in 0..N {
         for m in 0..M {
             add_scaled(&mut A[m], H[k][m], &P[k]);

@@ -1,5 +1,5 @@
-//! Limits of the sensor: uncertainty of measured points, probability that the right
-//! voxel is updated, probability that a target is met by a ray. Source: Vrba et al., sec. IV.
+//! Limits of the sensor: uncertainty of measured points, probability that the right voxel is
+//! updated, probability that a ray hits a target. Source: Vrba et al., sec. IV.
 
 use crate::Error;
 use crate::error::require;
@@ -66,14 +66,15 @@ pub(crate) fn point_jacobian(pose: &Transform, point_lidar: [f64; 3]) -> [[f64; 
     })
 }
 
-/// Probability that what was measured at `points` lies in the voxel of the measured point.
+/// Probability that the measured surface lies in the voxel of the measured point, for each of
+/// `points`.
 ///
 /// `covariance` is one for all points or one per point. NaN for points that are not finite.
 ///
 /// # Errors
-/// [`Error::Length`], [`Error::Limit`], [`Error::PointOutOfRange`], [`Error::Parameter`] for what
-/// cannot be a lattice or number of threads, [`Error::Value`] for the first covariance of a finite
-/// point that is none.
+/// [`Error::Length`], [`Error::Limit`], [`Error::PointOutOfRange`], [`Error::Parameter`] for an
+/// invalid lattice or number of threads, [`Error::Value`] for the first finite point with an
+/// invalid covariance.
 ///
 /// # Source
 /// Vrba et al., eqs 45-46.
@@ -117,8 +118,8 @@ fn no_covariance(index: usize, matrix: &[[f64; 3]; 3]) -> Error {
     Error::Value { name: "covariance", expected, index, got: format!("{matrix:?}") }
 }
 
-/// Probability that at least one ray meets a ball whose centre lies anywhere at `distances` [m]
-/// with equal probability, for each of them.
+/// Probability that at least one ray hits a ball whose centre lies anywhere at `distances` [m] with
+/// equal probability, for each of them.
 ///
 /// A ray meets a ball of `radius` [m] at a distance l if the angle between the ray and the centre
 /// is at most asin(radius / l): the caps around the rays, whose union is measured exactly (to
@@ -126,8 +127,8 @@ fn no_covariance(index: usize, matrix: &[[f64; 3]; 3]) -> Error {
 /// of the band of directions in which the centre lies; (-pi/2, pi/2) is the sphere of the paper.
 ///
 /// # Errors
-/// [`Error::Value`] for a direction of no length or a distance that is none, [`Error::Parameter`]
-/// for the rest.
+/// [`Error::Value`] for a direction without length or an invalid distance, [`Error::Parameter`] for
+/// other values.
 ///
 /// # Source
 /// Vrba et al., eqs 47-49.

@@ -132,8 +132,8 @@ impl Default for SeedParameters {
 }
 
 impl SeedParameters {
-    /// A burn-in for targets of the paper's size: the paper does not say where the first background
-    /// comes from.
+    /// A burn-in for targets of the paper's size: the paper does not state the source of the first
+    /// background.
     #[must_use]
     pub fn paper() -> Self {
         Self { burn_in_period: None, burn_in_extent: 1.0, standing_scans: 0, ..Self::default() }
@@ -186,7 +186,7 @@ impl Default for PoseParameters {
 }
 
 impl PoseParameters {
-    /// The map is updated as if poses were certain.
+    /// The map is updated with poses that count as certain.
     #[must_use]
     pub fn paper() -> Self {
         Self { weighting: None, ..Self::default() }

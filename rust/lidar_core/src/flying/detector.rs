@@ -428,7 +428,8 @@ impl FlyingObjectDetector {
         Ok(())
     }
 
-    /// Write the map, and what is known of the robot, to a file that [`VoxelMap::load`] reads, too.
+    /// Write the map, and the known body of the robot, to a file that [`VoxelMap::load`] also
+    /// reads.
     ///
     /// # Errors
     /// As [`VoxelMap::save`].
@@ -436,8 +437,8 @@ impl FlyingObjectDetector {
         self.local.map.save_with(path, &self.sensors.bodies())
     }
 
-    /// Take over the map of a file, and what it knows of the robot, for every sensor that has not found
-    /// it itself.
+    /// Load the map of a file, and its body of the robot for every sensor that has not found one
+    /// itself.
     ///
     /// # Errors
     /// As [`VoxelMap::load`] and [`FlyingObjectDetector::set_map`]; the detector is unchanged then.
@@ -448,13 +449,12 @@ impl FlyingObjectDetector {
         Ok(())
     }
 
-    /// From the next scan on, make a map of all that stands: points without those of what moved.
+    /// From the next scan on, collect a map of all static points.
     pub fn make_static_map(&mut self) {
         self.makes_static_map = true;
     }
 
-    /// Points of all that stands [m, world], a few centimetres apart; none without
-    /// [`Self::make_static_map`].
+    /// Static points [m, world], a few centimetres apart; none without [`Self::make_static_map`].
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -464,7 +464,7 @@ impl FlyingObjectDetector {
         Ok(map.points(pool)?.into_iter().map(|point| world_from_map.apply(wide(point))).collect())
     }
 
-    /// Write the voxels of all that stands to a file that [`VoxelMap::load`] reads.
+    /// Write the static voxels to a file that [`VoxelMap::load`] reads.
     ///
     /// # Errors
     /// [`Error::Parameter`] if no scan was processed since [`Self::make_static_map`]; as
@@ -523,7 +523,7 @@ impl FlyingObjectDetector {
         sealed(KIND, &self.parameters, &state)
     }
 
-    /// Detector from a saved state; it goes on to the same bits as the saved one.
+    /// Detector from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
     /// Errors of [`FlyingObjectDetector::new`]; [`Error::Format`] for bytes that
@@ -549,8 +549,8 @@ impl FlyingObjectDetector {
         Ok(detector)
     }
 
-    /// After a jump of the pose: shift the world so that the scan held last lies where the last
-    /// scan of the same sensor before it was. False if no scan is held, or there was none before.
+    /// After a jump of the pose: shift the world so that the last held scan lies at the pose of the
+    /// last scan of the same sensor before it. False if no scan is held, or there was none before.
     pub fn reanchor(&mut self) -> bool {
         let Some(held) = self.pose_check.held.take() else { return false };
         let last = self.sensors.get(&held.sensor).and_then(|sensor| sensor.last_pose);
@@ -559,8 +559,8 @@ impl FlyingObjectDetector {
         true
     }
 
-    /// Forget map, tracks and poses. Track numbers go on; what was learnt of the sensors stays, until
-    /// others need their places.
+    /// Forget map, tracks and poses. Track numbers continue. Learnt properties of the sensors stay,
+    /// until other sensors need their places.
     ///
     /// # Errors
     /// None that [`FlyingObjectDetector::new`] did not have.

@@ -11,8 +11,8 @@ use super::sky::source::SkySource;
 use super::track::Track;
 use crate::geometry::transform::Transform;
 
-/// Milliseconds spent per stage. Several threads cast rays while clusters are found and classified:
-/// `integrate` is what is left of the map update then.
+/// Milliseconds per stage. With several threads, rays are cast during clustering and
+/// classification: `integrate` is then the rest of the map update.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
     /// Transform, deskew, masks.
@@ -50,14 +50,14 @@ pub struct Frame {
     pub sky_share: f64,
     /// Rays without return that were found and not given.
     pub sky_rays: usize,
-    /// Share of the sensor's rays that end on the robot itself; rays without return count, as far as
-    /// they are in the scan or known from the search for the sky.
+    /// Share of the sensor's rays that end on the robot itself; rays without return count if they
+    /// are in the scan or known from the search for the sky.
     pub own_body: f64,
     /// Rows of the points on the robot itself, ascending.
     pub own_rows: Vec<u32>,
-    /// True if turns have shown that what was found is the robot itself.
+    /// True if turns have confirmed that the body is the robot itself.
     pub own_body_is_decided: bool,
-    /// Counts of the map's update; None if the scan was held.
+    /// Counts of the update of the map; None if the scan was held.
     pub integrated: Option<IntegrateStats>,
     /// Time per stage.
     pub timing: Timing,

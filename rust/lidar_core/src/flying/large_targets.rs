@@ -1,7 +1,7 @@
-//! Large targets: what detections and tracks take for one.
+//! Large targets: limits that detections and tracks share.
 //!
-//! Rays meet several parts of it, so that it may fall into several clusters, and the same parts in every scan,
-//! so that no number of scans tells where its centre is.
+//! Rays hit several parts of a large target, so it may fall into several clusters. They hit the
+//! same parts in every scan, so no number of scans shows its centre.
 
 /// A target with a longer side may fall into several clusters: a fuselage between wings [m].
 pub(crate) const LARGE: f64 = 0.75;

@@ -1,4 +1,4 @@
-//! Everything the detector can be told.
+//! All parameters of the detector.
 
 use super::background::parameters::SeedParameters;
 use super::classify::classifier::ClassifyParameters;
@@ -41,15 +41,15 @@ pub struct FlyingParameters {
     pub tracker: TrackerParameters,
     /// Detections are centres of targets, not centroids of their points (eq. 19).
     pub centers: bool,
-    /// Poses that come without a covariance, and what the map makes of uncertain ones.
+    /// Covariance of poses that have none, and handling of uncertain poses by the map.
     pub pose: PoseParameters,
     /// Range noise [m].
     pub range_std: f64,
     /// The smallest target that must be seen [m]: radius.
     pub target_radius: f64,
-    /// Share of returns in free space from which a scan is held; None never holds.
+    /// Share of returns in free space above which a scan is held; None never holds one.
     pub mismatch_share: Option<f64>,
-    /// The map forgets what is further from the sensor [m].
+    /// Distance from the sensor beyond which the map forgets voxels [m].
     pub forget_distance: Option<f64>,
 }
 

@@ -26,7 +26,7 @@ impl From<PointClass> for u8 {
     }
 }
 
-/// Classes of which an array of bytes holds the numbers.
+/// Classes from an array of their numbers.
 ///
 /// A copy, not a view: whoever owns the bytes may write to them while the result is in use, and a
 /// class of another number must not exist.

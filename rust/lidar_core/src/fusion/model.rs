@@ -27,7 +27,7 @@ pub enum Model {
     Ctrv,
     /// Constant turn rate and acceleration: [x, y, v, theta, w, a].
     Ctra,
-    /// [x, y, vx, vy], of which the velocity is zero.
+    /// States [x, y, vx, vy] with zero velocity.
     Standing,
     /// Constant velocity in space: [x, y, z, vx, vy, vz].
     SpaceVelocity,
@@ -35,8 +35,8 @@ pub enum Model {
     SpaceAcceleration,
     /// CTRV with a climb: [x, y, z, v, theta, w, vz].
     ClimbingCtrv,
-    /// [x, y, v, theta, w] in the frame of a sensor that moves; with the bias and delay of a gyro
-    /// that is an input, with nothing more if it has none, with w_d without such a gyro.
+    /// States [x, y, v, theta, w] in the frame of a moving sensor: also bias and delay of a gyro
+    /// that is an input, or w_d without such a gyro.
     CtrvDrone,
     /// [x, y, v, theta, w, w_d] as published; method, prior and deviations come from elsewhere.
     Paper(Paper),

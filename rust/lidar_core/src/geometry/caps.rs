@@ -51,7 +51,7 @@ pub struct Directions {
 }
 
 impl Directions {
-    /// `units` of length 1, of which equal ones count once. Caps around them will have radii up to
+    /// `units` have length 1; equal ones count once. Caps around them will have radii up to
     /// `largest` [rad].
     #[must_use]
     pub fn new(mut units: Vec<[f64; 3]>, largest: f64) -> Self {
@@ -84,8 +84,8 @@ impl Directions {
 
     /// Area of the union of caps of `radius` around all directions and of `others` [sr].
     ///
-    /// `radius` is at most pi/2, and at most the largest one that was announced; no two `others`
-    /// are equal.
+    /// `radius` is at most pi/2, and at most `largest` of the constructor; no two `others` are
+    /// equal.
     #[must_use]
     pub fn covered(&self, pool: &ThreadPool, radius: f64, others: &[Cap]) -> f64 {
         let part = |chunk: &[[f64; 3]]| -> f64 {

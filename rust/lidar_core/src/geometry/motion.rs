@@ -105,8 +105,8 @@ pub struct PointPoses {
 }
 
 impl PointPoses {
-    /// Find the pose of every point. Rows that tell nothing may have any time. Errors call the times
-    /// `name`.
+    /// Compute the pose of every point. Rows without information may have any time. Error messages
+    /// call the times `name`.
     ///
     /// # Errors
     /// [`Error::Value`] for the first time outside the stream.

@@ -33,7 +33,7 @@ const FARTHEST: f64 = 5.0;
 /// Fewest sights for a verdict.
 const FEWEST: u32 = 3;
 
-/// Where something is, from a radar.
+/// Position relative to a radar.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolarPlace {
     /// Counter-clockwise from x [rad].
@@ -86,7 +86,7 @@ impl EchoTrace {
         }
     }
 
-    /// Take in later sights of both.
+    /// Add later sights of both.
     pub fn take(&mut self, stamp_ns: i64, own: PolarPlace, target: PolarPlace) {
         let [first, of_target] = self.first;
         let apart = turn(target.bearing, own.bearing);
@@ -108,15 +108,15 @@ impl EchoTrace {
             (stamp_ns, own.bearing, self.count.saturating_add(1));
     }
 
-    /// True if the track is more likely an echo of the target than a target of its own. `stands` tells whether what
-    /// stands is a target.
+    /// True if the track is more likely an echo of the target than a target of its own. `stands`
+    /// states whether a static object can be a target.
     #[must_use]
     pub fn is_echo(&self, stands: bool) -> bool {
         self.count >= FEWEST && self.log_odds(stands) > 0.0
     }
 
-    /// Logarithm of the odds of an echo; negative infinity for what is too near, and, if what `stands` is a target,
-    /// for what rest explains as well.
+    /// Logarithm of the odds of an echo. It is negative infinity for a track that is too near, and,
+    /// where `stands` allows static targets, for a track that is a static target as well.
     #[must_use]
     pub fn log_odds(&self, stands: bool) -> f64 {
         let [apart, range, of_target] = self.sums.map(|sum| sum / f64::from(self.count));
@@ -139,7 +139,7 @@ impl EchoTrace {
     }
 }
 
-/// Nearer targets of which a track may be an echo.
+/// Nearer targets; the track may be an echo of one of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrackEchoes {
     traces: BTreeMap<i64, EchoTrace>,
@@ -164,14 +164,14 @@ impl TrackEchoes {
             })
     }
 
-    /// Take in that another scanner has measured the track: it is a target.
+    /// Note that another scanner has measured the track: it is a target.
     pub fn deny(&mut self) {
         *self = Self { is_denied: true, ..Self::default() };
     }
 
-    /// Compare the track, where a scan has measured it, with the sights of nearer `targets`. Traces of those that
-    /// are not known any more are dropped; at most [`MOST_TARGETS`] are kept. `stands` tells whether what stands is
-    /// a target.
+    /// Compare the track, at a scan that measured it, with the sights of nearer `targets`. Traces
+    /// of unknown targets are dropped; at most [`MOST_TARGETS`] are kept. `stands` states whether a
+    /// static object can be a target.
     pub fn compare(
         &mut self,
         measured: Option<(i64, PolarPlace)>,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Largest probability of existence, so that misses can always lower it.
 pub const MOST_CERTAIN: f64 = 1.0 - 1e-9;
 
-/// Probabilities that a track has no target, one that can be measured, or a hidden one.
+/// Probabilities that a track has no target, an observable target, or a hidden one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Presence {
     /// Probability that there is a target.
@@ -22,11 +22,11 @@ pub struct Presence {
 /// Mean times of a target [s].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sojourn {
-    /// It stays.
+    /// Mean time for which a target exists [s].
     pub lifetime: f64,
-    /// It can be measured, until something hides it.
+    /// Mean time until something hides an observable target [s].
     pub visible: f64,
-    /// It is hidden, until it can be measured again.
+    /// Mean time until a hidden target is observable again [s].
     pub hidden: f64,
 }
 

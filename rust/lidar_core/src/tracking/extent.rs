@@ -21,7 +21,7 @@ pub struct Recent {
 }
 
 impl Recent {
-    /// Take in the measurements of a scan; of a large scan some of them, evenly over their order.
+    /// Add the measurements of a scan; of a large scan only some, evenly over their order.
     pub fn take(&mut self, scan: &[[f64; AXES]]) {
         let taken = scan.len().min(OF_SCAN);
         for place in (0..taken).map(|k| scan[k * scan.len() / taken]) {

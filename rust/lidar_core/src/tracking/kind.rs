@@ -1,4 +1,4 @@
-//! What the target of a track is: probabilities of its kinds.
+//! Kind of the target of a track: probabilities of all kinds.
 
 use serde::{Deserialize, Serialize};
 
@@ -20,9 +20,9 @@ pub enum TrackKind {
     Flying = 1,
     /// It moves on the ground.
     Ground = 2,
-    /// It stands.
+    /// It is at rest.
     Static = 3,
-    /// It moves, but is no target: insects, leaves, dust, rain.
+    /// It moves, but is not a target: insects, leaves, dust, rain.
     Clutter = 4,
 }
 
@@ -40,8 +40,8 @@ impl From<TrackKind> for u8 {
 
 /// Probabilities of the kinds of the target of a track, if it has one.
 ///
-/// A capability gives the shares of the kinds among its new tracks, and how likely each kind makes
-/// what was seen of a track. The rest is Bayes' rule.
+/// A capability supplies the shares of the kinds among its new tracks, and the likelihood of the
+/// observations of a track under each kind. The rest is Bayes' rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindBelief {
     /// Natural logarithms of the probabilities, in the order of [`TrackKind::ALL`].
@@ -49,7 +49,8 @@ pub struct KindBelief {
 }
 
 impl KindBelief {
-    /// Belief about a new track. `shares` say how often each kind is met; only their ratios count.
+    /// Belief about a new track. `shares` are the frequencies of the kinds; only their ratios
+    /// count.
     #[must_use]
     pub fn prior(shares: [f64; KINDS]) -> Self {
         let even = [0.0; KINDS];
@@ -60,7 +61,8 @@ impl KindBelief {
 
     /// Belief after something was seen that each kind makes with its `likelihood` >= 0.
     ///
-    /// Only ratios count. Likelihoods that are negative or not a number, or all zero, say nothing.
+    /// Only ratios count. Likelihoods that are negative or not a number, or all zero, are no
+    /// information.
     #[must_use]
     pub fn weighed(&self, likelihood: [f64; KINDS]) -> Self {
         let largest = likelihood.iter().copied().fold(0.0, f64::max);
@@ -85,7 +87,7 @@ impl KindBelief {
         libm::exp(self.log[usize::from(u8::from(kind))])
     }
 
-    /// The kind that is more probable than all others together; Unknown if there is none.
+    /// The kind that is more probable than all others together; Unknown without such a kind.
     #[must_use]
     pub fn kind(&self) -> TrackKind {
         let is_decided = |kind: &TrackKind| self.probability(*kind) > DECIDED;

@@ -1,5 +1,5 @@
-//! Mechanisms that every tracker needs and no filter has: which measurements are near a track, how
-//! probable each is its own, what a track follows, how noisy a sensor really is.
+//! Mechanisms that every tracker needs and no filter contains: search for measurements near a
+//! track, probabilities of association, kinds of targets, real noise of sensors.
 
 pub mod echo;
 pub mod existence;

@@ -1,4 +1,4 @@
-//! How a measured place changes with time: a line through the last measurements, and what it is uncertain by.
+//! Change of a measured place with time: a line through the last measurements, and its uncertainty.
 
 use serde::{Deserialize, Serialize};
 
@@ -45,9 +45,9 @@ pub struct PlaceTrend {
 }
 
 impl PlaceTrend {
-    /// Take in a place that is not older than the last one, with the variance along every axis that its
-    /// sensor is told to have [m^2]. Returns the time since the last one [s]; zero for the first, and for
-    /// one that is not finite and is left out.
+    /// Add a place that is not older than the last one, with the configured variance of its sensor
+    /// along every axis [m^2]. Returns the time since the last one [s]; zero for the first, and for
+    /// a place that is not finite and is left out.
     pub fn take(&mut self, stamp_ns: i64, place: [f64; 3], told: [f64; 3]) -> f64 {
         if !place.iter().chain(&told).all(|value| value.is_finite()) {
             return 0.0;
@@ -66,7 +66,8 @@ impl PlaceTrend {
         self.places.len()
     }
 
-    /// Velocity along one axis of three; None for less than three places, or if they are of one time.
+    /// Velocity along one of three axes; None for fewer than three places, or if all have the same
+    /// time.
     #[must_use]
     pub fn slope(&self, axis: usize) -> Option<Slope> {
         let first = self.places.first().filter(|_| self.places.len() >= 3 && axis < 3)?;

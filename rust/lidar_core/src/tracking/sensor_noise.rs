@@ -48,14 +48,14 @@ impl NoiseFactor {
         libm::exp(self.log)
     }
 
-    /// True if measurements say much more than the prior: the standard deviation is known to a
-    /// tenth or so.
+    /// True if the measurements determine the standard deviation to about a tenth, beyond the
+    /// prior.
     #[must_use]
     pub fn is_known(&self) -> bool {
         self.information > KNOWN
     }
 
-    /// Take in an innovation; `memory` is the number of measurements after which one counts 1/e.
+    /// Add an innovation; `memory` is the number of measurements after which one counts 1/e.
     ///
     /// The posterior mode of the logarithm: likelihood of a normal innovation whose variance is the
     /// sum of both parts, with bounded influence, on a prior that fades towards the configured

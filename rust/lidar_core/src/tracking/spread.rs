@@ -1,4 +1,4 @@
-//! How far the measurements of one target lie apart: what a place within it is uncertain by.
+//! Spread of the measurements of one target: uncertainty of a place within it.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +23,7 @@ pub struct MeasuredSpread {
 }
 
 impl MeasuredSpread {
-    /// Take in the measurements of a scan, relative to the place of the target [m].
+    /// Add the measurements of a scan, relative to the place of the target [m].
     pub fn take(&mut self, offsets: &[[f64; 2]]) {
         if offsets.is_empty() {
             return;
@@ -38,8 +38,7 @@ impl MeasuredSpread {
         }
     }
 
-    /// Covariance of a place within the target, by which its distance from the middle of what is
-    /// measured is uncertain [m^2].
+    /// Covariance of a place within the target relative to the middle of the measurements [m^2].
     #[must_use]
     pub fn covariance(&self) -> [[f64; 2]; 2] {
         let [xx, xy, yy] = self.mean.map(|value| SHARE * value);

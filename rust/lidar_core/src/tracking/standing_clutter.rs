@@ -1,4 +1,4 @@
-//! Where measurements persist: the density of clutter that stands, by place, learnt from scans.
+//! Persistent measurements: the density of static clutter by place, learnt from scans.
 
 use super::near::{NearIndex, Rectangle};
 use serde::{Deserialize, Serialize};
@@ -28,8 +28,8 @@ pub struct PlaceLog {
 
 /// Part of a [`PlaceLog`] that one state of a tracker knows: its last measurements.
 ///
-/// States of different times share what they have in common. So a tracker that keeps many of them, for
-/// scans that come late, needs no more room than the measurements themselves.
+/// States of different times share their common entries. So a tracker that keeps many of them, for
+/// late scans, needs no more memory than the measurements themselves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StandingClutter {
     /// Numbers of the first scan and of the one after the last, counted from the first ever.
@@ -39,13 +39,13 @@ pub struct StandingClutter {
 }
 
 impl PlaceLog {
-    /// Drop what is older than `oldest`, the oldest state that is still kept.
+    /// Drop entries older than `oldest`, the oldest state that is still kept.
     pub fn forget(&mut self, oldest: &StandingClutter) {
         drop_front(&mut self.scans, &mut self.dropped[0], oldest.scans[0]);
         drop_front(&mut self.places, &mut self.dropped[1], oldest.places[0]);
     }
 
-    /// Drop what `newest`, the newest state, does not know.
+    /// Drop entries that are not in `newest`, the newest state.
     pub fn end_with(&mut self, newest: &StandingClutter) {
         let count = |end: u64, dropped: u64| end.saturating_sub(dropped) as usize;
         self.scans.truncate(count(newest.scans[1], self.dropped[0]));
@@ -95,9 +95,9 @@ impl StandingClutter {
             && is_inside(self.places, log.dropped[1], log.places.len())
     }
 
-    /// Take in the places of a scan that is not older than the last one; those that are not finite
-    /// are left out. Scans that come too often for the numbers that are kept are passed over. What
-    /// later states had added to the log is dropped.
+    /// Add the places of a scan that is not older than the last one; places that are not finite are
+    /// left out. Scans that come too often for the stored number are skipped. Entries of later
+    /// states are dropped from the log.
     pub fn take(
         &mut self,
         log: &mut PlaceLog,

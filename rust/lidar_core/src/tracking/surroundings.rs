@@ -1,5 +1,5 @@
-//! What a scanner does, learnt from its scans: how often it measures a target, how dense its clutter
-//! is, and how often a measurement that no track explains is of a new target.
+//! Properties of a scanner, learnt from its scans: probability of detection, density of clutter,
+//! and probability that an unexplained measurement belongs to a new target.
 
 use super::existence::Presence;
 use super::extent::{AXES, Recent};
@@ -58,7 +58,7 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// Take in the measurements of a scan: the space that the scanner is known to see.
+    /// Add the measurements of a scan to the space that the scanner is known to see.
     pub fn see<'a>(&mut self, scan: impl Iterator<Item = &'a [f64]>) {
         self.all.take(&scan.map(padded).collect::<Vec<_>>());
         let boxes = [self.all.bounds(), self.strays.bounds()].into_iter().flatten();
@@ -68,7 +68,7 @@ impl Surroundings {
         self.widths = boxes.reduce(joined).map_or([0.0; AXES], |b| b.map(|[low, high]| high - low));
     }
 
-    /// Take in a scan: its measurements, each with the probability that no track explains it.
+    /// Count the measurements of a scan, each with the probability that no track explains it.
     pub fn count_scan(&mut self, scan: &[(&[f64], f64)]) {
         let strays = scan.iter().filter(|(_, unexplained)| *unexplained > UNEXPLAINED);
         self.strays.take(&strays.map(|(values, _)| padded(values)).collect::<Vec<_>>());
@@ -87,8 +87,8 @@ impl Surroundings {
         self.clutter += clutter;
     }
 
-    /// Take in how many measurements that no track explained were the first of a target: the sum of
-    /// the probabilities of existence of all tracks that began with them.
+    /// Count how many unexplained measurements were the first ones of a target: `first` is the sum
+    /// of the probabilities of existence of all tracks that began with them.
     pub fn count_first(&mut self, first: f64) {
         self.first = first;
     }
@@ -98,8 +98,8 @@ impl Surroundings {
         (self.clutter - self.first).max(0.0)
     }
 
-    /// Take in a look at a target that is observable with probability `observable`, and was
-    /// measured with probability `hit`.
+    /// Count a look at a target that is observable with probability `observable`, and was measured
+    /// with probability `hit`.
     pub fn count_look(&mut self, observable: f64, hit: f64) {
         self.looks += observable;
         self.hits += hit;
@@ -111,7 +111,7 @@ impl Surroundings {
         self.scans >= FIRST_SCANS
     }
 
-    /// Take in that a track has become certain that began after the first scans.
+    /// Count a track that has become certain and that began after the first scans.
     pub fn count_arrival(&mut self) {
         self.arrivals += 1.0;
     }
@@ -148,7 +148,7 @@ fn padded(values: &[f64]) -> [f64; AXES] {
     std::array::from_fn(|axis| values.get(axis).copied().unwrap_or(0.0))
 }
 
-/// How long targets stay and how fast they are, learnt from tracks that were certain.
+/// Lifetimes and speeds of targets, learnt from certain tracks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Population {
     /// Sum of the times for which targets existed [s].
@@ -164,23 +164,23 @@ pub struct Population {
 }
 
 impl Population {
-    /// Take in what a target did for `dt` [s].
+    /// Count the stay of a target for `dt` [s].
     pub fn count_stay(&mut self, presence: &Presence, dt: f64) {
         self.stayed += presence.existence * dt;
         self.visible += presence.observable() * dt;
     }
 
-    /// Take in that a target was measured that had been hidden with probability `returned`.
+    /// Count the return of a target that had been hidden with probability `returned`.
     pub fn count_return(&mut self, returned: f64) {
         self.returns += returned;
     }
 
-    /// Take in that a track which was certain has become doubtful, or the reverse.
+    /// Count a certain track that has become doubtful, or the reverse.
     pub fn count_end(&mut self, is_doubtful: bool) {
         self.ends += if is_doubtful { 1.0 } else { -1.0 };
     }
 
-    /// Take in that a target has moved with the velocity [vx, vy] [m/s].
+    /// Count the velocity [vx, vy] of a target [m/s].
     pub fn count_speed(&mut self, [vx, vy]: [f64; 2]) {
         let kept = 1.0 - 1.0 / SPEEDS;
         self.squared = kept * self.squared + 0.5 * (vx * vx + vy * vy);

@@ -12,7 +12,7 @@ thread_local! {
     static CURRENT: RefCell<Option<Cancel>> = const { RefCell::new(None) };
 }
 
-/// Handle by which a running call is stopped from another thread.
+/// Handle that stops a running call from another thread.
 #[derive(Clone, Default)]
 pub struct Cancel(Arc<State>);
 
@@ -68,7 +68,7 @@ impl Watch {
     }
 }
 
-/// The watch of the call that runs on this thread; one that is never asked if there is none.
+/// Watch of the call that runs on this thread; without a call, a watch that never stops.
 #[must_use]
 pub fn watch() -> Watch {
     Watch(CURRENT.with_borrow(Clone::clone))

@@ -1,4 +1,4 @@
-//! What serde reads of a type: fields in their order, names and types. Only for tests.
+//! Layout that serde reads for a type: fields in their order, names and types. Only for tests.
 //!
 //! A type is read from values that are made up on the way: a run chooses at every enumeration a
 //! variant that was not seen yet, and at every option a value until all below it is known. Runs that

@@ -1,4 +1,4 @@
-//! Working memory for tasks of which some run at the same time.
+//! Working memory for tasks that run at the same time.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};

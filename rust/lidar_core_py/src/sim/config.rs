@@ -33,24 +33,9 @@ struct BeamConfig {
 
 #[derive(FromPyObject)]
 enum PatternConfig {
-    Spinning {
-        elevations_deg: Vec<f64>,
-        columns: i64,
-        azimuth_start: f64,
-        azimuth_per_scan: f64,
-    },
-    Rosette {
-        rays: i64,
-        elevation_min_deg: f64,
-        elevation_max_deg: f64,
-        azimuth_half_deg: Option<f64>,
-    },
-    Planar {
-        beams: i64,
-        angle_min: f64,
-        angle_increment: f64,
-        time_increment_ns: i64,
-    },
+    Spinning { elevations_deg: Vec<f64>, columns: i64, azimuth_start: f64, azimuth_per_scan: f64 },
+    Rosette { rays: i64, elevation_deg: [f64; 2], azimuth_half_deg: Option<f64> },
+    Planar { beams: i64, angle_min: f64, angle_increment: f64, time_increment_ns: i64 },
 }
 
 impl BeamConfig {
@@ -71,14 +56,9 @@ impl PatternConfig {
                     azimuth_per_scan,
                 }
             }
-            Self::Rosette {
-                rays,
-                elevation_min_deg: min,
-                elevation_max_deg: max,
-                azimuth_half_deg,
-            } => Pattern::Rosette {
+            Self::Rosette { rays, elevation_deg, azimuth_half_deg } => Pattern::Rosette {
                 rays: arrays::count("rays", rays)?,
-                elevation: [min.to_radians(), max.to_radians()],
+                elevation: elevation_deg.map(f64::to_radians),
                 azimuth_half: azimuth_half_deg.map(f64::to_radians),
             },
             Self::Planar { beams, angle_min, angle_increment, time_increment_ns } => {

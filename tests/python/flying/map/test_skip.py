@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from helpers.flying_scenes import VLP_16, lidar
+from helpers.flying_scenes import VLP_16, lidar, record_rounds
 
 from golden.digest import Record
 from golden.flying_replay import play_deskewed, yard
@@ -12,7 +12,6 @@ from lidar_core import IntegrateStats, PointClass, VoxelMap, VoxelMapConfig
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector, PoseConfig
 from lidar_core.sim import Circle, Hover, simulate
 
-TEXTS = frozenset({"reason", "rejected"})
 ROUND = Circle(center=(0.0, 0.0, 3.0), radius=2.0, speed=3.0)
 STILL = Hover(position=(0.0, 0.0, 3.0))
 
@@ -37,19 +36,7 @@ def play(model, sensor, scans, *, sensors=("lidar",), rounds=1, known=None, **ch
         if known is not None:
             detector.set_occupied(known)
         made = list(simulate(yard(model, sensor, scans=scans), seed=1019))
-        for number in range(rounds * scans):
-            simulated = made[number % scans]
-            frame = detector.process(
-                simulated.scan.points,
-                simulated.poses[0],
-                stamp_ns=number * 100_000_000,
-                no_return=simulated.scan.no_return,
-                directions=simulated.scan.directions,
-                sensor=sensors[number % len(sensors)],
-            )
-            record.add("frame", frame, skip=TEXTS)
-        record.add("occupied", detector.occupied_points())
-        record.add("n_observed", detector.n_observed)
+        record_rounds(record, detector, made, rounds, sensors)
 
     return run
 

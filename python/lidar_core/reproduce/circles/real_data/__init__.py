@@ -1,1 +1,1 @@
-"""Recordings of 2D scanners in rooms and halls: what they hold, what stands in them, scores."""
+"""Recordings of 2D scanners in rooms and halls: content, static objects, scores."""

@@ -102,7 +102,7 @@ def room_scans(room: Room) -> list[PosedScan[LaserScan]]:
 
 
 def room_config(items: list[PosedScan[LaserScan]], config: CirclesConfig) -> CirclesConfig:
-    """`config` with the scanner of the scans, as the command `circles` completes it."""
+    """Return `config` with the scanner of the scans, like the command `circles`."""
     scan = items[0].scan
     if any(len(item.scan.ranges) != len(scan.ranges) for item in items):
         raise FormatError("scans: expected one number of rays in all scans")

@@ -1,4 +1,4 @@
-"""Scores of a circle map on a recording: what stands, numbers, jumps, a vehicle, people."""
+"""Scores of a circle map on a recording: static objects, numbers, jumps, a vehicle, people."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ ALIVE = 0.999
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A recording, what stands in it, and the maps that a pipeline made of it, one per scan.
+    """A recording, its static objects, and the maps of a pipeline, one per scan.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Seen:
     points : list of ndarray, shape (K, 2)
         Returns of each scan in the world [m].
     thing : list of ndarray, shape (K,), int64
-        Standing thing of every return; -1: none.
+        Static object of every return; -1 for none.
     maps : list of CircleElements or None
         None where the scan was refused.
     """
@@ -64,7 +64,7 @@ class Seen:
 
 
 def standing_measures(seen: Seen) -> list[Measure]:
-    """Share of standing elements with speed, and numbers per small standing thing and minute."""
+    """Share of static elements with speed, and numbers per small static object and minute."""
     small = _small_things(seen)
     step = float(np.median(np.diff(seen.seconds))) / 60
     rows = fast = 0
@@ -151,7 +151,7 @@ def vehicle_measures(
 
 
 def people_measures(seen: Seen, persons: int) -> list[Measure]:
-    """Numbers that moved a metre, and persons, beside the known number of people who passed."""
+    """Count elements that moved a metre, and persons; the number of people is known."""
     paths: dict[int, list[Points]] = {}
     step = float(np.median(np.diff(seen.seconds)))
     alive: dict[int, float] = {}

@@ -1,4 +1,4 @@
-"""Things that stand, found offline in raw returns without the pipeline."""
+"""Static objects, found offline in raw returns without the pipeline."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ def returns_world(item: PosedScan[LaserScan], far: float) -> Points:
 
 
 def standing(points: list[Points], seconds: NDArray[np.float64]) -> list[NDArray[np.bool_]]:
-    """For every return of every scan, whether it belongs to a thing that stands.
+    """For every return of every scan, find out whether it belongs to a static object.
 
     It does if `OFTEN` of the scans of some `LONG_S` around its own have a return within `NEAR`.
 
@@ -60,9 +60,9 @@ def standing(points: list[Points], seconds: NDArray[np.float64]) -> list[NDArray
 
 
 def things(points: list[Points], stands: list[NDArray[np.bool_]]) -> list[NDArray[np.int64]]:
-    """For every return the number of the standing thing that it belongs to; -1: none.
+    """Return the number of the static object of every return; -1 for none.
 
-    Standing returns of all scans are one thing where their cells of `CELL` touch.
+    Static returns of all scans belong to one object if their cells of `CELL` touch.
     """
     cells = [np.floor(there / CELL).astype(np.int64) for there in points]
     held = {

@@ -32,7 +32,7 @@ def cases(function: Callable[..., Part], name: str, request: Request, scans: int
 
 
 def flown(scene: Scene, seed: int) -> Part:
-    """Simulate a scene and let the detectors of both modes see it."""
+    """Simulate a scene and run the detectors of both modes on it."""
     return fly(Simulator(scene, seed=seed), both_modes(), scans=scene.scans)
 
 
@@ -44,7 +44,7 @@ def os1() -> LidarModel:
 def drone(
     rng: np.random.Generator, times: NDArray[np.float64], places: NDArray[np.float64]
 ) -> Target:
-    """Make a sphere or a hexacopter of 0.325 m on its way."""
+    """Make a sphere or a hexacopter of 0.325 m with its path."""
     shape = sim.Sphere(radius=sim.scenes.DRONE_RADIUS) if rng.random() < 0.5 else sim.Hexacopter()
     motion = sim.Waypoints(
         times=tuple(times.tolist()), positions=tuple(map(tuple, places.tolist()))

@@ -1,1 +1,1 @@
-"""Recorded sequences, targets inserted into them, and what a detector reports."""
+"""Recorded sequences, inserted targets, and the reports of a detector."""

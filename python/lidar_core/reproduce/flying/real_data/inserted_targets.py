@@ -56,9 +56,9 @@ class Flight:
     offset : ndarray, shape (3,)
         Centre of the circle from the sensor's place, axes of the world [m].
     axes : ndarray, shape (2, 3)
-        Of the circle, as long as its radius [m].
+        Axes of the circle; their length is its radius [m].
     rate : float
-        [rad/s].
+        Angular velocity [rad/s].
     """
 
     offset: NDArray[np.float64]
@@ -80,9 +80,9 @@ class RealScan:
     Attributes
     ----------
     item : PosedScan
-        As it was read.
+        Scan of the recording.
     pose : ndarray, shape (4, 4)
-        World from LiDAR.
+        Pose of the LiDAR in the world.
     seconds : float
         Time of flight of the targets.
     directions, lengths : ndarray, shape (R, 3), (R,)
@@ -90,7 +90,7 @@ class RealScan:
     rings : ndarray, shape (R,)
         Row of every ray, where rows are numbered.
     thinned : ndarray, shape (K, 3)
-        One return in every small cube, of those that can be near a target.
+        Returns that can be near a target, thinned to one per small cube.
     ground : float
         Height below which hardly any return lies [m].
     """
@@ -203,7 +203,7 @@ def inserted(
 ) -> tuple[Scan, NDArray[np.int64]]:
     """Put targets into a scan, each with its place in the sensor's frame; also their returns.
 
-    Lost rays that meet one come back, as rows at the end of the cloud.
+    Lost rays that hit a target get rows at the end of the cloud.
     """
     lengths = scan.lengths.copy()
     hits = np.zeros(len(bodies), np.int64)

@@ -26,9 +26,9 @@ class Patch:
     Attributes
     ----------
     place, normal : ndarray, shape (3,)
-        World frame.
+        Centre [m] and normal, world frame.
     radius : float
-        [m].
+        Radius [m].
     dimmest : float
         Returns below this intensity are lost.
     """
@@ -63,7 +63,7 @@ def drawn_patches(scans: Sequence[RealScan], rng: np.random.Generator) -> list[P
 
 
 def with_losses(scans: Sequence[RealScan], patches: Sequence[Patch]) -> list[PosedScan[Scan]]:
-    """Scans without the returns of the patches that are dim or met at a grazing angle.
+    """Return scans without the returns of patches that are dim or hit at a grazing angle.
 
     A lost return looks as the driver gives it: as zeros where the sequence has them, else the row
     is dropped.

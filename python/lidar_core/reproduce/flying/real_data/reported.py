@@ -93,7 +93,7 @@ class FalseTrack:
     Attributes
     ----------
     number : int
-        Of the track.
+        Number of the track.
     scans : tuple of int
         First and last scan in which it is reported.
     distance : float

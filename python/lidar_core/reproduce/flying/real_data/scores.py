@@ -38,7 +38,7 @@ def scores(parts: Sequence[Part], names: Sequence[str]) -> list[tuple[str, str, 
     parts : sequence of dict
         Runs: the columns of `Reported`, and `place` (S, T, 3), `hits` (S, T), `seconds` (S,).
     names : sequence of str
-        Of the T targets.
+        Names of the T targets.
 
     Returns
     -------

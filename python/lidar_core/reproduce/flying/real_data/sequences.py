@@ -41,7 +41,7 @@ class RealSequence:
     Attributes
     ----------
     name : str
-        As rows of results call it.
+        Name in rows of results.
     source : str
         Archive, file or folder, within the folder of recordings.
     pose : str
@@ -49,11 +49,11 @@ class RealSequence:
     spacing : float, optional
         Time between two scans [s]; None: the number in a file's name counts tenths of a second.
     range_max : float
-        Of the sensor, by its data sheet [m].
+        Largest range in the data sheet of the sensor [m].
     azimuth_deg, elevation_deg : tuple of float
         Field of view, by its data sheet: least and greatest [deg].
     is_printable : bool
-        Whether the licence allows numbers measured on it in print.
+        True if the licence allows published numbers.
     """
 
     name: str
@@ -134,9 +134,9 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
     Parameters
     ----------
     sequence : RealSequence
-        Which one.
+        Sequence to read.
     static : bool
-        Without poses: as if the sensor had stood.
+        Ignore the poses, as if the sensor stood still.
 
     Raises
     ------

@@ -42,7 +42,7 @@ def fly(
 ) -> Part:
     """Give the first `scans` scans to a detector of every configuration, with wrong poses.
 
-    The detectors of best mode know how wrong the poses may be, the paper's does not ask.
+    Detectors of best mode get the noise of the poses; the paper's detector has no use for it.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def processed(
     *,
     pose_covariance: NDArray[np.float64] | None = None,
 ) -> FlyingFrame:
-    """Give one scan to a detector, with everything that is known about it."""
+    """Process one scan with all its data in a detector."""
     return detector.process(replace(made.posed, pose_covariance=pose_covariance))
 
 
@@ -159,9 +159,9 @@ def tables(
 ) -> tuple[Estimates, Truth]:
     """Detections or tracks of the configuration `name`, and the targets, for the evaluation.
 
-    The truth has one row per scan and target, in this order: tracks are where it says at the
-    start of the scan, detections where the rays met the target. No target has to be found in the
-    scans of the burn-in, as the run counted them, or in the first ones of `config`.
+    The truth has one row per scan and target, in this order: for tracks the place at the start of
+    the scan, for detections the place where rays hit the target. No target is required in the scans
+    of the burn-in, as the run counted them, or in the first ones of `config`.
     """
     count = len(part["id"])
     stamps = part["stamp_ns"]

@@ -23,7 +23,7 @@ ATTACK_FROM, ATTACK_TO = 12.0, 2.5
 
 
 def follow(observer: Vector, target: Vector | None) -> Vector:
-    """Keep the distance, on the observer's own side; stay where it is without a target."""
+    """Keep the distance on the observer's own side; stay in place without a target."""
     return observer if target is None else _at_distance(observer, target, FOLLOW_DISTANCE)
 
 
@@ -89,8 +89,8 @@ def pursue(
 ) -> Part:
     """Fly a closed loop; the columns are those of `flights.fly`.
 
-    What a scan shows steers the flight one scan after the scan's end: the time goes to the
-    detector, and `tracks_at` bridges it.
+    A scan steers the flight one scan after its end: the detector needs that time, and `tracks_at`
+    predicts over it.
     """
     detector = FlyingObjectDetector(config)
     covariance = None if is_paper(name) else noise.noise.covariance

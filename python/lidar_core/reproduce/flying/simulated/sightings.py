@@ -16,18 +16,18 @@ RATES = ("velocity", "acceleration")
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Times at which a target had to be found, over several flights.
+    """Times at which a target was required, over several flights.
 
     Attributes
     ----------
     scan : ndarray, shape (N,), float64
         Number of the scan in its flight.
     distance, speed, acceleration : ndarray, shape (N,), float64
-        From the sensor [m]; of the target [m/s], [m/s^2].
+        Distance from the sensor [m]; speed [m/s] and acceleration [m/s^2] of the target.
     error : ndarray, shape (N,), float64
         Distance to its detection or track [m]; NaN where it has none.
     along : ndarray, shape (N,), float64
-        The same along the line of sight, positive behind the centre [m].
+        Position error along the line of sight, positive behind the centre [m].
     """
 
     scan: NDArray[np.float64]

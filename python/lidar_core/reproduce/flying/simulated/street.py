@@ -1,7 +1,7 @@
 """Flights through a street with given speeds and accelerations: the simulated runs of sec. V-A.
 
-Each flight has four drones around one sensor, each in a quarter of its own: a sphere and a
-hexacopter of the paper's size, and one of each whose radius nobody tells the estimator.
+Each flight has four drones around one sensor, each in its own quarter: a sphere and a hexacopter of
+the paper's size, and one of each with a radius that the estimator does not know.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""A flight through a situation, and what is counted in it."""
+"""A flight through a situation, and its counts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
     Returns
     -------
     part : dict
-        Of every scan and target, (S, T): `hits`, `track` and `any_track` (number of the flying
-        track on it, and of a track of any kind), `error` [m], `nees`, `is_detected`; `place`
-        (S, T, 3) [m]; of every scan `seconds`; `false`: numbers of flying tracks of nothing.
+        Values of every scan and target, (S, T): `hits`, `track` and `any_track` (number of the
+        flying track on it, and of a track of any kind), `error` [m], `nees`, `is_detected`; `place`
+        (S, T, 3) [m]; values of every scan: `seconds`; `false`: numbers of false flying tracks.
     """
     simulator = Simulator(scene(name, seed, number, scans), seed=simulator_seed(seed, number))
     detector = FlyingObjectDetector(FlyingConfig())
@@ -96,7 +96,7 @@ class Counts:
     changes : int
         Scans in which a target has another number than the one before.
     errors, nees : ndarray, shape (K,)
-        Of the tracks found [m]; (no unit).
+        Position errors of the found tracks [m], and their NEES (no unit).
     false : int
         Flying tracks of nothing.
     scans : int
@@ -149,9 +149,9 @@ def _changes(track: NDArray[np.float64]) -> int:
 
 
 def passes(part: Part) -> tuple[list[bool], NDArray[np.bool_]]:
-    """Whether each pass has a track by its third detection, and the scans due after that.
+    """Return whether each pass has a track by its third detection, and the scans after that.
 
-    A pass is what happens within the range in which targets are sought: beyond it they turn.
+    A pass is the time within the scored range: targets turn outside of it.
     """
     away = np.linalg.norm(part["place"] - (0.0, 0.0, HEIGHT), axis=2)
     is_seen = (part["hits"] >= FEWEST) & (away <= SOUGHT)

@@ -1,4 +1,4 @@
-"""Scenes of `flying-situations`: a street, a sensor at rest, and what moves around it."""
+"""Scenes of `flying-situations`: a street, a sensor at rest, and moving objects around it."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise

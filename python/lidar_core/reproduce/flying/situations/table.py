@@ -1,4 +1,4 @@
-"""`flying-situations`: sizes, speeds, walls, edges, swarms, and what moves but does not fly."""
+"""`flying-situations`: sizes, speeds, walls, edges, swarms, and moving things that do not fly."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
@@ -56,7 +56,7 @@ def _measure(request: Request) -> Measured:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Flights of every situation, one at least; the swarm and what does not fly for longer."""
+    """Return at least one flight per situation; more for swarms and for other movers."""
     each = request.scans / len(SITUATIONS)
     found = []
     for name in SITUATIONS:

@@ -121,7 +121,7 @@ def match(scan: DetectionScan, tracks: TargetTracks) -> Matched:
 def calibration(
     tracks: Sequence[TargetTracks], matched: Sequence[Matched]
 ) -> dict[tuple[str, str], float | None]:
-    """How errors of matched tracks compare with their covariances.
+    """Compare the errors of matched tracks with their covariances.
 
     A true place is that of an antenna, and up to 0.4 s old.
     """
@@ -163,8 +163,8 @@ def identities(
 ) -> dict[tuple[str, str], float | None]:
     """MOTA and HOTA, where the library that computes them is installed.
 
-    Targets count outside detection gaps; scans are told apart by their number, since two may have
-    one stamp.
+    Targets count outside detection gaps; scans are distinguished by their number, since two may
+    have one stamp.
     """
     numbers = sorted({number for scan in scans for number in scan.truth})
     seen = {number: seen_times(number, scans, REACH, GAP) for number in numbers}
@@ -195,10 +195,11 @@ def on_other_boats(
 ) -> list[int]:
     """Count, scan by scan, false tracks that follow returns that persist and move.
 
-    The truth of these recordings knows two boats; there are others. The rule was set before any
-    score was looked at: a track without a target for more than `PERSISTS`; returns within `REACH`
-    of it, and of no target, in at least `FILLED` of the time; and the mean of these in the last
-    4 s is further than `REACH` from that in the first 4 s.
+    The truth of these recordings contains two boats, but there are others. This rule was set before
+    any score was computed. A track follows another boat if it has no target for more than
+    `PERSISTS`; if returns lie within `REACH` of it, and of no target, in at least `FILLED` of the
+    time; and if the mean of these in the last 4 s is further than `REACH` from that in the first 4
+    s.
     """
     spans: dict[int, list[int]] = {}
     for k, (state, one) in enumerate(zip(tracks, matched, strict=True)):

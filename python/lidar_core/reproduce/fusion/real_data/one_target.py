@@ -1,4 +1,4 @@
-"""L/R files: the default filter that is told right and wrong noise of its sensors."""
+"""L/R files: the default filter with correct and wrong noise of its sensors."""
 
 from collections.abc import Mapping
 
@@ -54,7 +54,7 @@ def file_rows(name: str, count: int) -> list[Row]:
 
 
 def followed(of: Course, noise: Noise, factor: float, **changes: object) -> Run:
-    """The default filter, told `factor` times the noise."""
+    """Run the default filter with `factor` times the noise."""
     told = {
         "lidar_std": (factor * noise.lidar,) * 2,
         "radar_std": tuple(factor * np.array(noise.radar)),
@@ -66,7 +66,7 @@ def followed(of: Course, noise: Noise, factor: float, **changes: object) -> Run:
 def scored(of: Course, found: Run, count: int) -> tuple[float, float, float]:
     """RMSE of the position [m], NEES over its degrees of freedom, share of 95 % regions that hold.
 
-    Of the rows from `SETTLED` to `count`.
+    Score the rows from `SETTLED` to `count`.
     """
     rows = slice(SETTLED, count)
     wrong = found.states[rows, :2] - of.truth.position[rows]

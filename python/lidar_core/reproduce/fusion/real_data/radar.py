@@ -1,4 +1,4 @@
-"""Objects that the radar of a moving car tracked: consistency, and what stands."""
+"""Objects from the radar of a moving car: consistency, and static objects."""
 
 import tarfile
 from pathlib import Path
@@ -64,9 +64,9 @@ def objects(count: int) -> list[DetectionScan]:
 
 
 def ground(scan: DetectionScan) -> NDArray[np.float64]:
-    """Velocity (2,) of what stands, as the radar sees it [m/s].
+    """Return the velocity (2,) of static objects relative to the radar [m/s].
 
-    Most objects stand: a fit to their range rates whose weights fall with the distance from it.
+    Most objects are static: the fit to their range rates has weights that fall with the residual.
     """
     sights, rates = _directions_and_rates(scan)
     velocity = np.array([np.median(rates) if len(rates) else 0.0, 0.0])
@@ -78,7 +78,7 @@ def ground(scan: DetectionScan) -> NDArray[np.float64]:
 
 
 def standing(scan: DetectionScan) -> NDArray[np.bool_]:
-    """Measurements of a scan that are of something that stands."""
+    """Return which measurements of a scan belong to static objects."""
     sights, rates = _directions_and_rates(scan)
     return np.asarray(np.abs(rates - sights @ ground(scan)) < STANDS)
 

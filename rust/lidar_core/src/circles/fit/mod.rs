@@ -110,7 +110,7 @@ impl Fitter {
     /// Fit with another standard deviation of the ranges [m].
     ///
     /// # Errors
-    /// [`Error::Parameter`] for one that is not positive.
+    /// [`Error::Parameter`] if it is not positive.
     pub fn set_range_std(&mut self, range_std: f64) -> Result<(), Error> {
         let parameters = FitParameters { range_std, ..self.parameters };
         parameters.check()?;

@@ -36,7 +36,7 @@ const SMALLEST_RADIUS: f64 = 1e-3;
 pub struct SegmentWindow<'a> {
     /// Direction of every ray [rad].
     pub bearings: &'a [f64],
-    /// Range of every ray [m]; one that is not finite is no hit.
+    /// Range of every ray [m]; a range that is not finite is no hit.
     pub ranges: &'a [f64],
     /// Kind of the neighbourhood beside the first and the last ray.
     pub sides: [Side; 2],
@@ -104,7 +104,7 @@ pub fn describe(
     Ok(frame)
 }
 
-/// Circle and covariance that an output of the network stands for.
+/// Circle and covariance from the output of the network.
 #[must_use]
 pub fn circle_of(frame: &WindowFrame, answer: &[f32; ANSWER]) -> CircleEstimate {
     let a = answer.map(f64::from);

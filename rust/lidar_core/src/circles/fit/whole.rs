@@ -1,9 +1,9 @@
-//! Circles larger than `FitParameters::radius` allows, of which a side is seen.
+//! Circles larger than `FitParameters::radius` allows, of which one side is visible.
 //!
-//! A part of a large circle looks like a piece of a wall, so that the largest radius bounds every
-//! circle whose sides may be hidden. Where free space begins beside an arc, its tangent is known: a
-//! circle recedes there until rays graze it, and a wall ends. Both tangents leave nothing but the
-//! distance to fit; with one of them, the arc itself must tell the radius.
+//! A part of a large circle looks like a piece of a wall, so the largest radius bounds every circle
+//! whose sides may be hidden. If free space begins beside an arc, its tangent is known: a circle
+//! recedes there until rays graze it, and a wall ends. With both tangents, only the distance is
+//! fitted; with one of them, the arc itself must determine the radius.
 
 use super::arc::{Arc, Hit};
 use super::circle::CircleEstimate;

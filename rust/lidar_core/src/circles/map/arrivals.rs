@@ -1,5 +1,5 @@
-//! How often what no element explains is an object, and not a chance group of rays: learnt from what
-//! became of earlier ones, for each sort of place.
+//! Probability that an unexplained measurement is an object, and not a chance group of rays. It is
+//! learnt from earlier new elements, for each kind of place.
 
 use super::view::earlier::Trace;
 use serde::{Deserialize, Serialize};
@@ -11,10 +11,10 @@ pub(super) enum BirthPlace {
     Revealed,
     /// Free space: something came, or is a part of something that did.
     Free,
-    /// A surface, of which no element was made.
+    /// A surface; no element was made of it.
     Surface,
-    /// Whatever it was: too few rays meet the new thing to tell how large it is. Often it is a piece
-    /// of a wall that shows between two others.
+    /// Unknown: too few rays hit the new object to show its size. Often it is a piece of a wall
+    /// that shows between two others.
     Piece,
 }
 

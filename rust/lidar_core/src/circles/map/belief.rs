@@ -1,9 +1,9 @@
-//! How probable it is that there is an object where an element is, and of which kind it is.
+//! Probability that an element is an object, and probabilities of its kinds.
 //!
-//! Besides an object, a chance group of rays makes an element: a piece of a surface that shows for a
-//! moment between two others, or the rim of something. Two questions are answered apart: was it an
-//! object, which scans that measure it tell, and is it still there, which those tell that do not. One
-//! that measures it again takes back what misses said: chance does not come back.
+//! Not only objects make elements. A chance group of rays does too: a piece of a surface that shows
+//! for a moment between two others, or the rim of something. Two questions are separate. Was it an
+//! object? Scans that measure the element answer this. Is it still there? Scans that do not measure
+//! it answer this. A new measurement cancels the earlier misses: chance does not come back.
 
 use super::arrivals::{Arrivals, BirthPlace};
 use super::view::visibility::CircleVisibility;

@@ -1,4 +1,4 @@
-//! Measurements of elements, and the first state of what is measured for the first time.
+//! Measurements of elements, and first states of new elements.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -62,7 +62,7 @@ pub(super) fn at_rest<const N: usize, const M: usize>(
     let mut covariance = H.transpose() * R * H;
     covariance[(2, 2)] = speed * speed;
     covariance[(3, 3)] = speed * speed;
-    let back = transition(-delay); // to the stamp
+    let back = transition(-delay); // the measurement is later than the stamp of the scan
     let covariance = symmetrised(back * covariance * back.transpose());
     Gaussian { mean: H.transpose() * z, covariance }
 }

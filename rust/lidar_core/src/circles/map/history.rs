@@ -1,4 +1,4 @@
-//! Late scans: the map goes back to before them and processes all scans since again.
+//! Late scans: the map returns to its state before them and processes all later scans again.
 
 use super::independent::{Elements, new_number};
 use super::rules::Rules;

@@ -1,4 +1,4 @@
-//! Lines: walls and other straight surfaces, which stay where they are.
+//! Lines: walls and other straight surfaces, which do not move.
 
 #![allow(non_snake_case)] // textbook letters
 

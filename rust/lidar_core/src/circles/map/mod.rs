@@ -72,7 +72,7 @@ pub struct MapElement {
     pub kind: TrackKind,
 }
 
-/// An element that is no circle, predicted to a time.
+/// Map element with another shape than a circle, predicted to a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapShape {
     /// Number, never reused. An ellipse or rectangle that is not large is in the map of circles
@@ -101,7 +101,7 @@ pub struct MapShape {
 pub struct MapStats {
     /// The scan was older than the newest one.
     pub late: bool,
-    /// The scanner moved since earlier scans of which it has the very same pose: the source of the
+    /// True if the scanner moved although earlier scans have the very same pose: the source of the
     /// poses stopped.
     pub stuck_pose: bool,
     /// Element of every circle of the scan; it may have been removed since.
@@ -258,8 +258,8 @@ impl CircleMap {
         }
     }
 
-    /// Elements that are no circles, unconfirmed ones included, predicted to `stamp_ns`, ordered by
-    /// number; none with the filter of the paper. The map is not changed.
+    /// Map elements with other shapes than circles, including unconfirmed ones, predicted to
+    /// `stamp_ns` and ordered by number; none with the filter of the paper. The map is not changed.
     #[must_use]
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         match &self.engine {

@@ -24,11 +24,11 @@ pub struct MotionMode {
 /// Standing still, as a mode of motion beside the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Standing {
-    /// Share of new elements that stand, below 1; 0: the mode is not used.
+    /// Share of new elements at rest, below 1; 0 switches the mode off.
     pub share: f64,
-    /// Mean time that an element stands [s].
+    /// Mean time that an element stays at rest [s].
     pub duration: f64,
-    /// Mean time that an element moves until it stands [s].
+    /// Mean time that an element moves before it comes to rest [s].
     pub moving: f64,
     /// Density of the random walk of the centre [m^2/s]: the part of an object that is seen
     /// changes.
@@ -81,10 +81,9 @@ pub struct LineRules {
 pub struct Independent {
     /// Modes of motion, 1 to [`MAX_MODES`].
     pub modes: Vec<MotionMode>,
-    /// Standing still, one more mode.
+    /// Mode of elements at rest.
     pub standing: Standing,
-    /// Standard deviation of a centre beyond that of its fit, as far as the scans do not show it
-    /// [m].
+    /// Additional standard deviation of a centre beyond its fit, before the scans determine it [m].
     pub center_noise: f64,
     /// Density of the radius' random walk [m^2/s].
     pub radius_density: f64,
@@ -92,7 +91,7 @@ pub struct Independent {
     pub turn_density: f64,
     /// Density of circles without an element, per area and radius [1/m^3].
     pub birth_density: f64,
-    /// Gap between two surfaces below which they are one element [m].
+    /// Gap between two surfaces below which they count as one element [m].
     pub merge_gap: f64,
     /// Probability of existence from which on an element is reported, until it falls below half of
     /// it.

@@ -1,5 +1,4 @@
-//! Places of what a scan shows: transforms from the level frame to the world, with the covariance
-//! of the pose.
+//! Places in a scan: transforms from the level frame to the world, with the covariance of the pose.
 
 #![allow(non_snake_case)] // textbook letters
 

@@ -51,8 +51,8 @@ pub struct CircleScan<'a> {
     /// Outlines of those `estimates` that only represent another shape; empty if there are none.
     /// The filter of the paper ignores them.
     pub outlines: &'a [Option<OutlineEstimate>],
-    /// End points of the rays of each of `estimates`, in the world as seen from above; None: only
-    /// the estimates themselves show what moves. The filter of the paper ignores them.
+    /// End points of the rays of each of `estimates`, in the world seen from above; None if only
+    /// the estimates show motion. The filter of the paper ignores them.
     pub points: Option<&'a [Vec<[f64; 2]>]>,
     /// Whether something nearer hides a side of each of `estimates`; None: of none. The filter of the
     /// paper ignores it.

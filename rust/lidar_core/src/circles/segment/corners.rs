@@ -1,4 +1,4 @@
-//! Corners of rooms: the surfaces that meet there are separate, though no ray passes between them.
+//! Corners of rooms: two surfaces that touch are separate, though no ray passes between them.
 
 use crate::circles::preprocess::polar_scan::PolarScan;
 use std::f64::consts::PI;

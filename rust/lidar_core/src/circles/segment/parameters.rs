@@ -2,8 +2,8 @@
 
 use super::corners::CornerParameters;
 
-/// Smallest angle between a ray and a surface of one object, 10 degrees [rad]: at a smaller one the
-/// adaptive bound would join what stands one behind the other.
+/// Smallest angle between a ray and a surface of one object, 10 degrees [rad]: with a smaller angle
+/// the adaptive bound would join objects behind one another.
 pub const INCIDENCE: f64 = std::f64::consts::PI / 18.0;
 
 /// Largest distances from the nearer and the farther range limit at which it may cut an object [m].
@@ -12,8 +12,8 @@ pub const CUT_MARGINS: [f64; 2] = [0.15, 1.2];
 /// Bound on the distance of neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
-    /// Adaptive breakpoint detector: the largest distance of neighbours on a surface that is met at
-    /// an angle of at least `incidence` [rad], plus `slack` [m].
+    /// Adaptive breakpoint detector: the largest distance of neighbours on a surface that rays hit
+    /// at an angle of at least `incidence` [rad], plus `slack` [m].
     Adaptive {
         /// Smallest angle between a ray and a surface.
         incidence: f64,

@@ -1,4 +1,4 @@
-//! Hits of one sweep, and what lies between them.
+//! Hits of one sweep, and gaps between them.
 
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 

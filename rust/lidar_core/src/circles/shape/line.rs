@@ -1,4 +1,4 @@
-//! Straight surfaces: one, and two that meet at a right angle.
+//! Straight surfaces: one, or two at a right angle.
 
 use super::solve::{FittedShape, Solved, solve};
 use crate::circles::fit::arc::{Arc, Hit};

@@ -13,7 +13,8 @@ pub struct SeedParameters {
     pub burn_in_period: Option<f64>,
     /// During the burn-in larger clusters are background [m].
     pub burn_in_extent: f64,
-    /// Voxels that held points in so many scans of the burn-in are background, 0 for none.
+    /// Number of scans of the burn-in with points in a voxel that make the voxel background; 0 for
+    /// none.
     pub standing_scans: u32,
     /// Largest shift of a voxel's points between the halves of the burn-in that counts as standing [m].
     pub standing_shift: f64,

@@ -1,4 +1,4 @@
-//! Points that stand still during the burn-in: background, however small.
+//! Points that do not move during the burn-in: background, however small.
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;

@@ -28,32 +28,33 @@ pub struct ClassifyParameters {
     pub search_adds_extent: bool,
     /// Rule B is evaluated on the map after this scan's update, not before.
     pub after_update: bool,
-    /// A search that leaves a fixed operating volume: true finds a way out, false a wall.
+    /// True if a search that leaves a fixed operating volume counts as a way out, false if the
+    /// border counts as a wall.
     pub open_border: bool,
     /// Uncertain voxels in a cluster's own shadow do not connect it.
     pub own_shadow: bool,
-    /// The search goes on from the voxels of a cluster even where they are free, so that one that
-    /// touches what has never been observed is connected. A wall seen at a grazing angle lies in
-    /// voxels that the rays along it have freed.
+    /// The search also continues from free voxels of a cluster, so that a cluster beside unobserved
+    /// space is connected. A wall seen at a grazing angle lies in voxels that the rays along it
+    /// have freed.
     pub expand_own: bool,
-    /// Larger clusters are no flying object [m].
+    /// Largest extent of a flying object [m].
     pub max_extent: Option<f64>,
     /// Larger clusters are background [m].
     pub background_extent: Option<f64>,
-    /// Smaller clusters are no flying object.
+    /// Least number of points of a flying object.
     pub min_points: usize,
-    /// Clusters further from the sensor are no flying object [m].
+    /// Largest distance of a flying object from the sensor [m].
     pub max_distance: Option<f64>,
     /// Clusters with gaps up to this are classified together: by their common extent, and as
     /// background if background of this scan is among them [m].
     pub group_distance: Option<f64>,
     /// A flying object has at least this share of free voxels among the neighbours of its own.
     pub min_clearance: f64,
-    /// Clusters at least this high, and much higher than wide, stand on something, such as signs and
-    /// people [m].
+    /// Height of clusters that stand on something if they are much higher than wide, such as signs
+    /// and people [m].
     pub upright_height: Option<f64>,
-    /// Unknown clusters that a confirmed track follows are flying objects, however little is known
-    /// of what is around them.
+    /// Unknown clusters on a confirmed track are flying objects, even if their surroundings are
+    /// mostly unknown.
     pub follow_tracks: bool,
     /// Enclosed uncertain voxels around a flying cluster are made free.
     pub fill_pockets: bool,

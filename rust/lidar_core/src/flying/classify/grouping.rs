@@ -1,8 +1,8 @@
-//! Groups of clusters: fragments of one larger thing are classified together.
+//! Groups of clusters: fragments of one larger object are classified together.
 //!
 //! Crowns of trees, rows of a distant pole and walls seen at a grazing angle fall apart into
-//! clusters of a target's size. What lies close together is taken as one thing, and what lies
-//! close to background of the same scan is background too, before the map knows it.
+//! clusters of a target's size. Clusters close together count as one object, and a cluster close to
+//! background of the same scan is background too, before the map contains it.
 
 use super::clusters::{Cluster, Clusters};
 use crate::Error;

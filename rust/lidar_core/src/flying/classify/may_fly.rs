@@ -1,4 +1,4 @@
-//! What a cluster shows by itself, or beside the ground, that keeps it from flying.
+//! Properties of a cluster, alone or beside the ground, that exclude flight.
 
 use super::clusters::Cluster;
 use super::occupied_nearby::OccupiedNearby;

@@ -1,4 +1,4 @@
-//! Classes of the points of a scan: rules A, B and C, and what best mode adds.
+//! Classes of the points of a scan: rules A, B and C, and additions of best mode.
 
 pub mod classifier;
 pub(crate) mod clusters;

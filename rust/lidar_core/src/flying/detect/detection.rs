@@ -27,8 +27,8 @@ pub struct Detection {
     pub delay: f64,
     /// Points in the scan.
     pub n_points: usize,
-    /// 0 to 1: share of free voxels around it, less for few points; 0 if only a track tells that it
-    /// flies.
+    /// Confidence, 0 to 1: share of free voxels around it, lower for few points; 0 if only a track
+    /// indicates flight.
     pub confidence: f64,
     /// True if a hole in the scan joins it to a surface: it may be a part of that.
     pub is_joined: bool,
@@ -37,9 +37,9 @@ pub struct Detection {
     /// Share of the rays inside the ellipse of its points that hit; not a number where the rays that
     /// passed are not known.
     pub filled_share: f64,
-    /// Whether rays pass below it; None if nothing tells.
+    /// True if rays pass below it; None if unknown.
     pub is_free_below: Option<bool>,
-    /// True if it has moved to where what is below it was never seen: it may stand on something.
+    /// True if it has moved over space that was never seen: it may stand on something.
     pub is_over_unseen: bool,
 }
 

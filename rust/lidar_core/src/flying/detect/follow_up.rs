@@ -1,4 +1,4 @@
-//! Detections to the tracker, and back: what its tracks follow flies.
+//! Detections for the tracker, and flying points from its tracks.
 
 use super::detection::Detection;
 use super::detections::{ScanDetections, ScanToDetect, detect};
@@ -7,6 +7,7 @@ use crate::Error;
 use crate::flying::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
+use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::{Detections, Occupancy, PointCloudTracker};
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
@@ -59,14 +60,41 @@ pub(crate) fn update_tracks(
     stamp_ns: i64,
 ) -> Result<Followed, Error> {
     let (map, scan) = (&input.local.map, input.scan);
-    let mut points = Cow::from(&scan.points);
-    for &row in &found.hidden {
-        points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
-    }
     let delays = scan.delays.as_deref();
     let claimed = classifier.claimed().iter().map(|&index| classifier.clusters().get(index));
     let beside = BesideClaimed { map, boxes: claimed.map(|one| [one.low, one.high]).collect() };
     let distance = tracker.parameters().clustering.max_distance;
+    let points = points_of_targets(scan, classifier, &beside, &found.hidden, distance);
+    let seen = tracker.new_point_cloud(&points, delays, &beside, Some(view), stamp_ns)?;
+    for (&id, &row) in seen.corrected.iter().zip(&seen.rows) {
+        if !tracker.is_confirmed(id) && classifier.is_hint(input, row)? {
+            tracker.hint(id);
+        }
+    }
+    give_detections(tracker, found, map, stamp_ns)?;
+    let mut followed = Followed { rows: Vec::new(), on_ground: Vec::new() };
+    for (id, row) in seen.corrected.into_iter().zip(seen.rows) {
+        if tracker.is_confirmed(id) {
+            followed.rows.push(row);
+            let is_on_ground = tracker.kind_of(id) == Some(TrackKind::Ground);
+            followed.on_ground.extend(is_on_ground.then_some(row));
+        }
+    }
+    Ok(followed)
+}
+
+/// Points of a scan that tracks may follow; the others are NaN.
+fn points_of_targets<'s>(
+    scan: &'s Prepared,
+    classifier: &ScanClassifier,
+    beside: &BesideClaimed<'_>,
+    hidden: &[u32],
+    distance: f64,
+) -> Cow<'s, [[f32; 3]]> {
+    let mut points = Cow::from(&scan.points);
+    for &row in hidden {
+        points.to_mut()[row as usize] = [f32::NAN; 3]; // no track follows a teammate
+    }
     for (row, _) in (0..)
         .zip(classifier.class())
         .filter(|(_, class)| !beside.boxes.is_empty() && **class == PointClass::Background)
@@ -75,12 +103,16 @@ pub(crate) fn update_tracks(
             points.to_mut()[row] = [f32::NAN; 3]; // structure beside a target is no part of it
         }
     }
-    let seen = tracker.new_point_cloud(&points, delays, &beside, Some(view), stamp_ns)?;
-    for (&id, &row) in seen.corrected.iter().zip(&seen.rows) {
-        if !tracker.is_confirmed(id) && classifier.is_hint(input, row)? {
-            tracker.hint(id);
-        }
-    }
+    points
+}
+
+/// Give the tracker the detections of a scan, column by column.
+fn give_detections(
+    tracker: &mut PointCloudTracker,
+    found: &ScanDetections,
+    map: &VoxelMap,
+    stamp_ns: i64,
+) -> Result<(), Error> {
     let positions: Vec<_> = found.detections.iter().map(|found| found.position).collect();
     let covariance: Vec<_> = found.detections.iter().map(|found| found.covariance).collect();
     let extent: Vec<_> = found.detections.iter().map(|found| found.extent).collect();
@@ -101,16 +133,7 @@ pub(crate) fn update_tracks(
         covariance: Some(&covariance),
         extent: Some(&extent),
     };
-    tracker.new_detections(&detections, map)?;
-    let mut followed = Followed { rows: Vec::new(), on_ground: Vec::new() };
-    for (id, row) in seen.corrected.into_iter().zip(seen.rows) {
-        if tracker.is_confirmed(id) {
-            followed.rows.push(row);
-            let is_on_ground = tracker.kind_of(id) == Some(TrackKind::Ground);
-            followed.on_ground.extend(is_on_ground.then_some(row));
-        }
-    }
-    Ok(followed)
+    tracker.new_detections(&detections, map).map(drop)
 }
 
 /// Have the tracker watch the clusters `standing`, which are in free space and have become background.

@@ -39,37 +39,7 @@ impl<'c> UnitedClusters<'c> {
             .filter(|(_, one)| one.class == PointClass::Flying)
             .map(|&(index, _)| (index, clusters.get(index)))
             .collect();
-        let large: Vec<(usize, Cluster<'_>)> =
-            flying.iter().filter(|(_, one)| side(one) >= LARGE).copied().collect();
-        let mut host: Vec<(usize, usize)> = Vec::new();
-        // Of targets and the parts that they have got already.
-        let mut spans: Vec<(usize, TargetSpan)> = Vec::new();
-        for &(index, part) in flying.iter().filter(|_| !large.is_empty()) {
-            let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
-                *other != index
-                    && (side(whole), *other) > (side(&part), index)
-                    && (gap(whole, &part) <= PART_GAP || are_beside(points, origin, whole, &part))
-            };
-            let whole = large
-                .iter()
-                .filter(is_near)
-                .max_by(|(_, one), (_, other)| side(one).total_cmp(&side(other)));
-            let Some((&(whole, _), longest)) = whole.zip(longest) else { continue };
-            let top = top_of(&host, whole);
-            let known = |number: usize| {
-                let found = spans.iter().find(|(other, _)| *other == number);
-                found.map_or_else(
-                    || TargetSpan::of(points, &clusters.get(number)),
-                    |&(_, found)| found,
-                )
-            };
-            let together = known(top).united(&known(index));
-            if together.length() <= longest {
-                host.push((index, whole));
-                spans.retain(|(other, _)| *other != top);
-                spans.push((top, together));
-            }
-        }
+        let host = hosts(points, origin, clusters, &flying, longest);
         if host.is_empty() {
             return Self { united: None, items };
         }
@@ -101,6 +71,45 @@ impl<'c> UnitedClusters<'c> {
             (cluster, classification)
         })
     }
+}
+
+/// Each part of a large target among `flying` clusters, with the cluster it belongs to, largest first.
+fn hosts(
+    points: &[[f32; 3]],
+    origin: [f64; 3],
+    clusters: &Clusters,
+    flying: &[(usize, Cluster<'_>)],
+    longest: Option<f64>,
+) -> Vec<(usize, usize)> {
+    let large: Vec<(usize, Cluster<'_>)> =
+        flying.iter().filter(|(_, one)| side(one) >= LARGE).copied().collect();
+    let mut host: Vec<(usize, usize)> = Vec::new();
+    // Of targets and the parts that they have got already.
+    let mut spans: Vec<(usize, TargetSpan)> = Vec::new();
+    for &(index, part) in flying.iter().filter(|_| !large.is_empty()) {
+        let is_near = |(other, whole): &&(usize, Cluster<'_>)| {
+            *other != index
+                && (side(whole), *other) > (side(&part), index)
+                && (gap(whole, &part) <= PART_GAP || are_beside(points, origin, whole, &part))
+        };
+        let whole = large
+            .iter()
+            .filter(is_near)
+            .max_by(|(_, one), (_, other)| side(one).total_cmp(&side(other)));
+        let Some((&(whole, _), longest)) = whole.zip(longest) else { continue };
+        let top = top_of(&host, whole);
+        let known = |number: usize| {
+            let found = spans.iter().find(|(other, _)| *other == number);
+            found.map_or_else(|| TargetSpan::of(points, &clusters.get(number)), |&(_, found)| found)
+        };
+        let together = known(top).united(&known(index));
+        if together.length() <= longest {
+            host.push((index, whole));
+            spans.retain(|(other, _)| *other != top);
+            spans.push((top, together));
+        }
+    }
+    host
 }
 
 fn side(cluster: &Cluster<'_>) -> f64 {

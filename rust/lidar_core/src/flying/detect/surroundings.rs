@@ -1,5 +1,5 @@
-//! What is around a cluster that seems to fly: surfaces, of which it may be a part, or nothing; and
-//! whether what is below it was seen at all.
+//! Surroundings of a cluster that seems to fly: nothing, or surfaces that it may belong to; and
+//! whether the space below it was seen.
 
 use super::hole::View;
 use crate::flying::classify::clusters::Cluster;

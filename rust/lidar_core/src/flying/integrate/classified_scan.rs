@@ -39,7 +39,7 @@ pub struct ClassifiedScan<'a> {
     pub origins: Origins<'a>,
     /// Direction of every ray; needed where `no_return` is set.
     pub directions: Option<&'a [[f32; 3]]>,
-    /// Rays that met nothing: they clear up to `max_range`.
+    /// True for rays without return: they clear up to `max_range`.
     pub no_return: Option<&'a [bool]>,
     /// Points whose ray is not cast, such as the nearer of two returns.
     pub no_ray: Option<&'a [bool]>,
@@ -74,7 +74,7 @@ pub struct IntegrateStats {
     pub points: [usize; 3],
     /// Entries without information: class invalid, not finite, or without a direction.
     pub skipped: usize,
-    /// Rays cast, with and without return, or represented by one that is cast.
+    /// Number of rays that were cast, with and without return, or that a cast ray represents.
     pub rays: usize,
     /// Rays without return among the cast rays.
     pub no_return_rays: usize,

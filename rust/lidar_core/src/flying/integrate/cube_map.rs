@@ -1,4 +1,5 @@
-//! Directions in which the rays of a scan meet cells that they may change, and how far away.
+//! Directions in which the rays of a scan reach cells that they may change, and distances of those
+//! cells.
 //!
 //! All rays start in a small box, the eye. Around it lie the six faces of a cube, each with a grid of
 //! directions. A ray belongs to the face of the axis along which it goes furthest. A direction holds a bit for every

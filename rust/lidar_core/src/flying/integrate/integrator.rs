@@ -1,7 +1,6 @@
 //! One scan into the map: rays, points, then one exponential update per voxel.
 //!
-//! Two steps, of which the first needs no classes: cast the rays, then mark the points and update
-//! the voxels.
+//! Two steps: cast the rays, which needs no classes, then mark the points and update the voxels.
 //!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 

@@ -20,7 +20,7 @@ const LEAST_SHARE: f64 = 0.02;
 /// Effect of an uncertain pose on the update of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseWeighting {
-    /// Rays that hit something end earlier: they do not clear what their ends may lie in.
+    /// Rays with a return end earlier: they do not clear voxels that their ends may lie in.
     Ends,
     /// Rays that hit something end earlier, and a background point pulls every voxel that it may lie
     /// in, each by its share.

@@ -1,4 +1,4 @@
-//! Size of a block of voxels, and what is stored of it per voxel and per row.
+//! Size of a block of voxels, and stored data per voxel and per row.
 
 /// Voxels along the edge of a block, as a power of two.
 pub(crate) const EDGE_BITS: i32 = 3;

@@ -1,4 +1,5 @@
-//! Storage of the voxel map: cubes of 8 x 8 x 8 voxels, and in them rows of 8, made when first met.
+//! Storage of the voxel map: cubes of 8 x 8 x 8 voxels with rows of 8, allocated at the first
+//! visit.
 
 use super::block_shape::{Bits, EDGE, EDGE_BITS, Row, VOLUME, has};
 use super::inert::Inert;

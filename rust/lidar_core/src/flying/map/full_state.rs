@@ -37,7 +37,7 @@ impl VoxelMap {
         sealed(KIND, &(), &self.whole_state())
     }
 
-    /// Map from a saved state; it goes on to the same bits as the saved one.
+    /// Map from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
     /// Errors of [`VoxelMap::new`]; [`Error::Format`] for bytes that [`VoxelMap::to_state`] did not

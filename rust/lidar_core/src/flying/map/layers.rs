@@ -1,4 +1,4 @@
-//! Voxels of one layer of a block as the bits of a word, and what lies around them.
+//! Voxels of one layer of a block as the bits of a word, and their neighbours.
 
 use super::block_shape::{EDGE, EDGE_BITS};
 use super::blocks::{Place, offset_of};

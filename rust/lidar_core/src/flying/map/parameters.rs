@@ -32,9 +32,10 @@ pub enum Rays {
 pub enum Skip {
     /// None: every ray visits every voxel that it crosses.
     Nothing,
-    /// Those in directions and at distances where all hold `g_free` to the bit, or are permanent: no ray
-    /// changes them. Values, states and files are those of [`Skip::Nothing`], to the bit; only a scan that
-    /// [`Skip::Nothing`] refuses, since it touches too many voxels, may be accepted.
+    /// Rays pass directions and distances in which all voxels hold `g_free` to the bit, or are
+    /// permanent: no ray changes them. Values, states and files equal those of [`Skip::Nothing`] to
+    /// the bit. Only a scan that [`Skip::Nothing`] rejects, because it touches too many voxels, may
+    /// be accepted.
     Saturated,
 }
 
@@ -64,7 +65,7 @@ pub struct MapParameters {
     pub end_margin: f64,
     /// Rays that are cast.
     pub rays: Rays,
-    /// Voxels that rays pass: a matter of time alone, so files do not hold it.
+    /// Voxels that rays pass. They affect only the time, so files do not store this.
     pub skip: Skip,
     /// A value that rays have pulled to within 64 steps of `f32` from `g_free` becomes `g_free`. Otherwise
     /// rounding holds it there for ever, a step short or, where few rays pass, dozens.

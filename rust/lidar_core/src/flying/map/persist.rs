@@ -297,7 +297,7 @@ fn read_block(reader: &mut Reader<'_>, map: &mut VoxelMap) -> Result<(), Error> 
 fn check_regular(path: &Path) -> Result<(), Error> {
     let kind = fs::metadata(path)?.file_type();
     if kind.is_file() || kind.is_dir() {
-        return Ok(()); // of a folder the system says so by itself
+        return Ok(()); // for a folder, the system itself reports a clear error
     }
     let text = format!("{}: expected a regular file, got a pipe or a device", path.display());
     Err(format_error(0, &text))

@@ -20,7 +20,8 @@ pub(crate) const EDGE: usize = 64;
 pub struct SavedBody {
     /// Name of the sensor.
     pub sensor: String,
-    /// Turns have shown that it is the robot, and nothing that goes along.
+    /// True if turns have confirmed that it is the robot, and not an object that moves along with
+    /// it.
     pub is_decided: bool,
     /// Voxels of the cube around the sensor, ascending: (x * edge + y) * edge + z.
     pub voxels: Vec<u32>,

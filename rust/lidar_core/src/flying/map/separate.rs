@@ -79,7 +79,7 @@ impl VoxelMap {
             // The known background is gone: is there another?
             search.look_around(&self.occupied_layers());
         }
-        // With the place forgotten, too, things are as separate as in a map that holds it still.
+        // A forgotten anchor still counts, so that groups are as separate as in a map that kept it.
         let anchor = search.anchor().or(forgotten);
         let mut memory = search.finish();
         let mut separate = std::mem::take(&mut memory.separate);
@@ -131,8 +131,8 @@ impl VoxelMap {
         }
     }
 
-    /// True if some group of occupied voxels holds enough confident ones, as of the last removal, or
-    /// held them when the map forgot its place: without that, "separate" has no meaning.
+    /// True if a group of occupied voxels had enough confident ones at the last removal, or when
+    /// the map forgot its place: without such a group, "separate" has no meaning.
     #[must_use]
     pub fn has_background(&self) -> bool {
         self.changes.anchor.is_some()

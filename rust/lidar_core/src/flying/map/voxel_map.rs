@@ -55,21 +55,21 @@ impl VoxelMap {
         &self.lattice
     }
 
-    /// Voxels of all blocks, which the budget counts; rows of them that nothing has met take no
-    /// memory.
+    /// Number of voxels in all blocks, which the budget counts; rows that no scan has visited take
+    /// no memory.
     #[must_use]
     pub fn stored_voxels(&self) -> usize {
         self.blocks.len() * VOLUME
     }
 
-    /// Bytes held by the stored voxels and their index.
+    /// Size of the stored voxels and their index [bytes].
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
         let index = size_of::<(Place, u32)>() + 2 * size_of::<usize>();
         self.blocks.iter().map(|block| block.bytes() + index).sum()
     }
 
-    /// Number of voxels that a point or a ray has met.
+    /// Number of voxels that a point or a ray has touched.
     #[must_use]
     pub fn observed_voxels(&self) -> usize {
         self.blocks.iter().map(Block::observed).sum()
@@ -130,7 +130,7 @@ impl VoxelMap {
         })
     }
 
-    /// Change what rays pass, which no file holds.
+    /// Set which voxels rays may pass; files do not store this.
     pub fn set_skip(&mut self, skip: Skip) {
         self.parameters.skip = skip;
     }
@@ -229,7 +229,7 @@ impl VoxelMap {
         Levels { tentative: self.tentative_from(), confident: self.confident_from() }
     }
 
-    /// Forget what lies further than `distance` [m] from `center` (per axis, whole blocks).
+    /// Forget voxels further than `distance` [m] from `center` (per axis, whole blocks).
     pub fn forget(&mut self, center: [f64; 3], distance: f64) {
         let lattice = self.lattice;
         // No voxel of a block is more than 8 edges from any other: what lies within `distance` stays.

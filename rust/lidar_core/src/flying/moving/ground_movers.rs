@@ -1,12 +1,13 @@
-//! Points of what moves on the ground, such as people and cars.
+//! Points of objects that move on the ground, such as people and cars.
 //!
-//! The search for flying objects takes it for background or for unknown. But it is where space was free
-//! before, and something stands close below it. What it enters is remembered, so that it stays a mover
-//! while it stands for a moment.
+//! The search for flying objects classifies them as background or unknown. But they are at places
+//! that were free before, with something close below. The places are remembered, so that an object
+//! stays a mover while it stops for a moment.
 //!
-//! What moves with nothing close below it is in the air. A large target that was background once, as in the
-//! burn-in, would be background for ever: each scan would add its points to the background, and the next scan
-//! find them near those. So the space that it enters explains nothing, and its points are unknown.
+//! A moving object with nothing close below is in the air. A large target that was background once,
+//! as in the burn-in, would stay background for ever: each scan would add its points to the
+//! background, and the next scan would find its points near those. So the space that it enters
+//! counts as unexplained, and its points as unknown.
 
 use super::free_space::{FreeSpace, parts, with_beside};
 use crate::flying::map::blocks::{Cursor, Place};

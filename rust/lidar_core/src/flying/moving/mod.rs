@@ -1,4 +1,4 @@
-//! Points of what moves but does not fly: people, cars; and a map without all that moved.
+//! Points of moving objects that do not fly: people, cars; and a map without moving objects.
 
 pub(crate) mod free_space;
 pub(crate) mod ground_movers;

@@ -1,4 +1,4 @@
-//! A map of all that stands: points of all scans, without those at places through which rays have passed
+//! A map of all static points: points of all scans, without those at places that rays have passed
 //! before or after.
 
 use super::ray_view::RayView;

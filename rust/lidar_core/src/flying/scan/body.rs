@@ -1,5 +1,5 @@
-//! The robot itself, as its LiDAR sees it: what stays in place in the sensor's frame while the
-//! sensor moves.
+//! The robot itself in its LiDAR's scans: returns that stay in place in the sensor's frame while
+//! the sensor moves.
 //!
 //! Returns near the sensor are counted per voxel of its own frame. A voxel that keeps holding
 //! returns wherever the sensor is belongs to the robot, if it is joined to the near zone, does not

@@ -9,9 +9,9 @@ pub struct RawScan<'a> {
     pub stamp_ns: i64,
     /// True if the rays come in the same order in every scan.
     pub organised: bool,
-    /// Coordinates [m]; not finite where there is no information.
+    /// Coordinates [m]; not finite for rays without information.
     pub points: &'a [[f32; 3]],
-    /// Rays that met nothing within range.
+    /// True for rays without return within range.
     pub no_return: Option<&'a [bool]>,
     /// Direction of every ray.
     pub directions: Option<&'a [[f32; 3]]>,

@@ -26,7 +26,7 @@ pub struct SensorParameters {
     pub blind_sectors: Vec<Sector>,
     /// Rows of the cloud whose rays hit the robot.
     pub self_mask: Option<Vec<bool>>,
-    /// In so many first scans the directions towards the robot are learnt; 0 learns none.
+    /// Number of first scans in which the directions towards the robot are learnt; 0 learns none.
     pub learn_mask_scans: u32,
     /// Directions in which returns keep coming from nearer than this show the robot: such returns, and
     /// rays without return in these directions, are not used [m].
@@ -35,9 +35,9 @@ pub struct SensorParameters {
     pub mask_empty_only: bool,
     /// Source of the rays without return.
     pub beams: Beams,
-    /// Rays of sensors that are known by name: those that an error proposes.
+    /// Names and rays of known sensors; error messages suggest these names.
     pub known_sensors: Vec<(String, RayPattern)>,
-    /// The robot is found by what stays in place in the sensor's frame.
+    /// The robot is found by returns that stay in place in the sensor's frame.
     pub find_body: bool,
     /// Returns per ray: the cloud holds that many equal parts, one per return.
     pub returns_per_ray: usize,

@@ -47,7 +47,7 @@ impl PointCloudTracker {
         sealed(KIND, self.parameters(), &self.state())
     }
 
-    /// Tracker from a saved state; it goes on to the same bits as the saved one.
+    /// Tracker from a saved state; it continues with the same bits as the saved one.
     ///
     /// # Errors
     /// Errors of [`PointCloudTracker::new`]; [`Error::Format`] for bytes that

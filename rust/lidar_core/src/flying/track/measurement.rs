@@ -1,4 +1,4 @@
-//! Inputs of a track: a scan, what is measured in it, and where a track looks for it.
+//! Inputs of a track: a scan, its measurements, and the region of a track's search.
 
 use super::belief::kinds::TargetShape;
 use super::parameters::Hiding;

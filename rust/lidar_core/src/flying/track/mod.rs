@@ -93,8 +93,8 @@ impl PointCloudTracker {
     /// Move every track to `stamp_ns` and correct it with its cluster among `points` [m].
     ///
     /// Points that are not finite are no information. Tracks that are newer than the cloud, because
-    /// a detection was, wait for the next one. `delays` is the time of every point after the stamp
-    /// [s], if the scan took a while.
+    /// of a detection, wait for the next cloud. `delays` is the time of every point after the stamp
+    /// [s], for scans that take time.
     ///
     /// # Errors
     /// [`Error::Time`] for a stamp that was processed, or older than a full buffer;
@@ -131,7 +131,7 @@ impl PointCloudTracker {
         Ok(stats)
     }
 
-    /// Take in a set of detections, an empty one included, that may be older than the clouds.
+    /// Process a set of detections, which may be empty, and may be older than the clouds.
     ///
     /// # Errors
     /// [`Error::Length`], [`Error::Value`] for an entry that cannot be used, [`Error::Limit`] above
@@ -329,7 +329,7 @@ impl PointCloudTracker {
         self.tracks.retain(|track| !occupied.any_within(track.position().into(), distance));
     }
 
-    /// Forget all tracks and clouds. Numbers go on where they were.
+    /// Forget all tracks and clouds. Numbers of tracks continue.
     pub fn reset(&mut self) {
         self.tracks.clear();
         self.standing.clear();

@@ -1,4 +1,4 @@
-//! What the tracker tells: tracks at a time, changes by a call, and places to look for targets.
+//! Output of the tracker: tracks at a time, changes by a call, and places to look for targets.
 
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use crate::geometry::transform::Transform;
@@ -16,7 +16,7 @@ pub struct Track {
     pub state: Gaussian<9>,
     /// Sides of the bounding box of the last cluster or detection [m].
     pub extent: [f64; 3],
-    /// Detections that held it.
+    /// Number of detections that updated it.
     pub n_detections: u32,
     /// Time since its first detection [s].
     pub age: f64,
@@ -28,7 +28,7 @@ pub struct Track {
     pub reported: bool,
     /// Probability that its target exists; not a number where tracks are confirmed by counts.
     pub existence: f64,
-    /// What the target is; Flying where tracks are confirmed by counts.
+    /// Kind of the target; Flying if tracks are confirmed by counts.
     pub kind: TrackKind,
     /// Probability of every kind, in the order of [`TrackKind::ALL`], if the target exists; not
     /// numbers where tracks are confirmed by counts.
@@ -84,7 +84,7 @@ pub struct Stats {
     pub confirmed: Vec<i64>,
     /// Removed.
     pub removed: Vec<i64>,
-    /// Pairs: the track that stays and the one that went into it.
+    /// Pairs of the track that stays and the one that was merged into it.
     pub merged: Vec<[i64; 2]>,
     /// Measurements that could not be used because a covariance was not positive definite.
     pub rejected: usize,

@@ -66,7 +66,7 @@ pub enum MeasurementForm {
     Center,
 }
 
-/// Clusters of which a part is hidden, because something else is in front of the target.
+/// Handling of clusters that are partly hidden by something in front of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hiding {
     /// A side shorter than this share of the track's usual one is partly hidden.
@@ -92,7 +92,8 @@ pub enum Association {
 /// When a track is reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Confirmation {
-    /// For good, once `hits` of the last `window` sets of detections contained the track.
+    /// A track is confirmed for good once `hits` of the last `window` sets of detections contained
+    /// it.
     Counts {
         /// Sets that held the track, >= 1.
         hits: u32,
@@ -147,14 +148,14 @@ pub enum Ageing {
     },
 }
 
-/// Everything the tracker can be told.
+/// All parameters of the tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackerParameters {
     /// Clouds kept for late detections, N_buf.
     pub buffer_size: usize,
     /// Clusters inside a track's region.
     pub clustering: Clustering,
-    /// Clusters with a longer side of their bounding box are no targets [m].
+    /// Largest side of the bounding box of a target's cluster [m].
     pub max_extent: Option<f64>,
     /// A centroid this close to an occupied voxel's centre is background, d_min [m].
     pub occupied_distance: f64,
@@ -170,11 +171,11 @@ pub struct TrackerParameters {
     pub measurement_std: f64,
     /// Uncertainty that a hidden side adds to the position of a cluster; None: it adds none.
     pub hiding: Option<Hiding>,
-    /// Association.
+    /// Rule that assigns clusters and detections to tracks.
     pub association: Association,
-    /// A track that was confirmed and has lost its target may find it again by a detection: as if the
-    /// target had accelerated by this all the time, as a standard deviation [m/s^2]; None: only
-    /// where it was predicted. Global association only.
+    /// Standard deviation of an acceleration of the target since it was lost [m/s^2]: it widens the
+    /// region in which a detection continues a lost confirmed track. None: only the predicted
+    /// region counts. Global association only.
     pub rejoin_acceleration: Option<f64>,
     /// A cluster this near to several tracks, which are further apart from each other, is divided
     /// among them [m]; None: clusters stay whole. Global association only.

@@ -1,5 +1,5 @@
-//! One cluster of several targets: every point goes to the track it is nearest to. And several clusters of
-//! one large target: they become one.
+//! Clusters of several targets, whose points go to the nearest track, and several clusters of one
+//! large target, which are united.
 
 use super::measurement::SearchRegion;
 use super::pairs::AlongX;

@@ -1,4 +1,4 @@
-//! One track, or one hypothesis on its way to become a track.
+//! One track, or one hypothesis that may become a track.
 
 use super::belief::existence::{FalseBirths, Sight, TrackBelief};
 use super::measurement::{Evidence, Measurement};

@@ -24,10 +24,10 @@ const OF_PAPER: usize = 3;
 /// Difference of a measurement from its prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Innovation {
-    /// Measured minus expected: position [m]; or what a radar measures; or turn rate; or the first
-    /// three states of the paper's five.
+    /// Measured minus expected values: of position [m]; or of a radar; or of the turn rate; or the
+    /// first three of the paper's five states.
     pub values: [f64; MAX_INNOVATION],
-    /// Number of measured values; the paper has five, of which three are kept.
+    /// Number of measured values; the paper has five, but only three are kept.
     pub count: usize,
     /// Normalised innovation squared: chi-square with `count` degrees of freedom.
     pub nis: f64,
@@ -145,8 +145,8 @@ pub trait Engine: Clone + Send + Sync + 'static {
     }
 }
 
-/// Linearised prediction for the smoother: x' = F x + noise of covariance Q. States that the model
-/// does not have stay as they are.
+/// Linearised prediction for the smoother: x' = F x + noise of covariance Q. States outside of the
+/// model do not change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Jacobian of the prediction.

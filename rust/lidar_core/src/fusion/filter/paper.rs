@@ -1,8 +1,8 @@
 //! The filter as printed: equations 7-9 and 11-28, errors included.
 //!
 //! The matrices contradict the equations of motion, the noise is neither symmetric nor positive,
-//! and the radar is read as if it measured the state: nothing here is meant for use, only for
-//! comparison. What the text leaves open is an option.
+//! and the radar is read as if it measured the state. This filter serves only for comparison.
+//! Choices that the text leaves open are options.
 
 #![allow(non_snake_case)] // textbook letters
 

@@ -25,7 +25,7 @@ pub struct Sigma<const N: usize, M> {
     pub carries: bool,
 }
 
-/// A state, and the sigma points of its prediction if they are carried on.
+/// A state, and the sigma points of its prediction if they are reused for the correction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SigmaState<const N: usize> {
     /// Mean and root of the covariance.

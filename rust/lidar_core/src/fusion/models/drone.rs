@@ -22,8 +22,8 @@ const GYRO_PRIOR: [f64; 2] = [0.05 * 0.05, 0.05 * 0.05];
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CtrvDrone;
 
-/// Like [`CtrvDrone`], with the bias of the gyro and the time by which it is late: [x, y, v, theta,
-/// w, bias, delay]. A reading of time t is the rate at t - delay, plus the bias.
+/// Like [`CtrvDrone`], with bias and delay of the gyro as states: [x, y, v, theta, w, bias, delay].
+/// A reading of time t is the rate at t - delay, plus the bias.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CtrvDroneGyro;
 

@@ -89,8 +89,8 @@ impl First {
 
 /// A motion model with N states; the first ones are the position.
 ///
-/// The frame of the state is the sensor's where the sensor stands still or the model moves it,
-/// else the world's.
+/// The state is in the frame of the sensor if the sensor stands still or the model moves it, else
+/// in the world.
 pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
     /// Plane or space.
     type World: World;

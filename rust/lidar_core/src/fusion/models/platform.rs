@@ -27,7 +27,7 @@ pub struct Pose {
 pub struct Platform {
     /// The last pose; states are in the world where there is one.
     pub pose: Option<Pose>,
-    /// The last pose in space, of which filters in the plane have none.
+    /// The last pose in space; filters in the plane have none.
     pub in_space: Option<Box<SpacePose>>,
     /// Turn rate measured by a gyro [rad/s]: the mean over the step that is predicted.
     pub rate: f64,
@@ -53,13 +53,13 @@ const CARRIED: f64 = 0.1;
 /// Use of the turn rate of a gyro.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GyroUse {
-    /// Input to the motion model, of which bias and delay are estimated.
+    /// Input of the motion model; its bias and delay are estimated.
     Input,
     /// Input to the motion model as it is.
     Exact,
     /// Measurement of a state.
     Measurement,
-    /// Not used.
+    /// The gyro is ignored.
     Ignored,
 }
 
@@ -97,7 +97,7 @@ pub struct SensorPose {
 }
 
 impl Platform {
-    /// A platform that stands still, with the sensor at its origin.
+    /// A platform at rest, with the sensor at its origin.
     #[must_use]
     pub fn still() -> Self {
         Self {
@@ -112,7 +112,7 @@ impl Platform {
         }
     }
 
-    /// Take in what a gyro says at `stamp_ns`: a turn rate [rad/s] and its variance.
+    /// Store a reading of the gyro at `stamp_ns`: a turn rate [rad/s] and its variance.
     pub fn read_gyro(&mut self, stamp_ns: i64, rate: f64, variance: f64) {
         let last = self.gyro;
         let gap = last.map_or(0.0, |last| seconds(last.stamp_ns, stamp_ns));
@@ -126,8 +126,8 @@ impl Platform {
         self.gyro = Some(GyroReading { stamp_ns, rate, slope });
     }
 
-    /// The platform on the way from `start_ns` to `end_ns`: `rate` is the mean of the turn rate.
-    /// Between the last two readings it is interpolated, after the last one carried on.
+    /// Motion of the platform from `start_ns` to `end_ns`: `rate` is the mean of the turn rate. It
+    /// is interpolated between the last two readings, and constant after the last one.
     #[must_use]
     pub fn between(&self, start_ns: i64, end_ns: i64) -> Option<Self> {
         let gyro = self.gyro?;

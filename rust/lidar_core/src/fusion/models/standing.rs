@@ -1,20 +1,21 @@
-//! Targets that stand.
+//! Targets at rest.
 
+use super::cartesian::ConstantVelocity;
 use super::motion::{First, INPUTS, Motion, Noise, PlaneMotion, Prior};
 use super::platform::Platform;
 use super::state_conversion::StateConversion;
 use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
-use nalgebra::{Matrix6, SMatrix, SVector, Vector2, Vector4, Vector6};
+use nalgebra::{SMatrix, SVector, Vector2, Vector4};
 
-/// Time for which an acceleration lasts before what stands has come to rest again [s]: it moves the
-/// place and leaves no velocity.
+/// Duration of an acceleration, after which the target is at rest again [s]: it moves the place and
+/// leaves no velocity.
 const REST: f64 = 0.02;
 
 /// Share of stops among changes of motion, relative to changes to another model.
 const STOPS: f64 = 0.1;
 
-/// A place that hardly moves, without a velocity: [x, y, vx, vy], of which vx and vy are zero.
+/// A place that hardly moves: [x, y, vx, vy] with vx = vy = 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StandingTarget;
 
@@ -78,25 +79,17 @@ impl PlaneMotion<4> for StandingTarget {
 }
 
 impl StateConversion<4> for StandingTarget {
-    /// What stands goes on standing for minutes: where it was seen to stand, it is expected.
+    /// A target at rest stays there for minutes.
     const SOJOURN: Option<f64> = Some(300.0);
-    /// In a crowd only what stands is seen again where it was, at first.
+    /// In a crowd, at first only targets at rest are measured again at the same place.
     const OF_NEW: f64 = 0.3;
 
     fn cartesian(&self, state: &Gaussian<4>, other: Option<&Gaussian<6>>) -> Gaussian<6> {
-        let (mut mean, mut covariance) = (Vector6::zeros(), Matrix6::zeros());
-        mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
-        covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&state.covariance);
-        if let Some(other) = other {
-            mean.fixed_rows_mut::<2>(4).copy_from(&other.mean.fixed_rows::<2>(4));
-            let known = other.covariance.fixed_view::<2, 2>(4, 4);
-            covariance.fixed_view_mut::<2, 2>(4, 4).copy_from(&known);
-        }
-        Gaussian { mean, covariance }
+        ConstantVelocity.cartesian(state, other)
     }
 
-    /// Less where it is not known where the target stands: a wide place that does not grow would fit
-    /// measurements that have nothing in common.
+    /// The tendency is less for an uncertain place: a wide place that does not grow would fit
+    /// measurements of different objects.
     fn tendency(&self, at: &Gaussian<6>, prior: &Prior) -> f64 {
         let widest = at.covariance[(0, 0)].max(at.covariance[(1, 1)]);
         STOPS * (prior.position / widest).min(1.0)
@@ -114,6 +107,7 @@ impl StateConversion<4> for StandingTarget {
 mod tests {
     use super::*;
     use crate::fusion::models::motion::tests::check_in_plane as check;
+    use nalgebra::{Matrix6, Vector6};
 
     #[test]
     fn the_model_agrees_with_differences() {

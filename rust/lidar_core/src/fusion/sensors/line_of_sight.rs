@@ -1,4 +1,4 @@
-//! A state of the plane relative to a sensor: what the sensor would measure, and the Jacobians.
+//! A state of the plane relative to a sensor: expected measurements, with their Jacobians.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -20,7 +20,7 @@ pub struct LineOfSight<'a, const N: usize, M> {
 }
 
 impl<'a, const N: usize, M: PlaneMotion<N>> LineOfSight<'a, N, M> {
-    /// State `s` relative to a sensor in the world, or in the sensor's own frame if there is none.
+    /// State `s` relative to a sensor in the world, or in the sensor's own frame without one.
     pub fn new(
         motion: &'a M,
         state: &'a SVector<f64, N>,

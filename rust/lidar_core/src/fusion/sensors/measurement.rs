@@ -55,10 +55,10 @@ impl PolarValues {
     /// Range, bearing, elevation and range rate.
     pub const ALL: Self = Self { given: [true; 4], places: [0, 1, 2, 3], count: 4 };
 
-    /// Those of the four values that are given.
+    /// Mask of the given values among the four.
     ///
     /// # Errors
-    /// [`Error::Value`] if there is none.
+    /// [`Error::Value`] if no value is given.
     pub fn new(given: [bool; 4]) -> Result<Self, Error> {
         let (mut places, mut count) = ([0; 4], 0);
         for place in (0..4).filter(|place| given[usize::from(*place)]) {
@@ -84,7 +84,7 @@ impl PolarValues {
         self.given[place]
     }
 
-    /// Places of the given values; what follows them is zero.
+    /// Indices of the given values, followed by zeros.
     #[must_use]
     pub fn places(self) -> [usize; 4] {
         self.places.map(usize::from)
@@ -213,8 +213,8 @@ impl Measurement {
         Ok(Self { covariance: packed, ..plain })
     }
 
-    /// The measurement as one of a radar at this place in the frame of the tracks [m], which has told the position
-    /// of the target there: a tracker of many targets then knows echoes that came back twice.
+    /// The measurement as a position that a radar reported from this place in the frame of the
+    /// tracks [m]: a tracker of many targets then recognises double echoes.
     ///
     /// # Errors
     /// [`Error::Value`] for a sensor that measures no position, or a place that is not finite.
@@ -228,7 +228,7 @@ impl Measurement {
         Err(Error::Value { name: "seen_from", expected, index: 0, got })
     }
 
-    /// Place of the radar that has told the position [m]; None for other sensors, and where it is not known.
+    /// Place of the radar that reported the position [m]; None for other sensors, or if unknown.
     #[must_use]
     pub fn seen_from(&self) -> Option<[f64; 2]> {
         self.seen_from

@@ -47,7 +47,7 @@ pub enum Observation {
 
 impl Sensing {
     /// Form in which `m` corrects a state in the plane at a distance of `range` [m]; None for a
-    /// measurement that tells nothing about it.
+    /// measurement without information about it.
     #[must_use]
     #[inline]
     pub fn observation(&self, m: &Measurement, range: f64) -> Option<Observation> {

@@ -1,4 +1,4 @@
-//! What filters ask of a measurement: what a state is expected to give, and how far off it is.
+//! Interface of measurements for filters: expected values of a state, and their deviation.
 
 #![allow(non_snake_case)] // textbook letters
 

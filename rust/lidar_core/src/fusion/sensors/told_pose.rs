@@ -1,4 +1,4 @@
-//! Poses of the platform as measurements tell them.
+//! Poses of the platform from measurements.
 
 use super::measurement::{Measurement, Sensor};
 use super::sensing::Sensing;

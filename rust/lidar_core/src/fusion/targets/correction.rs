@@ -78,8 +78,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         Ok(adapted)
     }
 
-    /// Position that a measurement alone tells, and the variances along its axes, in the frame of the state;
-    /// None for one that tells no position.
+    /// Position from a measurement alone, and the variances along its axes, in the frame of the
+    /// state; None for a measurement without a position.
     pub fn sight(&self, m: &Measurement) -> Option<[[f64; 3]; 2]> {
         let first = E::World::first_sight(m, &self.rules.sensing, &self.now.platform, true)?;
         let variance = first.noise.map_or([0.0; 3], |of| [of[(0, 0)], of[(1, 1)], of[(2, 2)]]);

@@ -1,4 +1,5 @@
-//! Noise by maximum likelihood: what process and sensor noise make the measurements most likely.
+//! Noise by maximum likelihood: process and sensor noise under which the measurements are most
+//! likely.
 
 use super::any_filter::Filter;
 use super::lifecycle::{LifecycleRules, Outcome};

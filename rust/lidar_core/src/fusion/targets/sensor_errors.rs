@@ -11,8 +11,8 @@ const OUTLIER: f64 = 100.0;
 /// Places of the values of a LiDAR.
 const IN_ORDER: [usize; 4] = [0, 1, 2, 3];
 
-/// Estimated variances as factors on the configured ones. Measurements with a covariance of their
-/// own are believed as they are.
+/// Estimated variances as factors of the configured ones. Measurements with their own covariance
+/// are used unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SensorErrors {
     /// Factors on the noise of x, y and z.
@@ -43,7 +43,7 @@ impl SensorErrors {
         (&self.lidar, IN_ORDER)
     }
 
-    /// Take in the innovation that a measurement, as [`Self::seen_by`] gives it, has.
+    /// Update the estimates with the innovation of a measurement, as [`Self::seen_by`] returns it.
     pub fn learn(
         &mut self,
         m: &Measurement,

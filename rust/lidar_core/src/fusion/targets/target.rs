@@ -267,7 +267,7 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         self.rules.engine.link(state, dt, turning.as_ref().unwrap_or(platform))
     }
 
-    /// Factor by which the last step made the predicted covariance larger than its link says.
+    /// Factor by which the last step enlarged the predicted covariance beyond that of its link.
     pub fn looseness(&self) -> f64 {
         self.now.looseness
     }

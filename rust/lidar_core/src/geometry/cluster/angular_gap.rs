@@ -25,7 +25,7 @@ const LEAST_WIDTHS: f64 = 32.0;
 /// Room for rounding.
 const MARGIN: f64 = 1e-6;
 
-/// Gaps that are bridged as they are seen from the sensor.
+/// Gaps that are bridged if their angle at the sensor is small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngularGap {
     /// The sensor [m].
@@ -41,8 +41,8 @@ pub struct AngularGap {
 /// threads of `pool`.
 ///
 /// # Errors
-/// Those of [`label`](super::label), and [`Error::Parameter`] for an angle out of range
-/// or an origin that is not finite.
+/// Errors of [`label`](super::label), and [`Error::Parameter`] for an angle out of range or an
+/// origin that is not finite.
 pub fn label_seen(
     points: &[[f32; 3]],
     gap: &AngularGap,
@@ -202,7 +202,7 @@ impl Bands {
         rows.resize(row_ends[ends.len()], 0);
         // Counting sort keeps rows ascending within a band. Each start moves to the end of its band.
         for (row, &band) in (0..).zip(&*band_of).filter(|(_, band)| **band != NO_BAND) {
-            let place = &mut row_ends[usize::from(band)]; // where the band begins, at first
+            let place = &mut row_ends[usize::from(band)];
             rows[*place] = row;
             *place += 1;
         }

@@ -1,7 +1,7 @@
-//! Clustering of clouds of which some points are known to belong together.
+//! Clustering of clouds in which some points are known to belong together.
 //!
-//! Points that are joined from the start need no links among each other, and those that no other point
-//! can reach need not be looked at: what is searched follows the number of the others.
+//! Joined points need no links among each other, and those out of reach of all other points can be
+//! ignored: the number of the other points determines the search.
 
 use super::angular_gap::{AngularGap, SeenLabeller};
 use super::keys::is_finite;
@@ -75,7 +75,7 @@ impl JoinedLabeller {
         gap.check()?;
         check_points(points.len())?;
         check_extent(points, max_distance)?;
-        let Self { whole, labels, rows, points: taken, cells, named, others, joined } = self;
+        let Self { whole, rows, points: taken, cells, .. } = self;
         cells.restart(gap, max_distance.max(reach));
         for (&point, _) in points.iter().zip(is_joined).filter(|(_, is_joined)| !**is_joined) {
             if is_finite(point) {
@@ -88,8 +88,15 @@ impl JoinedLabeller {
         taken.clear();
         taken.extend(rows.iter().map(|&row| points[row as usize]));
         cancel::check()?;
-        let parts = whole.label(taken, gap, &clustering, pool)?;
+        whole.label(taken, gap, &clustering, pool)?;
+        self.number(is_joined);
+        Ok(())
+    }
 
+    /// Number the clusters of the searched points by first appearance; joined points have one label.
+    fn number(&mut self, is_joined: &[bool]) {
+        let Self { whole, labels, rows, named, others, joined, .. } = self;
+        let parts = whole.labels();
         // What is linked to a joined point is joined, too.
         let count = parts.iter().max().map_or(0, |&last| (last + 1) as usize);
         named.clear();
@@ -131,7 +138,6 @@ impl JoinedLabeller {
         for &(row, label) in &*others {
             labels[row as usize] = label;
         }
-        Ok(())
     }
 
     /// Labels of the last cloud.

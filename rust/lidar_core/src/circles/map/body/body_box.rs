@@ -1,4 +1,4 @@
-//! A box around a body that is not round: where its sides are, those that nobody sees now included.
+//! A box around a body that is not round, with the sides that are hidden now.
 //!
 //! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner than
 //! the middle, and moves as the body turns or the scanner passes. Here the sides of a box are
@@ -144,7 +144,7 @@ impl BodyBox {
         (look, delay): (&Look, f64),
         is_in_free: bool,
     ) -> Result<(), Error> {
-        // What another part of a wall seems to do is no motion.
+        // When other parts of a wall come into view, it seems to move: only free space shows motion.
         if is_in_free {
             self.turn();
         }
@@ -174,7 +174,7 @@ impl BodyBox {
         for side in 0..4 {
             let (number, sign) = (side / 2, if side % 2 == 0 { -1.0 } else { 1.0 });
             let believed = along(axes[number], center) + sign * state.mean[4 + number];
-            // How openly the scanner sees the face that ends at this side.
+            // A face seen at a grazing angle has wide gaps between its points, so its end is uncertain.
             let open = sines[1 - number].abs();
             let gap = (look.gap(distance) / open.max(0.1)).min(GAP);
             let end = hull.ends(axes[number])[side % 2];

@@ -62,7 +62,7 @@ impl Outline {
         let (sine, cosine) = (libm::sin(mean[4]), libm::cos(mean[4]));
         let sight = Vector2::from(seen.sight);
         let axes = [Vector2::new(cosine, sine), Vector2::new(-sine, cosine)];
-        // The side that faces the scanner: two are seen unless one does so squarely.
+        // The scanner sees two sides unless it faces one squarely: the better visible one counts.
         let depth = usize::from(axes[1].dot(&sight).abs() > axes[0].dot(&sight).abs());
         let normal = axes[depth] * axes[depth].dot(&sight).signum();
         let face = seen.face(normal)?;

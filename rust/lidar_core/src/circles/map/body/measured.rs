@@ -1,4 +1,4 @@
-//! What a measurement says about a body: how likely it is of it, and how much it is worth.
+//! Likelihood of a measurement under a body, and weight of the measurement.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -119,8 +119,8 @@ impl RoundBody {
         let Gaussian { mean, covariance } = self.circle();
         let growth = seen.z[2] - mean[4];
         if growth * growth > NEAR * (covariance[(4, 4)] + seen.R[(2, 2)]) {
-            // Another radius: the fit is of another part. Its covariance tells how errors of the
-            // centre and of the radius hang together, and this is none of them.
+            // A very different radius means that the fit is of another part of the body. The fit's
+            // covariance does not contain this error, so it is added.
             seen.R += Matrix3::identity() * (from.length / left);
         } else {
             seen.R *= from.squared / left;

@@ -18,7 +18,7 @@ pub(super) const FREE: f64 = 0.5;
 /// How many legs a measurement is put together of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::circles::map) enum Legs {
-    /// It is as it was seen.
+    /// One measurement, used as it is.
     None,
     /// A single leg of a known person.
     One,

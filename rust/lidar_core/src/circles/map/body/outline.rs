@@ -1,4 +1,4 @@
-//! Outlines of bodies that are no circles: ellipses and rectangles.
+//! Outlines of bodies that are not circles: ellipses and rectangles.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -19,7 +19,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 pub struct OutlineEstimate {
     /// Ellipse, rectangle, or line: one face of an unknown object.
     pub shape: ShapeEstimate,
-    /// It is too large to be reported as a circle.
+    /// True if it is too large to be reported as a circle.
     pub is_large: bool,
     /// Circle that its rays show if it is one; for elements that are known to be round.
     pub round: Option<CircleEstimate>,

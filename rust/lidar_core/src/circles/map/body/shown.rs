@@ -1,4 +1,4 @@
-//! What is shown of a body: its circle, or the box around what is not round.
+//! Reported form of a body: its circle, or a box around a body that is not round.
 
 use super::body_box::BodyBox;
 use super::places::moves_by;

@@ -1,4 +1,4 @@
-//! What the sensor measures of an element, and where a measurement places one, with the Jacobians of both.
+//! Expected measurement of an element, and place of a measured one, with the Jacobians of both.
 
 #![allow(non_snake_case)] // textbook letters
 

@@ -1,7 +1,8 @@
-//! Earlier scans, and what they met where something is now.
+//! Earlier scans, and the surfaces that they show at a place.
 //!
 //! Source: the idea of Wang, Thorpe & Thrun, "Online simultaneous localization and mapping with
-//! detection and tracking of moving objects", ICRA 2003: what moves is where space was free.
+//! detection and tracking of moving objects", ICRA 2003: moving objects are at places that were
+//! free.
 
 use super::piece::SurfacePiece;
 use super::slip;

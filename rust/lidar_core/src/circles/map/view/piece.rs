@@ -1,4 +1,4 @@
-//! Surface that one ray met, between the surfaces of its neighbours.
+//! Surface that one ray hit, between the surfaces of its neighbours.
 
 /// Largest gap between the ends of neighbouring rays that met one surface [m].
 const JOINED: f64 = 0.3;

@@ -1,7 +1,7 @@
-//! Whether the scanner moved between two scans of which the poses say that it did not.
+//! Test whether the scanner moved between two scans with equal poses.
 //!
-//! Where poses come from a source that stopped, they stay the same, and all that stands moves with
-//! the scanner. One motion then explains both scans; things that move do not.
+//! If the source of the poses has stopped, the poses stay the same, and all static objects seem to
+//! move with the scanner. One motion then explains both scans; moving objects do not fit it.
 
 #![allow(non_snake_case)] // textbook letters
 

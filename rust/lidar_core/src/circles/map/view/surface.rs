@@ -1,4 +1,4 @@
-//! What a scan met at a point: a surface, free space, or nothing known.
+//! State of a point in a scan: a surface, free space, or unknown.
 
 use super::piece::SurfacePiece;
 use super::visibility::SortedView;

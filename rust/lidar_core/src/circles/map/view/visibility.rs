@@ -190,8 +190,8 @@ impl SortedView {
         parts.sum()
     }
 
-    /// Visibility of a line in the frame of the scan, whose front is on the left of the way from
-    /// its first end to its second.
+    /// Visibility of a line in the frame of the scan. Its front is on the left of the direction
+    /// from its first end to its second.
     #[must_use]
     pub fn of_line(&self, ends: [[f64; 2]; 2], test: &VisibilityTest) -> CircleVisibility {
         let [[x, y], [to_x, to_y]] = ends;

@@ -1,4 +1,4 @@
-//! Centre of a target, of which a scan shows the near side only.
+//! Centre of a target, of which a scan shows only the near side.
 //!
 //! The centroid of its points (eq. 19) lies nearer to the sensor by up to the target's radius, as
 //! the paper says itself (sec. V-A). Here two models of the target are held against the points
@@ -26,7 +26,7 @@ use frame::OpenFrame;
 use nalgebra::{Matrix3, Vector3};
 use sphere::Sphere;
 
-/// The centre of a target's circumscribed sphere, as one scan tells it.
+/// Centre of a target's circumscribed sphere, estimated from one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Center {
     /// Position [m].
@@ -35,12 +35,13 @@ pub struct Center {
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,
-    /// The radius if rays pass it as near to each other as its points are [m]: no more than `radius`, and less
-    /// where it is not known which rays passed.
+    /// Radius under the assumption that rays pass as near to each other as its points are [m]: at
+    /// most `radius`, and less if the rays that passed are unknown.
     pub least_radius: f64,
-    /// Share of the rays inside the ellipse of its points that hit, 0 to 1: small for what is loose.
+    /// Share of the rays inside the ellipse of its points that hit, 0 to 1: small for loose objects
+    /// such as leaves.
     pub filled_share: f64,
-    /// Whether rays pass below it; None if nothing tells.
+    /// True if rays pass below it; None if unknown.
     pub is_free_below: Option<bool>,
     /// Whether something nearer may hide a part of the target.
     pub is_cut: bool,

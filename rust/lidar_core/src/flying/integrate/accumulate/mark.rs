@@ -1,4 +1,4 @@
-//! Mark of a voxel: what one scan has put into it.
+//! Mark of a voxel: contribution of one scan to it.
 
 /// Content of one voxel in one scan, in 32 bits: the class of the points inside in the highest
 /// two, below them their number, or without points the length of rays in 1/16384 edges.

@@ -1,4 +1,4 @@
-//! Sums of one scan per voxel: the window of blocks around its rays, and what each voxel received.
+//! Sums of one scan per voxel: the window of blocks around its rays, with the sums of each voxel.
 
 pub(crate) mod accumulator;
 pub(crate) mod dense_blocks;

@@ -40,19 +40,7 @@ impl SkyObservation {
             let has_returned = sky.surface[cell].is_finite();
             returned[column(cell)] += usize::from(has_returned && sky.evidence[cell] < LATELY);
         }
-        let mut is_lost = [false; COLUMNS];
-        let mut run: Vec<usize> = Vec::new();
-        for column in (0..=COLUMNS).map(|step| (start + step) % COLUMNS) {
-            if !returns[column] {
-                run.push(column);
-                continue;
-            }
-            let seen = || run.iter().map(|&column| returned[column]).filter(|&cells| cells > 0);
-            if seen().count() >= FEWEST_COLUMNS && seen().sum::<usize>() >= FEWEST_CELLS {
-                run.iter().for_each(|&column| is_lost[column] = true);
-            }
-            run.clear();
-        }
+        let is_lost = lost_columns(&returns, start, &returned);
         if !is_lost.contains(&true) {
             return;
         }
@@ -66,4 +54,26 @@ impl SkyObservation {
             }
         }
     }
+}
+
+/// Columns in runs, from `start` on, without returns, where enough cells `returned` lately.
+fn lost_columns(
+    returns: &[bool; COLUMNS],
+    start: usize,
+    returned: &[usize; COLUMNS],
+) -> [bool; COLUMNS] {
+    let mut is_lost = [false; COLUMNS];
+    let mut run: Vec<usize> = Vec::new();
+    for column in (0..=COLUMNS).map(|step| (start + step) % COLUMNS) {
+        if !returns[column] {
+            run.push(column);
+            continue;
+        }
+        let seen = || run.iter().map(|&column| returned[column]).filter(|&cells| cells > 0);
+        if seen().count() >= FEWEST_COLUMNS && seen().sum::<usize>() >= FEWEST_CELLS {
+            run.iter().for_each(|&column| is_lost[column] = true);
+        }
+        run.clear();
+    }
+    is_lost
 }

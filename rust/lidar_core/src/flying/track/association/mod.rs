@@ -1,4 +1,4 @@
-//! What belongs to what: detections and the tracks that they feed or begin.
+//! Association of detections with tracks.
 
 mod initiation;
 pub(super) mod join;

@@ -1,4 +1,4 @@
-//! Where the target of a track may be when detections come, and how well one fits.
+//! Predicted place of a track's target at a set of detections, and fit of each detection.
 
 use super::super::motion::{position, position_block, position_matrix};
 use super::super::parameters::Motion;

@@ -1,11 +1,11 @@
-//! How probable it is that the target of a track exists, and what it is.
+//! Probability that the target of a track exists, and probabilities of its kinds.
 //!
 //! Besides a target, two other causes make detections: something that stands still and has just come
 //! into view, such as a part of a surface, and returns that come and go, such as rain, dust and leaves.
 //! Every set of detections says how well each of the three explains what was seen of a track. How often
 //! tracks begin that have no target is learnt from those that end.
 //!
-//! The same evidence tells whether what exists stands: see [`Kinds`].
+//! The same evidence shows whether the target is at rest: see [`Kinds`].
 
 use super::super::measurement::Evidence;
 use super::super::motion::seconds;
@@ -34,13 +34,13 @@ const MEAN: Sojourn = Sojourn { lifetime: 30.0, visible: 5.0, hidden: 0.3 };
 /// What a set of detections, and the scan before it, show of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::flying::track) enum Sight {
-    /// It is out of the field of view, or something is in front of it: nothing is said.
+    /// It is outside of the field of view, or hidden: no evidence.
     Unseen,
-    /// Many rays went through its place and met nothing.
+    /// Many rays passed its place without a hit.
     Missed,
     /// A few rays did.
     BarelyMissed,
-    /// Points, of which nothing tells that they are in free space.
+    /// There are points, but no evidence that they are in free space.
     Followed,
     /// Too few points for a detection, in free space.
     Few,

@@ -1,4 +1,4 @@
-//! What the target of a track is.
+//! Probabilities of the kinds of a track's target.
 //!
 //! Every set of detections tells whether it stands. Its size, and how much of its outline is filled,
 //! are the same in all of them: these are averaged, and weighed once. Insects are smaller than what
@@ -50,7 +50,7 @@ const RECURS: [f64; KINDS] = [0.2, 0.02, 1.0, 1.0, 1.0];
 /// something and sway; few targets begin beside structure, stay there, and hardly accelerate.
 const HANGS: [f64; KINDS] = [0.3, 0.1, 0.3, 1.0, 1.0];
 
-/// What a detection shows of a target itself.
+/// Properties of a target itself in one detection.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetShape {
     /// Radius of the sphere around it [m].
@@ -59,9 +59,9 @@ pub struct TargetShape {
     pub least_radius: f64,
     /// Share of the rays inside the ellipse of its points that hit; not a number if unknown.
     pub filled_share: f64,
-    /// Whether rays pass below it; None if nothing tells.
+    /// True if rays pass below it; None if unknown.
     pub is_free_below: Option<bool>,
-    /// Whether it has moved to where what is below it was never seen.
+    /// True if it has moved over space that was never seen.
     pub is_over_unseen: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What is believed of the target of a track: whether it exists, and what it is.
+//! Belief about the target of a track: probability of its existence, and of its kinds.
 
 pub(super) mod existence;
 pub(super) mod kinds;

@@ -1,7 +1,7 @@
-//! What stood in free space during the burn-in: a target that hovers, or a thing that hangs there.
+//! Objects in free space during the burn-in: a target that hovers, or a hanging object.
 //!
-//! Nothing tells which of them it is before it moves, so its kind is unknown. Its points are
-//! background from the burn-in on. Once it has left, a track of its own follows it.
+//! Before it moves, both look alike, so its kind is unknown. Its points are background from the
+//! burn-in on. After it has left, a new track follows it.
 
 use super::super::detections::Detections;
 use super::super::measurement::CloudScan;

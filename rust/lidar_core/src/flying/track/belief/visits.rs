@@ -1,4 +1,4 @@
-//! Where something came and went: places of detections that no flying target explains.
+//! Places of detections that came and went, and that no flying target explains.
 //!
 //! Leaves in the wind, flags and wires are seen at the same places again and again, each time for a moment. A
 //! target comes to a place where nothing was before. So every detection of a track is asked how often something

@@ -1,4 +1,4 @@
-//! What detections tell of the existence of the targets of tracks.
+//! Evidence of detections for the existence of the targets of tracks.
 
 use super::super::measurement::Evidence;
 use super::super::motion::{position_block, seconds};

@@ -1,4 +1,4 @@
-//! Where a target can be seen: occupied space, sight of a cloud, points in the regions of tracks.
+//! Visibility of targets: occupied space, rays of a cloud, points in the regions of tracks.
 
 pub(super) mod occupancy;
 pub(super) mod select;

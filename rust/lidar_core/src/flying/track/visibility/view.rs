@@ -1,4 +1,4 @@
-//! Visibility as far as a bare cloud tells it.
+//! Visibility, as far as a bare cloud shows it.
 
 use super::occupancy::Visibility;
 use crate::geometry::lattice::wide;

@@ -1,5 +1,5 @@
-//! Which measurements are of which tracks, by counts of hits: global nearest neighbours, and joint
-//! probabilities.
+//! Association of measurements with tracks that are confirmed by counts: global nearest neighbours,
+//! and joint probabilities.
 
 use super::hypotheses::is_another_target;
 use super::near_pairs::ScanIndex;

@@ -1,5 +1,5 @@
-//! Way of a track lately: whether it stands, and whether it goes along with an older one ahead or
-//! astern, as parts of one long object do.
+//! Recent path of a track: whether it is at rest, and whether it moves along with an older track
+//! ahead or astern, like a part of one long object.
 
 use crate::tracking::near::{NearIndex, Rectangle};
 use serde::{Deserialize, Serialize};

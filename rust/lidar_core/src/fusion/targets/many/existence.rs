@@ -46,9 +46,17 @@ impl Tracks {
         self.all.retain(|_| !rows.next().unwrap_or(false));
     }
 
-    /// Report and end tracks by their probabilities.
+    /// End and report tracks by their probabilities.
     pub(super) fn judge_existence(&mut self, space: &IntegratedScan<'_>, lidar: &Surroundings) {
-        let existence = space.existence;
+        self.end_improbable(space, lidar);
+        if self.all.len() > MAX_TARGETS {
+            self.keep_most_probable();
+        }
+        self.report_probable(space);
+    }
+
+    /// End tracks that hardly exist, and those whose place is not known well enough.
+    fn end_improbable(&mut self, space: &IntegratedScan<'_>, lidar: &Surroundings) {
         let widest = space.parameters.max_position_std * space.parameters.max_position_std;
         let stamp_ns = space.scan.stamp_ns;
         let largest = largest_place(space, lidar);
@@ -68,17 +76,24 @@ impl Tracks {
             // speed open, and its next measurement shares the track with the case of a miss.
             track.existence() >= DELETED && (!track.belief.was_certain || is_placed())
         });
-        if self.all.len() > MAX_TARGETS {
-            let mut sorted: Vec<f64> = self.all.iter().map(TargetTrack::existence).collect();
-            sorted.sort_by(|a, b| b.total_cmp(a));
-            let least = sorted[MAX_TARGETS - 1];
-            let mut left = MAX_TARGETS;
-            self.all.retain(|track| {
-                let stays = track.existence() >= least && left > 0;
-                left -= usize::from(stays);
-                stays
-            });
-        }
+    }
+
+    /// Keep the [`MAX_TARGETS`] tracks of the highest probability; of equal ones the oldest.
+    fn keep_most_probable(&mut self) {
+        let mut sorted: Vec<f64> = self.all.iter().map(TargetTrack::existence).collect();
+        sorted.sort_by(|a, b| b.total_cmp(a));
+        let least = sorted[MAX_TARGETS - 1];
+        let mut left = MAX_TARGETS;
+        self.all.retain(|track| {
+            let stays = track.existence() >= least && left > 0;
+            left -= usize::from(stays);
+            stays
+        });
+    }
+
+    /// Report tracks by their probability, and count what certain tracks show about targets and scanner.
+    fn report_probable(&mut self, space: &IntegratedScan<'_>) {
+        let (existence, stamp_ns) = (space.existence, space.scan.stamp_ns);
         let mut arrived = 0;
         for track in &mut self.all {
             let probability = track.existence();

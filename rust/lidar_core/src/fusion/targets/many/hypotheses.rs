@@ -1,4 +1,4 @@
-//! What the measurements in its gate make of a track with a probability of existence.
+//! Update of a track with a probability of existence by the measurements in its gate.
 
 use super::track::{Births, Candidates, IntegratedScan, Scan, TargetTrack};
 use crate::fusion::filter::engine::Innovation;

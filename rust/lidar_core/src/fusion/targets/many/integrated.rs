@@ -3,7 +3,7 @@
 
 use super::hypotheses::{OwnPair, spread};
 use super::parameters::ExistenceParameters;
-use super::track::{Assigned, Belief, Births, Candidates, IntegratedScan, TargetTrack};
+use super::track::{Assigned, Belief, Births, Candidates, IntegratedScan, Scan, TargetTrack};
 use super::tracks::Tracks;
 use crate::fusion::filter::engine::Output;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
@@ -78,6 +78,25 @@ impl Tracks {
         });
         let prior = prior_of(existence, sensor);
         let detection = scanner[usize::from(sensor == Sensor::Radar)].detection(&prior);
+        let predicted = self.predict_presence(scan, detection);
+        let told = self.largest_clutter(space, candidates, scanner);
+        let pairs = candidates.pairs.iter().zip(&candidates.innovations);
+        let pairs = pairs.map(|(pair, innovation)| {
+            let m = &scan.measurements[pair.column];
+            let axes = innovation.count;
+            let prior = prior_of(existence, m.sensor());
+            let clutter = prior.clutter.min(told[kind(m)][axes - 1]);
+            let prior = ScannerPrior { clutter, ..prior };
+            let density = scanner[kind(m)].clutter(&prior, axes);
+            let density = density.max(space.standing[pair.column]);
+            let log_ratio = -0.5 * (innovation.nis + spread(innovation)) - libm::log(density);
+            GatedPair { track: pair.row, measurement: pair.column, log_ratio }
+        });
+        associate(&predicted, scan.measurements.len(), &pairs.collect::<Vec<_>>())
+    }
+
+    /// Predict the presence of every track to the time of the scan; the stay of certain ones is counted.
+    fn predict_presence(&mut self, scan: &Scan, detection: f64) -> Vec<PredictedTrack> {
         let mean = Sojourn {
             lifetime: self.population.lifetime(LIFETIME),
             visible: self.population.visible(VISIBLE),
@@ -95,21 +114,7 @@ impl Tracks {
             let is_in_view = track.sources & (1 << scan.source) != 0;
             PredictedTrack { presence: belief.presence, detection, is_in_view }
         });
-        let predicted: Vec<PredictedTrack> = predicted.collect();
-        let told = self.largest_clutter(space, candidates, scanner);
-        let pairs = candidates.pairs.iter().zip(&candidates.innovations);
-        let pairs = pairs.map(|(pair, innovation)| {
-            let m = &scan.measurements[pair.column];
-            let axes = innovation.count;
-            let prior = prior_of(existence, m.sensor());
-            let clutter = prior.clutter.min(told[kind(m)][axes - 1]);
-            let prior = ScannerPrior { clutter, ..prior };
-            let density = scanner[kind(m)].clutter(&prior, axes);
-            let density = density.max(space.standing[pair.column]);
-            let log_ratio = -0.5 * (innovation.nis + spread(innovation)) - libm::log(density);
-            GatedPair { track: pair.row, measurement: pair.column, log_ratio }
-        });
-        associate(&predicted, scan.measurements.len(), &pairs.collect::<Vec<_>>())
+        predicted.collect()
     }
 
     /// Largest density of clutter before scans show more, by sensor and number of axes: all

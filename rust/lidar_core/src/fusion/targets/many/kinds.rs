@@ -1,8 +1,9 @@
-//! What a track follows: something that stands, something that moves or flies, or clutter.
+//! Kinds of targets: at rest, moving, flying, or clutter.
 //!
-//! A line through the places that were measured tells whether they move, and by how much that is certain:
-//! their own scatter says so, not what is told of sensors. In space it also tells what climbs. Whether they
-//! are of a target at all is what the association has weighed.
+//! A line through the measured places shows whether they move, and with what certainty. Their own
+//! scatter is used for this, not the configured noise of the sensors. In space it also shows
+//! climbing targets. The association has weighed whether the measurements belong to a target at
+//! all.
 
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::tracking::place_trend::{PlaceTrend, Slope};

@@ -46,8 +46,8 @@ pub enum TargetAssociation {
     Integrated(ExistenceParameters),
 }
 
-/// Parameters of probabilities of existence. What a scanner does is learnt; the values given here
-/// are those it starts with.
+/// Parameters of probabilities of existence. Properties of a scanner are learnt; the values here
+/// are the start values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExistenceParameters {
     /// Probability that a scan measures a target.

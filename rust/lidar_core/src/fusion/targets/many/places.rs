@@ -1,4 +1,4 @@
-//! Where tracks and measurements are: what stands, what goes along, how far targets reach.
+//! Places of tracks and measurements: objects at rest, parts of long objects, extents of targets.
 
 use super::company::{Fellow, keep_company};
 use super::near_pairs::{Placed, clutter_at};

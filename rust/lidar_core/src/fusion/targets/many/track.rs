@@ -1,4 +1,4 @@
-//! A track, what scans do to it, and the scan itself.
+//! A track, its update by scans, and the scan itself.
 
 use super::company::RecentPath;
 use super::kinds::TargetKinds;
@@ -37,7 +37,7 @@ pub struct Assigned {
     pub innovation: Option<Innovation>,
 }
 
-/// Numbers of the tracks that a scan starts; they are kept when the scan is processed again.
+/// Numbers of the tracks that a scan starts; they stay the same if the scan is processed again.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct NewNumbers {
     /// Numbers of tracks that a measurement starts alone, by measurement.
@@ -76,7 +76,7 @@ pub struct TrackState {
     pub seen_ns: i64,
     /// Number of measurements.
     pub hits: u32,
-    /// True if enough scans measured the track, or if its probability of existence says so.
+    /// True if enough scans measured the track, or if its probability of existence is high enough.
     pub confirmed: bool,
     /// Probability that there is a target; None where the association does not estimate it.
     pub existence: Option<f64>,
@@ -150,7 +150,7 @@ pub(super) struct IntegratedScan<'a> {
     pub parameters: &'a ManyParameters,
     pub existence: &'a ExistenceParameters,
     pub scan: &'a Scan,
-    /// Density of clutter that stands where each measurement is [1/m^2].
+    /// Density of static clutter at each measurement [1/m^2].
     pub standing: &'a [f64],
 }
 

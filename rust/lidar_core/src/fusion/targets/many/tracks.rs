@@ -58,7 +58,7 @@ impl Tracks {
         })
     }
 
-    /// The tracks, of which none stay here.
+    /// Move all tracks out of this value.
     #[must_use]
     pub fn moved_out(&mut self) -> Self {
         Self { all: std::mem::take(&mut self.all), ..self.clone() }
@@ -103,14 +103,14 @@ impl Tracks {
         })
     }
 
-    /// True if these places have all that is known of what stands.
+    /// True if these places are all known static clutter.
     #[must_use]
     pub fn know(&self, places: &BTreeMap<u8, PlaceLog>) -> bool {
         let mut own = self.standing.iter();
         own.all(|(source, own)| places.get(source).is_some_and(|log| own.is_of(log)))
     }
 
-    /// Drop the places from before what these tracks, the oldest that are kept, know.
+    /// Drop the places that are older than those of these tracks, the oldest that are kept.
     pub fn forget_before(&self, places: &mut BTreeMap<u8, PlaceLog>) {
         for (source, own) in &self.standing {
             if let Some(log) = places.get_mut(source) {
@@ -179,23 +179,10 @@ impl Tracks {
         shared: Shared<'_>,
     ) -> Result<Vec<Assigned>, Error> {
         let Shared { births, work, places: known } = shared;
-        work.scans += 1;
-        let (stamp_ns, seen) = (scan.stamp_ns, 1 << scan.source);
+        let stamp_ns = scan.stamp_ns;
         let mut assigned = vec![Assigned::default(); scan.measurements.len()];
-        for m in scan.measurements.iter().filter(|m| m.is_of_platform()) {
-            self.unseen.step(m);
-            self.all.iter_mut().for_each(|track| {
-                track.filter.step(m);
-            });
-        }
-        for track in &mut self.all {
-            if track.sources & seen != 0 {
-                track.history <<= 1;
-                track.looks = track.looks.saturating_add(1);
-            }
-        }
-        let foreseen = self.all.iter_mut().map(|track| u64::from(track.filter.foresee(stamp_ns)));
-        work.predictions += foreseen.sum::<u64>();
+        work.scans += 1;
+        work.predictions += self.predict(scan);
         let index = ScanIndex::new(&scan.measurements, &parameters.filter.sensing);
         let has_places = parameters.birth_distance > 0.0 || parameters.report_speed > 0.0;
         let places = if has_places {
@@ -232,6 +219,23 @@ impl Tracks {
         self.learn_kinds(parameters, scan, &assigned);
         within("tracks", self.all.len())?;
         Ok(assigned)
+    }
+
+    /// Predict all tracks to the time of a scan, with the motion of the platform that it states.
+    /// Returns the number of predictions.
+    fn predict(&mut self, scan: &Scan) -> u64 {
+        for m in scan.measurements.iter().filter(|m| m.is_of_platform()) {
+            self.unseen.step(m);
+            self.all.iter_mut().for_each(|track| {
+                track.filter.step(m);
+            });
+        }
+        let seen = 1 << scan.source;
+        for track in self.all.iter_mut().filter(|track| track.sources & seen != 0) {
+            track.history <<= 1;
+            track.looks = track.looks.saturating_add(1);
+        }
+        self.all.iter_mut().map(|track| u64::from(track.filter.foresee(scan.stamp_ns))).sum()
     }
 
     /// New track for every measurement without one that is far enough from the `measured` tracks.

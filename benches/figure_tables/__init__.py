@@ -1,0 +1,1 @@
+"""Tables of `benches/figures.py`, a file per subject."""
