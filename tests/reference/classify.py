@@ -162,8 +162,18 @@ def flying_or_unknown(vmap: VoxelMap, points, extent: float, origin, config) -> 
     return FLYING if floating and clearance(vmap, points) >= config.min_clearance else UNKNOWN
 
 
-def clearance(vmap: VoxelMap, points) -> float:
-    """Share of free voxels among the neighbours of the cluster's own."""
+def clearance(vmap: VoxelMap, points, *, seen_from=None) -> float:
+    """Share of free voxels among the neighbours of the cluster's own.
+
+    Seen from a place, uncertain voxels in the cluster's shadow are left out: no ray passes them.
+    """
     own = {vmap.voxel_at(point) for point in points}
     shell = {neighbour for voxel in own for neighbour in beside(voxel)} - own
+    if seen_from is not None:
+        hides = Shadow(vmap, points, seen_from)
+        shell = {
+            voxel
+            for voxel in shell
+            if vmap.is_free(voxel) or vmap.is_tentative(voxel) or not hides(voxel)
+        }
     return sum(map(vmap.is_free, shell)) / max(len(shell), 1)

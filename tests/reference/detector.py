@@ -230,6 +230,8 @@ class Detector:
             else:
                 place, covariance, radius, least, _ = self.center_of(own)
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
+            place_of_shadow = origin if self.c.classify.shadow == "own" else None
+            clear = clearance(self.map, own, seen_from=place_of_shadow)
             found.append(
                 {
                     "position": place,
@@ -237,7 +239,7 @@ class Detector:
                     "radius": radius,
                     "extent": np.ptp(own, axis=0),
                     "n_points": len(own),
-                    "confidence": clearance(self.map, own) * sure * (label not in only_tracked),
+                    "confidence": clear * sure * (label not in only_tracked),
                     "delay": delays[labels == label].astype(float).mean(),
                     "shape": (radius, least, *self.outline, False),
                 }

@@ -73,17 +73,21 @@ def test_what_stands_does_not_move():
     assert sum((frame.point_class == PointClass.FLYING).sum() for frame in frames) > 100
 
 
-def behind_a_screen(*, turns):
+def behind_a_screen(*, radius, speed=2.0):
     """Kinds of the track, and classes of the points, of a ball that rises behind a screen.
 
-    The space below it is hidden in every scan. It then flies on a circle of 0.5 m at 2 m/s, or
-    straight on as a person walks.
+    The space below it is hidden in every scan. It then flies on a circle of some radius, or, for
+    none, straight on as a person walks.
     """
     times = np.arange(0, 5.0, 0.05)
     since = np.maximum(times - 1.8, 0.0)
     rise = 2.0 + 1.9 * np.minimum(times / 1.8, 1.0)
-    along, aside = (np.cos(4 * since), np.sin(4 * since)) if turns else (1 + 0 * since, 2 * since)
-    places = np.c_[6.0 + 0.5 * along, 0.5 * aside, rise]
+    if radius is None:
+        along, aside = np.full(len(since), 0.5), since
+    else:
+        turn = speed / radius * since
+        along, aside = radius * np.cos(turn), radius * np.sin(turn)
+    places = np.c_[6.0 + along, aside, rise]
     target = Target(
         shape=sim.Sphere(radius=0.325),
         motion=Waypoints(times=tuple(times), positions=tuple(map(tuple, places))),
@@ -101,10 +105,11 @@ def behind_a_screen(*, turns):
 
 
 def test_what_manoeuvres_above_hidden_space_flies_and_what_goes_straight_on_does_not():
-    kinds, classes = behind_a_screen(turns=True)
-    assert all(one == [TrackKind.FLYING] for one in kinds[28:])
-    assert all(one == {PointClass.FLYING} for one in classes[28:])
-    kinds, classes = behind_a_screen(turns=False)
+    for radius, speed in ((0.5, 2.0), (0.35, 1.5)):  # it never leaves what it hides
+        kinds, classes = behind_a_screen(radius=radius, speed=speed)
+        assert all(one == [TrackKind.FLYING] for one in kinds[28:])
+        assert all(one == {PointClass.FLYING} for one in classes[28:])
+    kinds, classes = behind_a_screen(radius=None)
     seen = [kind for one in kinds for kind in one]
     assert TrackKind.GROUND in seen
     assert TrackKind.FLYING not in seen

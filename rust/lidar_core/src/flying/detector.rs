@@ -20,7 +20,7 @@ use super::integrate::integrator::Integrator;
 use super::integrate::pose_weights::PoseNoise;
 use super::map::local_map::LocalMap;
 use super::map::voxel_map::VoxelMap;
-use super::moving::ground_movers::GroundMovers;
+use super::moving::ground_movers::{GroundMovers, ScanOfMovers};
 use super::moving::static_map::StaticMapper;
 use super::parameters::FlyingParameters;
 use super::point_class::PointClass;
@@ -219,7 +219,11 @@ impl FlyingObjectDetector {
             watch.run(|| {
                 let [cluster_ms, classify_ms] = classifier.classify(&input, clock)?;
                 if parameters.tells_movers() {
-                    movers.find(&scan.points, classifier.class(), &local.map, stamp_ns);
+                    let things = classifier.unknown_things(&input);
+                    let origin = scan.pose.translation;
+                    let (points, class) = (scan.points.as_slice(), classifier.class());
+                    let to_search = ScanOfMovers { points, class, origin, things: &things };
+                    movers.find(&to_search, &local.map, stamp_ns);
                     classifier.lift(&input, movers.in_air(), movers.over_unseen());
                 }
                 Ok::<_, Error>([cluster_ms, classify_ms + clock.lap()])

@@ -314,11 +314,11 @@ impl ClusterRules<'_> {
             let flood = Flood::new(self.map, radius, p.open_border, p.expand_own, flood);
             self.explored(flood, voxels, shadow.as_ref())
         }?;
-        let clearance = self.clearance(voxels, shell);
-        (clearance >= p.min_clearance).then_some(Classification {
+        let is_clear = self.clearance(voxels, shell, |_| true) >= p.min_clearance;
+        is_clear.then(|| Classification {
             class: PointClass::Flying,
             explored,
-            clearance,
+            clearance: self.seen_clearance(voxels, shell, shadow.as_ref()),
             ..Classification::default()
         })
     }
@@ -333,12 +333,13 @@ impl ClusterRules<'_> {
         let mut scratch = Scratch::default();
         let points = cluster.members.iter().map(|&row| wide(self.points[row as usize]));
         scratch.take(points, self.map.lattice());
-        let Scratch { voxels, shell, .. } = &mut scratch;
-        let clearance = self.clearance(voxels, shell);
+        let Scratch { points, voxels, shell, .. } = &mut scratch;
         let is_inside = voxels.iter().all(|&voxel| self.map.admits(voxel));
-        (is_inside && clearance >= p.min_clearance).then_some(Classification {
+        let is_clear = is_inside && self.clearance(voxels, shell, |_| true) >= p.min_clearance;
+        let shadow = p.own_shadow.then(|| Shadow::of(points, self.origin, self.map.lattice()));
+        is_clear.then(|| Classification {
             class: PointClass::Flying,
-            clearance,
+            clearance: self.seen_clearance(voxels, shell, shadow.as_ref()),
             ..Classification::default()
         })
     }
@@ -356,13 +357,36 @@ impl ClusterRules<'_> {
         is_enclosed.then(|| if is_wanted { flood.take_explored() } else { Vec::new() })
     }
 
-    /// Share of free voxels among the neighbours of a cluster's voxels.
-    fn clearance(&self, voxels: &[Voxel], shell: &mut Vec<Voxel>) -> f64 {
+    /// Share of free voxels among those neighbours of a cluster's voxels that can be seen: no ray passes its
+    /// own shadow, where nothing is known to be free however free it is.
+    fn seen_clearance(
+        &self,
+        voxels: &[Voxel],
+        shell: &mut Vec<Voxel>,
+        shadow: Option<&Shadow<'_>>,
+    ) -> f64 {
+        let mut cursor = Cursor::new(&self.map.blocks);
+        let bound = self.map.uncertain_from();
+        let mut can_be_seen = |voxel: Voxel| {
+            let mut is_uncertain =
+                || self.map.known(cursor.stored(voxel)) >= bound && !cursor.is_tentative(voxel);
+            !shadow.is_some_and(|shadow| shadow.hides(voxel)) || !is_uncertain()
+        };
+        self.clearance(voxels, shell, &mut can_be_seen)
+    }
+
+    /// Share of free voxels among the neighbours of a cluster's voxels that count.
+    fn clearance(
+        &self,
+        voxels: &[Voxel],
+        shell: &mut Vec<Voxel>,
+        mut counts: impl FnMut(Voxel) -> bool,
+    ) -> f64 {
         shell.clear();
         shell.extend(voxels.iter().flat_map(|&voxel| neighbours(voxel)));
         shell.sort_unstable();
         shell.dedup();
-        shell.retain(|voxel| voxels.binary_search(voxel).is_err());
+        shell.retain(|&voxel| voxels.binary_search(&voxel).is_err() && counts(voxel));
         let mut cursor = Cursor::new(&self.map.blocks);
         let bound = self.map.uncertain_from();
         let free =

@@ -139,6 +139,21 @@ impl ScanClassifier {
         &self.claimed
     }
 
+    /// Rows of the points of each cluster of unknown class that has the size of a target.
+    pub(crate) fn unknown_things(&self, input: &ScanToClassify<'_>) -> Vec<&[u32]> {
+        let (scan, parameters) = (input.scan, &input.parameters.classify);
+        let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
+        let rules = ClusterRules { map: &input.local.map, points, origin, parameters };
+        let is_thing = |&index: &usize| {
+            self.classifications[index].class == PointClass::Unknown
+                && !self.clusters.is_joined(index)
+                && self.clusters.get(index).members.len() >= parameters.min_points
+                && !rules.is_gated(&self.clusters.get(index), self.clusters.get(index).diagonal())
+        };
+        let members = |index| self.clusters.get(index).members;
+        (0..self.classifications.len()).filter(is_thing).map(members).collect()
+    }
+
     /// Classify again the clusters of which most points, in the ascending `rows`, are of what moves in the
     /// air, with nothing close below. Of background nothing but its own points of earlier scans explains
     /// these: they are unknown. What is unknown since a way leads from it into space that was never

@@ -2,6 +2,7 @@
 
 use super::center::Center;
 use super::detection::{Detection, Teammate};
+use super::filled::share_of_expected;
 use super::hole::is_joined;
 use super::parts::UnitedClusters;
 use super::surroundings::{are_rays_lost_below, is_among_surfaces};
@@ -75,9 +76,9 @@ pub(crate) fn detect<'c>(
             if detection.is_free_below == Some(false) && are_rays_lost_below(scan, &cluster) {
                 detection.is_free_below = None;
             }
-            // How many rays go into a sky that is known by its density is a guess.
+            // The rays into a sky that is known by its density are made up: those that passed are not known.
             if scan.sky == SkySource::Density {
-                detection.filled_share = f64::NAN;
+                detection.filled_share = share_of_expected(scan, &cluster);
             }
         }
         if let Some(spread) = view.spread() {

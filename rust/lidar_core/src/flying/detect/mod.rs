@@ -3,6 +3,7 @@
 pub mod center;
 pub mod detection;
 pub(crate) mod detections;
+mod filled;
 pub(crate) mod follow_up;
 pub(crate) mod hole;
 pub(crate) mod parts;

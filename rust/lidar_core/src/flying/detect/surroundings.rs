@@ -15,6 +15,9 @@ const BESIDE: f64 = 0.1;
 /// So many rays are cast there at least, and this share of them returns at most, where they are lost.
 const FEWEST_CAST: f64 = 4.0;
 const LOST: f64 = 0.15;
+/// Rays are cast so far below that, too, at one of the tangents of these angles: else the field of view ends, and
+/// its last cells of 2 degrees are only partly in it. 3 and 5 degrees: rows may lie 2 degrees apart.
+const FURTHER_DOWN: [f64; 2] = [0.0524, 0.0875];
 
 /// True if more returns of surfaces lie around a cluster than it has itself. `is_flying` tells of every
 /// row of the scan whether it is of something that seems to fly: that is no surface.
@@ -54,9 +57,11 @@ fn are_lost_below(
         (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
     }
     let (left, right) = (left - BESIDE, right + BESIDE);
-    let below = view.direction([0.5 * (left + right), low - 0.5 * BELOW]);
-    let cast = density(below) * BELOW * (right - left) / (view.range * view.range);
-    if cast < FEWEST_CAST {
+    let density_below =
+        |down: f64| density(view.direction([0.5 * (left + right), low - 0.5 * BELOW - down]));
+    let cast = density_below(0.0) * BELOW * (right - left) / (view.range * view.range);
+    let mut further_down = FURTHER_DOWN.iter().map(|tangent| tangent * view.range);
+    if cast < FEWEST_CAST || !further_down.any(|down| density_below(down) > 0.0) {
         return false;
     }
     let is_below = |&point: &[f32; 3]| {
@@ -95,7 +100,7 @@ mod tests {
     }
 
     /// A target of 5 x 5 returns, 10 m away, above rays that end on the ground in front of it or not.
-    fn lost_below(ground_returns: bool, cast: f64) -> bool {
+    fn lost_below(ground_returns: bool, cast: impl Fn([f64; 3]) -> f64) -> bool {
         let target =
             (0..25).map(|row| [10.0, 0.1 * (row % 5) as f32, 1.0 + 0.1 * (row / 5) as f32]);
         let ground =
@@ -105,13 +110,29 @@ mod tests {
         let labels: Vec<i32> = (0..40).map(|row| if row < 25 { 0 } else { -1 }).collect();
         let mut clusters = Clusters::default();
         clusters.fill(&scan.points, &labels[..scan.points.len()]);
-        are_lost_below(&scan, &clusters.get(0), |_| cast)
+        are_lost_below(&scan, &clusters.get(0), cast)
     }
 
     #[test]
     fn rays_are_lost_below_where_they_are_cast_and_do_not_return() {
-        assert!(lost_below(false, 1e4));
-        assert!(!lost_below(true, 1e4), "the ground in front of it returns them");
-        assert!(!lost_below(false, 0.0), "the field of view ends");
+        assert!(lost_below(false, |_| 1e4));
+        assert!(!lost_below(true, |_| 1e4), "the ground in front of it returns them");
+        assert!(!lost_below(false, |_| 0.0), "the field of view ends");
+    }
+
+    #[test]
+    fn at_the_edge_of_the_field_of_view_no_ray_is_lost() {
+        // The lowest return is at an elevation of 5.7 degrees, the middle of what is below at 4.6.
+        let elevation =
+            |way: [f64; 3]| libm::atan2(way[2], libm::hypot(way[0], way[1])).to_degrees();
+        let down_to =
+            |degrees: f64| move |way: [f64; 3]| if elevation(way) > degrees { 1e4 } else { 0.0 };
+        assert!(!lost_below(false, down_to(4.0)), "only the rest of a cell is in it");
+        assert!(lost_below(false, down_to(-1.0)));
+        // Rows lie 2 degrees apart: one of two cells below has none.
+        let in_rows = |way: [f64; 3]| {
+            if (elevation(way) / 2.0).floor() as i32 % 2 == 0 { 1e4 } else { 0.0 }
+        };
+        assert!(lost_below(false, in_rows));
     }
 }

@@ -28,11 +28,21 @@ impl<'a> FreeSpace<'a> {
     }
 
     /// True if a voxel is free for sure and those around it are free, or `also` says so of them: it is
-    /// not beside a surface, which rays that pass along it may have freed.
-    pub(super) fn is_open(&mut self, voxel: Voxel, also: impl Fn(Voxel) -> bool) -> bool {
+    /// not beside a surface, which rays that pass along it may have freed. Of the uncertain ones around it
+    /// nothing is asked where the thing in the voxel `hides` them: no ray can free those while it is there.
+    pub(super) fn is_open(
+        &mut self,
+        voxel: Voxel,
+        also: impl Fn(Voxel) -> bool,
+        hides: impl Fn(Voxel) -> bool,
+    ) -> bool {
         let value = self.map.known(self.cursor.stored(voxel));
         (value <= self.sure || also(voxel))
-            && around(voxel).all(|voxel| also(voxel) || self.is_free(voxel))
+            && around(voxel).all(|voxel| {
+                also(voxel)
+                    || self.is_free(voxel)
+                    || hides(voxel) && !self.cursor.is_tentative(voxel)
+            })
     }
 }
 
@@ -108,14 +118,20 @@ mod tests {
         map.set_occupied(&wall)?;
         let mut space = FreeSpace::of(&map);
         let nowhere = |_| false;
-        assert!(space.is_open([0, 0, 0], nowhere) && space.is_open([2, 2, 2], nowhere));
-        assert!(space.is_free([-2, 0, 0]) && !space.is_open([-2, 0, 0], nowhere)); // beside the wall
-        assert!(space.is_free([3, 0, 0]) && !space.is_open([3, 0, 0], nowhere)); // and beside the unseen
-        assert!(space.is_open([-2, 0, 0], |voxel| voxel == [-3, 0, 0]));
+        let mut is_open = |voxel| space.is_open(voxel, nowhere, nowhere);
+        assert!(is_open([0, 0, 0]) && is_open([2, 2, 2]));
+        assert!(!is_open([-2, 0, 0])); // beside the wall
+        assert!(!is_open([3, 0, 0])); // and beside the unseen
+        assert!(space.is_free([-2, 0, 0]) && space.is_free([3, 0, 0]));
+        assert!(space.is_open([-2, 0, 0], |voxel| voxel == [-3, 0, 0], nowhere));
+        // What hides the unseen keeps it from being free, but the wall is known.
+        assert!(space.is_open([3, 0, 0], nowhere, |voxel| voxel[0] == 4));
+        assert!(!space.is_open([3, 0, 0], nowhere, |voxel| voxel == [4, 0, 0]));
+        assert!(!space.is_open([-2, 0, 0], nowhere, |_| true));
         let mut map = VoxelMap::new(parameters())?;
         map.pull(&block, -1000.0, 6.0)?; // a few rays
         let mut space = FreeSpace::of(&map);
-        assert!(space.is_free([0, 0, 0]) && !space.is_open([0, 0, 0], nowhere));
+        assert!(space.is_free([0, 0, 0]) && !space.is_open([0, 0, 0], nowhere, |_| true));
         Ok(())
     }
 

@@ -10,6 +10,7 @@
 //! counts as unexplained, and its points as unknown.
 
 use super::free_space::{FreeSpace, parts, with_beside};
+use crate::flying::classify::shadow::Shadow;
 use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
@@ -111,6 +112,52 @@ impl PointsByVoxel {
     }
 }
 
+/// A scan in which movers are looked for.
+#[derive(Clone, Copy)]
+pub(crate) struct ScanOfMovers<'a> {
+    pub(crate) points: &'a [[f32; 3]],
+    pub(crate) class: &'a [PointClass],
+    /// Position of the sensor.
+    pub(crate) origin: [f64; 3],
+    /// Rows of the points of each thing of unknown class that is no larger than a target.
+    pub(crate) things: &'a [&'a [u32]],
+}
+
+/// Things of a scan with the voxels in which they are, and what they hide from the sensor.
+struct Things<'a> {
+    /// Number of the thing that has points in a voxel, ascending.
+    of_voxel: Vec<(Voxel, usize)>,
+    points: Vec<Vec<[f64; 3]>>,
+    origin: [f64; 3],
+    lattice: &'a Lattice,
+}
+
+impl<'a> Things<'a> {
+    fn of(scan: &ScanOfMovers<'_>, lattice: &'a Lattice) -> Self {
+        let place = |&row: &u32| wide(scan.points[row as usize]);
+        let points: Vec<Vec<_>> =
+            scan.things.iter().map(|rows| rows.iter().map(place).collect()).collect();
+        let mut of_voxel: Vec<(Voxel, usize)> = Vec::new();
+        for (thing, points) in points.iter().enumerate() {
+            let voxels = points.iter().filter_map(|&at| floor(lattice.scaled(at)));
+            of_voxel.extend(voxels.map(|voxel| (voxel, thing)));
+        }
+        of_voxel.sort_unstable();
+        of_voxel.dedup();
+        Self { of_voxel, points, origin: scan.origin, lattice }
+    }
+
+    /// True if the thing in a voxel is in another one, too, or hides that from the sensor.
+    fn hide(&self, voxel: Voxel, other: Voxel) -> bool {
+        let from = self.of_voxel.partition_point(|&(place, _)| place < voxel);
+        let mut in_voxel = self.of_voxel[from..].iter().take_while(|(place, _)| *place == voxel);
+        in_voxel.any(|&(_, thing)| {
+            self.of_voxel.binary_search(&(other, thing)).is_ok()
+                || Shadow::of(&self.points[thing], self.origin, self.lattice).hides(other)
+        })
+    }
+}
+
 /// Stage that finds the points of movers in one scan after another.
 #[derive(Default)]
 pub(crate) struct GroundMovers {
@@ -125,25 +172,21 @@ pub(crate) struct GroundMovers {
 
 impl GroundMovers {
     /// Find the movers among the points that are not known to fly, on the map before the scan.
-    pub(crate) fn find(
-        &mut self,
-        points: &[[f32; 3]],
-        class: &[PointClass],
-        map: &VoxelMap,
-        stamp_ns: i64,
-    ) {
+    pub(crate) fn find(&mut self, scan: &ScanOfMovers<'_>, map: &VoxelMap, stamp_ns: i64) {
         self.skip();
         self.entered.retain(|_, stay| stay.is_remembered(stamp_ns));
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
-        let found = self.in_free_space(points, class, map, &mut space);
+        let found = self.in_free_space(scan, map, &mut space);
+        let things = Things::of(scan, map.lattice());
         let voxels = &found.voxels;
         let known = &self.entered;
         let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
         let mut entered = Vec::new();
-        let open: Vec<bool> =
-            voxels.iter().map(|&voxel| space.is_open(voxel, is_entered)).collect();
+        let mut is_open =
+            |&voxel: &Voxel| space.is_open(voxel, is_entered, |beside| things.hide(voxel, beside));
+        let open: Vec<bool> = voxels.iter().map(&mut is_open).collect();
         let chosen = with_beside(voxels, &open, FEWEST_OPEN);
         let movers: Vec<usize> = (0..voxels.len()).filter(|&at| chosen[at]).collect();
         let places: Vec<Voxel> = movers.iter().map(|&at| voxels[at]).collect();
@@ -217,12 +260,11 @@ impl GroundMovers {
     /// Points that are not known to fly, in voxels that are free, or were before something entered them.
     fn in_free_space(
         &self,
-        points: &[[f32; 3]],
-        class: &[PointClass],
+        scan: &ScanOfMovers<'_>,
         map: &VoxelMap,
         space: &mut FreeSpace<'_>,
     ) -> PointsByVoxel {
-        let lattice = map.lattice();
+        let (ScanOfMovers { points, class, .. }, lattice) = (*scan, map.lattice());
         let mut found: Vec<(Voxel, u32)> = Vec::new();
         // Points beside each other in a scan are mostly in one voxel.
         let mut last: Option<(Voxel, bool)> = None;
@@ -318,7 +360,9 @@ mod tests {
     /// Numbers of points in the air, and of ground movers.
     fn found(movers: &mut GroundMovers, map: &VoxelMap, up: i32) -> [usize; 2] {
         let points = target(map.lattice(), up);
-        movers.find(&points, &[PointClass::Background; 18], map, 0);
+        let class = &[PointClass::Background; 18];
+        let scan = ScanOfMovers { points: &points, class, origin: [0.0; 3], things: &[] };
+        movers.find(&scan, map, 0);
         [movers.in_air().len(), movers.rows().len()]
     }
 
@@ -359,6 +403,28 @@ mod tests {
         assert_eq!(movers.beside_air(&points, map.lattice()), (0..18).collect::<Vec<_>>());
         movers.clear();
         assert_eq!(movers.beside_air(&points, map.lattice()), Vec::<usize>::new());
+        Ok(())
+    }
+
+    #[test]
+    fn a_thing_hides_what_is_behind_it_and_the_voxels_that_it_is_in() -> Result<(), Error> {
+        let lattice = Lattice::new(0.25, [0.0; 3])?;
+        let points = [[20, 0, 0], [20, 0, 1], [20, 40, 0]]
+            .map(|voxel| lattice.center(voxel).map(|value| value as f32));
+        let scan = ScanOfMovers {
+            points: &points,
+            class: &[PointClass::Unknown; 3],
+            origin: [0.125; 3],
+            things: &[&[0, 1], &[2]],
+        };
+        let things = Things::of(&scan, &lattice);
+        assert!(things.hide([20, 0, 0], [20, 0, 1]) && things.hide([20, 0, 1], [22, 0, 0]));
+        assert!(!things.hide([20, 0, 0], [20, 1, 0]), "beside it");
+        assert!(!things.hide([20, 0, 0], [18, 0, 0]), "in front of it");
+        assert!(!things.hide([20, 0, 0], [20, 40, 0]), "another thing is there");
+        assert!(!things.hide([20, 0, 0], [23, 46, 0]), "another thing hides it");
+        assert!(things.hide([20, 40, 0], [23, 46, 0]));
+        assert!(!things.hide([19, 0, 0], [22, 0, 0]), "nothing is in that voxel");
         Ok(())
     }
 }

@@ -4,6 +4,7 @@ use super::sphere::Start;
 use super::target_observation::TargetObservation;
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
+use crate::flying::detect::filled::filled_share;
 use crate::flying::large_targets::shape_weight;
 use std::f64::consts::PI;
 
@@ -237,27 +238,6 @@ fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Optio
     let above = level.filter(|&up| up > high);
     let rows = above.clone().fold(f64::MIN, f64::max) - above.clone().fold(f64::MAX, f64::min);
     (rows >= ROWS_APART && above.count() >= FEWEST_ABOVE).then_some(false)
-}
-
-/// Share of the rays inside the ellipse of two standard deviations of the hits that are hits, both in
-/// a plane across the line of sight [m]. A disc fills its ellipse, and so does a bar; rays of
-/// `ray_gap` [m] apart tell nothing smaller.
-fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> f64 {
-    let count = hits.len() as f64;
-    let mean: [f64; 2] =
-        std::array::from_fn(|axis| hits.iter().map(|hit| hit[axis]).sum::<f64>() / count);
-    let [mut xx, mut xy, mut yy] = [ray_gap * ray_gap / 12.0, 0.0, ray_gap * ray_gap / 12.0];
-    for hit in hits {
-        let [x, y] = [hit[0] - mean[0], hit[1] - mean[1]];
-        (xx, xy, yy) = (xx + x * x / count, xy + x * y / count, yy + y * y / count);
-    }
-    let determinant = xx * yy - xy * xy;
-    let is_inside = |place: &&[f64; 2]| {
-        let [x, y] = [place[0] - mean[0], place[1] - mean[1]];
-        yy * x * x - 2.0 * xy * x * y + xx * y * y <= 4.0 * determinant
-    };
-    let [hit, missed] = [hits, passing].map(|rays| rays.iter().filter(is_inside).count() as f64);
-    if hit + missed > 0.0 { hit / (hit + missed) } else { 1.0 }
 }
 
 #[cfg(test)]
