@@ -222,9 +222,8 @@ class FlyingDetections(ObjectTable):
     n_points : ndarray, shape (M,), int64
         Points in the scan.
     confidence : ndarray, shape (M,), float64
-        Confidence, 0 to 1: share of free voxels around the object, lower for few points; 0 if only
-        a track indicates that the object flies. Voxels behind it that no ray can pass do not
-        count.
+        Confidence, 0 to 1: share of free voxels among those around the object that rays can see,
+        lower for few points; 0 if only a track indicates that the object flies.
     time_ns : ndarray, shape (M,), int64
         When each was measured [ns]: the mean time of its points; the stamp of the scan where
         times of points are not given.

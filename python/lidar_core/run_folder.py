@@ -213,6 +213,22 @@ def unlock(folder: Path) -> None:
         os.close(held)
 
 
+def is_locked(folder: Path) -> bool:
+    """Whether a process, this one included, has the lock of `folder`; True if nothing shows it."""
+    if os.name != "posix" or folder.resolve() in _LOCKS:
+        return True
+    import fcntl
+
+    tried = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(tried, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # held, or a file system without locks
+        return True
+    finally:
+        os.close(tried)
+    return False
+
+
 def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any) -> str:
     """Return a note about results in TOML: command, versions, inputs, configuration."""
     note = {

@@ -49,6 +49,13 @@ class Rosette(Config):
         None, gt=0, lt=180, description="Azimuth to either side of the x axis; none: turns [deg]."
     )
 
+    @model_validator(mode="after")
+    def _lowest_is_below_highest(self) -> Self:
+        low, high = self.elevation_deg
+        if low >= high:
+            raise ValueError(f"elevation_deg: expected lowest < highest, got {low}, {high}")
+        return self
+
 
 class Planar(Config):
     """A 2D LiDAR: one ray after the other in the plane z = 0 of its frame."""

@@ -1,5 +1,6 @@
 """What a batch adds to the runs themselves: waits for the disk, and time of the processor."""
 
+import errno
 import os
 import resource
 import subprocess
@@ -18,6 +19,7 @@ from lidar_core.errors import ConfigError
 from lidar_core.io import remote
 from lidar_core.io.files import atomic
 from lidar_core.io.files.atomic import synced_together, unsynced, written_whole
+from lidar_core.run_folder import lock, unlock
 from lidar_core.runs.batch_jobs import Batch, _begin
 from lidar_core.runs.jobs.commands import check_commands
 from lidar_core.runs.jobs.passage import PREFIX, passage, remove_abandoned
@@ -246,6 +248,10 @@ def test_folders_of_running_batches_and_of_others_stay(tmp_path):
     (tmp_path / f"{PREFIX}link").symlink_to(foreign)
     young = tmp_path / f"{PREFIX}young"
     young.mkdir()
+    abandoned(tmp_path, "lidar-core-batch-other-machine-of-a-worker")
+    own = abandoned(tmp_path, f"{PREFIX}own")
+    lock(own)  # by another batch of this process
+    os.utime(own, (1e9, 1e9))
     code = (
         "import sys; from pathlib import Path; from lidar_core.run_folder import lock;"
         "lock(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
@@ -260,6 +266,25 @@ def test_folders_of_running_batches_and_of_others_stay(tmp_path):
         other.wait()
     remove_abandoned(tmp_path)
     assert not held.exists()
+    assert own.exists()
+    unlock(own)
+    remove_abandoned(tmp_path)
+    assert not own.exists()
+
+
+def test_where_nothing_tells_of_locks_folders_stay(tmp_path, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+    left = abandoned(tmp_path, f"{PREFIX}dead")
+
+    def unknown(*_):
+        raise OSError(errno.ENOLCK, "no locks")
+
+    monkeypatch.setattr(fcntl, "flock", unknown)
+    remove_abandoned(tmp_path)
+    assert left.exists()
+    monkeypatch.undo()
+    remove_abandoned(tmp_path)
+    assert not left.exists()
 
 
 @pytest.mark.nightly

@@ -606,6 +606,13 @@ def test_every_parameter_states_its_unit(model):
             assert re.search(r"\[.+\]|\(no unit\)|for units\)", field.description), name
 
 
+def test_the_elevations_of_a_rosette_ascend():
+    assert sim.Rosette(elevation_deg=(-7, 52)).elevation_deg == (-7, 52)
+    for wrong in [(52, -7), (1, 1)]:
+        with pytest.raises(ConfigError, match="lowest < highest"):
+            sim.Rosette(elevation_deg=wrong)
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".mcap"])
 def test_a_recording_reads_back_as_it_was_simulated(suffix, tmp_path):
     scene = sim.scenes.demo(4).model_copy(

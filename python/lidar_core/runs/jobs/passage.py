@@ -2,15 +2,19 @@
 
 import os
 import shutil
+import socket
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import quote
 
-from lidar_core.run_folder import lock, unlock
+from lidar_core.run_folder import is_locked, lock, unlock
 
-PREFIX = "lidar-core-batch-"
+PREFIX = f"lidar-core-batch-{quote(socket.gethostname(), safe='')}-"
+"""Names of such folders begin so. Workers on other machines make a folder of the same name there,
+without a lock: the name of the machine that runs the batch keeps these from being removed."""
 YOUNG_S = 60.0
 """A folder this young may belong to a batch that has not locked it yet [s]."""
 
@@ -39,10 +43,9 @@ def remove_abandoned(places: Path) -> None:
         try:
             found = one.lstat()
             is_young = time.time() - found.st_mtime < YOUNG_S
-            if found.st_uid != os.getuid() or is_young or one.is_symlink() or not one.is_dir():
+            is_ours = found.st_uid == os.getuid() and not one.is_symlink() and one.is_dir()
+            if is_young or not is_ours or is_locked(one):
                 continue
-            lock(one)
-        except OSError:  # held by a batch that runs, or removed by another one
+        except OSError:  # removed by another batch
             continue
         shutil.rmtree(one, ignore_errors=True)
-        unlock(one)

@@ -151,6 +151,7 @@ def window_over(
 
 def bulk_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Corners (2, K) of the box that holds most points (N, K); none where there are no points."""
+    points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return np.empty((0, points.shape[1]))
     return np.asarray(np.quantile(points, BULK, axis=0))

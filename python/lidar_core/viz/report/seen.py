@@ -67,6 +67,7 @@ class _Cells:
 
     def mark(self, points: NDArray[Any], index: int) -> None:
         """Note that a cloud has points there."""
+        points = points[np.isfinite(points).all(axis=1)]
         keys = self._keys_of(points.astype(np.float64))
         places = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         hit = places[self._keys[places] == keys]

@@ -223,7 +223,7 @@ impl FlyingObjectDetector {
                     let origin = scan.pose.translation;
                     let (points, class) = (scan.points.as_slice(), classifier.class());
                     let to_search = ScanOfMovers { points, class, origin, things: &things };
-                    movers.find(&to_search, &local.map, stamp_ns);
+                    movers.find(&to_search, &local.map, stamp_ns)?;
                     classifier.lift(&input, movers.in_air(), movers.over_unseen());
                 }
                 Ok::<_, Error>([cluster_ms, classify_ms + clock.lap()])

@@ -127,6 +127,11 @@ pub(crate) struct Classifier {
 }
 
 impl Classifier {
+    /// Diagonal of the group of clusters that one of the last call belongs to [m].
+    pub(super) fn group_extent(&self, index: usize) -> f64 {
+        self.grouper.extent(index)
+    }
+
     /// Classification of every cluster, on the map as it is.
     pub(crate) fn classify(
         &mut self,
@@ -370,7 +375,7 @@ impl ClusterRules<'_> {
         let mut can_be_seen = |voxel: Voxel| {
             let mut is_uncertain =
                 || self.map.known(cursor.stored(voxel)) >= bound && !cursor.is_tentative(voxel);
-            !shadow.is_some_and(|shadow| shadow.hides(voxel)) || !is_uncertain()
+            !is_uncertain() || !shadow.is_some_and(|shadow| shadow.hides(voxel))
         };
         self.clearance(voxels, shell, &mut can_be_seen)
     }

@@ -32,6 +32,11 @@ pub(crate) struct Grouper {
 type Part = ([f64; 3], [f64; 3], bool);
 
 impl Grouper {
+    /// Diagonal of the group that a cluster of the last call belonged to [m].
+    pub(crate) fn extent(&self, index: usize) -> f64 {
+        self.groups[index].extent
+    }
+
     /// Group of every cluster: clusters linked by gaps of at most `distance` [m]; without a distance
     /// every cluster is its own group.
     pub(crate) fn groups(

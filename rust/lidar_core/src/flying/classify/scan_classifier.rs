@@ -139,7 +139,7 @@ impl ScanClassifier {
         &self.claimed
     }
 
-    /// Rows of the points of each cluster of unknown class that has the size of a target.
+    /// Rows of the points of each cluster of unknown class that, with all beside it, has the size of a target.
     pub(crate) fn unknown_things(&self, input: &ScanToClassify<'_>) -> Vec<&[u32]> {
         let (scan, parameters) = (input.scan, &input.parameters.classify);
         let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
@@ -148,7 +148,7 @@ impl ScanClassifier {
             self.classifications[index].class == PointClass::Unknown
                 && !self.clusters.is_joined(index)
                 && self.clusters.get(index).members.len() >= parameters.min_points
-                && !rules.is_gated(&self.clusters.get(index), self.clusters.get(index).diagonal())
+                && !rules.is_gated(&self.clusters.get(index), self.classifier.group_extent(index))
         };
         let members = |index| self.clusters.get(index).members;
         (0..self.classifications.len()).filter(is_thing).map(members).collect()

@@ -27,8 +27,8 @@ pub struct Detection {
     pub delay: f64,
     /// Points in the scan.
     pub n_points: usize,
-    /// Confidence, 0 to 1: share of free voxels around it, lower for few points; 0 if only a track
-    /// indicates flight.
+    /// Confidence, 0 to 1: share of free voxels among those around it that rays can see, lower for few points;
+    /// 0 if only a track indicates flight.
     pub confidence: f64,
     /// True if a hole in the scan joins it to a surface: it may be a part of that.
     pub is_joined: bool,

@@ -78,7 +78,10 @@ pub(crate) fn detect<'c>(
             }
             // The rays into a sky that is known by its density are made up: those that passed are not known.
             if scan.sky == SkySource::Density {
-                detection.filled_share = share_of_expected(scan, &cluster);
+                // What is nearer stops some of them, nobody knows how many.
+                let is_whole = !center.is_cut;
+                detection.filled_share =
+                    if is_whole { share_of_expected(scan, &cluster) } else { f64::NAN };
             }
         }
         if let Some(spread) = view.spread() {

@@ -41,7 +41,7 @@ impl<'a> FreeSpace<'a> {
             && around(voxel).all(|voxel| {
                 also(voxel)
                     || self.is_free(voxel)
-                    || hides(voxel) && !self.cursor.is_tentative(voxel)
+                    || !self.cursor.is_tentative(voxel) && hides(voxel)
             })
     }
 }

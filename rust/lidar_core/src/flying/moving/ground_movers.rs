@@ -10,11 +10,13 @@
 //! counts as unexplained, and its points as unknown.
 
 use super::free_space::{FreeSpace, parts, with_beside};
+use crate::Error;
 use crate::flying::classify::shadow::Shadow;
 use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
+use crate::util::cancel;
 use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -172,7 +174,15 @@ pub(crate) struct GroundMovers {
 
 impl GroundMovers {
     /// Find the movers among the points that are not known to fly, on the map before the scan.
-    pub(crate) fn find(&mut self, scan: &ScanOfMovers<'_>, map: &VoxelMap, stamp_ns: i64) {
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub(crate) fn find(
+        &mut self,
+        scan: &ScanOfMovers<'_>,
+        map: &VoxelMap,
+        stamp_ns: i64,
+    ) -> Result<(), Error> {
         self.skip();
         self.entered.retain(|_, stay| stay.is_remembered(stamp_ns));
         let mut space = FreeSpace::of(map);
@@ -186,7 +196,10 @@ impl GroundMovers {
         let mut entered = Vec::new();
         let mut is_open =
             |&voxel: &Voxel| space.is_open(voxel, is_entered, |beside| things.hide(voxel, beside));
-        let open: Vec<bool> = voxels.iter().map(&mut is_open).collect();
+        let watch = cancel::watch();
+        let open: Vec<bool> =
+            voxels.iter().map(|voxel| !watch.is_asked() && is_open(voxel)).collect();
+        watch.check()?;
         let chosen = with_beside(voxels, &open, FEWEST_OPEN);
         let movers: Vec<usize> = (0..voxels.len()).filter(|&at| chosen[at]).collect();
         let places: Vec<Voxel> = movers.iter().map(|&at| voxels[at]).collect();
@@ -215,6 +228,7 @@ impl GroundMovers {
         }
         self.in_air.sort_unstable();
         self.over_unseen.sort_unstable();
+        Ok(())
     }
 
     /// Rows of the points beside what moved in the air in the newest of the scans before.
@@ -330,7 +344,6 @@ impl GroundMovers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Error;
     use crate::flying::map::parameters::tests::parameters;
 
     /// Points of a target of 3 x 3 x 2 voxels whose lowest are at `up`.
@@ -362,7 +375,7 @@ mod tests {
         let points = target(map.lattice(), up);
         let class = &[PointClass::Background; 18];
         let scan = ScanOfMovers { points: &points, class, origin: [0.0; 3], things: &[] };
-        movers.find(&scan, map, 0);
+        assert!(movers.find(&scan, map, 0).is_ok());
         [movers.in_air().len(), movers.rows().len()]
     }
 

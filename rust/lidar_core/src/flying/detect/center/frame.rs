@@ -1,10 +1,10 @@
 //! An open frame: rotors, arms and a body, through which rays pass.
 
+use super::filled::filled_share;
 use super::sphere::Start;
 use super::target_observation::TargetObservation;
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
-use crate::flying::detect::filled::filled_share;
 use crate::flying::large_targets::shape_weight;
 use std::f64::consts::PI;
 

@@ -6,6 +6,7 @@
 //! whose centre and radius the points and the passing rays determine, and an open frame as of a
 //! multicopter, whose centre lies behind the centroid by a share of its width.
 
+mod filled;
 mod frame;
 mod sphere;
 mod target_observation;
@@ -13,6 +14,7 @@ mod target_observation;
 #[cfg(test)]
 mod tests;
 
+pub(in crate::flying::detect) use filled::of_expected;
 pub(crate) use target_observation::{
     PassingRays, RaySource, TargetHit, TargetObservation, TargetRay, TargetRegion,
 };
