@@ -136,7 +136,7 @@ class OusterStreams:
             self._begun.setdefault(topic.name, (topic, time_ns))
 
     def rest(self) -> Iterator[Record]:
-        """Records of the frames that have begun, at the end of a recording."""
+        """Records of incomplete frames when the recording ends."""
         for name, (topic, time_ns) in self._begun.items():
             for frame in self._collectors[name].rest():
                 yield self._record(topic, time_ns, frame)

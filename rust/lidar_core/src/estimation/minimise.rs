@@ -7,7 +7,7 @@ pub struct SimplexSearch {
     pub step: f64,
     /// The search ends when the values at the corners differ by less.
     pub tolerance: f64,
-    /// Most evaluations.
+    /// Largest number of evaluations.
     pub evaluations: usize,
 }
 

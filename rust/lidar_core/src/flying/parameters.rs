@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 /// All parameters of the detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlyingParameters {
-    /// The map; its origin is set by the detector.
+    /// Parameters of the map. The detector sets the origin.
     pub map: MapParameters,
     /// Clusters of points (eqs 13-15).
     pub clustering: Clustering,

@@ -59,7 +59,7 @@ pub struct VisibilityTest {
     pub min_rays: usize,
 }
 
-/// Properties of lines.
+/// Rules for wall lines of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineRules {
     /// Density of the random walk of their ends, across the line [m^2/s].
@@ -104,7 +104,7 @@ pub struct Independent {
     pub visibility_test: VisibilityTest,
     /// Largest delay of a scan [s].
     pub buffer_time: f64,
-    /// Properties of lines.
+    /// Rules for wall lines of the map.
     pub lines: LineRules,
 }
 
