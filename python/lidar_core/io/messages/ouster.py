@@ -74,7 +74,7 @@ class OusterTopics:
         return topic if _is_imu(topic.name) else replace(topic, note=MISSING)
 
     def streams(self) -> "OusterStreams":
-        """Frames that have begun, for one pass over the recording."""
+        """Return a new collection of frames, for one pass over the recording."""
         return OusterStreams(
             {name: FrameCollector(layout) for name, layout in self._layouts.items()}, self._messages
         )

@@ -62,7 +62,7 @@ pub struct VisibilityTest {
 /// Rules for wall lines of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineRules {
-    /// Density of the random walk of their ends, across the line [m^2/s].
+    /// Density of the random walk of the ends of a line, across the line [m^2/s].
     pub density: f64,
     /// Standard deviation of a surface from a straight line [m].
     pub std: f64,
