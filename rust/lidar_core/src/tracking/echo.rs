@@ -86,7 +86,7 @@ impl EchoTrace {
         }
     }
 
-    /// Add later sights of both.
+    /// Add later sights of the track and of the target.
     pub fn take(&mut self, stamp_ns: i64, own: PolarPlace, target: PolarPlace) {
         let [first, of_target] = self.first;
         let apart = turn(target.bearing, own.bearing);

@@ -29,7 +29,7 @@ pub struct SpacePose {
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// The sensor in the world.
+/// Pose of a sensor in the world, with its velocities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpaceSensorPose {
     /// Position [m].
