@@ -307,7 +307,7 @@ def files_naming(pattern: str, rust: Iterable[Path], package: Path) -> list[str]
 
 
 def largest_folder(roots: Iterable[Path]) -> tuple[int, str]:
-    """Most source files that lie in one folder, and which folder."""
+    """Largest number of source files that lie in one folder, and which folder."""
     flat = Counter(
         path.parent.as_posix()
         for root in roots

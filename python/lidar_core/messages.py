@@ -23,7 +23,7 @@ class PointClass(IntEnum):
     FLYING
         Part of an object with free space around it.
     UNKNOWN
-        Neither is known.
+        Cannot be classified.
     MOVING
         Part of an object that moves on the ground; `VoxelMap.integrate` takes it as UNKNOWN.
     """

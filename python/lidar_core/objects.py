@@ -1,6 +1,6 @@
 """Objects at one time, one row each: tracks, detections, elements of maps, targets, the truth.
 
-Longer than other files: the family is one, and every field is described.
+This file is long because all tables are one family of classes.
 """
 
 from dataclasses import dataclass, fields

@@ -188,7 +188,10 @@ class Registry(Generic[PartT]):
 
 
 def registering_module() -> str:
-    """Return the module that registers a part: the part itself may come from elsewhere."""
+    """Return the name of the module that calls the decorator.
+
+    The decorated reader, writer or metric may come from another module.
+    """
     return sys._getframe(2).f_globals.get("__name__") or ""
 
 

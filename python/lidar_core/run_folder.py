@@ -207,7 +207,7 @@ def lock(folder: Path) -> None:
 
 
 def unlock(folder: Path) -> None:
-    """Let others write to `folder`."""
+    """Release this process's lock on `folder`."""
     held = _LOCKS.pop(folder.resolve(), None)
     if held is not None:
         os.close(held)

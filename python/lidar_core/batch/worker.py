@@ -32,7 +32,7 @@ class Worker:
 
     @property
     def connection(self) -> "Connection[Any, Any]":
-        """Becomes readable when the task has ended."""
+        """Connection that becomes readable when the task has ended."""
         return self._ours
 
     def begin(self, function: Callable[..., Any], arguments: Mapping[str, Any]) -> None:

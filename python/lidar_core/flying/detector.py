@@ -36,8 +36,8 @@ _OPTIONAL = ("no_return", "directions", "point_time_ns", "pose_stamps_ns", "pose
 class FlyingObjectDetector(FullState):
     """Finds and tracks flying objects in scans of one or several 3D LiDARs.
 
-    Every scan is clustered, each cluster is classified on the map of the environment as it is,
-    the map is updated, and clusters surrounded by free space feed the tracker.
+    Every scan is clustered, each cluster is classified with the map before this scan, the map is
+    updated, and clusters surrounded by free space feed the tracker.
 
     Parameters
     ----------

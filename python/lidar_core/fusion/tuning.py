@@ -10,7 +10,10 @@ from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
 
 EVALUATIONS = 2000
-"""Most runs over all measurements of the last search of a fit; the six before it have a tenth."""
+"""Largest number of runs over all measurements in the last search of a fit.
+
+Each of the six searches before it has at most a tenth of that.
+"""
 MODELS = ("ct", "ctrv")
 """Models of which the likelier is taken where none is told; both have as many values to find.
 

@@ -42,7 +42,7 @@ class TopicInfo:
     frames : tuple of str
         Frames that its scans or poses name.
     rays, points : int or None
-        Most entries of a decoded scan, and most of them that are points.
+        Largest number of entries of a decoded scan, and largest number of them that are points.
     start_ns, end_ns : int or None
         First and last time [ns].
     """

@@ -55,9 +55,9 @@ class Recording(ABC):
             yield from messages
 
     def first_stamp(self) -> int | None:
-        """Time of the first scan or moving pose [ns]; None without.
+        """Time of the first scan or moving pose [ns]; None if there is none.
 
-        A stamp of zero, followed by times days later, was never set.
+        A first stamp of zero, followed by times days later, counts as not set.
         """
         stamps = (item.stamp_ns for item in self if not (isinstance(item, Pose) and item.is_static))
         first = next(stamps, None)

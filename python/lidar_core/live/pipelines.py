@@ -35,7 +35,7 @@ class LivePipeline(ABC, Generic[ScanT]):
 
 
 class FlyingLive(LivePipeline[Scan]):
-    """Flying objects.
+    """Live pipeline of flying objects.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class FlyingLive(LivePipeline[Scan]):
 
 
 class CirclesLive(LivePipeline[LaserScan]):
-    """Circles; the scanners are those of the stream.
+    """Live pipeline of circles; the scanners are those of the stream.
 
     Parameters
     ----------

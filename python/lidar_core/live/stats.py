@@ -129,7 +129,7 @@ class LiveStats:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Everything, as plain values."""
+        """Return all counts and latencies as a dict of plain values."""
         delays = {"from_stamp": self.from_stamp.total(), "from_arrival": self.from_arrival.total()}
         difference = clock_difference_ms(delays["from_stamp"], delays["from_arrival"])
         if difference is not None:

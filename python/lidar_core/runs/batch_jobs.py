@@ -1,4 +1,4 @@
-"""Jobs of a batch, which are commands: their state, their run, and the table of all."""
+"""Run the jobs of a batch. Each job is a list of commands. All results go into one table."""
 
 import hashlib
 import json

@@ -186,7 +186,7 @@ def _is_alike(before: dict[str, Any], change: dict[str, Any]) -> bool:
 
 
 def file_values(file: Path, section: str) -> dict[str, Any]:
-    """Values that a configuration file has of the model `section`, or a run.toml of its run.
+    """Return the values of the model `section` in a configuration file or a run.toml.
 
     Raises
     ------

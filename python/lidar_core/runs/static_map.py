@@ -14,7 +14,7 @@ OF_RUNS = ("map.lcvm",)
 
 
 def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
-    """Refuse a place that cannot be written, before any work.
+    """Refuse a path that cannot be written, before any work.
 
     Raises
     ------

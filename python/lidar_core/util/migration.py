@@ -40,7 +40,7 @@ def migrated(
 ) -> tuple[dict[str, Any], tuple[Change, ...]]:
     """Convert the values of a file of an earlier version, and list the changes.
 
-    Parameters that have moved take their values along. Problems of other kinds stay.
+    A renamed parameter keeps its value. Other errors remain.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ class Playback:
     def steps(self) -> Iterator[tuple[int, Objects]]:
         """Processed times [ns] in ascending order with the objects at each, without scans.
 
-        Sizes come from the run: zero if it has none.
+        Object sizes are zero if the run did not save them.
         """
         timing = self._tables("timing")
         looked_at = read_columns(timing[0])["t_ns"].tolist() if timing else []

@@ -13,7 +13,7 @@ Feed: TypeAlias = Callable[[], Iterator[bytes]]
 
 
 def file_feed(recording: Path) -> Feed:
-    """The blocks of a file."""
+    """Return a feed of the blocks of a file."""
 
     def blocks() -> Iterator[bytes]:
         with recording.open("rb") as file:

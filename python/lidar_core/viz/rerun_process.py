@@ -30,7 +30,7 @@ def free_port() -> int:
 def rerun_process(
     arguments: Sequence[str], *, quiet: bool = False
 ) -> "Iterator[subprocess.Popen[bytes]]":
-    """Rerun's program, which ends with the `with` block.
+    """Run Rerun's program until the `with` block ends.
 
     It listens on 127.0.0.1 alone. The process itself collects no usage data: it gets the settings
     of an empty folder in which collection is switched off, not the user's. Its requests to other

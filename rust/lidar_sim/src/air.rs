@@ -53,6 +53,8 @@ pub enum Particles {
 }
 
 impl Particles {
+    /// Check all values.
+    ///
     /// # Errors
     /// [`Error::Parameter`] if a value is outside the range that its field states.
     pub fn check(&self) -> Result<(), Error> {

@@ -126,7 +126,7 @@ pub const CYLINDERS: [[f64; 4]; 15] = [
 const SPHERES: [([f64; 3], [f64; 3]); 2] =
     [([8.0, 5.0, 1.5], [0.4, 0.1, 0.05]), ([-6.0, -12.0, -1.0], [-0.2, 0.4, -0.05])];
 
-/// Scene, sensor and trajectory.
+/// Fixed scene, sensor and trajectory of the speed benchmarks.
 #[derive(Clone, Debug)]
 pub struct Performance {
     /// Ground, boxes and cylinders (labels 0 to 30), two spheres (31, 32).

@@ -34,7 +34,7 @@ const RAYS_PER_CHUNK: usize = 4096;
 /// Input of the simulation of a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'a> {
-    /// Scene.
+    /// Scene that the rays hit.
     pub scene: &'a Scene,
     /// LiDAR.
     pub lidar: &'a Lidar,

@@ -90,7 +90,7 @@ def windows_of_rows(
 
 
 def normalised(scans: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
-    """Scans (B, n_beams) as the paper's network sees them, (B, 1, n_beams), sec. IV-A."""
+    """Convert scans (B, n_beams) to input of the paper's network, (B, 1, n_beams), sec. IV-A."""
     shown = np.full_like(scans, MISSING)
     np.divide(scans - np.float32(low), np.float32(high - low), out=shown, where=np.isfinite(scans))
     return shown[:, None, :]

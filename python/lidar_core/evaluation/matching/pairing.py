@@ -155,7 +155,7 @@ def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
 
 
 def numbers_of(tracks: Estimates) -> Rows:
-    """Numbers of the tracks; an InputError where there are none."""
+    """Return the track numbers of all rows; raises InputError if the table has none."""
     if tracks.id is None:
         raise InputError("tracks.id: expected the number of every track, got None")
     return tracks.id

@@ -1,4 +1,4 @@
-"""Border to the libraries that read formats: their exceptions, and sizes before allocation."""
+"""Convert exceptions of libraries that read formats, and check sizes before allocation."""
 
 import errno
 from collections.abc import Iterator

@@ -74,7 +74,7 @@ class OusterTopics:
         return topic if _is_imu(topic.name) else replace(topic, note=MISSING)
 
     def streams(self) -> "OusterStreams":
-        """Frames that have begun, for one pass over the recording."""
+        """Return a new collection of frames, for one pass over the recording."""
         return OusterStreams(
             {name: FrameCollector(layout) for name, layout in self._layouts.items()}, self._messages
         )
@@ -136,7 +136,7 @@ class OusterStreams:
             self._begun.setdefault(topic.name, (topic, time_ns))
 
     def rest(self) -> Iterator[Record]:
-        """Records of the frames that have begun, at the end of a recording."""
+        """Records of incomplete frames when the recording ends."""
         for name, (topic, time_ns) in self._begun.items():
             for frame in self._collectors[name].rest():
                 yield self._record(topic, time_ns, frame)

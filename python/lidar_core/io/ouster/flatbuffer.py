@@ -21,7 +21,7 @@ class Table:
         self._size = int(self._number("H", self._fields))
 
     def number(self, field: int, code: str, default: int = 0) -> int:
-        """A whole number; `code` as of `struct`."""
+        """Read a whole number; `code` is a format character of `struct`."""
         at = self._at(field)
         return int(self._number(code, at)) if at else default
 

@@ -68,7 +68,7 @@ def decode_pngs(images: Sequence[bytes], shape: tuple[int, int], place: str) -> 
 
 
 def decode_zpng(data: bytes, shape: tuple[int, int], place: str) -> Image:
-    """Numbers per pixel of a Zpng image of this shape, (height, width); errors as of PNG."""
+    """Decode a Zpng image of this shape, (height, width); errors are those of PNG images."""
     if len(data) < _ZPNG_HEAD.size or not data.startswith(ZPNG_MAGIC):
         raise FormatError(f"{place}: could not decode a field: neither PNG nor Zpng")
     _, width, height, channels, depth = _ZPNG_HEAD.unpack_from(data)

@@ -19,7 +19,7 @@ def upper_triangle(covariances: NDArray[np.float64], size: int) -> NDArray[np.fl
 
 
 def symmetric(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Matrices (..., size, size) of their upper triangles."""
+    """Return symmetric matrices (..., size, size) from their upper triangles."""
     rows, columns = np.triu_indices(size)
     matrices = np.empty((*values.shape[:-1], size, size))
     matrices[..., rows, columns] = matrices[..., columns, rows] = values

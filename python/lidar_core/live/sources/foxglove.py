@@ -69,7 +69,7 @@ class FoxgloveSource(Source):
     Raises
     ------
     ConfigError
-        No address of a WebSocket.
+        `address` is not a WebSocket address.
     """
 
     def __init__(

@@ -76,6 +76,6 @@ class Source(ABC):
         return True
 
     def lead_ns(self, stamp_ns: int) -> int:
-        """Difference from a stamp to the time at which the message was due here [ns]."""
+        """Time at which the message was due on this clock, minus its stamp [ns]."""
         del stamp_ns  # stamps of live sources are times of this clock
         return 0

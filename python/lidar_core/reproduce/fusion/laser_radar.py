@@ -216,7 +216,7 @@ class Contender:
 def draws_of(
     of: Course, level: float, count: int, *, seed: int, first: int = 0
 ) -> list[NDArray[np.float64]]:
-    """Values with white noise of a power in dBW, `count` times; `first` numbers the first."""
+    """Draw values with white noise of a power in dBW, `count` times, numbered from `first`."""
     whole = round(1000 * (level + 100))
     return [
         add_noise(of, power_std(level), np.random.default_rng([20230630, seed, number, whole]))

@@ -92,12 +92,12 @@ def matching_rows(columns: Columns, query: str) -> Columns:
 
 
 def columns_named(query: str) -> set[str]:
-    """Names of the columns that a query asks for; words inside its texts are none.
+    """Return the names of the columns in a query; words inside quoted texts do not count.
 
     Raises
     ------
     ConfigError
-        No query.
+        The text is not a query.
     """
     return {node.id for node in ast.walk(_parsed(query)) if isinstance(node, ast.Name)}
 

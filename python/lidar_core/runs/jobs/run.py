@@ -98,7 +98,7 @@ def run_job(
     threads: int,
     build: str,
 ) -> JobRecord:
-    """Do the commands of a job in its folder, seen from `place`; return how it ended.
+    """Run the commands of a job and return its record.
 
     The output of the commands goes into log.txt. Files of other machines are fetched first. All
     objects of the runs go into one table.

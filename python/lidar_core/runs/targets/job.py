@@ -48,7 +48,10 @@ class FuseJob:
     def run(
         self, checkpoints: Callable[[Mapping[str, Any]], Checkpoints], begin: Callable[[], None]
     ) -> TargetRun | ManyRun:
-        """Read the recording, and filter or track; with many, `begin` comes before checkpoints."""
+        """Read the recording. Filter one target, or track many.
+
+        For many, call `begin` before the first checkpoint is written.
+        """
         found, reading = self._found()
         if isinstance(found, MeasurementLog):
             return self._one(found, reading)

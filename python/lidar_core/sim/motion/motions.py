@@ -46,7 +46,7 @@ class Waypoints(Config):
         return self
 
     def knots(self, seconds: float) -> Knots:
-        """Return the places themselves."""
+        """Return times and poses of the waypoints."""
         rotations = np.array(self.rotations or [(0, 0, 0, 1)] * len(self.times))
         return np.array(self.times), poses(np.array(self.positions), rotations)
 

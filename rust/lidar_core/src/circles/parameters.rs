@@ -30,7 +30,7 @@ pub struct PipelineParameters {
     pub planes: Vec<[f64; 4]>,
     /// Projection of tilted scans.
     pub projection: Projection,
-    /// Segmentation.
+    /// Parameters of the segmentation.
     pub segment: SegmentParameters,
     /// Circle fit.
     pub fit: FitParameters,

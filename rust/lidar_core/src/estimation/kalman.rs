@@ -59,7 +59,7 @@ pub struct Update<const N: usize> {
 /// Distance of a vector from zero in terms of a covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mahalanobis<const M: usize> {
-    /// y' S^-1 y.
+    /// Squared distance of the vector y, y' S^-1 y with its covariance S.
     pub squared: f64,
     /// Natural logarithm of the determinant of S.
     pub log_determinant: f64,

@@ -3,11 +3,11 @@
 /// First step and stopping rule of the simplex search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimplexSearch {
-    /// Edge of the first simplex.
+    /// Length of the edges of the first simplex.
     pub step: f64,
     /// The search ends when the values at the corners differ by less.
     pub tolerance: f64,
-    /// Most evaluations.
+    /// Largest number of evaluations.
     pub evaluations: usize,
 }
 

@@ -1,6 +1,6 @@
 //! Integrals of functions of one variable.
 
-/// Most halvings of a panel.
+/// Largest number of halvings of a panel.
 const DEPTH: u32 = 16;
 
 /// Integral by Kronrod's rule of 15 points, halved until Gauss's rule of 7 of them agrees.

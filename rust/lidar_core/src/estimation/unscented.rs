@@ -4,7 +4,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// Most rows of a triangle: nine states and four measured values.
+/// Largest number of rows of a triangle: nine states and four measured values.
 pub const MAX_ROWS: usize = 13;
 
 /// A normal distribution whose covariance is stored as a lower triangle times its transpose.
@@ -35,7 +35,7 @@ impl<const N: usize> Rooted<N> {
 /// Sigma-point rule: distance of the points and their weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SigmaRule {
-    /// Squared distance of the points from the mean, in standard deviations.
+    /// Square of the distance of the points from the mean, when the distance is in standard deviations.
     pub spread: f64,
     /// Weight of the central point; negative where `spread` is below the number of states.
     pub center: f64,

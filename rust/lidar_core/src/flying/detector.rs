@@ -441,8 +441,8 @@ impl FlyingObjectDetector {
         self.local.map.save_with(path, &self.sensors.bodies())
     }
 
-    /// Load the map of a file, and its body of the robot for every sensor that has not found one
-    /// itself.
+    /// Load a map from a file. Sensors that have not found the body of the robot themselves take the
+    /// one of the file.
     ///
     /// # Errors
     /// As [`VoxelMap::load`] and [`FlyingObjectDetector::set_map`]; the detector is unchanged then.

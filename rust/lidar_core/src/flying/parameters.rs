@@ -16,28 +16,28 @@ use std::collections::BTreeMap;
 /// All parameters of the detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlyingParameters {
-    /// The map; its origin is set by the detector.
+    /// Parameters of the map. The detector sets the origin.
     pub map: MapParameters,
-    /// Clusters of points (eqs 13-15).
+    /// Parameters of the clustering of points (eqs 13-15).
     pub clustering: Clustering,
     /// Gaps that the sensor sees under this angle are inside a cluster too [rad].
     pub cluster_angle: f64,
     /// Centres of voxels are clustered instead of points.
     pub cluster_voxels: bool,
-    /// Classes of clusters (sec. III-B).
+    /// Parameters of the classification of clusters (sec. III-B).
     pub classify: ClassifyParameters,
     /// Removal of separate voxels (sec. III-D).
     pub separation: Separation,
     /// Nothing is removed before some group holds enough confident voxels; otherwise removal
     /// begins with the first scan.
     pub removal_waits: bool,
-    /// Seeds of the background.
+    /// Parameters of the seeds of the background.
     pub seed: SeedParameters,
     /// LiDARs by name; `default_sensor` for the others.
     pub sensors: BTreeMap<String, SensorParameters>,
     /// LiDARs that `sensors` does not name.
     pub default_sensor: SensorParameters,
-    /// Tracks (sec. III-F).
+    /// Parameters of the tracker (sec. III-F).
     pub tracker: TrackerParameters,
     /// Detections are centres of targets, not centroids of their points (eq. 19).
     pub centers: bool,

@@ -28,11 +28,11 @@ impl From<PointClass> for u8 {
 
 /// Classes from an array of their numbers.
 ///
-/// A copy, not a view: whoever owns the bytes may write to them while the result is in use, and a
-/// class of another number must not exist.
+/// A copy, not a view: whoever owns the bytes may write to them while the result is in use. Only
+/// valid class numbers may become a `PointClass`.
 ///
 /// # Errors
-/// [`Error::Limit`] for too many, [`Error::Value`] for the number of no class.
+/// [`Error::Limit`] for too many, [`Error::Value`] if a number is not a class.
 pub fn classes_from_numbers(numbers: &[u8]) -> Result<Vec<PointClass>, Error> {
     check_points(numbers.len())?;
     if let Some(index) = numbers.iter().position(|&number| number > PointClass::Moving.into()) {

@@ -36,7 +36,7 @@ const FEWEST: u32 = 3;
 /// Position relative to a radar.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolarPlace {
-    /// Counter-clockwise from x [rad].
+    /// Direction of the track, counter-clockwise from x [rad].
     pub bearing: f64,
     /// Distance of the track from the sensor [m].
     pub range: f64,
@@ -86,7 +86,7 @@ impl EchoTrace {
         }
     }
 
-    /// Add later sights of both.
+    /// Add later sights of the track and of the target.
     pub fn take(&mut self, stamp_ns: i64, own: PolarPlace, target: PolarPlace) {
         let [first, of_target] = self.first;
         let apart = turn(target.bearing, own.bearing);
@@ -164,7 +164,7 @@ impl TrackEchoes {
             })
     }
 
-    /// Note that another scanner has measured the track: it is a target.
+    /// Note that another scanner has measured the track, so that it is a target and no echo.
     pub fn deny(&mut self) {
         *self = Self { is_denied: true, ..Self::default() };
     }

@@ -2,11 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Most dimensions of a measurement.
+/// Largest number of dimensions of a measurement.
 pub const AXES: usize = 4;
 /// Number of measurements that are kept.
 const KEPT: usize = 128;
-/// Most measurements that are taken from a scan, so that a large one does not replace all others.
+/// Largest number of measurements that are taken from a scan, so that a large one does not replace all
+/// others.
 const OF_SCAN: usize = 32;
 /// Share of the measurements that is left out at each end of an axis; one at least.
 const OUTER: f64 = 0.05;

@@ -3,9 +3,9 @@
 use crate::estimation::assignment::Pair;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most joint events that are enumerated for targets with common measurements.
+/// Largest number of joint events that are enumerated for targets with common measurements.
 pub const MOST_EVENTS: usize = 10_000;
-/// Most rounds of messages of belief propagation.
+/// Largest number of rounds of messages of belief propagation.
 const MOST_ROUNDS: usize = 100;
 /// Largest change of a message at which they have converged.
 const SETTLED: f64 = 1e-9;

@@ -21,9 +21,9 @@ struct Strip {
 /// Rectangle, edges included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rectangle {
-    /// Least coordinates.
+    /// Smallest x and y.
     pub low: [f64; 2],
-    /// Largest coordinates.
+    /// Largest x and y.
     pub high: [f64; 2],
 }
 

@@ -2,11 +2,11 @@
 
 use crate::Error;
 
-/// Points in one scan.
+/// Largest number of points in one scan.
 pub const MAX_POINTS: usize = 4_000_000;
-/// LiDARs of one detector: it remembers sky and robot of each, some megabytes.
+/// Largest number of LiDARs of one detector: it remembers sky and robot of each, some megabytes.
 pub const MAX_SENSORS: usize = 64;
-/// Voxels crossed by one segment.
+/// Largest number of voxels that one ray may cross.
 pub const MAX_VOXELS_PER_RAY: usize = 100_000;
 
 /// An empty vector with room for `len` values, or a typed error instead of an abort.

@@ -66,7 +66,7 @@ def octocopter(width: float) -> sim.Mesh:
 
 
 def bird(span: float) -> sim.Mesh:
-    """Wings along y and a body along x."""
+    """Make the mesh of a bird, with wings along y and a body along x."""
     return _mesh(
         [
             _box((-0.15 * span, -0.5 * span, 0.0), (0.15 * span, 0.5 * span, 0.04 * span)),

@@ -54,7 +54,10 @@ def file_rows(name: str, count: int) -> list[Row]:
 
 
 def followed(of: Course, noise: Noise, factor: float, **changes: object) -> Run:
-    """Run the default filter with `factor` times the noise."""
+    """Run the filter on a simulated course.
+
+    Its configured noise is `factor` times the true noise.
+    """
     told = {
         "lidar_std": (factor * noise.lidar,) * 2,
         "radar_std": tuple(factor * np.array(noise.radar)),

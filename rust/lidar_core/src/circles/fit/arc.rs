@@ -11,7 +11,7 @@ const MANY: usize = 64;
 /// Outermost hits that are not averaged: near the tangents the range is not linear in the bearing.
 const KEPT: usize = 8;
 
-/// Most rays without return between two hits of an object.
+/// Largest number of rays without return between two hits of an object.
 const MOST_BETWEEN: usize = 50;
 
 /// One hit, or the mean of several neighbouring ones. Bearings count from the middle of the arc.

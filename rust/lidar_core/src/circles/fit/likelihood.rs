@@ -25,7 +25,7 @@ pub(super) struct MisfitDerivatives {
 const SPREAD: f64 = 4.0;
 /// Power of the decrease of the prior for circles above the usual radius.
 const RARITY: i32 = 8;
-/// Most Newton steps to the best distance; squared step, over its variance, that ends them.
+/// Largest number of Newton steps to the best distance; squared step, over its variance, that ends them.
 const MOST_STEPS: usize = 4;
 const ENOUGH: f64 = 0.01;
 /// Probability that a ray on an object within the range limits returns nothing.

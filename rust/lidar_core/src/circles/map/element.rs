@@ -212,7 +212,7 @@ impl<S: State> Element<S> {
         }
     }
 
-    /// True if the newest scan of a sensor measured the element or should have.
+    /// True if the newest scan of a sensor measured the element, or it was in view and not hidden.
     pub(super) fn is_visible(&self) -> bool {
         self.seen.is_visible()
     }

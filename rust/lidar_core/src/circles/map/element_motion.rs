@@ -13,7 +13,7 @@ use nalgebra::SMatrix;
 pub(super) const SLOTS: usize = MAX_MODES + 1;
 /// Longest step between two mixings [s].
 const MAX_STEP: f64 = 0.1;
-/// Most steps of one prediction; for longer times the steps become longer.
+/// Largest number of steps of one prediction; for longer times the steps become longer.
 const MAX_STEPS: f64 = 600.0;
 /// Random walk of the sides of a box [m^2/s]: another height of the body is seen.
 const LENGTHS: f64 = 1e-5;

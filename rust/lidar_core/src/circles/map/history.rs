@@ -9,7 +9,7 @@ use crate::Error;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Most scans kept, whatever their time.
+/// Largest number of scans kept, whatever their time.
 const MAX_SCANS: usize = 1_000;
 
 /// A scan and the elements before it.

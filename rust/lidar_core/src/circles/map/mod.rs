@@ -58,7 +58,7 @@ pub struct MapElement {
     pub seen_ns: i64,
     /// Number of scans that measured it.
     pub n_measurements: u32,
-    /// The newest scan of a sensor measured the element, or should have.
+    /// The newest scan of a sensor measured the element, or it was in view and not hidden.
     pub visible: bool,
     /// The element is probable enough to be reported, and its place is known.
     pub confirmed: bool,
@@ -90,7 +90,7 @@ pub struct MapShape {
     pub age: f64,
     /// Time of its last measurement [ns].
     pub seen_ns: i64,
-    /// The newest scan of a sensor measured the element, or should have.
+    /// The newest scan of a sensor measured the element, or it was in view and not hidden.
     pub visible: bool,
     /// The element is probable enough to be reported, and its place is known.
     pub confirmed: bool,

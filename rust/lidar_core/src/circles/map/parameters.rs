@@ -59,10 +59,10 @@ pub struct VisibilityTest {
     pub min_rays: usize,
 }
 
-/// Properties of lines.
+/// Rules for wall lines of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineRules {
-    /// Density of the random walk of their ends, across the line [m^2/s].
+    /// Density of the random walk of the ends of a line, across the line [m^2/s].
     pub density: f64,
     /// Standard deviation of a surface from a straight line [m].
     pub std: f64,
@@ -104,7 +104,7 @@ pub struct Independent {
     pub visibility_test: VisibilityTest,
     /// Largest delay of a scan [s].
     pub buffer_time: f64,
-    /// Properties of lines.
+    /// Rules for wall lines of the map.
     pub lines: LineRules,
 }
 

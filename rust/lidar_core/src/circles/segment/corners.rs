@@ -8,7 +8,7 @@ use std::ops::Range;
 const ROUND: f64 = 0.9 * PI;
 /// Number of hits on either side of a corner that are left out: noise may have put them there.
 const UNCLEAR: usize = 1;
-/// Most nested splits of one surface; the rest then stays whole.
+/// Largest number of nested splits of one surface; the rest then stays whole.
 const DEEPEST: usize = 24;
 
 /// Rules for the split of surfaces at a corner that the sensor looks into.

@@ -42,9 +42,9 @@ impl Bound {
 /// Parameters of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SegmentParameters {
-    /// Bound on the distance of neighbours.
+    /// Largest distance between the ends of neighbouring rays of one segment.
     pub bound: Bound,
-    /// Most rays without return between neighbours in polar space.
+    /// Largest number of rays without return between neighbours in polar space.
     pub max_gap: usize,
     /// Largest distance between the ends of two parts of one surface that something nearer hides in
     /// part, to be one segment [m]; 0: parts are never merged.

@@ -17,7 +17,7 @@ pub enum Origins<'a> {
 }
 
 impl Origins<'_> {
-    /// Origin of the ray `index`.
+    /// Origin of the ray `index` [m], frame of the map.
     #[must_use]
     #[inline]
     pub fn at(&self, index: usize) -> [f64; 3] {

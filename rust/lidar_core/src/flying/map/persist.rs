@@ -32,7 +32,7 @@ impl VoxelMap {
     /// Write the map to `path`: the file is either the old or the new one, never a torn one.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Format`] where a pipe or a device is, whose place it would take.
+    /// [`Error::Io`]; [`Error::Format`] if `path` is a pipe or a device.
     pub fn save(&self, path: &Path) -> Result<(), Error> {
         self.save_with(path, &[])
     }

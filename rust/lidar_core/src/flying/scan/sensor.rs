@@ -28,8 +28,8 @@ pub struct SensorParameters {
     pub self_mask: Option<Vec<bool>>,
     /// Number of first scans in which the directions towards the robot are learnt; 0 learns none.
     pub learn_mask_scans: u32,
-    /// Directions in which returns keep coming from nearer than this show the robot: such returns, and
-    /// rays without return in these directions, are not used [m].
+    /// Range within which returns that keep coming from one direction are of the robot [m]. Such
+    /// returns, and rays without return in these directions, are not used.
     pub learn_mask_range: f64,
     /// Masks apply only to rays without return; otherwise to all.
     pub mask_empty_only: bool,

@@ -20,7 +20,7 @@ const TYPICAL: f64 = 0.25;
 /// Fewer of the rays do not end on droplets in air that is full of them.
 const LEAST_DROPS: f64 = 0.02;
 
-/// Rays of a sensor that is known.
+/// Known ray pattern of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum RayPattern {
     /// Rows that turn.

@@ -28,7 +28,8 @@ pub struct Detections<'a> {
     pub confidence: Option<&'a [f64]>,
     /// Whether each may be a part of a surface beside it; without it none is.
     pub is_joined: Option<&'a [bool]>,
-    /// Whether more returns of surfaces lie around each than it has itself; without it around none.
+    /// Whether a detection has more returns of surfaces around it than returns of its own; None: no
+    /// detection has.
     pub is_among_surfaces: Option<&'a [bool]>,
     /// Size and filling of each; without it nothing is known of them.
     pub shape: Option<&'a [TargetShape]>,

@@ -4,9 +4,9 @@ use crate::Error;
 use crate::error::{require, require_positive};
 use crate::geometry::cluster::{self, Clustering};
 
-/// Most tracks, and most detections in one set.
+/// Largest number of tracks, and of detections in one set.
 pub const MAX_TRACKS: usize = 10_000;
-/// Most sets of detections that confirmation looks back on: one bit each.
+/// Largest number of sets of detections that confirmation looks back on: one bit each.
 pub const MAX_WINDOW: u32 = 64;
 
 /// Unit of the uncertainty radius.
@@ -133,7 +133,7 @@ pub struct Merging {
     pub speed: f64,
 }
 
-/// When a track that finds no cluster grows old.
+/// Rule for the ageing of a track without a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ageing {
     /// Always: Algorithm 2, lines 15-17.

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 /// Largest number of states of a model.
 pub const MAX_STATES: usize = 9;
-/// Most values of an innovation that are recorded.
+/// Largest number of values of an innovation that are recorded.
 pub const MAX_INNOVATION: usize = 4;
 /// Number of values that are recorded of the five of the paper's radar.
 const OF_PAPER: usize = 3;

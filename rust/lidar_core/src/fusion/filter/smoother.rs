@@ -7,7 +7,7 @@ use crate::estimation::kalman::symmetrised;
 use crate::fusion::models::turn::wrapped;
 use nalgebra::{SMatrix, SVector};
 
-/// Most states of a model in the plane.
+/// Largest number of states of a model in the plane.
 const IN_PLANE: usize = 6;
 
 /// One row of a run: state of the filter, its time, and the transition from the row before.

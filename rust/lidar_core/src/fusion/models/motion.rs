@@ -68,7 +68,8 @@ impl First {
         self.speed_variance.unwrap_or(prior.speed)
     }
 
-    /// Covariance of a position of D dimensions, and of further states with the given variances.
+    /// Covariance of the first state: position block (D x D), then the given variances on the
+    /// diagonal.
     #[must_use]
     pub fn covariance<const N: usize, const D: usize>(
         &self,

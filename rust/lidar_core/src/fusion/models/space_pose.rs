@@ -29,7 +29,7 @@ pub struct SpacePose {
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// The sensor in the world.
+/// Pose of a sensor in the world, with its velocities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpaceSensorPose {
     /// Position [m].
@@ -62,8 +62,8 @@ impl SpacePose {
         }
     }
 
-    /// The pose with the velocities that lead to it from `last`; those of `last` without time in
-    /// between.
+    /// The pose with the velocities that lead to it from `last`, or with those of `last` if no time
+    /// lies between.
     #[must_use]
     pub fn after(self, last: &Self) -> Self {
         let dt = self.stamp_ns.saturating_sub(last.stamp_ns) as f64 * 1e-9;

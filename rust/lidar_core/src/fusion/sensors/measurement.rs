@@ -4,9 +4,9 @@ use crate::Error;
 use nalgebra::{Matrix6, SMatrix};
 use serde::{Deserialize, Serialize};
 
-/// Most values that one measurement has.
+/// Largest number of values of one measurement.
 pub const MAX_VALUES: usize = 12;
-/// Most values that have a covariance, and the entries of its upper triangle.
+/// Largest number of values that have a covariance, and the entries of its upper triangle.
 pub const MAX_NOISY: usize = 6;
 const PACKED: usize = MAX_NOISY * (MAX_NOISY + 1) / 2;
 

@@ -16,7 +16,7 @@ pub struct Sensing {
     /// Variances of the platform's x, y, z [m^2], roll, pitch and yaw [rad^2]; zeros for exact
     /// poses.
     pub pose: [f64; 6],
-    /// Nearer than this [m] a radar's range and bearing are turned into a position.
+    /// Range below which a radar's range and bearing are turned into a position [m].
     pub range_min: f64,
     /// Always convert radar measurements to positions and drop the range rate.
     pub convert_radar: bool,

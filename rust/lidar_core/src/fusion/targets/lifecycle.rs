@@ -32,7 +32,8 @@ pub struct LifecycleRules {
 }
 
 impl LifecycleRules {
-    /// Gates that a true measurement passes with `probability`; None: no gates.
+    /// Gates of the squared distance for 1 to 5 measured values, which a true measurement passes with
+    /// `probability`; None: no gates.
     ///
     /// # Errors
     /// [`Error::Parameter`] unless 0 < `probability` < 1.

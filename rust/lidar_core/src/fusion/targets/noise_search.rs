@@ -74,7 +74,8 @@ pub fn log_likelihood(
     Ok(total)
 }
 
-/// Noise that drives `model`, and sensors whose measurements have no covariance.
+/// Noises to search: those that drive the model, and with `sensors` those of sensors whose
+/// measurements have no covariance.
 #[must_use]
 pub fn quantities(
     parameters: &FusionParameters,

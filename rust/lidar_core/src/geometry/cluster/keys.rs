@@ -8,7 +8,7 @@ use std::ops::{Add, BitAnd, BitOr, Shl, Shr, Sub};
 
 /// Room for rounding: two points at exactly the largest reach never lie more than two octants apart.
 const CELL_MARGIN: f64 = 1.0 + 1e-6;
-/// Most cells, which are as wide as the reach, along one axis.
+/// Largest number of cells, which are as wide as the reach, along one axis.
 const MAX_CELLS: f64 = (1u64 << 31) as f64;
 /// Bits of the place of an octant in its cube: two along every axis.
 pub(super) const OCTANT_BITS: u32 = 6;

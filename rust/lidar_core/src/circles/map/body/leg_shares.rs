@@ -20,7 +20,7 @@ const NOBODY: f64 = 18.0;
 /// of a radius beyond it [m].
 const THICK: f64 = 0.1;
 const ALIKE: f64 = 0.02;
-/// Most people of a group and most legs of a person for which all ways are compared.
+/// Largest number of people of a group, and of legs of a person, for which all ways are compared.
 const MOST_PEOPLE: usize = 4;
 const MOST_LEGS: usize = 6;
 

@@ -21,7 +21,7 @@ pub struct OutlineEstimate {
     pub shape: ShapeEstimate,
     /// True if it is too large to be reported as a circle.
     pub is_large: bool,
-    /// Circle that its rays show if it is one; for elements that are known to be round.
+    /// Circle fitted to the rays, used if the element is known to be round.
     pub round: Option<CircleEstimate>,
 }
 

@@ -31,7 +31,7 @@ const KNOWN: f64 = 0.3;
 const RECEDED: f64 = 0.3;
 /// Usual distance up to which a scan is from where its pose says [m].
 const OFF: f64 = 0.02;
-/// Most points of one object that are looked up.
+/// Largest number of points of one object that are looked up.
 const MOST_POINTS: usize = 40;
 /// Least share of the answers that must tell something.
 const LEAST_KNOWN: f64 = 0.5;

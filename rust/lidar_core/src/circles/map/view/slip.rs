@@ -8,7 +8,7 @@
 use super::visibility::SortedView;
 use nalgebra::{Matrix3, Vector3};
 
-/// Most ends of rays that are compared, and the least number that decides.
+/// Largest number of ends of rays that are compared, and the least number that decides.
 const SAMPLES: usize = 100;
 const FEWEST: usize = 30;
 /// Distance from the surface of the earlier scan within which an end lies on it [m].
@@ -21,7 +21,7 @@ const GAP: f64 = 0.5;
 /// move side by side, but the more surfaces agree, the less is it chance. The other ends may be people
 /// and vehicles, which go their own ways.
 const AFTER: [(usize, f64); 2] = [(3, 0.85), (6, 0.7)];
-/// Farthest that a surface is looked for [m]; the search ends that much nearer in every round.
+/// Largest distance at which a surface is looked for [m]; the search ends that much nearer in every round.
 const REACH: f64 = 0.6;
 const ROUNDS: usize = 12;
 const NARROWER: f64 = 0.85;

@@ -39,7 +39,7 @@ pub(crate) struct Accumulator {
     visits: u64,
     /// Touched voxels in which a ray left its length.
     walked: u64,
-    /// Most blocks that one scan may touch.
+    /// Largest number of blocks that one scan may touch.
     most: usize,
 }
 

@@ -5,9 +5,9 @@ use crate::flying::map::block_shape::{EDGE, EDGE_BITS};
 use crate::flying::map::blocks::Place;
 use crate::geometry::lattice::Voxel;
 
-/// Most blocks in the window of one scan: a voxel's place then fits 32 bits.
+/// Largest number of blocks in the window of one scan: a voxel's place then fits 32 bits.
 const MAX_WINDOW: u64 = 1 << 23;
-/// Most blocks along an axis: walls on longer rays would be rounded to a part of a voxel
+/// Largest number of blocks along an axis: walls on longer rays would be rounded to a part of a voxel
 /// (docs/adr/0002).
 const MAX_ALONG: u64 = 1 << 11;
 /// Windows of at most so many blocks lie in memory as a whole. 64 MiB, of which only what rays meet

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 const SHARES: [f64; KINDS] = [0.03, 0.6, 0.05, 0.07, 0.25];
 /// What is part of a surface is so many times likelier to seem so: it stands, or is on the ground.
 const JOINED: [f64; KINDS] = [1.0, 0.5, 5.0, 5.0, 0.5];
-/// Most detections that count: those of one target are alike in their errors.
+/// Largest number of detections that count: those of one target are alike in their errors.
 const MOST: f64 = 20.0;
 /// Of the logarithm of a value in one detection: its standard deviation around that of the target.
 const NOISE: f64 = 0.4;

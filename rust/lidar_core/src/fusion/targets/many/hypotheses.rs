@@ -6,8 +6,8 @@ use crate::fusion::sensors::measurement::Measurement;
 use crate::tracking::existence::Presence;
 use std::f64::consts::TAU;
 
-/// Most pairs of tracks and measurements of a scan that are weighed; beyond, each track keeps its
-/// likeliest ones ...
+/// Largest number of pairs of tracks and measurements of a scan that are weighed; beyond, each track
+/// keeps its likeliest ones ...
 const MOST_PAIRS: usize = 20_000;
 /// ... but this many.
 const LEAST_PAIRS: usize = 8;

@@ -18,7 +18,7 @@ const SPEEDS: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
 /// Share of the time for which what moves rests, and for how long it does [s]: what rests so long counts once.
 const RESTS: f64 = 0.3;
 const REST: f64 = 10.0;
-/// Most that the places which are kept say together, as a logarithm of odds: a wrong one may be among them.
+/// Largest value of what the kept places say together, as a logarithm of odds: a wrong one may be among them.
 const MOST: f64 = 5.0;
 /// Probability from which on it stands as surely as anything: what has stood for an hour may start, too.
 const STANDS: f64 = 0.95;

@@ -11,9 +11,9 @@ pub struct ManyParameters {
     /// Parameters of the filter of each track. Its gate decides which measurements may belong to a
     /// track, its buffer how late a scan may come.
     pub filter: FusionParameters,
-    /// A track is confirmed if this many of ...
+    /// A track is confirmed if this many of the last `confirm_window` scans measured it.
     pub confirm_hits: u32,
-    /// ... the last scans, this many and at most 64, measured it.
+    /// Number of last scans that decide whether a track is confirmed, at most 64.
     pub confirm_window: u32,
     /// Longest time without a measurement after which a track is deleted [s].
     pub max_coast: f64,

@@ -46,10 +46,10 @@ pub struct NewNumbers {
     pub of_pair: BTreeMap<(i64, usize), i64>,
 }
 
-/// Next unused number, and those of the tracks that a scan starts.
+/// Next unused track number, and the numbers of the tracks that a scan starts.
 #[derive(Clone, Debug)]
 pub struct Births {
-    /// Next unused number.
+    /// Next unused track number.
     pub next_id: i64,
     /// Numbers that the scan has given.
     pub ids: NewNumbers,
@@ -86,7 +86,7 @@ pub struct TrackState {
     pub kind_probability: [f64; KINDS],
 }
 
-/// Cost of the scans so far.
+/// Work that the scans so far have caused, as counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrackingWork {
     /// Scans processed; a late scan counts those after it again.
