@@ -78,10 +78,7 @@ pub(crate) fn detect<'c>(
             }
             // The rays into a sky that is known by its density are made up: those that passed are not known.
             if scan.sky == SkySource::Density {
-                // What is nearer stops some of them, nobody knows how many.
-                let is_whole = !center.is_cut;
-                detection.filled_share =
-                    if is_whole { share_of_expected(scan, &cluster) } else { f64::NAN };
+                detection.filled_share = share_of_expected(scan, &cluster);
             }
         }
         if let Some(spread) = view.spread() {

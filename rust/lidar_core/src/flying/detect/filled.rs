@@ -6,6 +6,9 @@ use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 
+/// Returns so much nearer than a cluster are of something else [m].
+const IN_FRONT: f64 = 0.3;
+
 /// Share of the rays inside a cluster's outline that hit it, where only the mean density of the rays is known, not
 /// which of them passed. Not a number where no ray is expected.
 pub(super) fn share_of_expected(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
@@ -13,5 +16,10 @@ pub(super) fn share_of_expected(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
     let (Some(view), Some(sky)) = found else { return f64::NAN };
     let density = sky.density_at(view.direction([0.0, 0.0])) / (view.range * view.range);
     let seen = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
-    of_expected(&seen.map(|(place, _)| place).collect::<Vec<_>>(), density)
+    let hits: Vec<[f64; 2]> = seen.map(|(place, _)| place).collect();
+    let reach = 0.5 * cluster.diagonal() + IN_FRONT;
+    let nearer = scan.points.iter().filter_map(|&point| {
+        view.seen(wide(point)).filter(|(_, beyond)| *beyond < -reach).map(|(place, _)| place)
+    });
+    of_expected(&hits, nearer, density)
 }

@@ -12,14 +12,21 @@ pub(super) fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64
     if hit + missed > 0.0 { hit / (hit + missed) } else { 1.0 }
 }
 
-/// Share of the rays expected inside the ellipse of the hits, `density` per square metre, that are hits.
-pub(in crate::flying::detect) fn of_expected(hits: &[[f64; 2]], density: f64) -> f64 {
+/// Share of the rays expected inside the ellipse of the hits, `density` per square metre, that are hits. Those that
+/// end in front of it, at `nearer` places, do not count. Not a number where most of them do, or none is expected.
+pub(in crate::flying::detect) fn of_expected(
+    hits: &[[f64; 2]],
+    nearer: impl Iterator<Item = [f64; 2]>,
+    density: f64,
+) -> f64 {
     if !density.is_finite() || density <= 0.0 || hits.is_empty() {
         return f64::NAN;
     }
     let ellipse = SpreadEllipse::of(hits, 1.0 / density.sqrt());
     let hit = hits.iter().filter(|&&hit| ellipse.holds(hit)).count() as f64;
-    (hit / (density * ellipse.area())).min(1.0)
+    let stopped = nearer.filter(|&place| ellipse.holds(place)).count() as f64;
+    let expected = density * ellipse.area();
+    if stopped > 0.5 * expected { f64::NAN } else { (hit / (expected - stopped)).min(1.0) }
 }
 
 /// Ellipse around places in a plane. A disc of places fills it, and so does a bar.
@@ -90,12 +97,18 @@ mod tests {
             (0..441).map(row).filter(is_inside).step_by(keep).collect()
         };
         let (gap, density) = (0.05, 400.0);
-        assert!(of_expected(&places(gap, 1), density) > 0.95);
-        assert!((of_expected(&places(gap, 10), density) - 0.1).abs() < 0.03);
+        assert!(of_expected(&places(gap, 1), [].into_iter(), density) > 0.95);
+        assert!((of_expected(&places(gap, 10), [].into_iter(), density) - 0.1).abs() < 0.03);
         // Sparse rays are no loose target.
-        assert!(of_expected(&places(0.25, 1), 16.0) > 0.8);
-        assert!(of_expected(&places(gap, 1), 0.0).is_nan());
-        assert!(of_expected(&[], density).is_nan());
-        assert!(of_expected(&[[0.0, 0.0]], density) > 0.9, "one ray");
+        assert!(of_expected(&places(0.25, 1), [].into_iter(), 16.0) > 0.8);
+        assert!(of_expected(&places(gap, 1), [].into_iter(), 0.0).is_nan());
+        assert!(of_expected(&[], [].into_iter(), density).is_nan());
+        assert!(of_expected(&[[0.0, 0.0]], [].into_iter(), density) > 0.9, "one ray");
+        // A branch in front of a target hides a third of it, and a wall two thirds.
+        let (whole, third) = (places(gap, 1), places(gap, 3));
+        let left: Vec<_> = whole.iter().filter(|place| !third.contains(place)).copied().collect();
+        assert!(of_expected(&left, third.iter().copied(), density) > 0.95);
+        assert!(of_expected(&left, [].into_iter(), density) < 0.75);
+        assert!(of_expected(&third, left.iter().copied(), density).is_nan());
     }
 }
