@@ -105,14 +105,12 @@ fn watched<T: Send>(
             let (done, result) = sync_channel(1);
             let task = move || drop(done.send(run()));
             let worker = thread::Builder::new().name("lidar_core-call".into());
-            if worker.spawn_scoped(scope, task).is_err() {
-                return Ok(run());
-            }
+            let Ok(worker) = worker.spawn_scoped(scope, task) else { return Ok(run()) };
             let mut raised = None;
-            loop {
+            let outcome = loop {
                 match result.recv_timeout(LOOK_EVERY) {
-                    Ok(outcome) => return raised.map_or(Ok(outcome), Err),
-                    Err(RecvTimeoutError::Disconnected) => return Ok(None),
+                    Ok(outcome) => break raised.map_or(Ok(outcome), Err),
+                    Err(RecvTimeoutError::Disconnected) => break Ok(None),
                     Err(RecvTimeoutError::Timeout) if raised.is_some() => {}
                     Err(RecvTimeoutError::Timeout) => {
                         cancel.ask_if(|| {
@@ -122,7 +120,12 @@ fn watched<T: Send>(
                         });
                     }
                 }
-            }
+            };
+            // The scope waits for the work, but not for the end of the thread. On a busy machine the
+            // next call began before it, and its thread got another part of the heap (an arena of
+            // malloc): what one call allocates and another frees then stays with the process.
+            drop(worker.join());
+            outcome
         })
     })
 }
