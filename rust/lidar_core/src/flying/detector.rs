@@ -545,10 +545,10 @@ impl FlyingObjectDetector {
         detector.teammates = saved.teammates;
         (detector.scans, detector.burn_in) = (saved.scans, saved.burn_in);
         (detector.is_reporting, detector.pose_check.held) = (saved.is_reporting, saved.held);
-        detector.static_points = StaticPoints::restored(saved.static_points);
+        detector.static_points = StaticPoints::restored(saved.static_points)?;
         detector.tracker.restore(saved.tracker)?;
-        detector.movers = GroundMovers::restored(saved.movers);
-        detector.static_map = saved.static_map.map(StaticMapper::restored);
+        detector.movers = GroundMovers::restored(saved.movers)?;
+        detector.static_map = saved.static_map.map(StaticMapper::restored).transpose()?;
         detector.makes_static_map = detector.static_map.is_some();
         Ok(detector)
     }

@@ -2,6 +2,7 @@
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;
+use crate::Error;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
 use crate::flying::map::blocks::{Cursor, Place};
@@ -11,6 +12,7 @@ use crate::flying::reporting_gate::ReportingGate;
 use crate::flying::track::PointCloudTracker;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use crate::util::full_state::impossible;
 use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
@@ -202,8 +204,14 @@ impl StaticPoints {
     }
 
     /// Points from a saved state.
-    pub(crate) fn restored(saved: Vec<(Place, PointsOfVoxel)>) -> Self {
-        Self { voxels: saved.into_iter().collect(), entered: Vec::new() }
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no detector has.
+    pub(crate) fn restored(saved: Vec<(Place, PointsOfVoxel)>) -> Result<Self, Error> {
+        if !saved.iter().all(|(place, points)| place.has_neighbours() && points.is_possible()) {
+            return Err(impossible("points of scans in another order than that of time"));
+        }
+        Ok(Self { voxels: saved.into_iter().collect(), entered: Vec::new() })
     }
 
     /// Forget all scans.
@@ -213,6 +221,17 @@ impl StaticPoints {
 }
 
 impl PointsOfVoxel {
+    /// True if scans can have left it, so that no sum or difference of its numbers overflows.
+    fn is_possible(&self) -> bool {
+        // Far more scans than a burn-in has, and points than its scans have.
+        const MOST: u32 = 1 << 30;
+        let Self { first_scan, scans, last_scan, halves, .. } = *self;
+        let is_in_order = 1 <= first_scan && first_scan <= last_scan && last_scan <= MOST;
+        is_in_order
+            && (1..=last_scan - first_scan + 1).contains(&scans)
+            && halves.iter().all(|(_, count)| (0..=i64::from(MOST) << 30).contains(count))
+    }
+
     /// Whether points have come or gone in a burn-in of `of` scans, rather than missed so many scans by chance:
     /// of those at its beginning and at its end those count in which nothing was there, as far as rays
     /// tell; `is_free` is that at its end.
@@ -238,7 +257,6 @@ impl PointsOfVoxel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Error;
     use crate::flying::map::parameters::tests::parameters;
 
     #[test]
@@ -258,6 +276,21 @@ mod tests {
         assert!(!seen(1, 6, 6, false).has_moved(10, false));
         assert!(!seen(3, 9, 5, true).has_moved(10, true));
         assert!(!seen(1, 10, 10, true).has_moved(10, true));
+    }
+
+    #[test]
+    fn points_that_no_scan_left_are_refused() {
+        let restored = |x, [first_scan, scans, last_scan]: [u32; 3], count| {
+            let halves = [([0; 3], count), ([0; 3], 0)];
+            let points = PointsOfVoxel { was_free: true, first_scan, scans, last_scan, halves };
+            StaticPoints::restored(vec![(Place([x, 0, 0]), points)]).is_ok()
+        };
+        assert!(restored(3, [2, 4, 5], 9) && restored(i32::MAX - 1, [1, 1, 1], 0));
+        for scans in [[0, 1, 1], [5, 1, 2], [2, 5, 5], [2, 0, 5], [1, 1, u32::MAX]] {
+            assert!(!restored(3, scans, 9), "{scans:?}");
+        }
+        assert!(!restored(i32::MAX, [2, 4, 5], 9) && !restored(i32::MIN, [2, 4, 5], 9));
+        assert!(!restored(3, [2, 4, 5], -1) && !restored(3, [2, 4, 5], i64::MAX));
     }
 
     #[test]

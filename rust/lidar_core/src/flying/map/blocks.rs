@@ -143,6 +143,11 @@ impl Place {
         Self(voxel.map(|index| index >> EDGE_BITS))
     }
 
+    /// True if those beside it have indices, as around every voxel that holds a point.
+    pub(crate) fn has_neighbours(self) -> bool {
+        self.0.iter().all(|&index| i32::MIN < index && index < i32::MAX)
+    }
+
     /// The voxel at `offset` inside this block.
     #[inline]
     pub(crate) fn voxel(self, offset: usize) -> Voxel {

@@ -17,6 +17,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::util::cancel;
+use crate::util::full_state::impossible;
 use crate::util::key_hasher::KeyHasher;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -336,8 +337,14 @@ impl GroundMovers {
     }
 
     /// Restore the voxels of a saved state.
-    pub(crate) fn restored(saved: Vec<(Place, Stay)>) -> Self {
-        Self { entered: saved.into_iter().collect(), ..Self::default() }
+    ///
+    /// # Errors
+    /// [`Error::Format`] for a state that no detector has.
+    pub(crate) fn restored(saved: Vec<(Place, Stay)>) -> Result<Self, Error> {
+        if !saved.iter().all(|(place, _)| place.has_neighbours()) {
+            return Err(impossible("movers where no voxel is"));
+        }
+        Ok(Self { entered: saved.into_iter().collect(), ..Self::default() })
     }
 }
 

@@ -124,6 +124,14 @@ impl RayView {
         self.levels.iter().any(|level| level.length(way) > needed)
     }
 
+    /// True if its parts agree, as they must where bytes told them.
+    pub(super) fn is_whole(&self) -> bool {
+        let widths = self.levels.iter().map(|level| level.per_unit);
+        self.starts.len() == SECTORS
+            && widths.eq(PER_UNIT)
+            && self.levels.iter().all(BinLevel::is_whole)
+    }
+
     /// Memory [bytes].
     pub(super) fn size(&self) -> usize {
         self.levels.iter().map(|level| 2 * level.lengths.len()).sum()
@@ -228,6 +236,13 @@ impl BinLevel {
         Self { per_unit, first_row, lengths }
     }
 
+    /// True if it has whole rows, and no more than there are; the number of bins is one that exists.
+    fn is_whole(&self) -> bool {
+        let (rows, columns) = (2 * self.per_unit, 4 * self.per_unit);
+        let n_rows = self.lengths.len() / columns;
+        self.lengths.len() == n_rows * columns && n_rows <= rows && self.first_row <= rows - n_rows
+    }
+
     fn length(&self, way: [f64; 3]) -> u16 {
         let [row, column] = bin(way, self.per_unit);
         let row = row.checked_sub(self.first_row);
@@ -283,6 +298,26 @@ mod tests {
             for place in behind.into_iter().chain(on_wall).chain(on_floor).chain(unseen) {
                 assert!(!view.sees_through(place), "{step_deg} {place:?}");
             }
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn a_view_of_other_parts_is_not_whole() -> Result<(), &'static str> {
+        let made = view(1.0, |_| None).ok_or("no view")?;
+        assert!(made.is_whole());
+        let wrong: [fn(&mut RayView); 6] = [
+            |view| view.starts.truncate(35),
+            |view| view.levels.truncate(2),
+            |view| view.levels[1].per_unit = 0,
+            |view| view.levels[2].first_row = usize::MAX,
+            |view| view.levels[0].lengths.push(7),
+            |view| view.levels[2].lengths = vec![7; 101 * 200],
+        ];
+        for change in wrong {
+            let mut view = made.clone();
+            change(&mut view);
+            assert!(!view.is_whole());
         }
         Ok(())
     }

@@ -9,6 +9,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::{floor, wide};
 use crate::util::cancel;
+use crate::util::full_state::impossible;
 use crate::util::key_hasher::KeyHasher;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -168,10 +169,24 @@ impl StaticMapper {
         StaticMapperState { views, n_scans: *n_scans, spacing_log2: *spacing_log2, points, hits }
     }
 
-    pub(crate) fn restored(saved: SavedStaticMapper) -> Self {
+    /// # Errors
+    /// [`Error::Format`] for a state that no mapper has.
+    pub(crate) fn restored(saved: SavedStaticMapper) -> Result<Self, Error> {
+        // More scans than any sensor takes: counts go on without an overflow.
+        const MOST_SCANS: u64 = 1 << 62;
         let SavedStaticMapper { views, n_scans, spacing_log2, points, hits } = saved;
+        let is_counted = |hits: &VoxelHits| {
+            hits.last <= n_scans && u64::from(hits.count) <= n_scans && hits.count <= u32::MAX / 2
+        };
+        if n_scans > MOST_SCANS
+            || spacing_log2 >= u64::BITS
+            || !hits.iter().all(|(_, hits)| is_counted(hits))
+            || !views.iter().all(RayView::is_whole)
+        {
+            return Err(impossible("views or counts of scans that cannot be"));
+        }
         let (points, hits) = (points.into_iter().collect(), hits.into_iter().collect());
-        Self { views, n_scans, spacing_log2, points, hits }
+        Ok(Self { views, n_scans, spacing_log2, points, hits })
     }
 }
 
@@ -228,7 +243,33 @@ mod tests {
         assert!(mapper.hits.values().all(|hits| hits.count <= 5));
         let bytes = crate::util::full_state::sealed("map", &(), &mapper.state())?;
         let saved: SavedStaticMapper = crate::util::full_state::opened("map", &(), &bytes)?;
-        assert_eq!(StaticMapper::restored(saved).points(None)?, mapper.points(None)?);
+        assert_eq!(StaticMapper::restored(saved)?.points(None)?, mapper.points(None)?);
+        Ok(())
+    }
+
+    /// Bytes of a file may say anything; what they say must not stop the detector later.
+    #[test]
+    fn states_that_no_scan_left_are_refused() -> Result<(), Error> {
+        let restored = |change: &dyn Fn(&mut SavedStaticMapper)| {
+            let mut mapper = StaticMapper::default();
+            mapper.take(&scan(None));
+            let bytes = crate::util::full_state::sealed("map", &(), &mapper.state())?;
+            let mut saved: SavedStaticMapper = crate::util::full_state::opened("map", &(), &bytes)?;
+            change(&mut saved);
+            StaticMapper::restored(saved).map(drop)
+        };
+        restored(&|_| ())?;
+        restored(&|saved| saved.spacing_log2 = 63)?;
+        let wrong: [&dyn Fn(&mut SavedStaticMapper); 5] = [
+            &|saved| saved.n_scans = u64::MAX,
+            &|saved| saved.n_scans = 0,
+            &|saved| saved.spacing_log2 = 64,
+            &|saved| saved.hits[0].1.count = u32::MAX,
+            &|saved| saved.hits[0].1.last = 2,
+        ];
+        for change in wrong {
+            assert!(matches!(restored(change), Err(Error::Format { .. })));
+        }
         Ok(())
     }
 }

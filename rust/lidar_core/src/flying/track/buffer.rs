@@ -99,11 +99,12 @@ impl Buffer {
         let fits = |cloud: &Cloud| {
             let count = cloud.points.len();
             cloud.delays.as_ref().is_none_or(|delays| delays.len() == count)
+                && cloud.points.as_flattened().iter().all(|value| value.is_finite())
         };
         let newer = |(one, other): (&Cloud, &Cloud)| one.stamp_ns < other.stamp_ns;
         let is_sorted = clouds.iter().zip(clouds.iter().skip(1)).all(newer);
         if clouds.len() > self.size || !is_sorted || !clouds.iter().all(fits) {
-            return Err(impossible("clouds in another order, or more than the buffer holds"));
+            return Err(impossible("clouds that the buffer does not hold"));
         }
         self.clouds = clouds;
         Ok(())
@@ -160,5 +161,22 @@ impl Buffer {
 
     pub(super) fn clear(&mut self) {
         self.clouds.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clouds_that_no_scan_left_are_refused() {
+        let cloud = |stamp_ns, x, delays| Cloud { stamp_ns, points: vec![[x, 0.0, 0.0]], delays };
+        let restored = |clouds: [Cloud; 2]| Buffer::new(2).restore(clouds.into()).is_ok();
+        assert!(restored([cloud(1, 1.0, None), cloud(2, -1e30, Some(vec![0.1]))]));
+        assert!(!restored([cloud(2, 1.0, None), cloud(1, 1.0, None)]));
+        assert!(!restored([cloud(1, 1.0, None), cloud(2, 1.0, Some(Vec::new()))]));
+        for bad in [f32::NAN, f32::INFINITY] {
+            assert!(!restored([cloud(1, 1.0, None), cloud(2, bad, None)]), "{bad}");
+        }
     }
 }

@@ -50,6 +50,14 @@ impl Past {
         }
         Ok(Self { scan, assigned, births, before: empty.restored(&before)? })
     }
+
+    /// True if all numbers in it are below `next_id`, the next one.
+    pub(super) fn is_numbered(&self, next_id: i64) -> bool {
+        let mut assigned = self.assigned.iter().filter_map(|one| one.id);
+        assigned.all(|id| (0..next_id).contains(&id))
+            && self.births.are_below(next_id)
+            && self.before.are_below(next_id)
+    }
 }
 
 /// Drop scans from before `oldest`, or all if it is None, and the oldest if there are too many. Returns the

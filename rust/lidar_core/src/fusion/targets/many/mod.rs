@@ -165,11 +165,20 @@ impl ManyTargets {
         if !is_known(&tracks) || !history.iter().all(|past| is_known(&past.before)) {
             return Err(impossible("tracks know places that are not there"));
         }
+        // A number that is still to be given would name two targets.
+        let next_id = next_number(saved.next_id)?;
+        if !tracks.are_below(next_id) || !history.iter().all(|past| past.is_numbered(next_id)) {
+            return Err(impossible("tracks that were never numbered"));
+        }
+        let stamps = || history.iter().map(|past| past.scan.stamp_ns);
+        if !stamps().is_sorted() || stamps().next_back() > saved.stamp_ns {
+            return Err(impossible("scans in another order than that of time"));
+        }
         Ok(Self {
             tracks,
             history,
             places: saved.places,
-            next_id: next_number(saved.next_id)?,
+            next_id,
             stamp_ns: saved.stamp_ns,
             forgotten_ns: saved.forgotten_ns,
             ..empty

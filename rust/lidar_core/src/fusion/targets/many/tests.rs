@@ -192,3 +192,34 @@ fn what_stands_is_kept_once_for_all_scans_of_the_buffer() -> Result<(), Error> {
     assert_eq!(tracker.places[&0].len(), 300 * 12 + 2);
     Ok(())
 }
+
+/// Bytes of a file may say anything: a number that is still to be given would name two targets.
+#[test]
+fn a_state_with_numbers_that_were_never_given_is_refused() -> Result<(), Error> {
+    let mut parameters = parameters()?;
+    parameters.filter.life.buffer_ns = 2_000_000_000;
+    let restored = |change: fn(&mut ManyTargets)| {
+        let mut tracker = ManyTargets::new(&parameters)?;
+        for (stamp, source, measurements) in parting()? {
+            tracker.process(stamp, source, &measurements)?;
+        }
+        change(&mut tracker);
+        ManyTargets::from_state(&parameters, &tracker.to_state()?).map(drop)
+    };
+    restored(|_| ())?;
+    restored(|tracker| tracker.next_id += 1000)?;
+    let wrong: [fn(&mut ManyTargets); 8] = [
+        |tracker| tracker.next_id = 1,
+        |tracker| tracker.tracks.all[0].id = tracker.next_id,
+        |tracker| tracker.tracks.all[0].id = -1,
+        |tracker| tracker.history[3].before.all[0].id = i64::MAX,
+        |tracker| tracker.history[0].births.of_column[0] = Some(-2),
+        |tracker| tracker.history[5].assigned[0].id = Some(tracker.next_id),
+        |tracker| tracker.history.swap(2, 3),
+        |tracker| tracker.stamp_ns = Some(0),
+    ];
+    for (index, change) in wrong.into_iter().enumerate() {
+        assert!(matches!(restored(change), Err(Error::Format { .. })), "{index}");
+    }
+    Ok(())
+}

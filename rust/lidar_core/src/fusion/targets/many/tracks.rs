@@ -103,6 +103,12 @@ impl Tracks {
         })
     }
 
+    /// True if every track has a number below `next_id`.
+    #[must_use]
+    pub fn are_below(&self, next_id: i64) -> bool {
+        self.all.iter().all(|track| (0..next_id).contains(&track.id))
+    }
+
     /// True if these places are all known static clutter.
     #[must_use]
     pub fn know(&self, places: &BTreeMap<u8, PlaceLog>) -> bool {
