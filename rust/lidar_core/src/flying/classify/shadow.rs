@@ -12,33 +12,61 @@ pub(crate) struct Shadow<'a> {
     origin: [f64; 3],
     lattice: Lattice,
     points: &'a [[f64; 3]],
-    /// A voxel is hidden if the ray to its centre passes a point this closely [m].
-    margin: f64,
 }
 
 impl<'a> Shadow<'a> {
     pub(crate) fn of(points: &'a [[f64; 3]], origin: [f64; 3], lattice: &Lattice) -> Self {
-        let half_diagonal = 0.5 * 3f64.sqrt() * lattice.voxel_size();
-        Self { origin, lattice: *lattice, points, margin: half_diagonal }
+        Self { origin, lattice: *lattice, points }
     }
 
     /// True if `voxel` lies behind the cluster: at least one voxel further away than a point
     /// that its centre's ray passes closely.
     pub(crate) fn hides(&self, voxel: Voxel) -> bool {
-        let center = minus(self.lattice.center(voxel), self.origin);
-        let distance = norm(center);
-        if distance == 0.0 {
-            return false;
-        }
+        SightLine::to(voxel, self.origin, &self.lattice)
+            .is_some_and(|line| self.points.iter().any(|&point| line.is_blocked_by(point)))
+    }
+}
+
+/// The ray from a sensor to the centre of a voxel.
+pub(crate) struct SightLine {
+    origin: [f64; 3],
+    direction: [f64; 3],
+    distance: f64,
+    voxel_size: f64,
+    /// A point blocks the line this far beside it [m]: half the diagonal of a voxel.
+    margin: f64,
+}
+
+impl SightLine {
+    /// None if the sensor is at the centre of the voxel.
+    pub(crate) fn to(voxel: Voxel, origin: [f64; 3], lattice: &Lattice) -> Option<Self> {
+        let (center, voxel_size) = (minus(lattice.center(voxel), origin), lattice.voxel_size());
+        let (distance, margin) = (norm(center), 0.5 * 3f64.sqrt() * voxel_size);
         let direction = center.map(|value| value / distance);
-        self.points.iter().any(|&point| {
-            let point = minus(point, self.origin);
-            let along = dot(point, direction);
-            let aside = minus(point, direction.map(|value| value * along));
-            along > 0.0
-                && distance - along > self.lattice.voxel_size()
-                && dot(aside, aside) <= self.margin * self.margin
-        })
+        (distance != 0.0).then_some(Self { origin, direction, distance, voxel_size, margin })
+    }
+
+    /// True if the voxel is at least one voxel further away than a point that the line passes closely.
+    pub(crate) fn is_blocked_by(&self, point: [f64; 3]) -> bool {
+        let (along, aside) = self.along_and_aside(point);
+        along > 0.0 && self.distance - along > self.voxel_size && aside <= self.margin * self.margin
+    }
+
+    /// False if no point in the voxel around `center` blocks the line.
+    pub(crate) fn passes_near(&self, center: [f64; 3]) -> bool {
+        // No point of a voxel is further from its centre than half the diagonal; the rest is for rounding.
+        let (along, aside) = self.along_and_aside(center);
+        along > -1.01 * self.margin
+            && self.distance - along > self.voxel_size - 1.01 * self.margin
+            && aside <= (2.01 * self.margin) * (2.01 * self.margin)
+    }
+
+    /// Way along the line to the place nearest to a point, and the squared distance between both.
+    fn along_and_aside(&self, point: [f64; 3]) -> (f64, f64) {
+        let point = minus(point, self.origin);
+        let along = dot(point, self.direction);
+        let aside = minus(point, self.direction.map(|value| value * along));
+        (along, dot(aside, aside))
     }
 }
 

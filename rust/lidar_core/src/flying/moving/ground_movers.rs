@@ -11,7 +11,7 @@
 
 use super::free_space::{FreeSpace, parts, with_beside};
 use crate::Error;
-use crate::flying::classify::shadow::Shadow;
+use crate::flying::classify::shadow::SightLine;
 use crate::flying::map::blocks::{Cursor, Place};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
@@ -130,24 +130,31 @@ pub(crate) struct ScanOfMovers<'a> {
 struct Things<'a> {
     /// Number of the thing that has points in a voxel, ascending.
     of_voxel: Vec<(Voxel, usize)>,
-    points: Vec<Vec<[f64; 3]>>,
+    /// Points of each thing by voxels: a line of sight meets few of these, however many points they hold.
+    rows: Vec<PointsByVoxel>,
+    points: &'a [[f32; 3]],
     origin: [f64; 3],
     lattice: &'a Lattice,
 }
 
 impl<'a> Things<'a> {
-    fn of(scan: &ScanOfMovers<'_>, lattice: &'a Lattice) -> Self {
-        let place = |&row: &u32| wide(scan.points[row as usize]);
-        let points: Vec<Vec<_>> =
-            scan.things.iter().map(|rows| rows.iter().map(place).collect()).collect();
+    fn of(scan: &ScanOfMovers<'a>, lattice: &'a Lattice) -> Self {
+        let ScanOfMovers { points, origin, things, .. } = *scan;
+        let in_voxel = |&row: &u32| {
+            floor(lattice.scaled(wide(points[row as usize]))).map(|voxel| (voxel, row))
+        };
+        let by_voxel = |thing: &&[u32]| {
+            let mut pairs: Vec<(Voxel, u32)> = thing.iter().filter_map(in_voxel).collect();
+            pairs.sort_unstable();
+            PointsByVoxel::of(&pairs)
+        };
+        let rows: Vec<PointsByVoxel> = things.iter().map(by_voxel).collect();
         let mut of_voxel: Vec<(Voxel, usize)> = Vec::new();
-        for (thing, points) in points.iter().enumerate() {
-            let voxels = points.iter().filter_map(|&at| floor(lattice.scaled(at)));
-            of_voxel.extend(voxels.map(|voxel| (voxel, thing)));
+        for (thing, rows) in rows.iter().enumerate() {
+            of_voxel.extend(rows.voxels.iter().map(|&voxel| (voxel, thing)));
         }
         of_voxel.sort_unstable();
-        of_voxel.dedup();
-        Self { of_voxel, points, origin: scan.origin, lattice }
+        Self { of_voxel, rows, points, origin, lattice }
     }
 
     /// True if the thing in a voxel is in another one, too, or hides that from the sensor.
@@ -156,7 +163,17 @@ impl<'a> Things<'a> {
         let mut in_voxel = self.of_voxel[from..].iter().take_while(|(place, _)| *place == voxel);
         in_voxel.any(|&(_, thing)| {
             self.of_voxel.binary_search(&(other, thing)).is_ok()
-                || Shadow::of(&self.points[thing], self.origin, self.lattice).hides(other)
+                || SightLine::to(other, self.origin, self.lattice)
+                    .is_some_and(|line| self.blocks(thing, &line))
+        })
+    }
+
+    /// True if a point of a thing is on a line of sight, before its end.
+    fn blocks(&self, thing: usize, line: &SightLine) -> bool {
+        let rows = &self.rows[thing];
+        let is_blocked = |&row: &u32| line.is_blocked_by(wide(self.points[row as usize]));
+        rows.voxels.iter().enumerate().any(|(at, &voxel)| {
+            line.passes_near(self.lattice.center(voxel)) && rows.rows(at).iter().any(is_blocked)
         })
     }
 }
@@ -351,6 +368,7 @@ impl GroundMovers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::flying::classify::shadow::Shadow;
     use crate::flying::map::parameters::tests::parameters;
 
     /// Points of a target of 3 x 3 x 2 voxels whose lowest are at `up`.
@@ -445,6 +463,39 @@ mod tests {
         assert!(!things.hide([20, 0, 0], [23, 46, 0]), "another thing hides it");
         assert!(things.hide([20, 40, 0], [23, 46, 0]));
         assert!(!things.hide([19, 0, 0], [22, 0, 0]), "nothing is in that voxel");
+        Ok(())
+    }
+
+    /// Whatever the points of a thing are, it hides the voxels that one of its points hides.
+    #[test]
+    fn a_thing_hides_what_its_points_hide() -> Result<(), Error> {
+        let lattice = Lattice::new(0.25, [0.0; 3])?;
+        let origin = [0.3, -0.2, 0.1];
+        let mut number = 0_u32;
+        let mut random = |width: f32| {
+            number = number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            width * ((number >> 8) as f32 / (1 << 24) as f32 - 0.5)
+        };
+        for middle in [[5.0, 1.0, 0.5], [-0.5, 0.3, -0.4], [20.0, -30.0, 3.0]] {
+            let points: Vec<[f32; 3]> =
+                (0..40).map(|_| middle.map(|value: f32| value + random(1.2))).collect();
+            let rows: Vec<u32> = (0..40).collect();
+            let class = &[PointClass::Unknown; 40];
+            let scan = ScanOfMovers { points: &points, class, origin, things: &[&rows] };
+            let things = Things::of(&scan, &lattice);
+            let wide_points: Vec<[f64; 3]> = points.iter().map(|&point| wide(point)).collect();
+            let shadow = Shadow::of(&wide_points, origin, &lattice);
+            let first = things.of_voxel[0].0;
+            let mut n_hidden = 0;
+            for _ in 0..3000 {
+                let far = middle.map(|value| (1.1 * value + random(3.0)) * 4.0);
+                let other = far.map(|value| value.floor() as i32);
+                let is_in = things.of_voxel.binary_search(&(other, 0)).is_ok();
+                assert_eq!(things.hide(first, other), is_in || shadow.hides(other), "{other:?}");
+                n_hidden += i32::from(shadow.hides(other));
+            }
+            assert!((10..2990).contains(&n_hidden), "{middle:?} {n_hidden}");
+        }
         Ok(())
     }
 }
