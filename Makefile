@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export LIDAR_CORE_OUSTER_PYTHON ?= $(CURDIR)/$(OUSTER_VENV)/bin/python
 
-.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight soak memory nightly coverage wheel ci clean
+.PHONY: help demo dev fmt lint lint-rust lint-python test test-env test-training bench peers figures docs golden hostile corrupt fuzz kills signals flight soak deadline memory nightly coverage wheel ci clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list.
@@ -116,6 +116,10 @@ SCANS ?= 36000
 POINTS ?= 131072
 soak: ## Fly one loop for hours: memory and time per scan must not grow: SCANS=n, POINTS=n.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.soak --scans $(SCANS) --points $(POINTS)
+
+SECONDS_OF_SCANS ?= 300
+deadline: ## Ten scans per second beside a busy core and a churning page cache: SECONDS_OF_SCANS=n.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.deadline --seconds $(SECONDS_OF_SCANS)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory

@@ -107,3 +107,59 @@ proptest! {
         }
     }
 }
+
+/// Steps of the long runs, and steps between two looks at the eigenvalues.
+const LONG: u32 = 1_000_000;
+const LOOK_EVERY: u32 = 997;
+
+/// A target of constant velocity in space, whose position is measured with this variance [m^2], where
+/// `step` says how much time passes [s] and whether it is measured.
+fn long_run(
+    [start, noise]: [f64; 2],
+    step: impl Fn(u32) -> (f64, bool),
+) -> Result<Gaussian<6>, Box<dyn std::error::Error>> {
+    let covariance = SMatrix::identity() * start;
+    let mut state = Gaussian { mean: SMatrix::zeros(), covariance };
+    let mut H = SMatrix::<f64, 3, 6>::zeros();
+    (0..3).for_each(|axis| H[(axis, axis)] = 1.0);
+    let R = SMatrix::identity() * noise;
+    for number in 0..LONG {
+        let (dt, is_measured) = step(number);
+        let (mut F, mut Q) = (SMatrix::<f64, 6, 6>::identity(), SMatrix::<f64, 6, 6>::zeros());
+        for axis in 0..3 {
+            F[(axis, axis + 3)] = dt;
+            Q[(axis, axis)] = dt * dt * dt / 3.0;
+            Q[(axis, axis + 3)] = dt * dt / 2.0;
+            Q[(axis + 3, axis)] = dt * dt / 2.0;
+            Q[(axis + 3, axis + 3)] = dt;
+        }
+        state = predict(&state, &F, &Q);
+        if is_measured {
+            let z = Vector3::new(1.0, -2.0, 0.5) * f64::from(number % 13);
+            let y = z - H * state.mean;
+            state = update(&state, &Linearised { y, H, R })?.posterior;
+        }
+        let P = &state.covariance;
+        if *P != P.transpose() || !state.numbers().iter().all(|value| value.is_finite()) {
+            return Err(format!("step {number}: {state:?}").into());
+        }
+        if number % LOOK_EVERY == 0 || number + 1 == LONG {
+            let values = P.symmetric_eigenvalues();
+            if values.min() < -EIGENVALUE_TOLERANCE * values.max() {
+                return Err(format!("step {number}: eigenvalues {values:?}").into());
+            }
+        }
+    }
+    Ok(state)
+}
+
+/// Goal G8 of the reliability notes: 1e6 steps, whatever the noise, the pauses and the times are.
+#[test]
+fn a_million_steps_keep_the_covariance_whole() -> Result<(), Box<dyn std::error::Error>> {
+    let usual = long_run([25.0, 1e-2], |_| (0.1, true))?;
+    assert!(usual.covariance[(0, 0)] < 1e-2, "it knows more than one measurement tells");
+    long_run([1e6, 1e-8], |_| (0.1, true))?;
+    long_run([25.0, 1e-2], |number| (0.1, number % 1000 < 10))?;
+    long_run([25.0, 1e-2], |number| ([0.0, 1e-6, 10.0][(number % 3) as usize], true))?;
+    Ok(())
+}
