@@ -11,3 +11,6 @@ pub(crate) mod occupied_nearby;
 pub(crate) mod pockets;
 pub(crate) mod scan_classifier;
 pub(crate) mod shadow;
+
+#[cfg(test)]
+mod tests;
