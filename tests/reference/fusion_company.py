@@ -14,13 +14,26 @@ def is_part(one, other, distance):
     """Whether `other` goes along with `one`, ahead or astern."""
     if one["velocity"] is None or other["velocity"] is None:
         return False
-    speed = np.linalg.norm(one["velocity"])
-    if speed < 0.3 or np.linalg.norm(one["velocity"] - other["velocity"]) > 3.0:
+    if np.linalg.norm(one["velocity"] - other["velocity"]) > 3.0:
         return False
-    x, y = one["velocity"] / speed
-    away = other["mean"][:2] - one["mean"][:2]
-    along, across = away @ [x, y], away @ [y, -x]
-    return abs(along) <= 1.5 * distance and abs(across) <= 0.6 * distance
+    away = offset(one["velocity"], other["mean"][:2] - one["mean"][:2])
+    return away is not None and bool((np.abs(away) <= np.multiply([1.5, 0.6], distance)).all())
+
+
+def offset(velocity, away):
+    """How far ahead and to the right; None for what hardly moves."""
+    if velocity is None or np.linalg.norm(velocity) < 0.3:
+        return None
+    x, y = velocity / np.linalg.norm(velocity)
+    return np.array([away @ [x, y], away @ [y, -x]])
+
+
+def holds(track, stamp, place, distance):
+    """Whether a place may be of the body of a track."""
+    own = track["mean"][:2]
+    away = offset(velocity(track.get("way", []), stamp, own, 5, 2), place - own)
+    is_abeam = away is not None and abs(away[1]) > 0.6 * distance
+    return np.hypot(*(place - own)) < distance and not is_abeam
 
 
 def keep_company(config, stamp, tracks):

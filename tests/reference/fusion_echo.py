@@ -4,6 +4,7 @@ import numpy as np
 
 APART, DRIFTS = np.radians(6.0), (np.radians(4.0), 15.0)
 SPEED, RESTS, SHARE, FEWEST, LEAST_RATIO, MOVED = 3.0, 0.3, 0.2, 3, 1.8, 3.0
+ACROSS = 5.0  # of the part that reflects [m]
 FARTHEST = 5.0 * APART  # at the begin of a comparison
 PATIENCE = 10.0  # [s]
 
@@ -23,14 +24,15 @@ def log_odds(seconds, own, target, *, stands):
     most = [np.abs(v - v[0]).max() for v in (drift, beyond, turned, own[:, 1])]
     way = SPEED * (seconds[-1] - seconds[0])
     free = [np.hypot(way / own[:, 1].mean(), DRIFTS[0]), np.hypot(way, DRIFTS[1])]
-    follows = density(most[0], DRIFTS[0]) + density(most[1], DRIFTS[1])
+    near = ACROSS / target[:, 1].mean()
+    follows = density(most[0], np.hypot(DRIFTS[0], near)) + density(most[1], DRIFTS[1])
     moves = density(most[2], free[0]) + density(most[3], free[1])
     rests = density(most[2], DRIFTS[0]) + density(most[3], DRIFTS[1])
     alone = np.logaddexp(np.log(1 - RESTS) + moves, np.log(RESTS) + rests)
     if stands and seconds[-1] - seconds[0] > PATIENCE and follows - rests < MOVED:
         return -np.inf
     prior = np.log(SHARE / (1 - SHARE)) + np.log(2 * np.pi)
-    return prior + density(apart.mean(), APART) + follows - alone
+    return prior + density(apart.mean(), np.hypot(APART, near)) + follows - alone
 
 
 class Echoes:

@@ -5,7 +5,7 @@ from itertools import permutations, product
 import numpy as np
 
 from reference.fusion_clutter import NEW, keep, measure_spread, standing_density, weigh
-from reference.fusion_company import keep_company
+from reference.fusion_company import holds, keep_company
 from reference.fusion_kinds import probabilities, see
 
 
@@ -61,14 +61,17 @@ class ManyTargets:
                 source,
                 numbers,
             )
-        measured = [track["mean"][:2] for track in self.tracks if track["seen"] == stamp]
+        distance = self.config.birth_distance
+        bodies = [dict(one) for one in self.tracks if one["seen"] == stamp]
+        for one in bodies:
+            one["way"] = list(one.get("way", []))
         for track in self.tracks:
             self.judge(track)
         self.tracks = [track for track in self.tracks if self.stays(track, stamp)]
         keep_company(self.config, stamp, self.tracks)
         measure_spread(self.config, self.tracks, places)
         for column, place in enumerate(places):
-            near = any(np.hypot(*(at - place)) < self.config.birth_distance for at in measured)
+            near = any(holds(one, stamp, place, distance) for one in bodies)
             if numbers[column] >= 0 or near:
                 continue
             spread = np.repeat([target.initial_position**2, target.initial_speed**2], 2)

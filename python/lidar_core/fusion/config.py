@@ -97,11 +97,11 @@ class FusionConfig(Config):
         3.0,
         gt=0,
         le=1e3,
-        description="Square of the distance of sigma points of ukf, in standard deviations"
-        " (no unit); none: the number of states plus 2. Below the number of states"
-        " a weight is negative; its part of a covariance is left out if the"
-        " covariance would not stay positive. Distant points spoil models with a"
-        " heading, which is undefined while a target is at rest.",
+        description="The sigma points of ukf lie this many variances from the mean: at 3, they lie"
+        " sqrt(3) = 1.7 standard deviations away (no unit); none: the number of states plus 2."
+        " Below the number of states a weight is negative; its part of a covariance is left out if"
+        " the covariance would not stay positive. Distant points spoil models with a heading, which"
+        " is undefined while a target is at rest.",
     )
     sigma_points: Literal["redrawn", "carried"] = Field(
         "redrawn",

@@ -12,6 +12,9 @@ use std::f64::consts::{PI, TAU};
 const APART: f64 = 6.0 * PI / 180.0;
 /// Standard deviations of how far an echo drifts from its target's bearing [rad] and from twice its range [m].
 const DRIFTS: [f64; 2] = [4.0 * PI / 180.0, 15.0];
+/// Standard deviation across the line of sight of the part of a target that reflects, and of the target's place [m]:
+/// a near target takes a large angle.
+const ACROSS: f64 = 5.0;
 /// Standard deviation of the velocity of targets along every axis [m/s], and the share that rests.
 const SPEED: f64 = 3.0;
 const RESTS: f64 = 0.3;
@@ -127,7 +130,9 @@ impl EchoTrace {
         let free = [SPEED * seconds / range, SPEED * seconds];
         let free = [0, 1].map(|k| libm::hypot(free[k], DRIFTS[k]));
         let [bearing, beyond, turned, moved] = self.most;
-        let follows = log_density(bearing, DRIFTS[0]) + log_density(beyond, DRIFTS[1]);
+        let near = ACROSS / of_target;
+        let drifts = libm::hypot(DRIFTS[0], near);
+        let follows = log_density(bearing, drifts) + log_density(beyond, DRIFTS[1]);
         let moves = log_density(turned, free[0]) + log_density(moved, free[1]);
         let rests = log_density(turned, DRIFTS[0]) + log_density(moved, DRIFTS[1]);
         if stands && seconds > PATIENCE && follows - rests < MOVED {
@@ -135,7 +140,7 @@ impl EchoTrace {
         }
         let own = log_mixed([(1.0 - RESTS, moves), (RESTS, rests)]);
         let prior = libm::log(SHARE / (1.0 - SHARE));
-        prior + log_density(apart, APART) + libm::log(TAU) + follows - own
+        prior + log_density(apart, libm::hypot(APART, near)) + libm::log(TAU) + follows - own
     }
 }
 

@@ -181,3 +181,26 @@ def test_the_place_of_a_radar_is_checked_and_kept():
     ):
         with pytest.raises(InputError, match="seen_from"):
             Measurement(0, sensor, values, seen_from=place)
+
+
+def near_boat(t):
+    """Passes at 35 m."""
+    return np.array([25.0 - 0.8 * t, 35.0])
+
+
+@pytest.mark.parametrize("seed", range(1000, 1006))
+def test_a_near_boat_takes_a_large_angle(seed):
+    """Another part of it reflects: the bearing of its echo drifts by 16 degrees, or 10 m."""
+
+    def echo(t, radar):
+        return echo_of(radar, near_boat(t), detour=120.0, offset_deg=16.0 * np.sin(0.05 * t))
+
+    _, of_echo = run(seed, echo, nearer=near_boat)
+    assert of_echo <= HIDDEN
+
+
+@pytest.mark.parametrize("seed", range(1000, 1006))
+def test_a_boat_that_crosses_behind_a_near_one_is_reported(seed):
+    """The opposite error."""
+    _, of_other = run(seed, lambda t, _: np.array([-60.0 + 3.0 * t, 190.0]), nearer=near_boat)
+    assert of_other >= SHOWN

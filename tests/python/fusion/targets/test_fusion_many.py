@@ -582,3 +582,23 @@ def test_ways_are_kept_with_the_state_of_a_tracker():
         ids = [tracker.tracks_at(stamp).id.tolist() for tracker in (one, other)]
         assert ids[0] == ids[1]
     assert len(ids[0]) == 1
+
+
+@pytest.mark.parametrize("association", ["nearest", "joint"])
+@pytest.mark.parametrize(
+    ("x", "y", "count"),
+    [
+        (0.0, 14.0, 2),  # a boat abreast
+        (0.0, 8.0, 1),  # the side of the same ship
+        (15.0, 0.0, 1),  # its bow
+    ],
+)
+def test_a_boat_that_appears_abreast_gets_a_track_and_a_part_gets_none(association, x, y, count):
+    config = MultiTargetConfig.boats().model_copy(update={"association": association})
+    tracker = MultiTargetTracker(config)
+    for k in range(40):
+        stamp, own = 500_000_000 * k, np.array([1.0 * k, 0.0])
+        places = [own, np.add(own, [x, y])] if k > 10 else [own]
+        seen = [Measurement(stamp, "lidar", place, np.eye(2)) for place in places]
+        tracker.process(stamp, seen, source="lidar")
+    assert len(tracker.tracks_at(stamp, confirmed=False).id) == count

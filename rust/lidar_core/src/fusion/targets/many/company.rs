@@ -47,6 +47,11 @@ impl RecentPath {
         self.places.retain(|(stamp, _)| *stamp >= oldest);
     }
 
+    /// Where it is, and the velocity of late.
+    pub(super) fn course(&self, stamp_ns: i64, place: [f64; 2]) -> Course {
+        Course { place, velocity: self.velocity(stamp_ns, place, ALONG_NS) }
+    }
+
     /// Mean velocity over the last `span` [ns] until now; None if less than `least` is known.
     fn velocity(
         &self,
@@ -70,9 +75,9 @@ pub(super) struct Fellow<'a> {
     pub(super) rank: (Reverse<u32>, i64, i64),
 }
 
-/// A track that does not stand.
+/// Where a track is, and how it moves.
 #[derive(Clone, Copy)]
-struct Course {
+pub(super) struct Course {
     place: [f64; 2],
     velocity: Option<[f64; 2]>,
 }
@@ -90,10 +95,7 @@ pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64
     }
     all.retain(|one| !one.path.is_standing);
     all.sort_by_key(|one| one.rank);
-    let course = |one: &Fellow<'_>| Course {
-        place: one.place,
-        velocity: one.path.velocity(stamp_ns, one.place, ALONG_NS),
-    };
+    let course = |one: &Fellow<'_>| one.path.course(stamp_ns, one.place);
     let courses: Vec<Course> = all.iter().map(course).collect();
     let index = NearIndex::new(courses.iter().map(|one| one.place).zip(0..).collect());
     let mut leads = vec![false; all.len()];
@@ -116,17 +118,49 @@ pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64
     }
 }
 
+/// Bodies of tracks, of which other returns may be parts.
+pub(super) struct Bodies {
+    courses: Vec<Course>,
+    index: NearIndex,
+}
+
+impl Bodies {
+    pub(super) fn new(courses: Vec<Course>) -> Self {
+        let index = NearIndex::new(courses.iter().map(|one| one.place).zip(0..).collect());
+        Self { courses, index }
+    }
+
+    /// True if `place` is within `distance` of one of the tracks, but not farther abeam than parts of it are.
+    pub(super) fn hold(&self, place: [f64; 2], distance: f64) -> bool {
+        let mut near = Vec::new();
+        self.index.collect(&Rectangle::around(place, [distance; 2]), &mut near);
+        near.iter().any(|number| {
+            let own = &self.courses[*number];
+            let [dx, dy] = [0, 1].map(|axis| place[axis] - own.place[axis]);
+            let is_abeam = own.offset(place).is_some_and(|[_, y]| y.abs() > PART[1] * distance);
+            libm::hypot(dx, dy) < distance && !is_abeam
+        })
+    }
+}
+
 impl Course {
+    /// How far a place is ahead of the track and to its right [m]; None for a track that hardly moves.
+    fn offset(&self, place: [f64; 2]) -> Option<[f64; 2]> {
+        let [vx, vy] = self.velocity?;
+        let speed = libm::hypot(vx, vy);
+        let [dx, dy] = [0, 1].map(|axis| place[axis] - self.place[axis]);
+        let ahead = (dx * vx + dy * vy) / speed;
+        (speed >= SLOWEST).then(|| [ahead, (dx * vy - dy * vx) / speed])
+    }
+
     /// True if `other` may be a part of the same object.
     fn has(&self, other: &Self, distance: f64) -> bool {
         let (Some(own), Some(its)) = (self.velocity, other.velocity) else { return false };
-        let speed = libm::hypot(own[0], own[1]);
-        if speed < SLOWEST || libm::hypot(own[0] - its[0], own[1] - its[1]) > SLIP {
+        if libm::hypot(own[0] - its[0], own[1] - its[1]) > SLIP {
             return false;
         }
-        let [dx, dy] = [other.place[0] - self.place[0], other.place[1] - self.place[1]];
-        let along = (dx * own[0] + dy * own[1]) / speed;
-        let across = (dx * own[1] - dy * own[0]) / speed;
-        along.abs() <= PART[0] * distance && across.abs() <= PART[1] * distance
+        self.offset(other.place).is_some_and(|[along, across]| {
+            along.abs() <= PART[0] * distance && across.abs() <= PART[1] * distance
+        })
     }
 }

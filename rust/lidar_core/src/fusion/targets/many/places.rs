@@ -1,6 +1,6 @@
 //! Places of tracks and measurements: objects at rest, parts of long objects, extents of targets.
 
-use super::company::{Fellow, keep_company};
+use super::company::{Bodies, Fellow, keep_company};
 use super::near_pairs::{Placed, clutter_at};
 use super::parameters::{ManyParameters, TargetAssociation};
 use super::track::{Assigned, Scan, TargetTrack};
@@ -61,11 +61,9 @@ impl Tracks {
         }
         let confirmed = self.all.iter_mut().filter(|track| track.confirmed);
         let fellows = confirmed.filter_map(|track| {
-            let output = track.filter.output_at(stamp_ns)?;
-            let place = [output.mean[0], output.mean[1]];
+            let place = track.place_at(stamp_ns)?;
             let rank = (Reverse(track.hits), track.born_ns, track.id);
-            let is_finite = place.iter().all(|value| value.is_finite());
-            is_finite.then_some(Fellow { path: &mut track.way, place, rank })
+            Some(Fellow { path: &mut track.way, place, rank })
         });
         keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
     }
@@ -151,13 +149,12 @@ impl Tracks {
         }
     }
 
-    /// Positions of the tracks that were measured at `stamp_ns`.
-    pub(super) fn measured_at(&self, stamp_ns: i64) -> NearIndex {
+    /// Bodies of the tracks that were measured at `stamp_ns`.
+    pub(super) fn bodies_at(&self, stamp_ns: i64) -> Bodies {
         let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
-        let outputs = measured.filter_map(|track| track.filter.output_at(stamp_ns));
-        let places = outputs.map(|output| [output.mean[0], output.mean[1]]);
-        let finite = places.filter(|place| place.iter().all(|value| value.is_finite()));
-        NearIndex::new(finite.zip(0..).collect())
+        let course =
+            |track: &TargetTrack| Some(track.way.course(stamp_ns, track.place_at(stamp_ns)?));
+        Bodies::new(measured.filter_map(course).collect())
     }
 }
 

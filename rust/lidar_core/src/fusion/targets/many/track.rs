@@ -287,6 +287,13 @@ impl TargetTrack {
         self.confirmed && !self.way.is_left_out() && self.score.is_credible
     }
 
+    /// Position at `stamp_ns` [m]; None if it is not finite.
+    pub(super) fn place_at(&self, stamp_ns: i64) -> Option<[f64; 2]> {
+        let output = self.filter.output_at(stamp_ns)?;
+        let place = [output.mean[0], output.mean[1]];
+        place.iter().all(|value| value.is_finite()).then_some(place)
+    }
+
     /// State at `stamp_ns`. Where targets have an extent, it is part of the covariance of the position.
     pub(super) fn reported_at(&self, stamp_ns: i64) -> Option<Output> {
         let mut output = self.filter.output_at(stamp_ns)?;

@@ -1,5 +1,6 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
+use super::company::Bodies;
 use super::near_pairs::{ScanIndex, places_of};
 use super::parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
 use super::track::{Assigned, Births, IntegratedScan, Scan, Shared, TargetTrack, TrackState};
@@ -8,7 +9,6 @@ use crate::fusion::parameters::FusionParameters;
 use crate::fusion::targets::any_filter::Filter;
 use crate::fusion::targets::lifecycle::Outcome;
 use crate::fusion::targets::target::SavedTarget;
-use crate::tracking::near::NearIndex;
 use crate::tracking::standing_clutter::{PlaceLog, StandingClutter};
 use crate::tracking::surroundings::{Population, Surroundings};
 use crate::util::full_state::impossible;
@@ -215,7 +215,7 @@ impl Tracks {
             let candidates = self.candidates(parameters, seen, &index, wanted, &assigned, work);
             self.associate(parameters, scan, &candidates, &mut assigned)?;
         }
-        let measured = self.measured_at(stamp_ns);
+        let measured = self.bodies_at(stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
         self.all.retain(|track| track.stays(stamp_ns, parameters));
         self.keep_company(parameters, stamp_ns);
@@ -249,7 +249,7 @@ impl Tracks {
         &mut self,
         parameters: &ManyParameters,
         scan: &Scan,
-        measured: &NearIndex,
+        measured: &Bodies,
         births: &mut Births,
         assigned: &mut [Assigned],
     ) {
@@ -263,7 +263,7 @@ impl Tracks {
                 continue;
             };
             let place = [output.mean[0], output.mean[1]];
-            if measured.is_near(place, parameters.birth_distance) {
+            if measured.hold(place, parameters.birth_distance) {
                 continue;
             }
             let mut track = TargetTrack::new(births.of(column), filter, scan);
