@@ -198,7 +198,7 @@ impl Births {
 impl NewNumbers {
     /// True if all have been given: they are below `next_id`.
     #[must_use]
-    pub fn are_below(&self, next_id: i64) -> bool {
+    pub(super) fn are_below(&self, next_id: i64) -> bool {
         let mut all = self.of_column.iter().flatten().chain(self.of_pair.values());
         all.all(|id| (0..next_id).contains(id))
     }

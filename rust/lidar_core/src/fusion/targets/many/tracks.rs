@@ -105,7 +105,7 @@ impl Tracks {
 
     /// True if every track has a number below `next_id`.
     #[must_use]
-    pub fn are_below(&self, next_id: i64) -> bool {
+    pub(super) fn are_below(&self, next_id: i64) -> bool {
         self.all.iter().all(|track| (0..next_id).contains(&track.id))
     }
 
