@@ -65,6 +65,8 @@ KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
 BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
 NOT_FREE_AT_FIRST = (0.7, 0.08, 1.5, 1.0, 0.08)
 OVER_UNSEEN = (0.4, 0.03, 1.5, 1.0, 0.03)
+FITS, MOST_SURPRISE, GAIN, MOST_MANOEUVRE = 1.2, 5.0, 0.2, 5.0
+FLYING = 1
 STEADY, AGILE, KNOWN_SHARE = 1.0, 4.0, 0.95  # [m/s^2], [m/s^2], no unit
 AGILE_SHARES, APART, MOST_AGILITY = np.array([0.5, 0.5, 0.02, 0.5, 0.5]), 0.5, 8.0
 MOST_SHAPES, SHAPE_NOISE = 20, 0.4
@@ -167,6 +169,7 @@ class Track:
     history: list[bool] = field(default_factory=lambda: [True])
     sight: str = "unseen"
     nis: float = None  # of its newest cluster
+    manoeuvre: float = 1.0  # factor of the standard deviations of the process
     shown: str = "sure"  # by the detection that it began with
     before: str = None  # by the one before that, if it began with two
     made_of: list[int] = field(default_factory=list)  # numbers of the tracks of these two
@@ -313,13 +316,13 @@ class Tracker:
     # --- motion -------------------------------------------------------------------------------
 
     @cache  # noqa: B019
-    def model(self, dt, unseen=False):
+    def model(self, dt, unseen=False, factor=1.0):
         """Transition and process noise over `dt` >= 0 [s]."""
         tau = self.c.acceleration_time
         if unseen and tau is not None:
             tau = UNSEEN_TIME
         F = np.kron([[0, 1, 0], [0, 0, 1], [0, 0, 0 if tau is None else -1 / tau]], EYE)
-        std = np.repeat(self.c.process_std, 3)
+        std = factor * np.repeat(self.c.process_std, 3)
         L = np.diag(std**2)
         if self.c.process_noise == "paper":
             return expm(F * dt), L if dt > 0 else np.zeros((9, 9))
@@ -333,11 +336,11 @@ class Tracker:
             A, Q = Ah @ A, Ah @ Q @ Ah.T + Qh
         return A, Q
 
-    def predicted(self, x, P, dt, unseen=False):
+    def predicted(self, x, P, dt, unseen=False, factor=1.0):
         if dt >= 0:
-            A, Q = self.model(dt, unseen)
+            A, Q = self.model(dt, unseen, factor)
             return A @ x, A @ P @ A.T + Q
-        _, Q = self.model(-dt, unseen)
+        _, Q = self.model(-dt, unseen, factor)
         A = np.eye(9)
         A[:6, 3:] += dt * np.eye(6)
         A[:3, 6:] = dt**2 / 2 * EYE
@@ -345,7 +348,8 @@ class Tracker:
 
     def at(self, track, stamp):
         seconds = (stamp - track.stamp) * 1e-9
-        return self.predicted(track.x, track.P, seconds, track.seen < track.stamp)
+        factor = track.manoeuvre if self.c.process_noise == "adaptive" else 1.0
+        return self.predicted(track.x, track.P, seconds, track.seen < track.stamp, factor)
 
     def move(self, track, stamp):
         track.x, track.P = self.at(track, stamp)
@@ -366,6 +370,9 @@ class Tracker:
         K = track.P @ H.T @ np.linalg.inv(S)
         y = z - H @ track.x
         track.nis = y @ np.linalg.solve(S, y)
+        if track.has_moved and track.kind == FLYING:
+            surprise = min(track.nis / 3, MOST_SURPRISE) - FITS
+            track.manoeuvre = np.clip(track.manoeuvre * np.exp(GAIN * surprise), 1, MOST_MANOEUVRE)
         track.x = track.x + K @ (z - H @ track.x)
         track.P = (np.eye(9) - K @ H) @ track.P
         track.P = (track.P + track.P.T) / 2

@@ -80,10 +80,11 @@ class TrackerConfig(Config):
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
     )
-    process_noise: Literal["paper", "continuous"] = Field(
-        "continuous",
-        description="Growth of uncertainty: the same at every step, eq. 31, or white noise in"
-        " continuous time (no unit).",
+    process_noise: Literal["paper", "continuous", "adaptive"] = Field(
+        "adaptive",
+        description="Growth of uncertainty: the same at every step, eq. 31; white noise in"
+        " continuous time; or that, up to 5 times wider for a flying target whose measurements lie"
+        " further from their predictions than it allows (no unit).",
     )
     process_std: Triple = Field(
         (0.0, 0.1, 4.0),

@@ -199,7 +199,7 @@ impl Default for Motion {
         Self {
             acceleration_time: Some(1.0),
             unseen_time: Some(0.3),
-            form: NoiseForm::Continuous,
+            form: NoiseForm::Adaptive,
             std: [0.0, 0.1, 4.0],
         }
     }

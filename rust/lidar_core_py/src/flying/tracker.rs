@@ -49,8 +49,11 @@ pub(crate) struct TrackerConfig {
 
 const RADIUS_FORMS: [(&str, RadiusForm); 2] =
     [("paper", RadiusForm::Paper), ("sixth-root", RadiusForm::SixthRoot)];
-const NOISE_FORMS: [(&str, NoiseForm); 2] =
-    [("paper", NoiseForm::Paper), ("continuous", NoiseForm::Continuous)];
+const NOISE_FORMS: [(&str, NoiseForm); 3] = [
+    ("paper", NoiseForm::Paper),
+    ("continuous", NoiseForm::Continuous),
+    ("adaptive", NoiseForm::Adaptive),
+];
 const MEASUREMENT_FORMS: [(&str, MeasurementForm); 3] = [
     ("paper", MeasurementForm::Paper),
     ("cluster", MeasurementForm::Cluster),

@@ -94,6 +94,9 @@ impl PointCloudTracker {
         if !visits.is_possible(next_id) || !tracks.iter().all(is_made) {
             return Err(impossible("detections of tracks that were never numbered"));
         }
+        if !tracks.iter().all(PointTrack::is_possible) {
+            return Err(impossible("tracks without a finite estimate"));
+        }
         self.buffer.restore(clouds)?;
         (self.keeps_points, self.births, self.visits) = (keeps_points, births, visits);
         (self.tracks, self.standing, self.next_id) = (tracks, standing, next_id);

@@ -11,6 +11,7 @@ mod cluster_assignment;
 mod detections;
 mod full_state;
 mod lifecycle;
+mod manoeuvre;
 mod measurement;
 mod motion;
 mod output;

@@ -113,7 +113,7 @@ fn process_covariance(dt: f64, motion: &Motion) -> Matrix9 {
     let blocks = match motion.form {
         NoiseForm::Paper if dt == 0.0 => [0.0; 6],
         NoiseForm::Paper => [r, 0.0, 0.0, v, 0.0, a],
-        NoiseForm::Continuous => {
+        NoiseForm::Continuous | NoiseForm::Adaptive => {
             let of_acceleration = match motion.acceleration_time {
                 Some(time) => faded_noise(dt, time),
                 None => wandering_noise(dt),

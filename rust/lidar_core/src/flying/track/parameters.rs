@@ -38,6 +38,9 @@ pub enum NoiseForm {
     Paper,
     /// White noise in continuous time: two short steps equal one long one.
     Continuous,
+    /// The same, wider for a flying target as long as its measurements lie further from their predictions than
+    /// the noise allows.
+    Adaptive,
 }
 
 /// Motion of a target: a point mass with noise on position, velocity and acceleration, per axis.

@@ -1,13 +1,15 @@
 //! One track, or one hypothesis that may become a track.
 
 use super::belief::existence::{FalseBirths, Sight, TrackBelief};
+use super::manoeuvre::Manoeuvre;
 use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9, seconds};
-use super::parameters::{Hiding, Motion, Radius, TrackerParameters};
+use super::parameters::{Hiding, Motion, NoiseForm, Radius, TrackerParameters};
 use super::visibility::occupancy::ENOUGH_RAYS;
 use crate::Error;
 use crate::estimation::kalman::{self, Gaussian, Linearised, update};
 use crate::flying::large_targets::shape_weight;
+use crate::tracking::kind::TrackKind;
 use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +30,9 @@ const HAS_SPEED: f64 = 21.1;
 
 /// A track this far from where it began does not hang there [m].
 const AWAY: f64 = 1.0;
+
+/// Larger numbers than any of a track, whose products are finite.
+const MOST_POSSIBLE: f64 = 1e100;
 
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
@@ -65,6 +70,8 @@ pub(super) struct PointTrack {
     pub(super) sight: Sight,
     /// Squared Mahalanobis distance of its cluster in the newest scan, if that had one.
     pub(super) nis: Option<f64>,
+    /// How much more its target manoeuvres than the motion model expects.
+    pub(super) manoeuvre: Manoeuvre,
     /// Whether its target exists.
     pub(super) belief: TrackBelief,
     pub(super) confirmed: bool,
@@ -127,6 +134,7 @@ impl PointTrack {
             made_of: Vec::new(),
             sight: Sight::Unseen,
             nis: None,
+            manoeuvre: Manoeuvre::CALM,
             belief: TrackBelief::unknown(stamp_ns),
             confirmed: false,
             was_confirmed: false,
@@ -135,6 +143,25 @@ impl PointTrack {
             usual_points: 0.0,
             left: false,
         }
+    }
+
+    /// Whether its numbers are those of some track: a saved state may hold anything.
+    pub(super) fn is_possible(&self) -> bool {
+        let is_covariance = |matrix: &Matrix9| {
+            let is_number = |&value: &f64| value.abs() <= MOST_POSSIBLE;
+            matrix.iter().all(is_number) && matrix.diagonal().min() >= 0.0
+        };
+        let places = self.estimate.mean.iter().chain(&self.born_at).chain(&self.seen_at);
+        let sides = self.extent.iter().chain(&self.size);
+        let counts = [&self.own_points, &self.stray_points, &self.usual_points];
+        self.manoeuvre.is_possible()
+            && places.chain([&self.delay]).all(|value| value.abs() <= MOST_POSSIBLE)
+            && sides
+                .chain([&self.seen_speed])
+                .chain(counts)
+                .all(|value| (0.0..=MOST_POSSIBLE).contains(value))
+            && is_covariance(&self.estimate.covariance)
+            && is_covariance(&self.aged)
     }
 
     pub(super) fn position(&self) -> Vector3<f64> {
@@ -196,7 +223,12 @@ impl PointTrack {
             Some(time) if self.seen_ns < self.stamp_ns => Some(time),
             _ => model.acceleration_time,
         };
-        let model = Motion { acceleration_time, ..*model };
+        let factor = match model.form {
+            NoiseForm::Adaptive => self.manoeuvre.factor(),
+            NoiseForm::Paper | NoiseForm::Continuous => 1.0,
+        };
+        let std = model.std.map(|std| factor * std);
+        let model = Motion { acceleration_time, std, ..*model };
         motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), &model)
     }
 
@@ -255,6 +287,12 @@ impl PointTrack {
         self.stray_points = AROUND_KEPT * self.stray_points + stray as f64;
     }
 
+    /// Whether it has moved and most probably flies. What sways or drifts in the wind surprises, too, and must not be
+    /// followed the more closely for it.
+    fn may_manoeuvre(&self) -> bool {
+        self.belief.has_moved() && self.belief.kinds().kind() == TrackKind::Flying
+    }
+
     /// Count the points of a cluster that corrected it for their usual number.
     fn remember_points(&mut self, n_points: usize) {
         let n_points = n_points as f64;
@@ -292,6 +330,9 @@ impl PointTrack {
         };
         let updated = update(&self.estimate, &model)?;
         (self.estimate, self.nis) = (updated.posterior, Some(updated.nis));
+        if self.may_manoeuvre() {
+            self.manoeuvre.feel(updated.nis);
+        }
         self.aged = self.estimate.covariance;
         self.extent = measurement.extent;
         self.remember_points(measurement.n_points);
