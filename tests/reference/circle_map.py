@@ -207,6 +207,7 @@ class Element:
     waits: int = 0
     waiting: float = 0.0
     known: float = 0.0
+    unheard: float = 0.0
 
     def doubt(self):
         """Probability that it is farther away than the places at which it was looked for."""
@@ -379,6 +380,7 @@ class IndependentMap:
                 element.x, element.P, element.mu = self.predicted(element, dt)
                 element.waits, element.waiting = element.waits + 1, element.waiting + dt
                 element.existence.predict(dt)
+                element.unheard += dt
         wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
         whole = sum(one == row for row, one in enumerate(wholes))
         density = max(BIRTH_DENSITY, max(whole, 1) / ((area + 1) * 0.5))
@@ -564,6 +566,9 @@ class IndependentMap:
                 if not element.waits:
                     element.departs = 0 if still else element.departs + 1
                 element.stands = still or (stood and element.departs < DEPARTS)
+            if element.seen == "measured":
+                element.existence.moves(element.stands, element.unheard)
+                element.unheard = 0.0
             worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
             most = config.max_position_std
             if element.waits and self.stops:
