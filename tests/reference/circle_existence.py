@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-LIFETIME, CHANCE, SPEAKS = 60.0, 0.2, 0.1  # [s]
+LIFETIME, LIFETIME_STANDING, CHANCE, SPEAKS = 60.0, 600.0, 0.2, 0.1  # [s]
+KINDS = {"unknown": 0.05, "flying": 1e-3, "ground": 0.3, "static": 0.6, "clutter": 0.05}
+MOVING, RESTING, LONGEST = -6.0, -0.1, 0.5  # [1/s], [1/s], [s]
 TWICE, COVERED, GONE = 0.4, 0.15, (0.02, 0.3)
 RATES = {"seen through": 40.0, "returns": 18.0}  # [1/s]
 OVER, SURE, MOST = 0.05, 0.99, 1 - 1e-6
@@ -36,14 +38,25 @@ class Existence:
         self.was, self.there = arrivals.share(self.sort), 1.0
         self.since, self.once, self.in_sight, self.told = 0.0, True, True, False
         self.anywhere, self.missed = 1.0, 1.0
+        self.kinds = dict(KINDS)
 
     def __call__(self):
         return self.was * self.there
 
     def predict(self, dt):
-        self.there *= np.exp(-dt / LIFETIME)
-        self.anywhere *= np.exp(-dt / LIFETIME)
+        static = self.kinds["static"] / sum(self.kinds.values())
+        stays = np.exp(-dt * (static / LIFETIME_STANDING + (1 - static) / LIFETIME))
+        self.there, self.anywhere = stays * self.there, stays * self.anywhere
         self.since += dt
+
+    def moves(self, stands, dt):
+        """What stands is rarely something that moves; what moves is nothing that stands."""
+        dt = min(max(dt, 0.0), LONGEST)
+        for kind in self.kinds:
+            if kind == "static" and not stands:
+                self.kinds[kind] *= np.exp(MOVING * dt)
+            if kind not in ("static", "unknown") and stands:
+                self.kinds[kind] *= np.exp(RESTING * dt)
 
     def see(self, what, doubt=0.0):
         spoken = min(self.since, SPEAKS)

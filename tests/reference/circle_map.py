@@ -25,7 +25,7 @@ DEPARTS = 2  # measurements in a row
 BIRTH_DENSITY = 1e-4  # [1/m^3]
 MOST_VELOCITY_STD, MOST_RADIUS_STD = 3.0, 0.3  # [m/s], [m]
 LEAST_RAYS = 4
-MOMENT, AWAY = 0.5, 2.5  # [s]
+MOMENT, AWAY, KNOWN_FOR = 0.5, 2.5, 1.0  # [s]
 SEE_MARGIN = 0.15  # [m]
 OTHER, OTHER_OF_ROUND = 0.05, 0.001  # probabilities
 PART, PART_SHARE = 0.03, 0.5  # [m], of the radius
@@ -206,6 +206,8 @@ class Element:
     rough: float = 0.0
     waits: int = 0
     waiting: float = 0.0
+    known: float = 0.0
+    unheard: float = 0.0
 
     def doubt(self):
         """Probability that it is farther away than the places at which it was looked for."""
@@ -378,6 +380,7 @@ class IndependentMap:
                 element.x, element.P, element.mu = self.predicted(element, dt)
                 element.waits, element.waiting = element.waits + 1, element.waiting + dt
                 element.existence.predict(dt)
+                element.unheard += dt
         wholes = whole_of([z for z, _ in measurements], self.config.merge_gap)
         whole = sum(one == row for row, one in enumerate(wholes))
         density = max(BIRTH_DENSITY, max(whole, 1) / ((area + 1) * 0.5))
@@ -392,7 +395,8 @@ class IndependentMap:
                 element.hidden = element.away = 0.0
             else:
                 element.seen = look(*element.combined())
-                if not element.visible():
+                is_glimpsed = element.seen == "out of view" and self.glimpse(element, look)
+                if not element.visible() and not is_glimpsed:
                     element.hidden += dt
             element.existence.see(element.seen, element.doubt())
             if element.seen != "measured" and element.existence() < OVER:
@@ -458,6 +462,7 @@ class IndependentMap:
 
     def correct(self, element, z, R, stamp, view):
         element.listen(z, R, stamp)
+        element.known += element.waiting
         element.waits, element.waiting = 0, 0.0
         element.look(R, *view)
         R = element.noisy(R)
@@ -488,6 +493,27 @@ class IndependentMap:
             element.P[j] = (np.eye(5) - K @ H) @ P
         weight = np.exp(np.array(scores) - max(scores))
         element.mu = weight / weight.sum()
+
+    def glimpse(self, element, look):
+        """A few rays that end on what stands: which mode is right, where the moving ones are."""
+        if not element.stands or element.known < KNOWN_FOR:
+            return False
+        place = element.combined()[0][[0, 1, 4]]
+        found = look.glimpse(*place)
+        if found is None:
+            return False
+        z, std = np.r_[found[0], place[2]], found[1]
+        R = np.diag([std**2, std**2, 1.0])
+        scores = []
+        for j, (x, P) in enumerate(zip(element.x, element.P, strict=True)):
+            y, S = z - H @ x, H @ P @ H.T + R
+            scores.append(np.log(element.mu[j]) + multivariate_normal(np.zeros(3), S).logpdf(y))
+            if j > 0:
+                K = P @ H.T @ np.linalg.inv(S)
+                element.x[j], element.P[j] = x + K @ y, (np.eye(5) - K @ H) @ P
+        weight = np.exp(np.array(scores) - max(scores))
+        element.mu = weight / weight.sum()
+        return True
 
     def create(self, z, R, stamp):
         known, more = 0.002**2, [e.weight - 4.0 for e in self.elements]
@@ -540,6 +566,9 @@ class IndependentMap:
                 if not element.waits:
                     element.departs = 0 if still else element.departs + 1
                 element.stands = still or (stood and element.departs < DEPARTS)
+            if element.seen == "measured":
+                element.existence.moves(element.stands, element.unheard)
+                element.unheard = 0.0
             worst = np.linalg.eigvalsh(element.reported()[1][:2, :2]).max()
             most = config.max_position_std
             if element.waits and self.stops:
@@ -615,7 +644,7 @@ def united(kept, dropped):
     rank = [(element.last, element.count) for element in (kept, dropped)]
     if rank[1] > rank[0]:
         names = "x P mu seen last hidden away stands places excess weight"
-        names += " sides same lasting share rough waits waiting"
+        names += " sides same lasting share rough waits waiting known"
         for name in names.split():
             setattr(kept, name, getattr(dropped, name))
     kept.count = max(kept.count, dropped.count)
@@ -699,6 +728,22 @@ def looker(ranges, bearings, limits, config, pose):
         answers = [seen(ranges, bearings, limits, config, *place, state[4]) for place in places]
         return answers[0] if answers[0] != "seen through" else max(answers, key=ORDER.index)
 
+    def glimpse(x, y, radius):
+        """Centre in the world by the rays that end on a circle, and its deviation; None: none."""
+        at = rotation(-yaw) @ (np.array([x, y]) - t)
+        d, beta = np.hypot(*at), np.arctan2(at[1], at[0])
+        off = (bearings - beta + np.pi) % (2 * np.pi) - np.pi
+        meets = (np.abs(off) <= np.arcsin(min(radius / d, 1.0))) & ~np.isnan(ranges)
+        across = d * np.sin(off[meets])
+        surface = d * np.cos(off[meets]) - np.sqrt(np.maximum(radius**2 - across**2, 0.0))
+        on = np.abs(ranges[meets] - surface) <= SEE_MARGIN
+        if d <= radius or d - radius < limits[0] or 2 * on.sum() <= len(on):
+            return None
+        reach, bearing = (ranges[meets] + radius)[on], bearings[meets][on]
+        middle = np.array([np.mean(reach * np.cos(bearing)), np.mean(reach * np.sin(bearing))])
+        return rotation(yaw) @ middle + t, radius + 0.5 * d * np.diff(bearings).mean()
+
+    look.glimpse = glimpse
     return look
 
 

@@ -22,6 +22,7 @@ __all__ = [
     "LAB_VOLUME",
     "RATE",
     "SensorMotion",
+    "cluttered",
     "hidden",
     "lab",
     "neighbours",
@@ -203,6 +204,41 @@ def trees(seed: int, *, scans: int = 1200) -> Scene:
             places.append(place.tolist())
     trunks = tuple(_post(rng.uniform(0.08, 0.35), _still(x, y)) for x, y in places)
     return Scene(targets=trunks, lidar=scanner(), sensor=sensor, scans=scans)
+
+
+def cluttered(seed: int, *, scans: int = 600) -> Scene:
+    """Make a room full of boxes and thin posts, and a robot that drives rounds among them.
+
+    Pieces of the walls show for moments in the gaps between them. Places and sizes depend on the
+    seed: ten boxes of 0.2 to 1 m, eighteen posts with radii of 0.015 to 0.15 m.
+    """
+    rng = np.random.default_rng([20240618, seed])
+    sensor = Loop(center=(0, 0, HEIGHT), straight=3, radius=1, speed=0.8)
+    way = sensor.knots(30.0)[1][:, :2, 3]
+    places: list[list[float]] = []
+    targets: list[Target] = []
+    while len(targets) < 28:
+        place = rng.uniform((-4.5, -3.5), (4.5, 3.5))
+        room = np.linalg.norm(np.reshape([*places, [99, 99]], (-1, 2)) - place, axis=1).min()
+        if room < 0.7 or np.linalg.norm(way - place, axis=1).min() < 0.9:
+            continue
+        places.append(place.tolist())
+        if len(targets) % 3:
+            targets.append(_post(rng.uniform(0.015, 0.15), _still(*place.tolist())))
+            continue
+        half, size = rng.uniform(0, np.pi / 2), rng.uniform((0.2, 0.2), (1.0, 0.6)).tolist()
+        turned = Hover(
+            position=(float(place[0]), float(place[1]), HEIGHT),
+            rotation=(0.0, 0.0, float(np.sin(half)), float(np.cos(half))),
+        )
+        targets.append(Target(shape=Box(size=(size[0], size[1], ENDLESS)), motion=turned))
+    return Scene(
+        bodies=_room((-5.0, -4.0), (5.0, 4.0), ENDLESS),
+        targets=tuple(targets),
+        lidar=scanner(),
+        sensor=sensor,
+        scans=scans,
+    )
 
 
 def hidden(seed: int, *, sensor: SensorMotion = "hovering", scans: int = 200) -> Scene:

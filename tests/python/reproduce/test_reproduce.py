@@ -115,6 +115,7 @@ SHORT = {
             "noise as told/NEES (3)",
             "people on two legs/velocity, rms",
             "square and elliptic posts/centre, rms",
+            "cluttered room/existence, calibration error",
         ),
         modes=("best_mode",),
     ),

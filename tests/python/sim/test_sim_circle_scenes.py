@@ -88,3 +88,18 @@ def test_occlusions_last_about_two_seconds(sensor):
         assert not gone[-60:].any()
         if sensor == "hovering":
             assert gone.sum() == pytest.approx(40, abs=4)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_cluttered_room_hides_much_and_leaves_the_robot_its_way(seed):
+    scene = scenes.cluttered(seed, scans=200)
+    simulator = sim.Simulator(scene, seed=0)
+    hidden = 0
+    for number in range(0, 200, 10):
+        made = simulator.sweep(number)
+        place = made.poses[0][:2, 3]
+        # Boxes reach up to 0.6 m from their middles, which keep 0.9 m from the way.
+        assert np.linalg.norm(made.truth.center[:, :2] - place, axis=1).min() > 0.85
+        hidden += int(np.count_nonzero(made.truth.visible_share < 0.5))
+    assert len(scene.targets) == 28
+    assert hidden > 100

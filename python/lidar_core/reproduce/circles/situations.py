@@ -11,6 +11,7 @@ from lidar_core.objects import ObjectTruth
 from lidar_core.reproduce.circles.runs import config_of
 from lidar_core.reproduce.common import BLUE, simulator_seed
 from lidar_core.reproduce.jobs import Job, Part, run
+from lidar_core.reproduce.tracking.existence import Hypotheses
 from lidar_core.reproduce.types import Item, Measured, Request, Row
 from lidar_core.sim import Scene, SimulatedSweep, Simulator, circle_scenes
 from lidar_core.sim.config import Target
@@ -27,6 +28,8 @@ SHARE = 0.5
 """Measures begin after this share of a run."""
 START = 1.1
 """Those of people begin after this time: before, no earlier scan tells what moves [s]."""
+TOUCH = 0.15
+"""An element is of an object if its circle is as near to it [m]; else it is a piece of a wall."""
 PLACES = ((2.5, 1.5), (2.0, -2.0), (4.5, 3.0), (5.0, -1.0), (-1.5, 3.5), (7.0, 1.0))
 RADII = (0.1, 0.2, 0.3, 0.15, 0.25, 0.35)
 LARGE = (1.0, 1.5, 2.0, 2.5)
@@ -131,6 +134,7 @@ SITUATIONS: dict[str, tuple[Callable[[int], Scene], Poses]] = {
     "odometry turns by 0.01 rad/s": (lambda seed: _posts(seed, moves=True), turned),
     "square and elliptic posts": (_shapes, as_they_are),
     "circles of 1 to 2.5 m": (_large, as_they_are),
+    "cluttered room": (circle_scenes.cluttered, as_they_are),
     "people on two legs": (circle_scenes.walkers, as_they_are),
     "people at 1.2 m": (lambda seed: circle_scenes.walkers(seed, height=1.2), as_they_are),
 }
@@ -144,6 +148,7 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
     simulator = Simulator(scene, seed=seed, scans=scans)
     pipeline = CirclePipeline(config_of(scene, ""))
     rows: list[tuple[float, ...]] = []
+    believed: list[tuple[float, bool]] = []
     before: SimulatedSweep | None = None
     for number in range(scans):
         made = simulator.sweep(number)
@@ -161,6 +166,8 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
         # are moved on by the map, which is in the world then.
         wrong = np.eye(4) if poses_of is late else poses[0] @ np.linalg.inv(made.poses[0])
         rows += ((number, *row) for row in _object_rows(made.truth, found, wrong))
+        if number * scene.lidar.period_ns >= START * 1e9:
+            believed += _believed(scene, made.truth, found)
     columns = np.array(rows, np.float64).reshape(-1, 9).T
     names = ("scan", "object", "person", "near", "id", "square", "nees", "slip", "likely")
     offset = pipeline.health().pose_offset_s
@@ -168,7 +175,23 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
         "scans": np.array(scans),
         "minutes": np.array(scans * scene.lidar.period_ns * 1e-9 / 60),
         "offset": np.array(np.nan if offset is None else offset),
+        "believed": np.array(believed, np.float64).reshape(-1, 2),
     }
+
+
+def _believed(
+    scene: Scene, truth: ObjectTruth, found: CircleElements
+) -> Iterator[tuple[float, bool]]:
+    """Existence of every element, and whether it touches an object up to `TOUCH`."""
+    reach = [
+        float(np.hypot(*target.shape.size[:2])) / 2
+        if isinstance(target.shape, Box)
+        else float(radius)
+        for target, radius in zip(scene.targets, truth.radius, strict=True)
+    ]
+    for row, existence in enumerate(found.existence.tolist()):
+        off = np.linalg.norm(truth.center[:, :2] - found.center[row], axis=1)
+        yield existence, bool((off - reach < found.radius[row] + TOUCH).any())
 
 
 def _object_rows(
@@ -245,6 +268,8 @@ def _rows(made: dict[str, list[Part]]) -> list[Row]:
 def _measures(name: str, parts: list[Part]) -> list[tuple[str, str, float | None]]:
     if name.startswith("people"):
         return _people(parts)
+    if name.startswith("cluttered"):
+        return _existence(np.concatenate([one["believed"] for one in parts]))
     late_rows = [one["scan"] >= SHARE * one["scans"] for one in parts]
 
     def mean(column: str) -> float | None:
@@ -291,6 +316,32 @@ def _people(parts: list[Part]) -> list[tuple[str, str, float | None]]:
         ("share found", "1", float(known.mean()) if len(known) else None),
         ("velocity, rms", "m/s", float(np.sqrt(slip[known].mean())) if known.any() else None),
         ("reported as persons", "1", float((person[known] > 0.5).mean()) if known.any() else None),
+    ]
+
+
+def _existence(believed: NDArray[np.float64]) -> list[tuple[str, str, float | None]]:
+    """Whether reported elements are objects as often as their existence says."""
+    if not len(believed):
+        return []
+    existence, is_object = believed[:, 0], believed[:, 1] > 0
+    everything = Hypotheses(existence, is_object, 0)
+    middle = everything.middle
+    some = len(middle.existence) > 0
+    return [
+        ("share of objects", "1", float(is_object.mean())),
+        ("existence, calibration error", "1", everything.calibration_error()),
+        ("existence up to 0.9, rows", "1", float(len(middle.existence))),
+        (
+            "existence up to 0.9, calibration error",
+            "1",
+            middle.calibration_error() if some else None,
+        ),
+        ("existence up to 0.9, mean", "1", float(middle.existence.mean()) if some else None),
+        (
+            "existence up to 0.9, share of objects",
+            "1",
+            float(middle.is_true.mean()) if some else None,
+        ),
     ]
 
 

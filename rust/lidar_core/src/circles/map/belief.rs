@@ -7,11 +7,13 @@
 
 use super::arrivals::{Arrivals, BirthPlace};
 use super::view::visibility::CircleVisibility;
-use crate::tracking::kind::{KINDS, KindBelief};
+use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use serde::{Deserialize, Serialize};
 
-/// Mean time for which an object stays [s].
+/// Mean time for which an object stays, and one that has never moved [s]: furniture and posts do not
+/// leave while nobody looks.
 const LIFETIME: f64 = 60.0;
+const LIFETIME_STANDING: f64 = 600.0;
 /// Mean time for which a chance group shows [s], and the probability that it shows twice at all.
 const CHANCE: f64 = 0.2;
 const TWICE: f64 = 0.4;
@@ -104,7 +106,9 @@ impl ElementBelief {
 
     /// The same after `dt` [s] without a scan.
     pub(super) fn predict(&mut self, dt: f64) {
-        let stays = libm::exp(-dt.max(0.0) / LIFETIME);
+        let stands = self.kinds.probabilities()[TrackKind::Static as usize];
+        let rate = stands / LIFETIME_STANDING + (1.0 - stands) / LIFETIME;
+        let stays = libm::exp(-dt.max(0.0) * rate);
         (self.is_there, self.is_anywhere) = (stays * self.is_there, stays * self.is_anywhere);
         self.since += dt.max(0.0);
     }
@@ -180,7 +184,6 @@ fn weighed(probability: f64, ratio: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tracking::kind::TrackKind;
 
     fn new() -> ElementBelief {
         ElementBelief::new(BirthPlace::Revealed, &Arrivals::default())
@@ -281,6 +284,22 @@ mod tests {
         assert_eq!(arrivals.share(BirthPlace::Revealed), after);
         new().settle(false, &mut arrivals);
         assert_eq!(arrivals.share(BirthPlace::Revealed), after);
+    }
+
+    /// And the opposite: what has moved may leave while it is hidden.
+    #[test]
+    fn what_never_moved_stays_while_it_is_hidden() {
+        let hidden = |stands: bool| {
+            let mut belief = known(60, 20.0);
+            (0..60).for_each(|_| belief.moves(stands, 0.05));
+            (0..100).for_each(|_| {
+                belief.predict(0.05);
+                belief.unmeasured(CircleVisibility::Occluded, 0.0);
+            });
+            belief.existence()
+        };
+        let (post, walker) = (hidden(true), hidden(false));
+        assert!(post > 0.95 && (0.9..0.93).contains(&walker), "{post} {walker}");
     }
 
     #[test]

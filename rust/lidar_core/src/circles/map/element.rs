@@ -69,6 +69,15 @@ pub(super) trait State: Clone {
     /// Visibility of the element in a scan that did not measure it.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility;
 
+    /// Take in rays of such a scan that end on the element but are too few to measure it; true if
+    /// there are any.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`]; nothing changes then.
+    fn glimpse(&mut self, _: &Viewpoint, _: &Rules) -> Result<bool, Error> {
+        Ok(false)
+    }
+
     /// True if the state is too uncertain for a visible element.
     fn is_vague(&self, rules: &Rules) -> bool;
 

@@ -11,6 +11,7 @@ use super::parameters::MAX_ELEMENTS;
 use super::rules::Rules;
 use super::scan::{KeptScan, MeasuredObjects, too_many};
 use super::view::viewpoint::Viewpoint;
+use super::view::visibility::CircleVisibility;
 use super::{MapElement, MapShape, seconds};
 use crate::Error;
 use crate::circles::shape::ShapeKind;
@@ -188,7 +189,11 @@ fn take_in<S: State>(
         if is_measured {
             element.measured(from.key());
         } else {
-            element.unmeasured(element.state.look(from, rules), from.sensor, dt);
+            let visibility = element.state.look(from, rules);
+            let is_unknown = visibility == CircleVisibility::OutOfView;
+            // What a ray or two still end on is far away, not hidden.
+            let is_glimpsed = is_unknown && element.state.glimpse(from, rules)?;
+            element.unmeasured(visibility, from.sensor, if is_glimpsed { 0.0 } else { dt });
         }
     }
     // Eqs 18-20, after all corrections: a new element must not take a measurement that a known one explains.

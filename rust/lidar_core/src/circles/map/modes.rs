@@ -219,6 +219,24 @@ impl<const N: usize> ElementModes<N> {
         self.states = states;
         Ok(())
     }
+
+    /// Take in a rough measurement whose error may be the same in every scan: it tells which mode is
+    /// right, and where the others may be, but adds nothing to the first one.
+    ///
+    /// # Errors
+    /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
+    /// is then unchanged.
+    pub(super) fn weigh<const M: usize>(
+        &mut self,
+        seen: &impl Measures<N, M>,
+    ) -> Result<(), Error> {
+        let first = self.states.first().cloned();
+        self.correct(seen, None)?;
+        for (state, first) in self.states.iter_mut().zip(first) {
+            *state = first;
+        }
+        Ok(())
+    }
 }
 
 /// The state with velocity zero, and with the covariance of its error then: that it moves after all

@@ -15,13 +15,14 @@ pub(super) mod outline;
 mod person;
 mod places;
 mod shown;
+mod sight;
 
 use self::body_box::BodyBox;
 use self::look::Looks;
 use self::measurement::BodyMeasurement;
 use self::outline::Outline;
 use self::person::Person;
-use self::places::{are_alike, axes, is_one};
+use self::places::{are_alike, is_one};
 use super::arrivals::BirthPlace;
 use super::circle_measurement::new_state;
 use super::element::{State, exceeds};
@@ -36,9 +37,6 @@ use crate::estimation::jitter::Jitter;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
-
-/// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
-const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
 
 /// Distance from its predicted place above which a measurement is of another body [m].
 const FARTHEST: f64 = 0.8;
@@ -290,40 +288,16 @@ impl State for RoundBody {
         Ok(owners)
     }
 
-    /// The body counts as seen through only if rays pass at every place where it may be.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility {
-        let Some(view) = &from.view else { return CircleVisibility::SeenThrough };
-        let state = self.circle();
-        let ask = |[x, y]: [f64; 2]| {
-            let circle = from.pose.level([state.mean[0] + x, state.mean[1] + y], state.mean[4]);
-            view.of(&circle, rules.visibility_test())
-        };
-        let here = ask([0.0, 0.0]);
-        if here == CircleVisibility::Returns && self.is_somebody() {
-            return CircleVisibility::Occluded; // these rays may end on someone who passes
-        }
-        if here != CircleVisibility::SeenThrough {
-            return here;
-        }
-        let around = axes(&state)
-            // A predicted place may be wrong by its deviation: before the body counts as gone, the
-            // places around must be free as well.
-            .into_iter()
-            .flat_map(|axis| LOOK.map(|reach| axis.map(|value| value * reach)));
-        around.map(ask).fold(here, CircleVisibility::max)
+        self.visibility(from, rules)
     }
 
-    /// Of a normal distribution of the place, what lies beyond the places asked for and the radius
-    /// around them.
+    fn glimpse(&mut self, from: &Viewpoint, rules: &Rules) -> Result<bool, Error> {
+        self.take_glimpse(from, rules)
+    }
+
     fn doubt(&self, visibility: CircleVisibility) -> f64 {
-        let state = self.circle();
-        let std = (0.5 * (state.covariance[(0, 0)] + state.covariance[(1, 1)])).sqrt();
-        let asked = match visibility {
-            CircleVisibility::SeenThrough => LOOK[3],
-            _ => 0.0,
-        };
-        let reach = asked + state.mean[4] / std;
-        libm::exp(-0.5 * reach * reach)
+        self.share_beyond(visibility)
     }
 
     /// True if an eigenvalue of a block of the covariance exceeds its limit, or no radius is left.

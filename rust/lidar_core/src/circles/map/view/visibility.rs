@@ -115,17 +115,39 @@ impl SortedView {
         }
         let bearing = libm::atan2(y, x);
         let half = libm::asin(radius / distance).min(FRAC_PI_2);
-        let votes = self.votes([bearing - half, bearing + half], |ray| {
-            let aside = distance * libm::sin(ray - bearing);
-            let depth = (radius * radius - aside * aside).max(0.0).sqrt();
-            let surface = (distance * distance - aside * aside).max(0.0).sqrt() - depth;
-            (surface, test.margin)
-        });
-        votes.visibility(test)
+        let surface = |ray: f64| (surface_of(circle, ray - bearing), test.margin);
+        self.votes([bearing - half, bearing + half], surface).visibility(test)
+    }
+
+    /// Centre that the rays show which end on `circle`, in the frame of the scan: each of them is
+    /// taken for one that meets it in the middle. None if not most rays at its place end there.
+    pub(in crate::circles::map) fn glimpse(
+        &self,
+        circle: &Circle,
+        test: &VisibilityTest,
+    ) -> Option<[f64; 2]> {
+        let Circle { center: [x, y], radius } = *circle;
+        let distance = libm::hypot(x, y);
+        if distance <= radius || distance - radius < self.range_min {
+            return None;
+        }
+        let (bearing, half) = (libm::atan2(y, x), libm::asin(radius / distance));
+        let (mut sum, mut on, mut others) = ([0.0; 2], 0, 0);
+        for ray in [-TAU, 0.0, TAU].into_iter().flat_map(|turn| self.around(bearing + turn, half)) {
+            let (at, range) = self.ray(ray);
+            if (range - surface_of(circle, at - bearing)).abs() <= test.margin {
+                sum[0] += (range + radius) * libm::cos(at);
+                sum[1] += (range + radius) * libm::sin(at);
+                on += 1;
+            } else if !range.is_nan() {
+                others += 1;
+            }
+        }
+        (on > others).then(|| sum.map(|value| value / f64::from(on)))
     }
 
     /// Mean angle from ray to ray [rad].
-    pub(super) fn step(&self) -> f64 {
+    pub(in crate::circles::map) fn step(&self) -> f64 {
         let (Some(first), Some(last)) = (self.bearings.first(), self.bearings.last()) else {
             return 0.0;
         };
@@ -241,6 +263,15 @@ impl SortedView {
     }
 }
 
+/// Range of the surface of a circle on a ray, at an angle beside its centre; that of its side on rays
+/// that pass it.
+fn surface_of(&Circle { center: [x, y], radius }: &Circle, angle: f64) -> f64 {
+    let distance = (x * x + y * y).sqrt();
+    let aside = distance * libm::sin(angle);
+    let depth = (radius * radius - aside * aside).max(0.0).sqrt();
+    (distance * distance - aside * aside).max(0.0).sqrt() - depth
+}
+
 impl Votes {
     fn visibility(&self, test: &VisibilityTest) -> CircleVisibility {
         let Self { through, on, before } = *self;
@@ -293,6 +324,23 @@ mod tests {
         assert_eq!(seen(&open, 0.05, 0.0, 0.3)?, CircleVisibility::OutOfView); // around the sensor
         assert_eq!(seen(&open, 9.0, 0.0, 0.01)?, CircleVisibility::OutOfView); // too small
         assert_eq!(seen(&scan(|_| f64::NAN), 5.0, 0.0, 0.3)?, CircleVisibility::OutOfView);
+        Ok(())
+    }
+
+    #[test]
+    fn a_ray_that_ends_on_a_thin_post_shows_it_and_rays_that_pass_show_nothing() -> Result<(), Error>
+    {
+        let post = Circle { center: [5.0, 0.0], radius: 0.02 };
+        let glimpse = |range: f64| -> Result<Option<[f64; 2]>, Error> {
+            let scan = scan(|_| range);
+            let view = ScanWithLimits { scan: &scan, range_min: 0.1, range_max: 10.0 }.sorted()?;
+            Ok(view.glimpse(&post, &TEST))
+        };
+        let center = glimpse(4.98)?.map_or(f64::NAN, |center| center[0]);
+        assert!((center - 5.0).abs() < 1e-3, "{center}");
+        for range in [f64::INFINITY, 6.0, 4.5, f64::NAN] {
+            assert_eq!(glimpse(range)?, None, "{range}");
+        }
         Ok(())
     }
 
