@@ -42,12 +42,12 @@ def keep_company(config, stamp, tracks):
         return
     moving = []
     for track in tracks:
-        if not track["confirmed"]:
-            continue
         place, way = track["mean"][:2].copy(), track.setdefault("way", [])
         if not way or stamp - way[-1][0] >= 1e9:
             way.append((stamp, place))
         way[:] = [one for one in way if stamp - one[0] <= 15e9]
+        if not track["confirmed"]:
+            continue
         mean = velocity(way, stamp, place, 15, 5)
         track["stands"] = mean is not None and bool(np.linalg.norm(mean) < config.report_speed)
         track["velocity"] = velocity(way, stamp, place, 5, 2)

@@ -39,7 +39,8 @@ impl RecentPath {
         self.is_part || self.is_standing
     }
 
-    fn pass(&mut self, stamp_ns: i64, place: [f64; 2]) {
+    /// Keep where the track is now.
+    pub(super) fn pass(&mut self, stamp_ns: i64, place: [f64; 2]) {
         if self.places.last().is_none_or(|(last, _)| stamp_ns.saturating_sub(*last) >= STEP_NS) {
             self.places.push((stamp_ns, place));
         }
@@ -86,7 +87,6 @@ pub(super) struct Course {
 /// of one with more measurements, no track starting within `distance` of another.
 pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64, stamp_ns: i64) {
     for one in &mut all {
-        one.path.pass(stamp_ns, one.place);
         let mean = one.path.velocity(stamp_ns, one.place, STANDING_NS);
         one.path.is_standing = mean.is_some_and(|v| libm::hypot(v[0], v[1]) < slowest);
     }

@@ -53,17 +53,18 @@ impl Tracks {
         }
     }
 
-    /// Say of every confirmed track whether it stands or is part of another one.
+    /// Say of every confirmed track whether it stands or is part of another one. Tracks keep their path
+    /// from their first measurement on: what stands need not be reported first.
     pub(super) fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
         let ManyParameters { report_speed, birth_distance, .. } = *parameters;
         if report_speed <= 0.0 && birth_distance <= 0.0 {
             return;
         }
-        let confirmed = self.all.iter_mut().filter(|track| track.confirmed);
-        let fellows = confirmed.filter_map(|track| {
+        let fellows = self.all.iter_mut().filter_map(|track| {
             let place = track.place_at(stamp_ns)?;
+            track.way.pass(stamp_ns, place);
             let rank = (Reverse(track.hits), track.born_ns, track.id);
-            Some(Fellow { path: &mut track.way, place, rank })
+            track.confirmed.then_some(Fellow { path: &mut track.way, place, rank })
         });
         keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
     }
