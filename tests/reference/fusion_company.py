@@ -32,7 +32,7 @@ def holds(track, stamp, place, distance):
     """Whether a place may be of the body of a track."""
     own = track["mean"][:2]
     away = offset(velocity(track.get("way", []), stamp, own, 5, 2), place - own)
-    is_abeam = away is not None and abs(away[1]) > 0.6 * distance
+    is_abeam = away is not None and abs(away[1]) > 0.5 * distance
     return np.hypot(*(place - own)) < distance and not is_abeam
 
 

@@ -73,7 +73,7 @@ class MultiTargetConfig(Config):
         le=1e6,
         description="Least distance of a new track from a track that the same scan measured:"
         " parts of an object are not objects [m]. With associations nearest and joint, a track may"
-        " start abeam of one that moves, from 0.6 times this distance on. A track that moves along"
+        " start abeam of one that moves, from 0.5 times this distance on. A track that moves along"
         " ahead"
         " or astern of one with more measurements, up to 1.5 times this distance"
         " along and 0.6 times across, is a part of it and not reported. Half of"

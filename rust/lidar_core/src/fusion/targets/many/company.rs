@@ -15,6 +15,9 @@ const ALONG_NS: [i64; 2] = [5_000_000_000, 2_000_000_000];
 /// Largest distance of parts of one object along its way and across it, over the distance within
 /// which no track starts: objects are long rather than wide, and what goes abreast is another one.
 const PART: [f64; 2] = [1.5, 0.6];
+/// How far abeam of a track another one may start, over that distance. It is less than for parts: which of the
+/// two it is shows while they move.
+const ABREAST: f64 = 0.5;
 /// Largest difference of the velocities of parts [m/s].
 const SLIP: f64 = 3.0;
 /// Speed below which an object has no direction [m/s].
@@ -137,7 +140,7 @@ impl Bodies {
         near.iter().any(|number| {
             let own = &self.courses[*number];
             let [dx, dy] = [0, 1].map(|axis| place[axis] - own.place[axis]);
-            let is_abeam = own.offset(place).is_some_and(|[_, y]| y.abs() > PART[1] * distance);
+            let is_abeam = own.offset(place).is_some_and(|[_, y]| y.abs() > ABREAST * distance);
             libm::hypot(dx, dy) < distance && !is_abeam
         })
     }
