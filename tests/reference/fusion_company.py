@@ -36,6 +36,13 @@ def holds(track, stamp, place, distance):
     return np.hypot(*(place - own)) < distance and not is_abeam
 
 
+def is_beside(track, stamp, place, distance):
+    """Whether a place is too far abeam to be on a track's body."""
+    own = track["mean"][:2]
+    away = offset(velocity(track.get("way", []), stamp, own, 5, 2), place - own)
+    return away is not None and abs(away[1]) > 0.25 * distance
+
+
 def keep_company(config, stamp, tracks):
     """Set `left_out` of all confirmed tracks."""
     if config.report_speed <= 0 and config.birth_distance <= 0:

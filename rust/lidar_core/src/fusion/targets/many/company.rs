@@ -18,6 +18,8 @@ const PART: [f64; 2] = [1.5, 0.6];
 /// How far abeam of a track another one may start, over that distance. It is less than for parts: which of the
 /// two it is shows while they move.
 const ABREAST: f64 = 0.5;
+/// Half of the width of an object, over that distance.
+const HALF_WIDTH: f64 = 0.25;
 /// Largest difference of the velocities of parts [m/s].
 const SLIP: f64 = 3.0;
 /// Speed below which an object has no direction [m/s].
@@ -82,7 +84,7 @@ pub(super) struct Fellow<'a> {
 /// Where a track is, and how it moves.
 #[derive(Clone, Copy)]
 pub(super) struct Course {
-    place: [f64; 2],
+    pub(super) place: [f64; 2],
     velocity: Option<[f64; 2]>,
 }
 
@@ -147,6 +149,11 @@ impl Bodies {
 }
 
 impl Course {
+    /// True if a place is too far abeam to be on the object.
+    pub(super) fn is_abeam(&self, place: [f64; 2], distance: f64) -> bool {
+        self.offset(place).is_some_and(|[_, y]| y.abs() > HALF_WIDTH * distance)
+    }
+
     /// How far a place is ahead of the track and to its right [m]; None for a track that hardly moves.
     fn offset(&self, place: [f64; 2]) -> Option<[f64; 2]> {
         let [vx, vy] = self.velocity?;
