@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from reference.fusion_company import is_reported
+from reference.fusion_company import is_beside, is_reported
 
 OLDER_NS, PRIOR = 10_000_000_000, 10
 KEPT_NS, MOST_SCANS, MOST_PLACES = 60_000_000_000, 300, 4096
 NEW, CREDIBLE, LARGEST = -2.94, 2.94, 6.9
-MEMORY, SHARE = 40, 0.5
+MEMORY, SHARE, NARROWEST = 80, 0.5, 3 / 16
 
 
 def standing_density(past, stamp, place, half):
@@ -41,14 +41,16 @@ def weigh(track, options, missed, *, decides):
     track["credible"] = track["score"] >= (0.0 if track.get("credible", True) else CREDIBLE)
 
 
-def measure_spread(config, tracks, places):
+def measure_spread(config, tracks, places, stamp):
     """Mean of the squares of what lies near each reported track."""
     reported = sorted((one for one in tracks if is_reported(one)), key=lambda one: one["id"])
     offsets = [[] for _ in reported]
     for place in places:
         away = [np.hypot(*(place - one["mean"][:2])) for one in reported]
-        if away and min(away) < config.birth_distance:
-            nearest = int(np.argmin(away))
+        if not away or min(away) >= config.birth_distance:
+            continue
+        nearest = int(np.argmin(away))
+        if not is_beside(reported[nearest], stamp, place, config.birth_distance):
             offsets[nearest].append(place - reported[nearest]["mean"][:2])
     for track, own in zip(reported, offsets, strict=True):
         if own:
@@ -61,5 +63,7 @@ def measure_spread(config, tracks, places):
 def reported_covariance(track):
     """Covariance of the state, and of a place within the target."""
     covariance = track["cov"].copy()
-    covariance[:2, :2] += SHARE * track.get("spread", np.zeros((2, 2)))
+    variances, axes = np.linalg.eigh(SHARE * track.get("spread", np.zeros((2, 2))))
+    variances[0] = max(variances[0], NARROWEST * variances[1])
+    covariance[:2, :2] += axes @ np.diag(variances) @ axes.T
     return covariance

@@ -32,8 +32,15 @@ def holds(track, stamp, place, distance):
     """Whether a place may be of the body of a track."""
     own = track["mean"][:2]
     away = offset(velocity(track.get("way", []), stamp, own, 5, 2), place - own)
-    is_abeam = away is not None and abs(away[1]) > 0.6 * distance
+    is_abeam = away is not None and abs(away[1]) > 0.5 * distance
     return np.hypot(*(place - own)) < distance and not is_abeam
+
+
+def is_beside(track, stamp, place, distance):
+    """Whether a place is too far abeam to be on a track's body."""
+    own = track["mean"][:2]
+    away = offset(velocity(track.get("way", []), stamp, own, 5, 2), place - own)
+    return away is not None and abs(away[1]) > 0.25 * distance
 
 
 def keep_company(config, stamp, tracks):
@@ -42,12 +49,12 @@ def keep_company(config, stamp, tracks):
         return
     moving = []
     for track in tracks:
-        if not track["confirmed"]:
-            continue
         place, way = track["mean"][:2].copy(), track.setdefault("way", [])
         if not way or stamp - way[-1][0] >= 1e9:
             way.append((stamp, place))
         way[:] = [one for one in way if stamp - one[0] <= 15e9]
+        if not track["confirmed"]:
+            continue
         mean = velocity(way, stamp, place, 15, 5)
         track["stands"] = mean is not None and bool(np.linalg.norm(mean) < config.report_speed)
         track["velocity"] = velocity(way, stamp, place, 5, 2)

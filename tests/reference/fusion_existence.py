@@ -183,7 +183,7 @@ class IntegratedTargets:
         self.unite()
         self.judge(scanner, largest)
         keep_company(self.config, self.stamp, self.tracks)
-        measure_spread(self.config, self.tracks, places)
+        measure_spread(self.config, self.tracks, places, self.stamp)
         return numbers
 
     def age(self):

@@ -69,7 +69,7 @@ class ManyTargets:
             self.judge(track)
         self.tracks = [track for track in self.tracks if self.stays(track, stamp)]
         keep_company(self.config, stamp, self.tracks)
-        measure_spread(self.config, self.tracks, places)
+        measure_spread(self.config, self.tracks, places, stamp)
         for column, place in enumerate(places):
             near = any(holds(one, stamp, place, distance) for one in bodies)
             if numbers[column] >= 0 or near:

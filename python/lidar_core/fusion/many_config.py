@@ -73,11 +73,10 @@ class MultiTargetConfig(Config):
         le=1e6,
         description="Least distance of a new track from a track that the same scan measured:"
         " parts of an object are not objects [m]. With associations nearest and joint, a track may"
-        " start abeam of one that moves, from 0.6 times this distance on. A track that moves along"
-        " ahead"
-        " or astern of one with more measurements, up to 1.5 times this distance"
-        " along and 0.6 times across, is a part of it and not reported. Half of"
-        " the spread of the measurements within this distance of a track is added"
+        " start abeam of one that moves, from 0.5 times this distance on. A track that moves along"
+        " ahead or astern of one with more measurements, up to 1.5 times this distance along and"
+        " 0.6 times across, is a part of it and not reported. Half of the spread of the"
+        " measurements within this distance of a track, and up to 0.25 times as far abeam, is added"
         " to the covariance of its reported position.",
     )
     report_speed: float = Field(

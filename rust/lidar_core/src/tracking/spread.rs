@@ -3,11 +3,14 @@
 use serde::{Deserialize, Serialize};
 
 /// Number of scans with measurements after which one counts 1/e.
-const MEMORY: f64 = 40.0;
+const MEMORY: f64 = 80.0;
 /// Share of the spread by which a place within the target is uncertain: of a body that is measured
 /// evenly it would be all, of one measured at its two ends only a third. Half was chosen on the six
 /// scenarios of Autoferry that `lidar-core reproduce fusion-real` scores.
 const SHARE: f64 = 0.5;
+/// Least variance in one direction over that in the other one. Only the near side of a body returns, half a
+/// width from its middle: of a boat four times as long as wide that is 3 (1/4)^2 of the variance of its length.
+const NARROWEST: f64 = 3.0 / 16.0;
 
 /// Spread of the measurements around a target's place.
 ///
@@ -42,7 +45,17 @@ impl MeasuredSpread {
     #[must_use]
     pub fn covariance(&self) -> [[f64; 2]; 2] {
         let [xx, xy, yy] = self.mean.map(|value| SHARE * value);
-        [[xx, xy], [xy, yy]]
+        let middle = 0.5 * (xx + yy);
+        let half = libm::hypot(0.5 * (xx - yy), xy);
+        let (largest, least) = (middle + half, middle - half);
+        let lacks = NARROWEST * largest - least;
+        if lacks <= 0.0 || half <= 0.0 {
+            return [[xx, xy], [xy, yy]];
+        }
+        // The direction of the least variance gets what lacks.
+        let across = |value: f64| lacks * (0.5 - 0.5 * value / half);
+        let more = -0.5 * lacks * xy / half;
+        [[xx + across(0.5 * (xx - yy)), xy + more], [xy + more, yy + across(0.5 * (yy - xx))]]
     }
 }
 
@@ -59,7 +72,22 @@ mod tests {
         }
         let [[xx, xy], [_, yy]] = ship.covariance();
         assert!((xx / (0.5 * 100.0 / 3.0) - 1.0).abs() < 0.1, "{xx}");
-        assert!(xy.abs() < 0.5 && (yy - 0.125).abs() < 1e-9);
+        assert!(xy.abs() < 0.5 && (yy / (NARROWEST * xx) - 1.0).abs() < 0.01, "{xy} {yy}");
+    }
+
+    /// In any direction; what is round stays as it is.
+    #[test]
+    fn a_body_has_a_width() {
+        let of = |offsets: &[[f64; 2]]| {
+            let mut body = MeasuredSpread::default();
+            body.take(offsets);
+            let [[xx, xy], [_, yy]] = body.covariance();
+            [xx, xy, yy]
+        };
+        let slanted = of(&[[6.0, 8.0], [-6.0, -8.0]]);
+        let expected = [18.0 + 6.0, 24.0 - 4.5, 32.0 + 3.375];
+        assert!(slanted.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{slanted:?}");
+        assert_eq!(of(&[[2.0, 0.0], [-2.0, 0.0], [0.0, 2.0], [0.0, -2.0]]), [1.0, 0.0, 1.0]);
     }
 
     /// The opposite: what is measured at one place is uncertain by nothing more, also after a time
@@ -70,7 +98,7 @@ mod tests {
         point.take(&[]);
         assert_eq!(point, MeasuredSpread::default());
         point.take(&[[4.0, -4.0]]);
-        (0..400).for_each(|_| point.take(&[[0.0, 0.0]]));
+        (0..800).for_each(|_| point.take(&[[0.0, 0.0]]));
         assert!(point.covariance()[0][0] < 1e-3);
     }
 }

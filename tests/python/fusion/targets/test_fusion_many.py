@@ -589,6 +589,7 @@ def test_ways_are_kept_with_the_state_of_a_tracker():
     ("x", "y", "count"),
     [
         (0.0, 14.0, 2),  # a boat abreast
+        (0.0, 10.5, 2),  # a near one
         (0.0, 8.0, 1),  # the side of the same ship
         (15.0, 0.0, 1),  # its bow
     ],

@@ -15,6 +15,11 @@ const ALONG_NS: [i64; 2] = [5_000_000_000, 2_000_000_000];
 /// Largest distance of parts of one object along its way and across it, over the distance within
 /// which no track starts: objects are long rather than wide, and what goes abreast is another one.
 const PART: [f64; 2] = [1.5, 0.6];
+/// How far abeam of a track another one may start, over that distance. It is less than for parts: which of the
+/// two it is shows while they move.
+const ABREAST: f64 = 0.5;
+/// Half of the width of an object, over that distance.
+const HALF_WIDTH: f64 = 0.25;
 /// Largest difference of the velocities of parts [m/s].
 const SLIP: f64 = 3.0;
 /// Speed below which an object has no direction [m/s].
@@ -39,7 +44,8 @@ impl RecentPath {
         self.is_part || self.is_standing
     }
 
-    fn pass(&mut self, stamp_ns: i64, place: [f64; 2]) {
+    /// Keep where the track is now.
+    pub(super) fn pass(&mut self, stamp_ns: i64, place: [f64; 2]) {
         if self.places.last().is_none_or(|(last, _)| stamp_ns.saturating_sub(*last) >= STEP_NS) {
             self.places.push((stamp_ns, place));
         }
@@ -78,7 +84,7 @@ pub(super) struct Fellow<'a> {
 /// Where a track is, and how it moves.
 #[derive(Clone, Copy)]
 pub(super) struct Course {
-    place: [f64; 2],
+    pub(super) place: [f64; 2],
     velocity: Option<[f64; 2]>,
 }
 
@@ -86,7 +92,6 @@ pub(super) struct Course {
 /// of one with more measurements, no track starting within `distance` of another.
 pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64, stamp_ns: i64) {
     for one in &mut all {
-        one.path.pass(stamp_ns, one.place);
         let mean = one.path.velocity(stamp_ns, one.place, STANDING_NS);
         one.path.is_standing = mean.is_some_and(|v| libm::hypot(v[0], v[1]) < slowest);
     }
@@ -137,13 +142,18 @@ impl Bodies {
         near.iter().any(|number| {
             let own = &self.courses[*number];
             let [dx, dy] = [0, 1].map(|axis| place[axis] - own.place[axis]);
-            let is_abeam = own.offset(place).is_some_and(|[_, y]| y.abs() > PART[1] * distance);
+            let is_abeam = own.offset(place).is_some_and(|[_, y]| y.abs() > ABREAST * distance);
             libm::hypot(dx, dy) < distance && !is_abeam
         })
     }
 }
 
 impl Course {
+    /// True if a place is too far abeam to be on the object.
+    pub(super) fn is_abeam(&self, place: [f64; 2], distance: f64) -> bool {
+        self.offset(place).is_some_and(|[_, y]| y.abs() > HALF_WIDTH * distance)
+    }
+
     /// How far a place is ahead of the track and to its right [m]; None for a track that hardly moves.
     fn offset(&self, place: [f64; 2]) -> Option<[f64; 2]> {
         let [vx, vy] = self.velocity?;

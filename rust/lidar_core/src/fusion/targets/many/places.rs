@@ -1,6 +1,6 @@
 //! Places of tracks and measurements: objects at rest, parts of long objects, extents of targets.
 
-use super::company::{Bodies, Fellow, keep_company};
+use super::company::{Bodies, Course, Fellow, keep_company};
 use super::near_pairs::{Placed, clutter_at};
 use super::parameters::{ManyParameters, TargetAssociation};
 use super::track::{Assigned, Scan, TargetTrack};
@@ -42,8 +42,8 @@ impl Tracks {
         if parameters.birth_distance > 0.0 {
             let reported = self.all.iter_mut().filter(|track| track.is_reported());
             let tracks = reported.filter_map(|track| {
-                let output = track.filter.output_at(scan.stamp_ns)?;
-                Some(([output.mean[0], output.mean[1]], &mut track.spread))
+                let place = track.place_at(scan.stamp_ns)?;
+                Some((track.way.course(scan.stamp_ns, place), &mut track.spread))
             });
             measure_spread(tracks.collect(), parameters.birth_distance, &places);
         }
@@ -53,17 +53,18 @@ impl Tracks {
         }
     }
 
-    /// Say of every confirmed track whether it stands or is part of another one.
+    /// Say of every confirmed track whether it stands or is part of another one. Tracks keep their path
+    /// from their first measurement on: what stands need not be reported first.
     pub(super) fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
         let ManyParameters { report_speed, birth_distance, .. } = *parameters;
         if report_speed <= 0.0 && birth_distance <= 0.0 {
             return;
         }
-        let confirmed = self.all.iter_mut().filter(|track| track.confirmed);
-        let fellows = confirmed.filter_map(|track| {
+        let fellows = self.all.iter_mut().filter_map(|track| {
             let place = track.place_at(stamp_ns)?;
+            track.way.pass(stamp_ns, place);
             let rank = (Reverse(track.hits), track.born_ns, track.id);
-            Some(Fellow { path: &mut track.way, place, rank })
+            track.confirmed.then_some(Fellow { path: &mut track.way, place, rank })
         });
         keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
     }
@@ -158,24 +159,22 @@ impl Tracks {
     }
 }
 
-/// Let tracks, each at its place, learn how far the measurements around them lie from it: of every
-/// measurement the nearest track, if it is nearer than `reach`.
-fn measure_spread(
-    mut tracks: Vec<([f64; 2], &mut MeasuredSpread)>,
-    reach: f64,
-    places: &[[f64; 2]],
-) {
-    tracks.retain(|(at, _)| at.iter().all(|value| value.is_finite()));
-    let index = NearIndex::new(tracks.iter().map(|(at, _)| *at).zip(0..).collect());
+/// Let tracks, each with its course, learn how far the measurements around them lie from it: of every
+/// measurement the nearest track, if it is nearer than `reach` and the measurement is not abeam of it.
+fn measure_spread(mut tracks: Vec<(Course, &mut MeasuredSpread)>, reach: f64, places: &[[f64; 2]]) {
+    let index = NearIndex::new(tracks.iter().map(|(own, _)| own.place).zip(0..).collect());
     let (mut near, mut offsets) = (Vec::new(), vec![Vec::new(); tracks.len()]);
     for place in places {
         near.clear();
         index.collect(&Rectangle::around(*place, [reach; 2]), &mut near);
-        let away = |number: usize| [0, 1].map(|axis| place[axis] - tracks[number].0[axis]);
+        let away = |number: usize| [0, 1].map(|axis| place[axis] - tracks[number].0.place[axis]);
         let distance = |number: usize| libm::hypot(away(number)[0], away(number)[1]);
         let nearer = |a: &usize, b: &usize| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b));
         let nearest = near.iter().copied().min_by(nearer);
-        if let Some(number) = nearest.filter(|number| distance(*number) < reach) {
+        let is_of = |number: &usize| {
+            distance(*number) < reach && !tracks[*number].0.is_abeam(*place, reach)
+        };
+        if let Some(number) = nearest.filter(is_of) {
             offsets[number].push(away(number));
         }
     }
