@@ -18,6 +18,15 @@ from lidar_core.files import read_whole
 NONE = "none"
 """What TOML files say for "no value"."""
 
+UNITS = {
+    "m": " m: lengths are in metres",
+    "s": " s: times are in seconds",
+    "rad": " rad: angles are in radians",
+    "m/s": " m/s",
+    "m/s^2": " m/s^2",
+    "rad/s": " rad/s",
+}
+"""What an error says after a limit, by unit."""
 
 ConfigT = TypeVar("ConfigT", bound="Config")
 P = ParamSpec("P")
@@ -211,8 +220,10 @@ def _problem_text(problem: Any, model: type[BaseModel]) -> str:
             header = ".".join(names)
             as_tables = f", its tables as [[{header}]]" if isinstance(received, dict) else ""
             text = f"expected a list{as_tables}"
-        case "less_than_equal" if place in fields and "[m]" in (fields[place].description or ""):
-            text += " m: lengths are in metres"
+        case "less_than_equal" | "greater_than_equal" if any(problem["ctx"].values()):
+            field = fields.get(re.sub(r"([.]\d+)+$", "", place))
+            units = re.findall(r"\[([^]]+)\]", (field and field.description) or "")
+            text += UNITS.get(units[0], "") if len(units) == 1 else ""
         case "string_pattern_mismatch" if place in fields and fields[place].examples:
             text = f"expected a text such as {', '.join(map(str, fields[place].examples or ()))}"
     return f"{text}, got {_short(received)}"

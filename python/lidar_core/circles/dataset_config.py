@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 from lidar_core.circles.scanner import Scanner
 from lidar_core.config import Config
 
-NotNegative = Annotated[float, Field(ge=0)]
+NotNegative = Annotated[float, Field(ge=0, le=1)]
+Radius = Annotated[float, Field(gt=0, le=10)]
 
 
 class DatasetConfig(Config):
@@ -35,11 +36,11 @@ class DatasetConfig(Config):
     reach: float = Field(
         10.0, gt=0, le=1000, description="Centres lie within this of the scanner in x and y [m]."
     )
-    spacing: float = Field(0.05, gt=0, description="Lattice: step between centres [m].")
-    radius: tuple[float, float] = Field(
+    spacing: float = Field(0.05, gt=0, le=10, description="Lattice: step between centres [m].")
+    radius: tuple[Radius, Radius] = Field(
         (0.05, 0.5), description="Smallest and largest radius [m], above 0, in order."
     )
-    radius_step: float = Field(0.05, gt=0, description="Lattice: step between radii [m].")
+    radius_step: float = Field(0.05, gt=0, le=10, description="Lattice: step between radii [m].")
     draws: int = Field(
         2, ge=1, le=1000, description="Lattice: measurements of every circle (count, no unit)."
     )
@@ -88,7 +89,7 @@ class DatasetConfig(Config):
 
     @model_validator(mode="after")
     def _is_in_order(self) -> Self:
-        if not 0 < self.radius[0] <= self.radius[1]:
+        if self.radius[0] > self.radius[1]:
             raise ValueError(f"expected 0 < radius[0] <= radius[1], got {self.radius}")
         for name in ("range_std", "beam_half_width"):
             low, high = getattr(self, name)

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 
-Edge = Annotated[float, Field(ge=0)]
+Edge = Annotated[float, Field(ge=0, le=1e5)]
 
 
 class EvaluationConfig(Config):
@@ -20,20 +20,30 @@ class EvaluationConfig(Config):
     gate: float = Field(
         1.0,
         gt=0,
+        le=1000,
         description="An estimate further from every target's centre is false [m]; also the cutoff c"
         " of OSPA and GOSPA.",
     )
     max_distance: float = Field(
-        20.0, gt=0, description="Targets further from the sensor need not be found [m]."
+        20.0, gt=0, le=1e5, description="Targets further from the sensor need not be found [m]."
     )
     min_hits: int = Field(
-        3, ge=0, description="Targets with fewer points need not be found (count, no unit)."
+        3,
+        ge=0,
+        le=1_000_000,
+        description="Targets with fewer points need not be found (count, no unit).",
     )
     burn_in_scans: int = Field(
-        0, ge=0, description="First scans, in which no target need be found (count, no unit)."
+        0,
+        ge=0,
+        le=1_000_000,
+        description="First scans, in which no target need be found (count, no unit).",
     )
     time_tolerance: float = Field(
-        1e-4, ge=0, description="Estimates belong to the truth of a time at most this far away [s]."
+        1e-4,
+        ge=0,
+        le=10,
+        description="Estimates belong to the truth of a time at most this far away [s].",
     )
     distance_edges: tuple[Edge, ...] = Field(
         tuple(float(edge) for edge in range(0, 51, 5)),

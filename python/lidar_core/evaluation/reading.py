@@ -161,10 +161,12 @@ def _estimates(place: Path, columns: Columns, *, has_id: bool) -> Estimates:
     stamps, position = _integers(place, columns, "t_ns"), _rows(place, columns, AXES)
     numbers = _integers(place, columns, "track_id") if has_id else None
     velocity = _rows_if_known(place, columns, RATES)
-    axes, rates = (AXES[:2], RATES[:2]) if is_planar else (AXES, RATES)
-    covariance = _covariance(place, columns, (*axes, *rates))
-    if covariance is None:
-        covariance = _covariance(place, columns, axes)
+    # Targets in a plane may have heights, but none in their covariances.
+    spans = [(*AXES[:2], *RATES[:2]), AXES[:2]]
+    if not is_planar:
+        spans = [(*AXES, *RATES), AXES, *spans]
+    known = (_covariance(place, columns, names) for names in spans)
+    covariance = next((one for one in known if one is not None), None)
     radius = _numbers(place, columns, "radius") if is_planar else None
     # Tracks are states at the time of the scan, detections are measured during it.
     is_timed = not has_id and "time_ns" in columns

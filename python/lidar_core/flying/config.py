@@ -21,8 +21,9 @@ class VoxelMapConfig(Config):
     Source: Vrba et al., eqs 6-12 and 20-22; defaults: Table II.
     """
 
-    # A voxel above 5 m holds target and background at once.
-    voxel_size: float = Field(0.25, gt=0, le=5, description="Edge of a voxel, v_s [m].")
+    # A voxel below 1 cm is smaller than the noise of ranges; one above 5 m holds target and
+    # background at once.
+    voxel_size: float = Field(0.25, ge=0.01, le=5, description="Edge of a voxel, v_s [m].")
     g_occ: float = Field(0.0, description="G that background points pull a voxel to (no unit).")
     g_unk: float = Field(
         -740.0, description="G that unknown and flying points pull a voxel to (no unit)."
@@ -65,7 +66,7 @@ class VoxelMapConfig(Config):
         description="Length unit of the ray weight of eq. 22: voxel edges, metres (the paper's"
         " text) or voxel diagonals (no unit).",
     )
-    ray_gain: float = Field(1.0, gt=0, description="Factor on the ray weight (no unit).")
+    ray_gain: float = Field(1.0, gt=0, le=1000, description="Factor on the ray weight (no unit).")
     bounds: Box | None = Field(
         None, description="Lower and upper corner of a fixed operating volume [m]; none: no bounds."
     )
@@ -317,11 +318,15 @@ class SeedConfig(Config):
         " 3, are background, however few; 0 for none (count, no unit).",
     )
     ground_height: float | None = Field(
-        None, description="Clusters that reach below this height are background, world frame [m]."
+        None,
+        ge=-1e4,
+        le=1e4,
+        description="Clusters that reach below this height are background, world frame [m].",
     )
     take_off_height: float | None = Field(
         None,
         gt=0,
+        le=1000,
         description="Height of the sensor above the ground in the first scan: the ground below"
         " is occupied [m].",
     )
@@ -372,7 +377,10 @@ class FlyingConfig(Config):
         " (share, no unit); none: every scan does.",
     )
     forget_distance: float | None = Field(
-        None, gt=0, description="The map forgets blocks that are further from the sensor [m]."
+        None,
+        gt=0,
+        le=1e5,
+        description="The map forgets blocks that are further from the sensor [m].",
     )
     on_bad_scan: Literal["raise", "count"] = Field(
         "raise", description="Reaction to a scan that cannot be used (no unit)."

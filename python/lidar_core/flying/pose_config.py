@@ -7,6 +7,7 @@ from pydantic import Field
 from lidar_core.config import Config
 
 _Std = Annotated[float, Field(ge=0, le=100)]
+_Angle = Annotated[float, Field(ge=0, le=3.2)]
 
 
 class PoseConfig(Config):
@@ -17,7 +18,7 @@ class PoseConfig(Config):
         description="Standard deviations along x, y, z of poses that come without a covariance"
         " [m].",
     )
-    angle_std: tuple[_Std, _Std, _Std] = Field(
+    angle_std: tuple[_Angle, _Angle, _Angle] = Field(
         (0.0, 0.0, 0.0),
         description="Standard deviations of the angles about x, y, z of R = Rz Ry Rx [rad]; if all"
         " six standard deviations are 0, poses are exact.",

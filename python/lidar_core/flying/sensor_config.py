@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar, Literal, Self, TypeAlias
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field
 
@@ -39,6 +39,9 @@ Beams: TypeAlias = Literal[
 ]
 """How rays without return are known; the names below are those of 3D sensors."""
 
+Turn = Annotated[float, Field(ge=-6.3, le=6.3)]
+Elevation = Annotated[float, Field(ge=-1.6, le=1.6)]
+
 BeamTable: TypeAlias = tuple[str, tuple[float, ...], int]
 """given or learnt; or rows with their elevations [rad] and the rays of each; or view with lowest
 and highest elevation, largest azimuth [rad] and the rays of a scan."""
@@ -54,7 +57,7 @@ class SensorConfig(Config):
     self_box: Box | None = Field(
         None, description="Lower and upper corner of the robot, lidar frame [m]."
     )
-    blind_sectors: tuple[tuple[float, float, float, float], ...] = Field(
+    blind_sectors: tuple[tuple[Turn, Turn, Elevation, Elevation], ...] = Field(
         (),
         description="Directions that the robot hides: azimuth from, to, elevation from, to [rad].",
     )
@@ -91,7 +94,7 @@ class SensorConfig(Config):
         le=36_000,
         description="Rays per turn of each of `beam_elevations`; none: 1800 (count, no unit).",
     )
-    beam_elevations: tuple[float, ...] = Field(
+    beam_elevations: tuple[Elevation, ...] = Field(
         (), description="Elevation of every row of a sensor that has no name here [rad]."
     )
     returns_per_ray: int = Field(

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from lidar_core.config import Config
 
-NotNegative = Annotated[float, Field(ge=0)]
+NotNegative = Annotated[float, Field(ge=0, le=1000)]
 Triple = tuple[NotNegative, NotNegative, NotNegative]
 Radius = Annotated[float, Field(gt=0, le=100)]
 
@@ -67,7 +67,10 @@ class TrackerConfig(Config):
         " root, which gives a length (no unit).",
     )
     radius_scale: float = Field(
-        1.22, gt=0, description="Multiplier of the uncertainty radius, c_r (no unit); paper: 0.5."
+        1.22,
+        gt=0,
+        le=100,
+        description="Multiplier of the uncertainty radius, c_r (no unit); paper: 0.5.",
     )
     radius_limits: tuple[Radius, Radius] = Field(
         (1.5, 3.0),
@@ -77,6 +80,7 @@ class TrackerConfig(Config):
     acceleration_time: float | None = Field(
         1.0,
         gt=0,
+        le=1e4,
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
     )
@@ -131,11 +135,13 @@ class TrackerConfig(Config):
     clutter_density: float = Field(
         1e-5,
         gt=0,
+        le=1e3,
         description="Density of clusters that belong to no track [1/m^3]; global association.",
     )
     rejoin_acceleration: float | None = Field(
         2.0,
         gt=0,
+        le=1e3,
         description="A track that was confirmed and lost its target gets detections as if the"
         " target had accelerated by this all the time, as a standard deviation [m/s^2]; none, as in"
         " the paper: only where it was predicted; global association.",
@@ -184,12 +190,14 @@ class TrackerConfig(Config):
     max_coast: float = Field(
         3.0,
         gt=0,
+        le=3600,
         description="A track without measurement for longer is removed in any case [s]; ageing"
         " `visible`.",
     )
     report_coast: float = Field(
         0.5,
         gt=0,
+        le=3600,
         description="A track without measurement for longer is kept but not reported [s]; ageing"
         " `visible`.",
     )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar, Literal, Self, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lidar_core._core import fusion_models
 from lidar_core.config import Config
@@ -21,6 +21,15 @@ Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
+SI = "lengths are in metres, angles in radians, rates per second"
+MOST: Mapping[str, Mapping[int, tuple[float, ...]]] = {
+    "lidar_std": {2: (10,) * 2, 3: (10,) * 3},
+    "radar_std": {3: (100, 3.2, 100), 4: (100, 3.2, 3.2, 100)},
+    "pose_std": {3: (100, 100, 3.2), 6: (100,) * 3 + (3.2,) * 3},
+    "lever_arm": {2: (1000,) * 2, 3: (1000,) * 3},
+}
+"""Greatest values, by parameter and number of its values; units as there."""
+SIGN = {"lidar_std": "> 0", "radar_std": "> 0", "pose_std": ">= 0", "lever_arm": "of any sign"}
 IN_SPACE = "-3d"
 """End of the names of models in space."""
 
@@ -134,28 +143,28 @@ class FusionConfig(Config):
     acceleration_noise: float = Field(
         0.7,
         ge=0,
-        le=1e6,
+        le=1e4,
         description="Noise of the acceleration: root of its density [m/s^1.5], or discrete its"
         " standard deviation [m/s^2].",
     )
     jerk_noise: float = Field(
         2.0,
         ge=0,
-        le=1e6,
+        le=1e5,
         description="Noise of the jerk, models ca and ctra: root of its density [m/s^2.5], or"
         " discrete its standard deviation [m/s^3].",
     )
     turn_noise: float = Field(
         0.5,
         ge=0,
-        le=1e6,
+        le=1e3,
         description="Noise of the angular acceleration: root of its density [rad/s^1.5], or"
         " discrete its standard deviation [rad/s^2].",
     )
     platform_noise: float = Field(
         0.5,
         ge=0,
-        le=1e6,
+        le=1e3,
         description="Noise of the angular acceleration of the platform, if its turn rate is a"
         " state: root of its density [rad/s^1.5], or discrete its standard"
         " deviation [rad/s^2].",
@@ -172,7 +181,7 @@ class FusionConfig(Config):
         " the fourth, the elevation has the value of the bearing.",
     )
     gyro_std: float = Field(
-        0.01, gt=0, le=1e3, description="Standard deviation of the gyro's turn rate [rad/s]."
+        0.01, gt=0, le=10, description="Standard deviation of the gyro's turn rate [rad/s]."
     )
     pose_std: Triple | Six = Field(
         (0.0, 0.0, 0.0),
@@ -210,7 +219,7 @@ class FusionConfig(Config):
     initial_speed: float = Field(
         5.0,
         gt=0,
-        le=1e6,
+        le=1e4,
         description="Standard deviation of the first speed, or of the first velocity per axis"
         " [m/s].",
     )
@@ -221,7 +230,7 @@ class FusionConfig(Config):
         1.0, gt=0, le=1e3, description="Standard deviation of the first turn rate [rad/s]."
     )
     initial_acceleration: float = Field(
-        3.0, gt=0, le=1e6, description="Standard deviation of the first acceleration [m/s^2]."
+        3.0, gt=0, le=1e4, description="Standard deviation of the first acceleration [m/s^2]."
     )
     gate_probability: float | None = Field(
         0.9999,
@@ -233,6 +242,7 @@ class FusionConfig(Config):
     loss_ratio: float | None = Field(
         4.0,
         gt=1,
+        le=1e6,
         description="The filter starts anew when the NIS per value, averaged over 10 measurements,"
         " is above this (ratio, no unit; 1 is expected); none: never.",
     )
@@ -271,15 +281,21 @@ class FusionConfig(Config):
             sensor_noise="configured",
         )
 
+    @field_validator(*MOST)
+    @classmethod
+    def _lies_in_its_range(
+        cls, values: tuple[float, ...], known: ValidationInfo
+    ) -> tuple[float, ...]:
+        """Not by types: the ranges of the values of one tuple differ."""
+        name = str(known.field_name)
+        sign, most = SIGN[name], MOST[name][len(values)]
+        fits = {"> 0": min(values) > 0, ">= 0": min(values) >= 0, "of any sign": True}[sign]
+        if not fits or any(abs(one) > limit for one, limit in zip(values, most, strict=True)):
+            raise ValueError(f"expected values {sign} and at most {most}: {SI}")
+        return values
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        for name in ("lidar_std", "radar_std"):
-            if not all(0 < value <= 1e6 for value in getattr(self, name)):
-                raise ValueError(f"{name}: expected values > 0 and <= 1e6")
-        if not all(0 <= value <= 1e6 for value in self.pose_std):
-            raise ValueError("pose_std: expected values >= 0 and <= 1e6")
-        if not all(abs(value) <= 1e3 for value in self.lever_arm):
-            raise ValueError("lever_arm: expected at most 1000 m")
         if self.model == "paper" and self.method != "ekf":
             raise ValueError('expected method "ekf" with model "paper"')
         linear = ("cv", "ca", "cv-3d", "ca-3d")

@@ -57,20 +57,20 @@ class MultiTargetConfig(Config):
     max_coast: float = Field(
         2.0,
         gt=0,
-        le=1e6,
+        le=3600,
         description="A track ends when it has not been measured for longer, for associations"
         " nearest and joint [s].",
     )
     max_position_std: float = Field(
         5.0,
         gt=0,
-        le=1e6,
+        le=1e4,
         description="A track ends when the standard deviation of its x or y is larger [m].",
     )
     birth_distance: float = Field(
         0.0,
         ge=0,
-        le=1e6,
+        le=1000,
         description="Least distance of a new track from a track that the same scan measured:"
         " parts of an object are not objects [m]. With associations nearest and joint, a track may"
         " start abeam of one that moves, from 0.5 times this distance on. A track that moves along"

@@ -5,7 +5,7 @@ from typing import Any
 
 from lidar_core import _core
 from lidar_core.config import as_config
-from lidar_core.errors import InputError
+from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
 
@@ -59,8 +59,8 @@ def fit_noise(
         Model paper, which has no likelihood.
     InputError
         Fewer than ten measurements per value that is sought, after the first ten of every
-        target; measurements that no noise makes possible; or a deviation that is negative or not
-        finite.
+        target; measurements that no noise makes possible, or only one outside the ranges of the
+        configuration; or a deviation that is negative or not finite.
 
     Notes
     -----
@@ -139,7 +139,10 @@ def _fitted(
         stds = {"lidar_std": tuple(lidar.tolist()), "radar_std": tuple(radar.tolist())}
         if any(stds[name] != getattr(settings, name) for name in stds):
             found |= stds | ({"sensor_noise": "configured"} if believes else {})
-    return FusionConfig(**(settings.model_dump() | found)), likelihood
+    try:
+        return FusionConfig(**(settings.model_dump() | found)), likelihood
+    except ConfigError as error:
+        raise InputError(f"the likeliest noise is out of range: {error}") from error
 
 
 def _targets(

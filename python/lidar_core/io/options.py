@@ -49,6 +49,7 @@ class ReadOptions(Config):
     scan_rate: float = Field(
         10.0,
         gt=0,
+        le=1e5,
         description="Scans per second of a folder of files that carries no times, and of counted"
         " `stamps` [Hz].",
     )
@@ -66,18 +67,21 @@ class ReadOptions(Config):
     max_record_bytes: int = Field(
         64 * 2**20,
         gt=0,
+        le=2**40,
         description="Largest message, decompressed chunk or file of a sequence [bytes]."
         " Source: limits table of SECURITY.md.",
     )
     max_unpacked_bytes: int = Field(
         64 * 2**30,
         gt=0,
+        le=2**60,
         description="ROS 2 recordings whose files were compressed: their size unpacked, in the"
         " folder for temporary files [bytes]. Source: limits table of SECURITY.md.",
     )
     max_points: int = Field(
         4_000_000,
         gt=0,
+        le=10**9,
         description="Most points or rays of one scan (no unit)."
         " Source: limits table of SECURITY.md.",
     )
@@ -148,11 +152,12 @@ class PoseOptions(Span):
         " (no unit).",
     )
     max_gap: float = Field(
-        1.0, gt=0, description="Longest time between two poses to interpolate over [s]."
+        1.0, gt=0, le=86_400, description="Longest time between two poses to interpolate over [s]."
     )
     max_extrapolation: float = Field(
         0.1,
         ge=0,
+        le=86_400,
         description="Time for which the first pose holds before, and the last pose after, its"
         " own time [s].",
     )

@@ -38,12 +38,13 @@ class LiveConfig(Config):
     pose_wait: float = Field(
         0.2,
         ge=0,
+        le=60,
         description="Time that a scan waits for the pose of its last point; after it the"
         " newest pose is used, if it is not older than `poses.max_extrapolation`"
         " [s].",
     )
     max_waiting: int = Field(
-        8, ge=1, description="Scans of one LiDAR that wait for their poses (no unit)."
+        8, ge=1, le=10_000, description="Scans of one LiDAR that wait for their poses (no unit)."
     )
     domain: int = Field(0, ge=0, le=232, description="Domain of ROS 2 over Zenoh (no unit).")
     transform_topics: tuple[TopicName, ...] = Field(

@@ -69,7 +69,7 @@ class Planar(Config):
         " total [rad].",
     )
     sweep_time: float = Field(
-        0.01875, ge=0, description="Time from the first ray to the last; 0: all at once [s]."
+        0.01875, ge=0, le=10, description="Time from the first ray to the last; 0: all at once [s]."
     )
 
     @property
@@ -91,7 +91,7 @@ class Beam(Config):
         " all (mean), or of those less than `pulse_length` behind the nearest (mixed) (no unit).",
     )
     pulse_length: float = Field(
-        0.3, gt=0, description="Echoes nearer to one another than this become one [m]."
+        0.3, gt=0, le=10, description="Echoes nearer to one another than this become one [m]."
     )
 
     @property
@@ -116,9 +116,13 @@ class LidarModel(Config):
     )
     scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
     snapshot: bool = Field(False, description="All rays at the start of the scan (no unit).")
-    range_min: float = Field(0.3, ge=0, description="Nearer surfaces give no information [m].")
-    range_max: float = Field(100.0, gt=0, description="Surfaces from here on: no return [m].")
-    range_std: float = Field(0.03, ge=0, description="Standard deviation of the ranges [m].")
+    range_min: float = Field(
+        0.3, ge=0, le=100, description="Nearer surfaces give no information [m]."
+    )
+    range_max: float = Field(
+        100.0, gt=0, le=1e4, description="Surfaces from here on: no return [m]."
+    )
+    range_std: float = Field(0.03, ge=0, le=1, description="Standard deviation of the ranges [m].")
     dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
     delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
         "rays",

@@ -44,7 +44,8 @@ PITCH_PERIOD = 3.0
 """Period of the drone's pitch [s]."""
 TURN_PERIOD = 12.0
 """Period of the target's turns [s]."""
-NonNegative = Annotated[float, Field(ge=0)]
+Std = Annotated[float, Field(ge=0, le=100)]
+NonNegative = Annotated[float, Field(ge=0, le=3.2)]
 
 
 class Overflight(Config):
@@ -75,9 +76,9 @@ class Overflight(Config):
         0.3, ge=0, le=10, description="Largest turn rate of the target [rad/s]."
     )
     lidar_std: float = Field(
-        0.05, ge=0, description="Standard deviation of x and y in the LiDAR's plane [m]."
+        0.05, ge=0, le=10, description="Standard deviation of x and y in the LiDAR's plane [m]."
     )
-    radar_std: tuple[float, float, float] = Field(
+    radar_std: tuple[Std, Std, Std] = Field(
         (0.2, 0.02, 0.15),
         description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of the"
         " radar.",
@@ -87,7 +88,7 @@ class Overflight(Config):
         description="Standard deviations of the measured angles of swivel and pitch [rad].",
     )
     gyro_std: float = Field(
-        0.01, ge=0, description="Standard deviation of the measured turn rate [rad/s]."
+        0.01, ge=0, le=10, description="Standard deviation of the measured turn rate [rad/s]."
     )
 
 

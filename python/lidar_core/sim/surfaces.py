@@ -29,7 +29,7 @@ class Surface(Config):
     """
 
     reflectivity: float = Field(
-        0.3, ge=0, description="Share scattered back at normal incidence (no unit)."
+        0.3, ge=0, le=100, description="Share scattered back at normal incidence (no unit)."
     )
     mirror: float = Field(
         0.0, ge=0, le=1, description="Share mirrored at normal incidence; 0: never (no unit)."

@@ -192,7 +192,7 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
         s=60,
         facecolor=(COLOURS[0], 0.2),
         edgecolor=COLOURS[0],
-        label="element, 2σ ellipse, velocity",
+        label="element, its way, 2σ ellipse, velocity",
     )
 
 

@@ -65,12 +65,32 @@ def film_ending() -> str:
 
 def _writer(path: Path, rate: float) -> Any:
     if path.suffix.lower() == ".gif":
-        return _animation().PillowWriter(fps=rate)
+        return _gif_writer(rate)
     if path.suffix.lower() != ".mp4":
         raise ConfigError(f"{path}: expected a film that ends in .gif or .mp4")
     if not _animation().FFMpegWriter.isAvailable():
         raise MissingExtraError(f"{path}: .mp4 needs the program ffmpeg; .gif does not")
     return _animation().FFMpegWriter(fps=rate)
+
+
+def _gif_writer(rate: float) -> Any:
+    """matplotlib's, which leaves the choice of 256 colours to Pillow: the most frequent ones.
+
+    That paints what is small, such as a trail or a mark in the legend, in the colour of something
+    else. Here the colours cover all that occur.
+    """
+    image = require("PIL.Image", extra="plot", purpose=PURPOSE)
+
+    class Writer(_animation().PillowWriter):  # type: ignore[misc]
+        def grab_frame(self, **options: Any) -> None:
+            super().grab_frame(**options)
+            self._frames[-1] = (
+                self._frames[-1]
+                .convert("RGB")
+                .quantize(256, method=image.Quantize.MAXCOVERAGE, dither=image.Dither.NONE)
+            )
+
+    return Writer(fps=rate)
 
 
 def _animation() -> Any:

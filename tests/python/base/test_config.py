@@ -13,6 +13,7 @@ from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
 from lidar_core.circles import CirclesConfig
 from lidar_core.config import Config, _fields
 from lidar_core.flying import FlyingConfig
+from lidar_core.fusion import FusionConfig, MultiTargetConfig
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.parameters import MODELS, model_named, models_within
 
@@ -134,7 +135,8 @@ def test_all_problems_are_reported_at_once():
         "voxel_map.ray_unit",
         "voxel_map.voxel_size",
     ]
-    assert "voxel_map.voxel_size: Input should be greater than 0, got -1.0" in lines
+    told = "Input should be greater than or equal to 0.01 m: lengths are in metres, got -1.0"
+    assert f"voxel_map.voxel_size: {told}" in lines
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), "wide", None])
@@ -273,6 +275,76 @@ def test_a_voxel_of_99_metres_is_refused_with_place_value_and_cure():
         FlyingConfig.load({"voxel_map": {"voxel_size": 99}})
     with pytest.raises(ConfigError, match=text.replace("voxel_map", "", 1).replace("\\.", "", 1)):
         VoxelMap(VoxelMapConfig(voxel_size=99))
+
+
+WITHOUT_RANGE = {
+    *("bounds", "self_box", "center", "position", "start", "end", "velocity", "rotation"),
+    *("rotations", "box_min", "box_max", "sensor_distance", "sensor_elevation_deg", "half_size"),
+    *("azimuth_start", "azimuth_per_scan", "angle_min", "angle_increment", "phase", "yaw", "reach"),
+    *("g_occ", "g_unk", "g_free", "initial", "clock", "seed", "grid", "ranges", "rows"),
+    *("threshold_confident", "threshold_tentative", "threshold_uncertain", "max_deviation"),
+    *("extra_thresholds", "planes", "positions", "points", "times", "heights", "vertices", "faces"),
+    *(("radius", "speed", "yaw_rate")),  # of a circle of the simulator: the sign is a direction
+}
+"""Places, angles and levels, which may have any value; and what a validator checks."""
+
+
+def bounds_of(schema, found=()):
+    """Every number that a JSON schema allows, with its lower and upper bound."""
+    for part in (schema, *schema.get("anyOf", ()), *schema.get("prefixItems", ())):
+        if part.get("type") in ("number", "integer"):
+            low = part.get("minimum", part.get("exclusiveMinimum"))
+            yield low, part.get("maximum", part.get("exclusiveMaximum"))
+        if part is not schema and part.get("type") == "array":
+            yield from bounds_of(part)
+    if isinstance(schema.get("items"), dict):
+        yield from bounds_of(schema["items"])
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_every_number_has_a_least_and_a_greatest_value(name):
+    for model in models_within(model_named(name)):
+        properties = model.model_json_schema()["properties"]
+        for key, schema in properties.items():
+            if key in WITHOUT_RANGE or key in CHECKED_TOGETHER:
+                continue
+            for low, high in bounds_of(schema):
+                assert low is not None, f"{model.__name__}.{key}"
+                assert high is not None, f"{model.__name__}.{key}"
+
+
+CHECKED_TOGETHER = {
+    "lidar_std": ([1000, 1], [0.1, 15], [0, 0.1], [-0.1, 0.1]),
+    "radar_std": ([30, 2, 101], [0.3, 10, 0.3], [0.3, 0, 0.3]),
+    "pose_std": ([0, 0, 10], [0, 0, -0.1], [1000, 0, 0]),
+    "lever_arm": ([2000, 0], [0, 0, -2000]),
+}
+
+
+@pytest.mark.parametrize("name", CHECKED_TOGETHER)
+def test_deviations_of_sensors_lie_within_what_sensors_have(name):
+    for values in CHECKED_TOGETHER[name]:
+        told = rf"^{name}: expected values .* lengths are in metres.*, got \["
+        with pytest.raises(ConfigError, match=told):
+            FusionConfig.load({name: values})
+        with pytest.raises(ConfigError, match=told.replace("^", "^target\\.")):
+            MultiTargetConfig.load({"target": {name: values}})
+    assert FusionConfig(lidar_std=(9.9, 1e-3), radar_std=(50, 3, 3, 9), lever_arm=(-900, 0))
+
+
+def test_a_limit_is_told_with_its_unit():
+    """Also of the values of a list; a limit of zero needs none."""
+    for table, told in (
+        (
+            {"sensor": {"beam_elevations": [-15, 1]}},
+            r"tions\.0: .* to -1\.6 rad: angles are in rad",
+        ),
+        ({"tracker": {"max_coast": 1e9}}, r"max_coast: .* 3600 s: times are in seconds, got 1"),
+        ({"voxel_map": {"voxel_size": 0.001}}, r"size: .* to 0\.01 m: lengths are in metres, got"),
+        ({"voxel_map": {"end_margin": -1}}, r"end_margin: .* or equal to 0, got -1"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            FlyingConfig.load(table)
 
 
 def test_modes_and_uses_lie_within_the_ranges_of_lengths():

@@ -30,6 +30,8 @@ needs_fsspec = pytest.mark.skipif(
 )
 KILLS = 6
 PATIENCE_S = 300
+MOST = 1.05
+"""Time of a batch over that of a bare loop, on a machine without other load: the goal."""
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +170,9 @@ def ended_by_chance(process, draw):
 
 
 def done_despite_kills(file, out, *, kills, seed, calm_s):
-    """Do a batch again and again until it is done, with kills while it works; its passes.
+    """Do a batch again and again until it is done, with kills while it works.
+
+    Returns its passes and the kills that met it.
 
     The pauses between them, in which workers run, are together no longer than `calm_s`, the time
     that the batch takes without kills. So all of them meet it on machines of any speed, and half of
@@ -197,7 +201,7 @@ def done_despite_kills(file, out, *, kills, seed, calm_s):
         status = process.wait(patience)
         assert status in {0, 1, -signal.SIGKILL}
     assert left <= kills // 2
-    return passes
+    return passes, kills - left
 
 
 @needs_s3
@@ -250,15 +254,19 @@ def test_a_thousand_recordings_with_fifty_kills(bucket, tmp_path, capsys):
         assert done.exit_code == 0, done.output
         files.put(str(out), f"field/bare/{number}", recursive=True)
     bare = time.monotonic() - began
-    passes = done_despite_kills(file, f"{bucket}/many-rough", kills=50, seed=1, calm_s=took / 2)
+    passes, met = done_despite_kills(
+        file, f"{bucket}/many-rough", kills=50, seed=1, calm_s=took / 2
+    )
     (tmp_path / "calm").mkdir()
     (tmp_path / "rough").mkdir()
     assert tables(f"{bucket}/many-rough", tmp_path / "rough") == tables(
         f"{bucket}/many-calm", tmp_path / "calm"
     )
     with capsys.disabled():
-        sys.stdout.write(f"batch {took:.0f} s, bare loop {bare:.0f} s, passes {passes}\n")
-    assert took <= 2 * bare
+        sys.stdout.write(
+            f"batch {took:.0f} s, bare loop {bare:.0f} s, passes {passes}, kills {met}\n"
+        )
+    assert took <= MOST * bare
 
 
 @needs_fsspec

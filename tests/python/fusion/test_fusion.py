@@ -350,7 +350,7 @@ def test_measured_covariances_take_the_place_of_the_configured_ones():
     config = FusionConfig(sensor_noise="configured")
     stds = {"lidar": config.lidar_std, "radar": config.radar_std}
     told = [Measurement(m.stamp_ns, m.sensor, m.values, np.diag(stds[m.sensor]) ** 2) for m in seen]
-    blind = FusionConfig(lidar_std=(9.0, 9.0), radar_std=(9.0, 9.0, 9.0))
+    blind = FusionConfig(lidar_std=(9.0, 9.0), radar_std=(9.0, 3.0, 9.0))
     np.testing.assert_array_equal(run(told, blind).states, run(seen, config).states)
 
 

@@ -230,6 +230,8 @@ def test_nis_of_fuse_is_reported(tmp_path):
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     cells = page.texts["td"]
     assert cells[cells.index("NIS lidar") + 1] == f"{summary['nis']['lidar']['mean']:.2f}"
+    rows = dict(zip(map(str.strip, cells), cells[1:], strict=False))
+    assert rows["NEES of positions"] != "-"  # of x and y
 
 
 def test_a_run_without_truth_has_no_errors_and_takes_a_truth_that_is_given(circles, tmp_path):
@@ -353,6 +355,23 @@ def test_the_view_moves_in_a_browser_that_asks_nobody(demo, tmp_path):
         assert blue.sum() > 20  # number, box and trail of a track
         hosts = {urlsplit(one).hostname for one in browser.addresses() if "://" in one}
     assert not {host for host in hosts if host} - {"127.0.0.1"}
+
+
+@needs_chromium
+def test_the_view_names_what_it_draws(circles, tmp_path):
+    """Scan and walls of a map in the plane; one object is no "1 objects"."""
+    path = write_report(circles, tmp_path / "a.html")
+    with Browser(tmp_path) as browser:
+        browser.open(path.as_uri())
+        until = time.monotonic() + 60
+        while not (clock := browser.value("document.getElementById('clock')?.textContent")):
+            assert time.monotonic() < until, "the view does not start"
+            time.sleep(0.2)
+        legend = browser.value("document.getElementById('legend').textContent")
+    scene = Page(path).scene
+    assert legend.startswith("scan ")
+    assert ("wall or other shape" in legend) == any(scene["outlines"])
+    assert clock.endswith(" object") == (len(scene["objects"][-1]) == 1)
 
 
 @pytest.mark.parametrize("wrong", [{"run": None}, {"run": 3}, {"output": 1.5}, {"truth": True}])

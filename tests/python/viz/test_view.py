@@ -20,7 +20,7 @@ import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
 from lidar_core.viz import Objects, Playback, draw_film, draw_moment
 from lidar_core.viz.drawing.marks import TRACK_COLOURS
-from lidar_core.viz.film import film_ending
+from lidar_core.viz.film import film_ending, write_film
 from lidar_core.viz.playback import Moment
 from lidar_core.viz.rerun_log import RerunLog
 
@@ -186,6 +186,26 @@ def test_films_have_a_frame_per_scan_or_fewer(circles, tmp_path):
     with pytest.raises(ConfigError, match=r"expected a film that ends in \.gif or \.mp4"):
         draw_film(Playback(circles), tmp_path / "a.avi")
     assert [item.name for item in tmp_path.iterdir()] == ["a.gif"]
+
+
+def test_what_is_small_keeps_its_colour_in_a_film(tmp_path):
+    """256 colours: the many of a background must not displace those of marks and trails."""
+
+    def paint(figure):
+        grey = np.random.default_rng(0).uniform(0.4, 1, (200, 200, 1))
+        figure.add_axes((0, 0, 1, 1)).imshow(grey ** [1.0, 1.1, 1.3], extent=(0, 200, 200, 0))
+        yield
+        for row, colour in enumerate(TRACK_COLOURS):
+            figure.axes[0].plot([20, 26], [20 * row + 20] * 2, color=colour, lw=1.6)
+        yield
+
+    path = write_film(tmp_path / "a.gif", paint, size=(4, 4), dpi=100, rate=10)
+    with Image.open(path) as film:
+        film.seek(1)
+        shown = np.asarray(film.convert("RGB")).astype(int)
+    for text in TRACK_COLOURS:
+        colour = np.array([int(text[at : at + 2], 16) for at in (1, 3, 5)])
+        assert np.abs(shown - colour).max(axis=2).min() <= 16, text
 
 
 def test_films_are_mp4_where_ffmpeg_is(circles, tmp_path):

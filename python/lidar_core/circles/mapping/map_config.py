@@ -142,6 +142,7 @@ class CircleMapConfig(Config):
     max_coast: float | None = Field(
         5.0,
         ge=0,
+        le=1e6,
         description="An element is removed after this time hidden or out of view without a"
         " measurement [s]; none: never.",
     )
@@ -155,6 +156,7 @@ class CircleMapConfig(Config):
     line_noise: float = Field(
         1e-6,
         ge=0,
+        le=100,
         description="Density of the random walk of the ends of a line, across it [m^2/s]: it lets"
         " lines follow a pose that drifts; ours, as `line_std`.",
     )
@@ -174,6 +176,7 @@ class CircleMapConfig(Config):
     max_eigenvalue: float = Field(
         3.0,
         gt=0,
+        le=1e4,
         description="An element is removed if an eigenvalue of its covariance is larger, eq."
         " 33 (no unit: it mixes metres and metres per second); for `filter`"
         ' "paper", which states no value.',

@@ -81,9 +81,9 @@ class Loop(Config):
     }
     kind: Literal["loop"] = "loop"
     center: Vector = Field(description="Middle [m].")
-    straight: float = Field(ge=0, description="Length of a straight [m].")
-    radius: float = Field(gt=0, description="Radius of the half circles [m].")
-    speed: float = Field(gt=0, description="Speed [m/s].")
+    straight: float = Field(ge=0, le=1e5, description="Length of a straight [m].")
+    radius: float = Field(gt=0, le=1e5, description="Radius of the half circles [m].")
+    speed: float = Field(gt=0, le=1000, description="Speed [m/s].")
     start: float = Field(0.0, description="Distance along the loop at the start [m].")
     yaw_rate: float = Field(0.0, description="Rate of turn [rad/s].")
     tilt_deg: float = Field(0.0, ge=0, le=30, description="Largest roll and pitch [deg].")
@@ -116,9 +116,9 @@ class TakeOff(Config):
 
     kind: Literal["take_off"] = "take_off"
     position: Vector = Field(description="Place of the centre before the start [m].")
-    height: float = Field(gt=0, description="Climb [m].")
-    start: float = Field(1.0, ge=0, description="Time of the start [s].")
-    speed: float = Field(1.0, gt=0, description="Largest speed of the climb [m/s].")
+    height: float = Field(gt=0, le=1e4, description="Climb [m].")
+    start: float = Field(1.0, ge=0, le=3600, description="Time of the start [s].")
+    speed: float = Field(1.0, gt=0, le=1000, description="Largest speed of the climb [m/s].")
 
     def knots(self, seconds: float) -> Knots:
         """Places of the climb: height (3 s^2 - 2 s^3) over a share s of its time."""
@@ -136,10 +136,12 @@ class Shuttle(Config):
     kind: Literal["shuttle"] = "shuttle"
     start: Vector = Field(description="One end [m].")
     end: Vector = Field(description="Other end [m].")
-    speed: float = Field(gt=0, description="Largest speed [m/s].")
-    acceleration: float = Field(gt=0, description="Acceleration of starting and stopping [m/s2].")
-    pause: float = Field(0.0, ge=0, description="Rest at either end [s].")
-    lead: float = Field(0.0, ge=0, description="Time in motion before the start [s].")
+    speed: float = Field(gt=0, le=1000, description="Largest speed [m/s].")
+    acceleration: float = Field(
+        gt=0, le=1000, description="Acceleration of starting and stopping [m/s2]."
+    )
+    pause: float = Field(0.0, ge=0, le=3600, description="Rest at either end [s].")
+    lead: float = Field(0.0, ge=0, le=3600, description="Time in motion before the start [s].")
 
     @model_validator(mode="after")
     def _ends_differ(self) -> Self:
@@ -182,10 +184,13 @@ class RandomMotion(Config):
     kind: Literal["random"] = "random"
     box_min: Vector = Field(description="Smallest coordinates of the centre [m].")
     box_max: Vector = Field(description="Largest coordinates of the centre [m].")
-    speed_max: float = Field(4.0, gt=0, description="Largest speed [m/s].")
-    acceleration_max: float = Field(3.0, gt=0, description="Largest acceleration [m/s2].")
+    speed_max: float = Field(4.0, gt=0, le=1000, description="Largest speed [m/s].")
+    acceleration_max: float = Field(3.0, gt=0, le=1000, description="Largest acceleration [m/s2].")
     clearance: float = Field(
-        1.5, ge=0, description="Least distance from surface to surface of anything else [m]."
+        1.5,
+        ge=0,
+        le=1000,
+        description="Least distance from surface to surface of anything else [m].",
     )
     sensor_distance: tuple[float, float] | None = Field(
         None, description="Stay this near to the sensor and, where possible, in its sight [m]."

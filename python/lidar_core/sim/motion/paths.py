@@ -21,7 +21,7 @@ class FigureEight(Config):
     kind: Literal["figure_eight"] = "figure_eight"
     center: Vector = Field(description="Middle, where it starts [m].")
     half_size: tuple[float, float] = Field((1.25, 2.5), description="Reach along x and y [m].")
-    speed: float = Field(gt=0, description="Largest speed, in the middle [m/s].")
+    speed: float = Field(gt=0, le=1000, description="Largest speed, in the middle [m/s].")
 
     def knots(self, seconds: float) -> Knots:
         """X = a sin 2wt, y = b sin wt from the middle."""
@@ -100,7 +100,7 @@ class Wandering(Config):
     }
     kind: Literal["wandering"] = "wandering"
     start: Vector = Field(description="Place at the start [m].")
-    speed: float = Field(gt=0, description="Root mean square of the speed [m/s].")
+    speed: float = Field(gt=0, le=1000, description="Root mean square of the speed [m/s].")
     seed: int = Field(0, ge=0, description="Seed of the velocity (no unit).")
 
     @model_validator(mode="after")

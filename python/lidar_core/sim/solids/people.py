@@ -12,7 +12,7 @@ from lidar_core._core import SimShape
 from lidar_core.config import Config
 from lidar_core.sim.motion.knots import poses
 
-Length: TypeAlias = Annotated[float, Field(gt=0)]
+Length: TypeAlias = Annotated[float, Field(gt=0, le=1e5)]
 Placed: TypeAlias = list[tuple[SimShape, NDArray[np.float64]]]
 """Surfaces, and where each is in the shape's frame [m]."""
 

