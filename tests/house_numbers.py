@@ -2,10 +2,13 @@
 
 Prints one line per number: import circles and folder sizes of Rust and Python, Rust type names that
 are defined more than once, comments per 100 lines in the arithmetic of the core, statements, public
-parameters. `tests/python/house/test_house.py` holds some of them to their limits.
+parameters, functions above 40 lines. `tests/python/house/test_house.py` holds some of them to their
+limits. `python tests/house_numbers.py comments 50 18` prints 50 comments of the arithmetic instead,
+drawn with the seed 18, for somebody to judge whether each says why.
 """
 
 import ast
+import random
 import re
 import sys
 import tomllib
@@ -21,6 +24,10 @@ MODULE = re.compile(
     r'^\s*(?:#\[path = "([^"]+)"\]\s*)?(?:pub(?:\([^)]*\))?\s+)?mod\s+(\w+)\s*;', re.M
 )
 """Declaration of a module that has a file of its own: its stated path, its name."""
+RUST_FUNCTION = re.compile(
+    r"^(\s*)(?:pub(?:\([^)]*\))?\s+)?(?:const\s+|unsafe\s+|async\s+)*fn (\w+)"
+)
+MOST_LINES = 40
 CARGO_KINDS = ("bin", "test", "bench", "example")
 RUST_TYPE = re.compile(r"^\s*(?:pub(?:\([^)]*\))?\s+)?(?:struct|enum|trait|type)\s+(\w+)", re.M)
 
@@ -212,6 +219,27 @@ def rust_comments(root: Path) -> tuple[int, int]:
     return comments, lines
 
 
+def rust_comments_drawn(root: Path, count: int, seed: int) -> Iterator[str]:
+    """Comments of arithmetic files, drawn at random, each with its place and the code around it."""
+    found = []
+    for module, path in rust_modules(root).items():
+        if not set(module) & set(ARITHMETIC):
+            continue
+        lines = without_tests(path.read_text(encoding="utf-8")).splitlines()
+        is_whole = [line.lstrip().startswith("//") for line in lines]
+        for first, line in enumerate(lines):
+            if "//" not in line or line.lstrip().startswith(("///", "//!", "#![")):
+                continue
+            if is_whole[first] and first and is_whole[first - 1]:
+                continue  # belongs to the comment above
+            last = first
+            while is_whole[first] and is_whole[last + 1]:
+                last += 1
+            place = f"{path.relative_to(root).as_posix()}:{first + 1}"
+            found.append("\n".join([place, *lines[max(first - 1, 0) : last + 2]]))
+    yield from random.Random(seed).sample(found, count)
+
+
 def rust_statements(roots: Iterable[Path]) -> int:
     """Semicolons and match arms outside of comments, strings and tests: nearly statements."""
     count = 0
@@ -221,6 +249,36 @@ def rust_statements(roots: Iterable[Path]) -> int:
             text = re.sub(r'//.*|"(?:\\.|[^"\\])*"', "", text)
             count += text.count(";") + text.count("=>")
     return count
+
+
+def long_rust_functions(roots: Iterable[Path]) -> list[str]:
+    """Functions of more than `MOST_LINES` lines, as rustfmt writes them, tests left out."""
+    found = []
+    for root in roots:
+        for path in rust_modules(root).values():
+            if path.stem.endswith("tests"):
+                continue
+            lines = without_tests(path.read_text(encoding="utf-8")).splitlines()
+            for first, line in enumerate(lines):
+                start = RUST_FUNCTION.match(line)
+                if not start:
+                    continue
+                length = function_length(lines[first:], end=f"{start[1]}}}")
+                if length > MOST_LINES:
+                    found.append(f"{path.name}:{start[2]}")
+    return found
+
+
+def function_length(lines: list[str], end: str) -> int:
+    """Lines of the function that begins here; 0 for a declaration without a body."""
+    is_open = False
+    for number, line in enumerate(lines, 1):
+        is_open = is_open or "{" in line
+        if not is_open and line.endswith(";"):
+            return 0
+        if line.startswith(end):
+            return number
+    return 0
 
 
 # Python
@@ -282,6 +340,25 @@ def python_statements(package: Path) -> int:
         for path in package.rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     )
+
+
+def long_python_functions(package: Path) -> list[str]:
+    """Functions of more than `MOST_LINES` lines without their docstring."""
+    return [
+        f"{path.name}:{node.name}"
+        for path in package.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if lines_without_docstring(node) > MOST_LINES
+    ]
+
+
+def lines_without_docstring(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines from `def` to the end, those of the docstring not counted."""
+    first, last = function.body[0], function.body[-1]
+    length = (last.end_lineno or 0) - function.lineno + 1
+    is_documented = ast.get_docstring(function) is not None
+    return length - ((first.end_lineno or 0) - first.lineno + 1) * is_documented
 
 
 def public_parameters() -> int:
@@ -347,9 +424,18 @@ def main(root: Path) -> None:
     print(f"statements: Rust {rust_statements(rust)}, Python {python_statements(package)}")
     print(f"public parameters: {public_parameters()}")
     print(
+        f"functions above {MOST_LINES} lines: Rust {len(long_rust_functions(rust))},"
+        f" Python {len(long_python_functions(package))}"
+    )
+    print(
         "files that name the motion model CTRA:", *files_naming(r'\bCtra\b|"ctra"', rust, package)
     )
 
 
 if __name__ == "__main__":
-    main(Path.cwd())
+    if sys.argv[1:2] == ["comments"]:
+        count, seed = map(int, sys.argv[2:])
+        drawn = rust_comments_drawn(Path.cwd() / "rust/lidar_core/src", count, seed)
+        print(*drawn, sep="\n\n")
+    else:
+        main(Path.cwd())

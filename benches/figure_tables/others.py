@@ -23,8 +23,8 @@ def peers(subject: str) -> Callable[[list[Machine]], str]:
 
 def _peer_table(machine: Machine, title: str, systems: dict[str, dict[str, Any]]) -> str:
     lines = [
-        f"| {title}; {caption(machine)} | ms, least | ms, median | of the yardstick"
-        " | of lidar_core |",
+        f"| {title}; {caption(machine)} | ms, least | ms, median | ratio to the"
+        " reference | ratio to lidar_core |",
         "|---|---|---|---|---|",
     ]
     in_order = sorted(systems.items(), key=lambda system: system[1]["place"])
@@ -39,7 +39,7 @@ def _peer_table(machine: Machine, title: str, systems: dict[str, dict[str, Any]]
             lines += [
                 "",
                 f"{name} takes {number_text(system['of_yardstick'], 3)} times as long as the"
-                f" yardstick; at least {system['gate']:g} are required: {verdict}.",
+                f" reference; at least {system['gate']:g} are required: {verdict}.",
             ]
     return "\n".join(lines)
 
@@ -49,7 +49,10 @@ def filters(machines: list[Machine]) -> str:
     parts = []
     for machine in machines:
         systems = machine["figures"].get("filters", {})
-        lines = [f"| {caption(machine)} | us per predict and update | of numpy |", "|---|---|---|"]
+        lines = [
+            f"| {caption(machine)} | microseconds per predict and update | ratio to numpy |",
+            "|---|---|---|",
+        ]
         for name, system in sorted(systems.items(), key=lambda system: system[1]["place"]):
             cells = [number_text(system[key], 3) for key in ("us", "of_numpy")]
             lines.append(f"| {name} | {' | '.join(cells)} |")

@@ -40,22 +40,22 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
         ("`ray_scalar`, scene 2", ms_text(machine, scalar), "`cargo bench -- raycast`"),
         *(
             (
-                f"exact ray update of a map that grows, {title}, {words}, scenes 1 and 2: share of"
-                " the time of `ray_scalar`",
+                f"map update while the map grows, {title}, {words}, scenes 1 and 2: ratio to"
+                " `ray_scalar`",
                 sequence_text(machine, key, threads),
                 sequence,
             )
             for threads, words in ((1, "one thread"), (2, "two threads"))
-            for key, title in (("steady", "steady state"), ("first", "first scan"))
+            for key, title in (("steady", "scans 15 to 60"), ("first", "first scan"))
         ),
         (
-            "whole scan, raw points to tracks, scene 2, one and two threads",
+            "whole scan, raw points to tracks, scene 2, one and two threads; ratio to `ray_scalar`",
             f"{ms_text(machine, *(scan.format(threads) for threads in (1, 2)))};"
-            f" {', '.join(whole)} of the time of `ray_scalar`",
+            f" {', '.join(whole)}",
             "`cargo bench -- pipeline`",
         ),
         (
-            "clusters of all returns, scenes 1 and 2: share of the time of `cluster_hash`",
+            "clusters of all returns, scenes 1 and 2: ratio to `cluster_hash`",
             ", ".join(
                 ratio_text(
                     machine, f"cluster/scene_{scene}/label", f"cluster/scene_{scene}/cluster_hash"
@@ -65,7 +65,7 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
             "`cargo bench -- cluster`",
         ),
         (
-            "classification; removal of separate voxels, scene 2",
+            "classification of the points; removal of separate voxels from the map; scene 2",
             f"{ms_text(machine, 'classify/scene_2/classify')};"
             f" {ms_text(machine, 'classify/scene_2/remove_separate')}",
             "`cargo bench -- classify`",
@@ -76,22 +76,22 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
             "`cargo bench -- circles/scan`",
         ),
         (
-            "OctoMap, default: multiple of the time of lidar_core",
+            "OctoMap, default: ratio to lidar_core",
             peer_range(machine, "OctoMap, default", "into the map"),
             "`make peers`",
         ),
         (
-            "OctoMap, lazy and discretised: multiple of the time of lidar_core",
+            "OctoMap, lazy and discretised: ratio to lidar_core",
             peer_range(machine, "OctoMap, lazy", "into the map"),
             "`make peers`",
         ),
         (
-            "PCL, clusters: multiple of the time of lidar_core",
+            "PCL, clusters: ratio to lidar_core",
             peer_range(machine, "PCL", "clusters"),
             "`make peers`",
         ),
         (
-            "time that Python adds to a whole scan",
+            "share of a whole scan's time that Python adds",
             share_text(value_of(machine, "peers", "border", "share")),
             "`make peers`",
         ),
@@ -113,16 +113,16 @@ def _update(machine: Machine) -> str:
     lines = [f"| {caption(machine)} | scene 1 | scene 2 |", "|---|---|---|"]
     rows = {
         "`ray_scalar`": "ray_scalar",
-        "full map, one thread": "integrate_1_threads",
-        "full map, two threads": "integrate_2_threads",
-        "one ray per end voxel, one thread": "one_per_end_1_threads",
+        "map update, one thread": "integrate_1_threads",
+        "map update, two threads": "integrate_2_threads",
+        'map update, `rays = "one_per_end"`, one thread': "one_per_end_1_threads",
     }
     for title, bench in rows.items():
         cells = [_timed(machine, f"raycast/scene_{scene}", bench) for scene in (1, 2)]
         lines.append(f"| {title} (`raycast`) | {' | '.join(cells)} |")
     for threads, words in ((1, "one thread"), (2, "two threads")):
         for bench, rule in (("integrate", "saturated"), ("skip_none", "none")):
-            for key, when in (("first", "first scan"), ("steady", "steady state")):
+            for key, when in (("first", "first scan"), ("steady", "scans 15 to 60")):
                 name = f"{bench}_{threads}_threads"
                 cells = [
                     number_text(value_of(machine, "sequence", f"scene_{scene}/{name}", key))

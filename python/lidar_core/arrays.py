@@ -8,6 +8,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_core.errors import InputError
 
+__all__ = [
+    "Points",
+    "as_finite_rows",
+    "as_mask",
+    "as_points",
+    "as_pose",
+    "as_poses",
+    "as_real",
+    "as_rows",
+    "as_stamp",
+    "as_vector",
+]
+
 Points: TypeAlias = NDArray[np.float32]
 """Coordinates [m], shape (N, 3)."""
 
@@ -141,3 +154,7 @@ def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, got dtype {array.dtype}")
     return array
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -15,6 +15,17 @@ from pydantic.fields import FieldInfo
 from lidar_core.errors import ConfigError, closest
 from lidar_core.files import read_whole
 
+__all__ = [
+    "NONE",
+    "Config",
+    "ConfigT",
+    "as_config",
+    "checked",
+    "in_file",
+    "tables_at",
+    "toml_values",
+]
+
 NONE = "none"
 """What TOML files say for "no value"."""
 
@@ -290,3 +301,7 @@ def _parts(annotation: Any) -> list[type[BaseModel]]:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def __dir__() -> list[str]:
+    return __all__

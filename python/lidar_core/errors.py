@@ -3,6 +3,26 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+__all__ = [
+    "ConfigError",
+    "FormatError",
+    "InputError",
+    "InternalError",
+    "LidarCoreError",
+    "LimitError",
+    "LinkError",
+    "MissingExtraError",
+    "NumericalError",
+    "OdometryWarning",
+    "PluginError",
+    "PluginWarning",
+    "PoseFrameWarning",
+    "TruthWarning",
+    "closest",
+    "did_you_mean",
+    "unknown",
+]
+
 
 class LidarCoreError(Exception):
     """Catches everything this package raises."""
@@ -75,3 +95,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """Return the error text for an unknown name; `what` is the kind of thing that it names."""
     names = list(known)
     return f"{what}: expected one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"
+
+
+def __dir__() -> list[str]:
+    return __all__

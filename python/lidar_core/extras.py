@@ -11,6 +11,8 @@ from urllib.request import url2pathname
 
 from lidar_core.errors import MissingExtraError
 
+__all__ = ["NAME", "install_command", "require"]
+
 NAME = "lidar-core"
 
 
@@ -75,3 +77,7 @@ def _quoted(what: object, extra: str) -> str:
 
 def _at(url: str, extra: str) -> str:
     return quote(f"{NAME}[{extra}] @ {url}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -9,6 +9,17 @@ from pathlib import Path
 
 from lidar_core.errors import FormatError, InputError, LimitError
 
+__all__ = [
+    "MOST_TEXT_BYTES",
+    "check_name",
+    "check_regular",
+    "check_regular_or_folder",
+    "check_replaceable",
+    "naming",
+    "read_text",
+    "read_whole",
+]
+
 MOST_TEXT_BYTES = 4 * 2**20
 """Largest configuration or note that is read. Source: limits table of SECURITY.md."""
 _KINDS = {
@@ -151,3 +162,7 @@ def naming(path: str | PathLike[str]) -> Iterator[None]:
         if error.errno is None:
             raise
         raise OSError(error.errno, os.strerror(error.errno), name) from error
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_core import _core
 from lidar_core.arrays import as_points, as_vector
 
+__all__ = ["cluster_points", "traverse"]
+
 
 def traverse(
     start: ArrayLike,
@@ -124,3 +126,7 @@ def cluster_points(
         max_angle=max_angle,
         origin=as_vector(origin, name="origin", size=3),
     )
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -10,6 +10,22 @@ from numpy.typing import NDArray
 from lidar_core.arrays import as_stamp
 from lidar_core.errors import InputError
 
+__all__ = [
+    "LaserScan",
+    "Message",
+    "PointClass",
+    "Pose",
+    "PosedScan",
+    "Scan",
+    "ScanT",
+    "ShapeKind",
+    "ShortRepr",
+    "ShownClass",
+    "TrackKind",
+    "posed_of",
+    "stated_stamp",
+]
+
 
 class PointClass(IntEnum):
     """Class of a point of a 3D scan; arrays of classes hold its numbers as uint8.
@@ -270,3 +286,7 @@ def stated_stamp(given: object, stamp_ns: object) -> int:
         return as_stamp(stamp)
     except InputError:
         return 0
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -15,6 +15,16 @@ from pydantic.fields import FieldInfo
 from lidar_core.config import NONE, Config
 from lidar_core.errors import ConfigError, unknown
 
+__all__ = [
+    "MODELS",
+    "Parameter",
+    "commented_toml",
+    "model_named",
+    "models_within",
+    "parameters_of",
+    "toml_value",
+]
+
 MODELS = {
     "batch": "lidar_core.batch:BatchConfig",
     "circle_dataset": "lidar_core.circles:DatasetConfig",
@@ -230,3 +240,7 @@ def _type_text(annotation: Any) -> str:
     else:
         text = " | ".join(map(_type_text, arguments))
     return text
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -17,6 +17,14 @@ from typing import Generic, Protocol, TypeVar, get_args
 
 from lidar_core.errors import ConfigError, LidarCoreError, PluginError, PluginWarning, unknown
 
+__all__ = [
+    "Part",
+    "PartT",
+    "Registry",
+    "check_choice",
+    "registering_module",
+]
+
 
 class Part(Protocol):
     """Part that can be registered."""
@@ -225,3 +233,7 @@ def _plugin_error(entry: EntryPoint, cause: BaseException) -> PluginError:
     )
     error.__cause__ = cause
     return error
+
+
+def __dir__() -> list[str]:
+    return __all__

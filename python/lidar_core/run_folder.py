@@ -27,6 +27,24 @@ from lidar_core.extras import require
 from lidar_core.files import check_name, check_regular_or_folder
 from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
 
+__all__ = [
+    "CHECKPOINT",
+    "FILES",
+    "RUN_FILE",
+    "TRACKS_FOLDER",
+    "UNFINISHED",
+    "RunFolder",
+    "build_digest",
+    "command_line",
+    "fingerprint",
+    "is_locked",
+    "lock",
+    "note_of",
+    "remove_checkpoint",
+    "table_in",
+    "unlock",
+]
+
 RUN_FILE = "run.toml"
 UNFINISHED = "run.unfinished"
 """File that a run writes first and removes when run.toml is there."""
@@ -287,3 +305,7 @@ def build_digest() -> str:
 
 def _plain(column: NDArray[Any] | Sequence[str]) -> list[Any]:
     return column.tolist() if isinstance(column, np.ndarray) else list(column)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -14,6 +14,8 @@ import numpy as np
 
 from lidar_core.errors import ConfigError, unknown
 
+__all__ = ["SENSORS", "Sensor", "sensor_named"]
+
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
@@ -256,3 +258,7 @@ SENSORS: Mapping[str, Sensor] = {
     ),
 }
 """By the name that presets have."""
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -7,6 +7,8 @@ from lidar_core.config import Config
 from lidar_core.errors import ConfigError, unknown
 from lidar_core.parameters import model_named
 
+__all__ = ["USES", "Use", "use_named"]
+
 
 @dataclass(frozen=True, slots=True)
 class Use:
@@ -53,3 +55,7 @@ def use_named(name: str) -> Use:
     if name not in USES:
         raise ConfigError(unknown("use", name, USES))
     return USES[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -11,6 +11,20 @@ from lidar_core.io.options import ReadOptions
 from lidar_core.io.recording import Recording
 from lidar_core.plugins import Registry, check_choice, registering_module
 
+__all__ = [
+    "READERS",
+    "Folder",
+    "Open",
+    "OpenT",
+    "Reader",
+    "Sniff",
+    "known_formats",
+    "owner_of",
+    "reader_of",
+    "register_reader",
+    "suffix_of",
+]
+
 Open: TypeAlias = Callable[..., Recording]
 Sniff: TypeAlias = Callable[[Path, ReadOptions], bool]
 Folder: TypeAlias = Literal["single", "merged", "together"]
@@ -191,3 +205,7 @@ def known_formats() -> str:
     """All formats in words, and the packages that are broken."""
     listed = ", ".join(f"{one.name} ({' or '.join(one.suffixes)})" for one in READERS.parts())
     return "; ".join([listed, *map(str, READERS.broken())])
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -7,6 +7,19 @@ from typing import Any, Literal, TypeAlias
 
 from lidar_core.messages import Message
 
+__all__ = [
+    "MOST_NOTES",
+    "PACKETS",
+    "POSE_KINDS",
+    "SCAN_KINDS",
+    "UNREAD_KINDS",
+    "Findings",
+    "Kind",
+    "Record",
+    "Topic",
+    "decoded",
+]
+
 Kind: TypeAlias = Literal[
     "scan", "planar", "pose", "scan+pose", "planar+pose", "measurement", "packets", "other"
 ]
@@ -94,3 +107,7 @@ class Findings:
 def decoded(*messages: Message) -> Callable[[], list[Message]]:
     """`Record.decode` of a reader that has the messages at hand."""
     return lambda: list(messages)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -8,6 +8,19 @@ from typing import Any, Literal, TypeAlias, TypeVar
 from lidar_core.errors import ConfigError
 from lidar_core.plugins import Registry, check_choice, registering_module
 
+__all__ = [
+    "SOURCES",
+    "WRITERS",
+    "Takes",
+    "Write",
+    "WriteT",
+    "Writer",
+    "ending_of",
+    "register_writer",
+    "writer_of",
+    "writers_of",
+]
+
 Takes: TypeAlias = Literal["messages", "objects", "points"]
 Write: TypeAlias = Callable[..., Any]
 WriteT = TypeVar("WriteT", bound=Write)
@@ -169,3 +182,7 @@ def writer_of(path: Path, takes: Takes) -> Writer:
             f"{path}: unknown suffix {suffix!r}; formats for {SOURCES[takes]}: {listed}{broken}"
         )
     return known[suffix]
+
+
+def __dir__() -> list[str]:
+    return __all__

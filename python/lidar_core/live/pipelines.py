@@ -9,6 +9,8 @@ from lidar_core.flying import FlyingObjectDetector
 from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate, LiveCapability, Update
 from lidar_core.messages import LaserScan, PosedScan, Scan, ScanT
 
+__all__ = ["CirclesLive", "FlyingLive", "LivePipeline"]
+
 
 class LivePipeline(ABC, Generic[ScanT]):
     """Pipeline for posed scans of one kind.
@@ -118,3 +120,7 @@ class CirclesLive(LivePipeline[LaserScan]):
             return "scans of other LiDARs are missing"
         frame = self.pipeline.process(item)
         return frame.rejected or CirclesUpdate(item, frame, frame_id)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -15,6 +15,8 @@ from lidar_core.live.config import MAX_FRAMES, POSE_HISTORY, LiveConfig
 from lidar_core.live.scan_odometry import ScanOdometry
 from lidar_core.messages import Pose, ScanT
 
+__all__ = ["LivePoses"]
+
 
 class LivePoses:
     """Poses of the sensor from transforms and odometry of a stream.
@@ -228,3 +230,7 @@ class LivePoses:
         oldest_ns = stamp_ns - round(POSE_HISTORY * 1e9)
         for buffer in (self._transforms, *self._odometry.values()):
             buffer.forget(oldest_ns)
+
+
+def __dir__() -> list[str]:
+    return __all__

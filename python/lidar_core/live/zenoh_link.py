@@ -11,6 +11,18 @@ from typing import Any, NamedTuple
 from lidar_core.errors import ConfigError, LinkError
 from lidar_core.extras import require
 
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "RosKey",
+    "dds_name",
+    "is_linked",
+    "key_of",
+    "open_session",
+    "told_of_key",
+    "topic_of",
+    "topic_of_token",
+]
+
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where the router of rmw_zenoh and the bridge listen."""
 _DDS, _DDS_MARK = "::dds_::", "::msg::dds_::"
@@ -140,3 +152,7 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
 def is_linked(session: Any) -> bool:
     """True while a router or peer is connected."""
     return bool(list(session.info.routers_zid()) or list(session.info.peers_zid()))
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -256,6 +256,22 @@ def test_dir_shows_the_public_names_alone(module):
     assert all(hasattr(found, name) for name in dir(found))
 
 
+def plain_modules():
+    """Modules at the package's top, and those that README, guide or examples import from."""
+    pages = [ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.py")]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    named = set(re.findall(r"^\s*from (lidar_core(?:\.\w+)+) import", text, re.M))
+    top = {f"lidar_core.{path.stem}" for path in PACKAGE.glob("*.py") if path.stem[0] != "_"}
+    return sorted(named | top)
+
+
+@pytest.mark.parametrize("module", plain_modules())
+def test_modules_that_users_import_show_what_they_define_alone(module):
+    found = importlib.import_module(module)
+    assert dir(found) == sorted(found.__all__)
+    assert [name for name in found.__all__ if not hasattr(found, name)] == []
+
+
 def test_the_public_names_are_the_listed_ones():
     listed = (ROOT / "tests/golden/public_names.txt").read_text(encoding="utf-8").split()
     found = public_names()

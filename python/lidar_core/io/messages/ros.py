@@ -29,6 +29,20 @@ from lidar_core.io.records import PACKETS, Findings, Kind
 from lidar_core.io.rotations import pose_matrix, unit_quaternion
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
+__all__ = [
+    "MEASUREMENT_TYPES",
+    "PLANAR_TYPES",
+    "POSE_TYPES",
+    "SCAN_TYPES",
+    "TRANSFORM_TYPES",
+    "RosDecoder",
+    "kind_of",
+    "matrix_of",
+    "note_of",
+    "ros_name",
+    "stamp_of",
+]
+
 SCAN_TYPES = ("sensor_msgs/msg/PointCloud2", *LIVOX_TYPES)
 PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 TRANSFORM_TYPES = (
@@ -260,3 +274,7 @@ def stamp_of(stamp: Any) -> int:
 
 def _frame(name: str) -> str:
     return name.lstrip("/")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -24,6 +24,13 @@ from lidar_core.io.write.topics import (
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
+__all__ = [
+    "LAST_SECOND",
+    "RosMessages",
+    "RosWriter",
+    "write_ros",
+]
+
 LAST_SECOND = {1: 2**32 - 1, 2: 2**31 - 1}
 """Of the time stamps of ROS 1 and ROS 2."""
 
@@ -297,3 +304,7 @@ def write_ros(path: str | Path, items: Iterable[Message]) -> None:
     with RosWriter(path) as writer:
         for item in items:
             writer.write(item)
+
+
+def __dir__() -> list[str]:
+    return __all__

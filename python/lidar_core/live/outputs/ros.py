@@ -8,6 +8,9 @@ from lidar_core.io.write.ros import RosMessages
 from lidar_core.io.write.ros_obstacles import ObstacleArrays
 from lidar_core.live.outputs.update import Update
 
+__all__ = ["TYPES", "ros_messages"]
+
+
 TRACKS, ODOMETRY = "tracks", "odometry"
 TYPES = {TRACKS: DETECTIONS_TYPE, ODOMETRY: "nav_msgs/msg/Odometry"}
 """Types of the messages, by the last part of the topic."""
@@ -20,3 +23,7 @@ def ros_messages(update: Update, messages: RosMessages) -> Iterator[tuple[str, A
     yield TRACKS, make.message(DETECTIONS_TYPE, stamp_ns, objects)
     for odometry in make.odometry(stamp_ns, objects, update.covariance):
         yield ODOMETRY, odometry
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -18,6 +18,8 @@ from lidar_core.live.sources.inbox import Inbox
 from lidar_core.live.sources.source import Source, StreamTopics
 from lidar_core.messages import LaserScan, Pose, Scan
 
+__all__ = ["ReplaySource"]
+
 
 class ReplaySource(Source):
     """Plays a recording at its own pace, once.
@@ -116,3 +118,7 @@ class ReplaySource(Source):
             inbox.reject(record.topic.name)
             self.findings.note(str(error))
             return replace(record, decode=decoded())
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from lidar_core.io.records import Findings
 from lidar_core.live.sources.inbox import Inbox
 
+__all__ = ["Source", "StreamTopics"]
+
 
 @dataclass(frozen=True, slots=True)
 class StreamTopics:
@@ -79,3 +81,7 @@ class Source(ABC):
         """Time at which the message was due on this clock, minus its stamp [ns]."""
         del stamp_ns  # stamps of live sources are times of this clock
         return 0
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -72,8 +72,10 @@ fn check(rows: usize, columns: usize, pairs: &[Pair], unassigned: f64) -> Result
 /// Shortest augmenting path solver. Besides its pairs, every row has a column of its own at
 /// `columns + row`: the row stays unassigned.
 struct Solver {
-    edges: Vec<(usize, f64)>, // column and cost, grouped by row, by ascending column
-    first: Vec<usize>,        // start of every row's group in `edges`
+    // Column and cost, grouped by row, by ascending column: one array, read in order, since a search goes
+    // through whole rows.
+    edges: Vec<(usize, f64)>,
+    first: Vec<usize>, // start of every row's group in `edges`
     row_price: Vec<f64>,
     column_price: Vec<f64>,
     row_of: Vec<Option<usize>>,

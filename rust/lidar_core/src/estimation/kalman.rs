@@ -195,7 +195,7 @@ fn joseph<const N: usize, const M: usize>(
         }
         G[k] = sum;
     }
-    let mut noisy = [[0.0; N]; M]; // rows of R K'
+    let mut noisy = [[0.0; N]; M]; // R K' by rows, as A
     for m in 0..M {
         for l in 0..M {
             add_scaled(&mut noisy[m], model.R.data.0[m][l], &gain[l]);

@@ -55,7 +55,7 @@ impl Directions {
     /// `largest` [rad].
     #[must_use]
     pub fn new(mut units: Vec<[f64; 3]>, largest: f64) -> Self {
-        units.iter_mut().flatten().for_each(|value| *value += 0.0); // no -0
+        units.iter_mut().flatten().for_each(|value| *value += 0.0); // -0 becomes 0: their bits differ
         units.sort_unstable_by_key(|unit| unit.map(f64::to_bits));
         // About one direction per cell.
         let mut size = (4.0 * PI / units.len().max(1) as f64).sqrt().min(1.0);

@@ -182,7 +182,7 @@ fn slerp(start: [f64; 4], end: [f64; 4], fraction: f64) -> [f64; 4] {
     // `libm`, for the same bits on every platform. Rounding may lift the cosine above 1, which would be NaN.
     let angle = libm::acos((cosine * sign).min(1.0));
     let (keep, take) = if angle < 1e-9 {
-        (1.0 - fraction, fraction) // the arc is a line
+        (1.0 - fraction, fraction) // the sine below would be near zero
     } else {
         let sine = libm::sin(angle);
         (libm::sin((1.0 - fraction) * angle) / sine, libm::sin(fraction * angle) / sine)

@@ -207,7 +207,7 @@ fn take_in<S: State>(
             seen.elements[index] = Some(id);
         }
     }
-    // Parts have the element of their whole; they neither correct it nor start one.
+    // Parts only get the element of their whole: as measurements they would count one body twice.
     for (index, whole) in wholes.into_iter().enumerate() {
         seen.elements[index] = seen.elements[whole];
     }

@@ -109,7 +109,8 @@ impl Integrator {
     pub(crate) fn cast(&mut self, map: &VoxelMap, scan: &ClassifiedScan<'_>) -> Result<(), Error> {
         let Self { workers, plan, cells, live, accumulators, is_open, passes_always, .. } = self;
         if std::mem::replace(is_open, true) {
-            accumulators.fill_with(Accumulator::default); // a scan that was given up
+            // The scan before was given up: its lengths must not count in this one.
+            accumulators.fill_with(Accumulator::default);
         }
         let source = Source { scan, parameters: map.parameters(), lattice: map.lattice() };
         plan.fill(workers.pool(), &source)?;

@@ -263,7 +263,8 @@ impl WithSimd for Fill<'_> {
         }
         plan.span = bounds.voxels(source.lattice);
         if plan.span.is_none() {
-            source.check(&plan.rays)?; // their errors come first
+            // Rays before the entry that failed: the first error in the order of the scan counts.
+            source.check(&plan.rays)?;
         }
         noted
     }

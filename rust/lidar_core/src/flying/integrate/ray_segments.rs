@@ -123,7 +123,7 @@ impl Source<'_> {
             return;
         };
         let flags = index.map(|index| flags[index]);
-        // Most bundles hold returns only.
+        // Most bundles hold returns only: one test spares them the loop.
         if !flags.contains(&true) {
             return;
         }
@@ -205,7 +205,7 @@ impl Bounds {
 
     /// The voxels of the corners; none without rays, or if one cannot be indexed.
     pub(crate) fn voxels(&self, lattice: &Lattice) -> Option<[Voxel; 2]> {
-        // Scaling keeps the order of numbers.
+        // Scaling keeps the order of numbers: only the two extremes have to be scaled.
         let low = self.low.map(|lanes| lanes.into_iter().fold(f64::MAX, f64::min));
         let high = self.high.map(|lanes| lanes.into_iter().fold(f64::MIN, f64::max));
         if self.odd.contains(&true) || low[0] > high[0] {

@@ -59,7 +59,8 @@ impl Inert {
     pub(crate) fn live_cells(&self) -> CellBits {
         let mut inert = 0;
         for (x, pairs) in self.pairs.iter().enumerate() {
-            // A byte per layer of z, and in it a bit per y: two rows of two layers make a cell.
+            // A byte per layer of z, and in it a bit per y: two rows of two layers make a cell, so that two
+            // shifts test all cells of this x at once.
             let rows = pairs & pairs >> 1;
             let cells = rows & rows >> 8 & 0x0055_0055_0055_0055;
             // A byte has four cells of y in its even bits. They spread over 16 bits, four apart, so that those of

@@ -76,7 +76,7 @@ impl VoxelMap {
             search.look_around(gained);
         }
         if search.anchor().is_none() && forgotten.is_none() && !looks_at_all {
-            // The known background is gone: is there another?
+            // The known background is gone, and another may lie far from every change.
             search.look_around(&self.occupied_layers());
         }
         // A forgotten anchor still counts, so that groups are as separate as in a map that kept it.

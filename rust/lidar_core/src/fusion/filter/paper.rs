@@ -149,7 +149,7 @@ impl Paper {
         let singular = || Error::NotPositiveDefinite { matrix: "S" };
         let M = &state.covariance;
         let mut y = z - state.mean.fixed_rows::<K>(0);
-        // The fourth state is the heading.
+        // The fourth state is the heading: a difference of angles is wrapped.
         if K > 3 {
             y[3] = wrapped(y[3]);
         }

@@ -126,7 +126,7 @@ impl WithSimd for Extent<'_> {
             // Most bundles hold finite points alone.
             if !are_finite {
                 for point in taken.iter_mut().filter(|point| !is_finite(**point)) {
-                    *point = [f32::NAN; 3]; // no comparison holds
+                    *point = [f32::NAN; 3]; // infinities too: no comparison with NaN holds
                 }
             }
             for lane in 0..LANES {

@@ -102,7 +102,7 @@ impl Sets {
     pub(crate) fn root(&mut self, mut member: u32) -> u32 {
         while self.parent[member as usize] != member {
             let up = self.parent[self.parent[member as usize] as usize];
-            self.parent[member as usize] = up; // path halving
+            self.parent[member as usize] = up; // path halving: later searches are short
             member = up;
         }
         member

@@ -316,7 +316,7 @@ fn touch<K: Key>(
 ) -> bool {
     let (ours, theirs) = (&groups.points[groups.range(a)], &groups.points[groups.range(b)]);
     let (Some(&p), Some(&q)) = (ours.first(), theirs.first()) else { return false };
-    // One pair often suffices.
+    // One pair often suffices, without the bounds that the whole search needs.
     near(p, q, reach) || (ours.len() * theirs.len() > 1 && any_near(ours, theirs, reach, watch))
 }
 
@@ -335,7 +335,7 @@ fn any_near(ours: &[[f32; 3]], theirs: &[[f32; 3]], reach: &impl Reach, watch: &
     let [low, high] = bounds(theirs);
     ours.iter().enumerate().any(|(number, &p)| {
         if number % STEPS_PER_LOOK == 0 && watch.is_asked() {
-            return true; // the whole cloud is given up
+            return true; // cancelled: no label of this cloud is used, so any answer ends the search
         }
         let at = wide(p);
         let [x, y, z] =

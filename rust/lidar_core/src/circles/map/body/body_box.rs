@@ -210,7 +210,7 @@ impl BodyBox {
         }
         let motion = libm::atan2(mean[3], mean[2]);
         if !self.has_moved {
-            // Of the four ways to describe the box, the nearest.
+            // The box looks the same after each quarter turn: the heading turns by the least that fits its motion.
             let quarters = libm::round((motion - self.heading) / FRAC_PI_2);
             if quarters.rem_euclid(2.0) > 0.5 {
                 self.state.swap(4, 5);

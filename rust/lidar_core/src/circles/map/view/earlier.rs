@@ -159,7 +159,9 @@ impl Earlier {
         }
         let newest = self.views.back().map(|one| seconds(one.stamp_ns, from.stamp_ns));
         if newest.is_some_and(|apart| apart < APART) {
-            return; // also a late scan: its view is not needed
+            // A view so soon after another shows the same. The time of a late scan is negative: it is
+            // left out, too, so that the views stay in order.
+            return;
         }
         let longest = AGES[AGES.len() - 1] + SLACK.1;
         self.views.push_back(from.clone());

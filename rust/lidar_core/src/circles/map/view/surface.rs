@@ -109,7 +109,7 @@ impl SortedView {
         }
         for (number, piece) in pieces.iter().enumerate().take(middle).rev() {
             let ray = self.ray(number).0;
-            // Others reach to the next ray.
+            // A surface that goes on reaches to the next ray: only past that the search may end.
             let next = self.ray((number + 1).min(self.len() - 1)).0;
             if is_done(found, bearing - next.max(ray + step)) {
                 break;

@@ -163,7 +163,7 @@ impl SortedView {
     pub(super) fn around(&self, bearing: f64, half: f64) -> Range<usize> {
         let ends = self.bearings.first().zip(self.bearings.last());
         if ends.is_none_or(|(&first, &last)| bearing + half < first || bearing - half > last) {
-            return 0..0; // as for most turns of a bearing
+            return 0..0; // the usual case: callers also try the bearing a turn before and after
         }
         let low = self.bearings.partition_point(|&ray| ray < bearing - half);
         low..self.bearings.partition_point(|&ray| ray <= bearing + half).max(low)
@@ -173,7 +173,7 @@ impl SortedView {
     pub(super) fn first_from(&self, bearing: f64, half: f64) -> Option<usize> {
         let (&first, &last) = self.bearings.first().zip(self.bearings.last())?;
         if bearing + half < first || bearing - half > last {
-            return None; // as for most turns of a bearing
+            return None; // the usual case: callers also try the bearing a turn before and after
         }
         let is_from = |ray: usize| self.bearings.get(ray).is_none_or(|&ray| ray >= bearing);
         let is_first = |ray: &usize| is_from(*ray) && (*ray == 0 || !is_from(ray - 1));
