@@ -211,7 +211,7 @@ def test_init_explains_every_parameter():
     for number, line in enumerate(lines):
         if " = " in line and not line.startswith("#"):
             assert lines[number - 1].startswith("# "), line
-    assert "# Edge of a voxel, v_s [m]. Allowed: > 0, <= 5." in lines
+    assert "# Edge of a voxel, v_s [m]. Allowed: >= 0.01, <= 5." in lines
 
 
 def test_init_replaces_a_file_only_on_request(tmp_path):
@@ -237,7 +237,8 @@ def test_show_tells_what_differs(tmp_path):
     done = run("config", "show", path)
     assert done.returncode == 2
     assert done.stderr == (
-        f"error: {path}: voxel_map.voxel_size: Input should be greater than 0, got -1\n"
+        f"error: {path}: voxel_map.voxel_size: Input should be greater than or equal to 0.01 m:"
+        " lengths are in metres, got -1\n"
     )
 
 

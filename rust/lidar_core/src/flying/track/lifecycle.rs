@@ -1,11 +1,11 @@
 //! Birth to removal: numbers, confirmation, merging, deletion.
 
+use super::association::pairs::AlongX;
 use super::belief::existence::{DELETED, ExpectedClutter, FalseBirths, KEPT};
 use super::belief::visits::Visits;
 use super::belief::weighing::{born, weigh};
 use super::measurement::Evidence;
 use super::motion::{self, seconds};
-use super::pairs::AlongX;
 use super::parameters::{Ageing, Confirmation, Merging, TrackerParameters};
 use super::state::{PointTrack, UNNUMBERED};
 use super::visibility::occupancy::Occupancy;

@@ -15,7 +15,6 @@ mod manoeuvre;
 mod measurement;
 mod motion;
 mod output;
-mod pairs;
 mod parameters;
 mod split;
 mod state;

@@ -1,8 +1,8 @@
 //! Clusters of several targets, whose points go to the nearest track, and several clusters of one
 //! large target, which are united.
 
+use super::association::pairs::AlongX;
 use super::measurement::SearchRegion;
-use super::pairs::AlongX;
 use crate::estimation::kalman;
 use crate::flying::large_targets::{LARGE, PART_GAP};
 use nalgebra::Vector3;

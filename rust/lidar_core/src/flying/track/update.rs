@@ -1,12 +1,12 @@
 //! updateTrack of Algorithm 2: prediction, association with clusters, correction.
 
+use super::association::pairs::AlongX;
 use super::belief::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
 use super::buffer::Buffer;
 use super::candidates::candidates;
 use super::cluster_assignment::ClusterAssignment;
 use super::measurement::{CloudScan, Measurement, SearchRegion};
 use super::motion::{position_block, seconds};
-use super::pairs::AlongX;
 use super::parameters::{Ageing, Association, Motion, TrackerParameters};
 use super::split::{Division, unite};
 use super::state::PointTrack;

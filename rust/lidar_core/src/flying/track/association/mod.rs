@@ -2,4 +2,5 @@
 
 mod initiation;
 pub(super) mod join;
+pub(super) mod pairs;
 mod pending;

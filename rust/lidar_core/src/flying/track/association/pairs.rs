@@ -6,19 +6,24 @@ use nalgebra::Vector3;
 const MARGIN: f64 = 1e-9;
 
 /// Places sorted along x, by their number.
-pub(super) struct AlongX {
+pub(in crate::flying::track) struct AlongX {
     sorted: Vec<(f64, usize)>,
 }
 
 impl AlongX {
-    pub(super) fn of(places: impl Iterator<Item = Vector3<f64>>) -> Self {
+    pub(in crate::flying::track) fn of(places: impl Iterator<Item = Vector3<f64>>) -> Self {
         let mut sorted: Vec<(f64, usize)> = places.map(|place| place.x).zip(0..).collect();
         sorted.sort_unstable_by(|one, other| one.0.total_cmp(&other.0));
         Self { sorted }
     }
 
     /// Numbers of the places from `low` - `reach` to `high` + `reach` along x [m].
-    pub(super) fn near(&self, low: f64, high: f64, reach: f64) -> impl Iterator<Item = usize> {
+    pub(in crate::flying::track) fn near(
+        &self,
+        low: f64,
+        high: f64,
+        reach: f64,
+    ) -> impl Iterator<Item = usize> {
         let reach = reach + MARGIN * (reach + low.abs().max(high.abs()));
         let start = self.sorted.partition_point(|&(x, _)| x < low - reach);
         let beyond = move |&&(x, _): &&(f64, usize)| x <= high + reach;
