@@ -103,3 +103,53 @@ impl PointCloudTracker {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flying::track::detections::Detections;
+    use crate::flying::track::visibility::occupancy::OccupiedPoints;
+
+    const FREE: [[f32; 3]; 0] = [];
+
+    fn with_a_track() -> Result<PointCloudTracker, Error> {
+        let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
+        let positions = [[5.0, 0.0, 0.0]];
+        let found = Detections { stamp_ns: 0, positions: &positions, ..Detections::default() };
+        tracker.new_detections(&found, &OccupiedPoints::new(&FREE, 1.0))?;
+        assert_eq!(tracker.tracks.len(), 1);
+        Ok(tracker)
+    }
+
+    /// What becomes of a saved tracker whose track was changed.
+    fn restored(change: fn(&mut PointTrack)) -> Result<PointCloudTracker, Error> {
+        let mut tracker = with_a_track()?;
+        tracker.tracks.iter_mut().for_each(change);
+        PointCloudTracker::from_state(TrackerParameters::default(), 1, &tracker.to_state()?)
+    }
+
+    #[test]
+    fn a_track_with_other_numbers_than_any_is_refused() {
+        let changes: [fn(&mut PointTrack); 8] = [
+            |track| track.estimate.mean[4] = f64::NAN,
+            |track| track.estimate.covariance[(1, 1)] = -1.0,
+            |track| track.estimate.covariance[(0, 3)] = f64::INFINITY,
+            |track| track.aged[(2, 2)] = f64::NAN,
+            |track| track.born_at.x = 1e200,
+            |track| track.size[1] = -0.1,
+            |track| track.usual_points = f64::NAN,
+            |track| track.seen_speed = -1.0,
+        ];
+        for (number, change) in changes.into_iter().enumerate() {
+            assert!(matches!(restored(change), Err(Error::Format { .. })), "{number}");
+        }
+    }
+
+    #[test]
+    fn a_track_is_restored_as_it_was() -> Result<(), Error> {
+        let (tracker, restored) = (with_a_track()?, restored(|_| ())?);
+        assert_eq!(tracker.tracks_at(0).len(), restored.tracks_at(0).len());
+        assert_eq!(tracker.to_state()?, restored.to_state()?);
+        Ok(())
+    }
+}
