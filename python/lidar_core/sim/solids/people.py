@@ -51,6 +51,8 @@ class Swing:
 
 TRUNK = (0.24, 0.36)
 """Depth of a trunk along x, and its width without the arms along y [m]."""
+NECK_RADIUS = 0.06
+"""Radius of a neck [m]."""
 ARM_RADIUS = 0.045
 """Radius of an arm [m]."""
 ARM_GAP = 0.01
@@ -64,7 +66,7 @@ LEG_SWING_DEG = 20.0
 
 
 class Person(Config):
-    """A person who walks along x: a trunk (elliptic cylinder), a head, swinging arms and legs.
+    """A person who walks along x: a trunk (elliptic cylinder), a neck, a head, swinging arms and legs.
 
     The origin of the frame is on the ground. Sizes: about the 50th percentile of men.
     """
@@ -83,7 +85,7 @@ class Person(Config):
     rate: float = Field(0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz].")
 
     def surfaces(self) -> Placed:
-        """Trunk, head, left and right arm, left and right leg."""
+        """Trunk, neck, head, left and right arm, left and right leg."""
         depth, width = TRUNK
         shoulder, hip, head = self._heights()
         arm = width / 2 + ARM_GAP + ARM_RADIUS  # its axis from the middle plane [m]
@@ -92,8 +94,10 @@ class Person(Config):
         limb = SimShape.cylinder(ARM_RADIUS, arm_length)
         leg = SimShape.cylinder(LEG_RADIUS, hip)
         hang = shoulder - arm_length / 2
+        neck = SimShape.cylinder(NECK_RADIUS, head - shoulder)
         return [
             (trunk, np.array([0, 0, (shoulder + hip) / 2])),
+            (neck, np.array([0, 0, (shoulder + head) / 2])),
             (SimShape.sphere(0.065 * self.height), np.array([0, 0, head])),
             (limb, np.array([0, arm, hang])),
             (limb, np.array([0, -arm, hang])),
@@ -107,7 +111,7 @@ class Person(Config):
         arm, leg = np.deg2rad([ARM_SWING_DEG, LEG_SWING_DEG]).tolist()
         limbs = ((shoulder, arm, 0.0), (shoulder, arm, np.pi), (hip, leg, np.pi), (hip, leg, 0.0))
         moving = [Swing(np.array([0, 0, z]), reach, self.rate, at) for z, reach, at in limbs]
-        return [None, None, *moving]
+        return [None, None, None, *moving]
 
     def _heights(self) -> tuple[float, float, float]:
         """Heights of shoulders, hips and the middle of the head [m]."""
