@@ -190,6 +190,7 @@ class Track:
     usual: float = 0.0  # number of points of its clusters, an average
     seen_kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
     known_below: bool = False
+    was_over_unseen: bool = False
     agility: float = 0.0
     radius: MeanLog = field(default_factory=MeanLog)
     least_radius: MeanLog = field(default_factory=MeanLog)
@@ -246,9 +247,9 @@ class Track:
         self.least_radius.add(least)
         self.filled.add(filled)
         if is_over_unseen and is_free_below is False:
-            if not self.known_below:
+            if not self.was_over_unseen:
                 self.seen_kinds = weighed(self.seen_kinds, OVER_UNSEEN)
-            self.known_below = True
+            self.known_below = self.was_over_unseen = True
         elif is_free_below is not None:
             is_first = not (is_free_below or self.known_below)
             shares = NOT_FREE_AT_FIRST if is_first else BELOW[is_free_below]

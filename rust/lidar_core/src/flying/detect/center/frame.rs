@@ -44,6 +44,9 @@ const FEWEST_ABOVE: usize = 4;
 /// Rays below a target pass it by this share of the gap between rays. Those of its own lowest row do not:
 /// a row is a cone, and so a curve in the plane of the target.
 const BELOW_GAPS: f64 = 0.5;
+/// Rays that pass less than this below it tell nothing [m]: the next part of what stands on the ground may be just
+/// below the lower edge of the field of view, as shoulders are below a head.
+const BELOW: f64 = 0.1;
 /// Only rays below the middle of its width, this share of it, count: rays beside what stands on the ground pass to
 /// the ground behind it.
 const MIDDLE: f64 = 0.5;
@@ -225,15 +228,16 @@ impl SeenExtent {
 
 /// Whether rays pass below the hits, both in a plane across the line of sight [m], the second axis
 /// upwards. Of what stands on the ground, and of what the lower edge of the field of view cuts off,
-/// none do. None if the rays are too far apart to tell: few pass above, too.
+/// none do. None if the rays are too far apart to tell, for few pass above, too, and if they pass only just below.
 fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
     let bounds = |axis: usize| ends(hits.iter().map(|hit| hit[axis]));
     let ([left, right], [low, high]) = (bounds(0), bounds(1));
     let half = (0.5 * MIDDLE * (right - left)).max(ray_gap);
     let in_line = |ray: &&[f64; 2]| (ray[0] - 0.5 * (left + right)).abs() <= half;
     let level = passing.iter().filter(in_line).map(|ray| ray[1]);
-    if level.clone().any(|up| up < low - BELOW_GAPS * ray_gap) {
-        return Some(true);
+    let lowest = level.clone().fold(f64::MAX, f64::min);
+    if lowest < low - BELOW_GAPS * ray_gap {
+        return (lowest < low - BELOW).then_some(true);
     }
     let above = level.filter(|&up| up > high);
     let rows = above.clone().fold(f64::MIN, f64::max) - above.clone().fold(f64::MAX, f64::min);
@@ -261,15 +265,17 @@ mod tests {
         let passing: Vec<[f64; 2]> = rows(0.0).into_iter().filter(beside).collect();
         assert!(passing.iter().any(|ray| ray[0].abs() < 0.11 && ray[1] < -0.0004));
         assert_eq!(is_free_below(&hits, &passing, 0.02), Some(false));
-        // A row below it is.
-        let passing: Vec<[f64; 2]> = rows(-0.02).into_iter().filter(beside).collect();
-        assert_eq!(is_free_below(&hits, &passing, 0.02), Some(true));
+        // Rows below it are, if they reach down far enough.
+        for (low, is_free) in [(-0.02, None), (-0.08, None), (-0.12, Some(true))] {
+            let passing: Vec<[f64; 2]> = rows(low).into_iter().filter(beside).collect();
+            assert_eq!(is_free_below(&hits, &passing, 0.02), is_free, "{low}");
+        }
         // Rays on both sides of a thing that is wider than the gaps between them are not below it.
         let wide: Vec<[f64; 2]> = (-10..=10).map(|x| [0.02 * f64::from(x), 0.0]).collect();
         let mut passing = rows(0.04);
         passing.extend((-5..=0).flat_map(|up| [-0.21, 0.21].map(|x| [x, 0.02 * f64::from(up)])));
         assert_eq!(is_free_below(&wide, &passing, 0.02), Some(false));
-        passing.push([0.09, -0.02]);
+        passing.push([0.09, -0.12]);
         assert_eq!(is_free_below(&wide, &passing, 0.02), Some(true));
         // Three rays above tell nothing.
         assert_eq!(is_free_below(&hits, &[[0.0, 0.1], [0.0, 0.2], [0.0, 0.3]], 0.02), None);

@@ -25,8 +25,9 @@ const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
 /// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
 const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.7, 0.08, 1.5, 1.0, 0.08];
 /// Of what has moved to where nothing below it was ever seen: behind a table, a car or a wall most things that
-/// move are people. What hides the space below hides it in every scan, so it counts once. Where rays below it
-/// are lost, as over a wet road, nothing hides anything.
+/// move are people. What hides the space below hides it in every scan, so it counts once, also of what seemed to
+/// be free below before: the track of a person may begin with an arm. Where rays below it are lost, as over a wet
+/// road, nothing hides anything.
 const OVER_UNSEEN: [f64; KINDS] = [0.4, 0.03, 1.5, 1.0, 0.03];
 
 /// Standard deviations of the acceleration of what moves steadily, and of what manoeuvres [m/s^2].
@@ -139,6 +140,8 @@ pub(in crate::flying::track) struct Kinds {
     is_known_below: bool,
     /// Whether the newest look that told anything found it above space that was never seen.
     is_over_unseen: bool,
+    /// Whether any look found it above such space.
+    was_over_unseen: bool,
     /// Logarithm of how many times likelier its accelerations are if it manoeuvres than if it does not.
     agility: f64,
 }
@@ -148,7 +151,7 @@ impl Kinds {
     pub(in crate::flying::track) fn new() -> Self {
         let [radius, least_radius, filled] = [Mean::default(); 3];
         let seen = KindBelief::prior(SHARES);
-        let (is_known_below, is_over_unseen) = (false, false);
+        let [is_known_below, is_over_unseen, was_over_unseen] = [false; 3];
         let (recurs, hangs) = (Mean::default(), Mean::default());
         Self {
             seen,
@@ -159,6 +162,7 @@ impl Kinds {
             hangs,
             is_known_below,
             is_over_unseen,
+            was_over_unseen,
             agility: 0.0,
         }
     }
@@ -180,10 +184,11 @@ impl Kinds {
         self.least_radius.add_log(shape.least_radius);
         self.filled.add_log(shape.filled_share);
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
-            if !self.is_known_below {
+            if !self.was_over_unseen {
                 self.seen = self.seen.weighed(OVER_UNSEEN);
             }
             (self.is_known_below, self.is_over_unseen) = (true, true);
+            self.was_over_unseen = true;
         } else if let Some(is_free) = shape.is_free_below
             && !(is_led && self.is_over_unseen && !is_free)
         {
@@ -372,6 +377,28 @@ mod tests {
         let mut kinds = over_unseen([5.0, 4.0, 0.5], 10);
         (0..5).for_each(|_| kinds.measure(seen(false), false));
         assert_eq!(kinds.belief().kind(), TrackKind::Ground);
+    }
+
+    #[test]
+    fn what_was_free_below_for_a_moment_does_not_fly_above_unseen_space() {
+        let person = TargetShape {
+            radius: 0.6,
+            least_radius: 0.6,
+            filled_share: 0.6,
+            is_free_below: Some(false),
+            is_over_unseen: true,
+        };
+        let arm = TargetShape { radius: 0.15, least_radius: 0.15, ..person };
+        let free = TargetShape { is_free_below: Some(true), is_over_unseen: false, ..arm };
+        let kind_after = |looks: usize| {
+            let mut kinds = Kinds::new();
+            (0..looks).for_each(|_| kinds.measure(free, false));
+            (0..10).for_each(|_| kinds.measure(person, false));
+            kinds.belief().kind()
+        };
+        assert_ne!(kind_after(1), TrackKind::Flying);
+        // The opposite: what rays have passed below for a second flies on behind a wall.
+        assert_eq!(kind_after(10), TrackKind::Flying);
     }
 
     #[test]
