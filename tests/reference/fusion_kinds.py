@@ -14,7 +14,7 @@ BEGINS = np.array([RESTS, *[(1 - RESTS) / len(SPEEDS)] * len(SPEEDS)])
 
 
 def line(seen):
-    """Velocity, variance of one place, freedom, squares of times; `seen`: time, place, variances."""
+    """Velocity, variance of a place, freedom, squares of times; `seen`: time, place, variances."""
     count = len(seen)
     if count < 3:
         return None
@@ -48,8 +48,9 @@ def united(parts):
     """One normal distribution for several (weight, mean (2,), covariance (2, 2))."""
     weights = np.array([weight for weight, _, _ in parts]) / sum(weight for weight, _, _ in parts)
     mean = sum(w * m for w, (_, m, _) in zip(weights, parts, strict=True))
-    spread = [w * (c + np.outer(m - mean, m - mean)) for w, (_, m, c) in zip(weights, parts)]
-    return mean, sum(spread)
+    away = [np.outer(m - mean, m - mean) for _, m, _ in parts]
+    spread = sum(w * (c + a) for w, (_, _, c), a in zip(weights, parts, away, strict=True))
+    return mean, spread
 
 
 class Motions:
@@ -144,20 +145,19 @@ def see(track, stamp, place, told, speed, *, in_space=False):
         )
         climbs = np.clip(np.log((1 - CRUISES) * ratio + CRUISES), 0, MOST_OF_CLIMB)
         flies = np.exp(climbs / len(past))
-        moving = track.get("moving", SHARES / SHARES.sum())
-        track["moving"] = weighed(moving, [np.sqrt(flies), flies, 1.0, 1.0, 1.0])
-
-
-def replaced(belief, kind, probability):
-    """The belief in which one kind has a probability from elsewhere."""
-    told = belief * (1 - probability) / (1 - belief[kind])
-    told[kind] = probability
-    return weighed(np.full(5, 0.2), told)
+        before = track.get("climbs", SHARES / SHARES.sum())
+        track["climbs"] = weighed(before, [np.sqrt(flies), flies, 1.0, 1.0, 1.0])
 
 
 def probabilities(track, clutter=None):
     """Of the kinds; `clutter` is that of clutter where the association tells it."""
-    belief = track.get("moving", SHARES / SHARES.sum())
+    belief = track.get("climbs", SHARES / SHARES.sum())
     if "motions" in track:
-        belief = replaced(belief, STATIC, track["motions"].odds[0])
-    return belief if clutter is None else replaced(belief, CLUTTER, clutter)
+        stands = track["motions"].odds[0]
+        by_motion = np.full(5, (1 - stands) / (1 - SHARES[STATIC]))
+        by_motion[STATIC] = stands / SHARES[STATIC]
+        belief = weighed(belief, by_motion)
+    if clutter is None:
+        return belief
+    told = np.append(belief[:CLUTTER] * (1 - clutter) / (1 - belief[CLUTTER]), clutter)
+    return weighed(np.full(5, 0.2), told)

@@ -25,8 +25,8 @@ const CRUISES: f64 = 0.5;
 /// Probabilities of the kinds of a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct TargetKinds {
-    /// Belief of what it is if it does not stand.
-    moving: KindBelief,
+    /// Belief from the climb alone.
+    climbs: KindBelief,
     /// Whether it stands; None before the first place.
     motion: Option<MotionBelief>,
     trend: PlaceTrend,
@@ -37,8 +37,8 @@ pub(super) struct TargetKinds {
 impl Default for TargetKinds {
     /// Nothing was measured.
     fn default() -> Self {
-        let moving = KindBelief::prior(SHARES);
-        Self { moving, motion: None, trend: PlaceTrend::default(), clutter: None }
+        let climbs = KindBelief::prior(SHARES);
+        Self { climbs, motion: None, trend: PlaceTrend::default(), clutter: None }
     }
 }
 
@@ -74,7 +74,7 @@ impl TargetKinds {
         let climbs = climbing(&climb, speed) / self.trend.count() as f64;
         // All of it for what flies, and half of it for what is none of the kinds.
         let [unknown, flies] = [0.5, 1.0].map(|share| libm::exp(share * climbs));
-        self.moving = self.moving.weighed([unknown, flies, 1.0, 1.0, 1.0]);
+        self.climbs = self.climbs.weighed([unknown, flies, 1.0, 1.0, 1.0]);
     }
 
     /// Take in how probable it is that what was measured is clutter. Of a target that is gone the last
@@ -85,24 +85,24 @@ impl TargetKinds {
 
     /// Probabilities of the kinds.
     pub(super) fn belief(&self) -> KindBelief {
-        let stands = self.motion.as_ref().map(MotionBelief::stands);
-        let seen = with(self.moving, TrackKind::Static, stands);
-        with(seen, TrackKind::Clutter, self.clutter)
+        let seen = self.motion.as_ref().map_or(self.climbs, |motion| {
+            let before = SHARES[usize::from(u8::from(TrackKind::Static))];
+            let stands = motion.stands() / before;
+            let moves = (1.0 - motion.stands()) / (1.0 - before);
+            self.climbs.weighed([moves, moves, moves, stands, moves])
+        });
+        let Some(clutter) = self.clutter else { return seen };
+        let own = seen.probability(TrackKind::Clutter);
+        // As much of it as that, in place of what motion alone says.
+        let mut shares = seen.probabilities().map(|kind| kind * (1.0 - clutter) / (1.0 - own));
+        shares[usize::from(u8::from(TrackKind::Clutter))] = clutter;
+        KindBelief::prior(shares)
     }
 
     /// True if the parts of a restored state are numbers.
     pub(super) fn is_sound(&self) -> bool {
         self.motion.as_ref().is_none_or(MotionBelief::is_sound)
     }
-}
-
-/// The belief in which one kind has a probability from elsewhere, and the others share the rest as before.
-fn with(belief: KindBelief, kind: TrackKind, probability: Option<f64>) -> KindBelief {
-    let Some(probability) = probability else { return belief };
-    let own = belief.probability(kind);
-    let mut shares = belief.probabilities().map(|p| p * (1.0 - probability) / (1.0 - own));
-    shares[usize::from(u8::from(kind))] = probability;
-    KindBelief::prior(shares)
 }
 
 /// How much likelier, as a logarithm from 0 to [`MOST`], what flies climbs like this than what drives with such a
@@ -151,7 +151,7 @@ mod tests {
     #[test]
     fn what_stands_is_static_after_some_seconds() {
         assert_eq!(kind(&TargetKinds::default()), TrackKind::Unknown);
-        assert_eq!(kind(&followed(|_| [3.0, 4.0, 0.0], 20, false)), TrackKind::Unknown);
+        assert_eq!(kind(&followed(|_| [3.0, 4.0, 0.0], 2, false)), TrackKind::Unknown);
         for is_in_space in [false, true] {
             let stands = followed(|_| [3.0, 4.0, 1.0], 120, is_in_space);
             assert_eq!(kind(&stands), TrackKind::Static);
