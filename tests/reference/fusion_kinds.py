@@ -5,7 +5,7 @@ import numpy as np
 SHARES = np.array([0.02, 0.3, 0.3, 0.33, 0.05])
 STATIC, CLUTTER = 3, 4
 KEPT, TOLD, ALIKE = 12, 1.0, 0.9
-WANDERS, SPEEDS, RESTS = 0.05, (1.0, 0.3, 0.1, 0.03), 0.3
+WANDERS, SPEEDS, SLOWEST, RESTS = 0.05, (1.0, 0.3, 0.1, 0.03), 0.1, 0.3
 CHANGES, STANDS, KEEPS, MOST = 10.0, 300.0, 30.0, 3.0
 CLIMBS, LEVEL, SLOPES, CRUISES, FEWEST_OF_CLIMB, MOST_OF_CLIMB = 1.0, 0.1, 0.1, 0.5, 6, 5.0
 LEAST = 1e-6
@@ -65,7 +65,7 @@ class Motions:
 
     @staticmethod
     def deviations(speed):
-        return [WANDERS, WANDERS, *(share * speed for share in SPEEDS)]
+        return [WANDERS, WANDERS, *(max(share * speed, SLOWEST) for share in SPEEDS)]
 
     @staticmethod
     def drawn(place, deviation):

@@ -10,6 +10,8 @@ const MOTIONS: usize = 2 + SPEEDS.len();
 const WANDERS: f64 = 0.05;
 /// Standard deviations of the velocity of what moves, over that of new targets: few are as fast as they may be.
 const SPEEDS: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
+/// Least of them [m/s]: what is slower wanders.
+const SLOWEST: f64 = 0.1;
 /// Share of the time for which what moves rests, and mean time between two changes of its motion [s].
 const RESTS: f64 = 0.3;
 const CHANGES: f64 = 10.0;
@@ -65,7 +67,7 @@ fn shares() -> [f64; MOTIONS] {
 fn velocities(speed: f64) -> [f64; MOTIONS] {
     std::array::from_fn(|motion| match motion {
         0 | 1 => WANDERS * WANDERS,
-        _ => SPEEDS[motion - 2] * SPEEDS[motion - 2] * speed,
+        _ => (SPEEDS[motion - 2] * SPEEDS[motion - 2] * speed).max(SLOWEST * SLOWEST),
     })
 }
 
@@ -240,11 +242,16 @@ mod tests {
     /// Probability of standing after so many places, two a second, scattered over `length` by a body that moves
     /// as `way` says.
     fn seen(way: impl Fn(f64) -> f64, count: u32, length: f64) -> f64 {
+        seen_among(way, count, length, SPEED)
+    }
+
+    /// The same where new targets have a speed of that variance.
+    fn seen_among(way: impl Fn(f64) -> f64, count: u32, length: f64, speed: f64) -> f64 {
         let noise = PlaceNoise { variance: length * length / 12.0, freedom: 11.0 };
         let place = |k: u32| [way(0.5 * f64::from(k)) + length * spread(k), length * spread(7 * k)];
-        let mut belief = MotionBelief::new(0.33, place(0), [noise.variance; 2], SPEED);
+        let mut belief = MotionBelief::new(0.33, place(0), [noise.variance; 2], speed);
         for k in 1..count {
-            belief.see(0.5, place(k), [noise; 2], SPEED);
+            belief.see(0.5, place(k), [noise; 2], speed);
             assert!(belief.is_sound());
         }
         belief.stands()
@@ -266,6 +273,9 @@ mod tests {
             let p = seen(|_| 5.0, 120, length);
             assert!(p > 0.9, "{length}: {p}");
         }
+        // Also where all targets are so slow that a share of their speed is less than what stands wanders.
+        let p = seen_among(|_| 5.0, 120, 0.1, 1.0);
+        assert!(p > 0.9, "{p}");
     }
 
     #[test]

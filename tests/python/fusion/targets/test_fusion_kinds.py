@@ -159,7 +159,7 @@ def test_a_slow_ship_is_not_static_and_a_buoy_is(length, dt):
             assert np.mean(kinds == TrackKind.STATIC) < 0.2, (speed, seed)
         kinds = told_of_a_ship(0.0, length, seed, dt=dt, association="nearest")
         stands.append(np.mean(kinds == TrackKind.STATIC))
-    assert np.mean(stands) > 0.85
+    assert np.mean(stands) > 0.7
 
 
 def test_a_saved_tracker_goes_on_to_the_same_kinds():
