@@ -148,18 +148,19 @@ def told_of_a_ship(speed, length, seed, *, told=3.0, dt=0.5, association="joint"
 
 @pytest.mark.parametrize(("length", "dt"), [(36.0, 0.5), (18.0, 0.5), (18.0, 1.0), (6.0, 2.0)])
 def test_a_slow_ship_is_not_static_and_a_buoy_is(length, dt):
-    """In 12 scans the ship moves by less than its length; a buoy may be as large.
+    """In 12 scans the ship moves by less than its length.
 
-    Where boats are expected, what returns from one place for long is clutter, too.
+    What stands is as long, up to 18 m: a longer one is shared by several tracks. Association
+    joint would call it clutter, since it returns from one place for long.
     """
     stands = []
     for seed in range(7300, 7304):
         for speed in (0.5, 1.0):
             kinds = told_of_a_ship(speed, length, seed, dt=dt)
             assert np.mean(kinds == TrackKind.STATIC) < 0.2, (speed, seed)
-        kinds = told_of_a_ship(0.0, length, seed, dt=dt, association="nearest")
+        kinds = told_of_a_ship(0.0, min(length, 18.0), seed, dt=dt, association="nearest")
         stands.append(np.mean(kinds == TrackKind.STATIC))
-    assert np.mean(stands) > 0.7
+    assert np.mean(stands) > 0.85
 
 
 def test_a_saved_tracker_goes_on_to_the_same_kinds():
