@@ -8,6 +8,7 @@ pub mod joint_association;
 pub mod kind;
 pub mod near;
 pub mod place_trend;
+pub(crate) mod resting;
 pub mod sensor_noise;
 pub mod spread;
 pub mod standing_clutter;

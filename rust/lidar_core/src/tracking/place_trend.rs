@@ -21,6 +21,23 @@ pub struct Slope {
     pub freedom: f64,
 }
 
+/// Noise of places along one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PlaceNoise {
+    /// Variance of one place, as of errors that are not alike [m^2].
+    pub(crate) variance: f64,
+    /// Degrees of freedom of the variance.
+    pub(crate) freedom: f64,
+}
+
+/// The line through the places along one axis.
+struct Line {
+    velocity: f64,
+    /// Sum of the squares of the times from their mean [s^2].
+    spread: f64,
+    noise: PlaceNoise,
+}
+
 /// A place that was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct PlaceAt {
@@ -70,6 +87,24 @@ impl PlaceTrend {
     /// time.
     #[must_use]
     pub fn slope(&self, axis: usize) -> Option<Slope> {
+        let Line { velocity, spread, noise } = self.line(axis)?;
+        Some(Slope { velocity, variance: noise.variance / spread, freedom: noise.freedom })
+    }
+
+    /// Noise of the places along one of three axes, as their scatter shows it; before, as told.
+    pub(crate) fn noise(&self, axis: usize) -> PlaceNoise {
+        let told = PlaceNoise { variance: self.told(axis), freedom: TOLD };
+        self.line(axis).map_or(told, |line| line.noise)
+    }
+
+    /// Mean of the told variances along one axis [m^2].
+    fn told(&self, axis: usize) -> f64 {
+        let sum: f64 = self.places.iter().map(|one| one.told[axis]).sum();
+        sum / self.places.len().max(1) as f64
+    }
+
+    /// See [`Self::slope`].
+    fn line(&self, axis: usize) -> Option<Line> {
         let first = self.places.first().filter(|_| self.places.len() >= 3 && axis < 3)?;
         let count = self.places.len() as f64;
         let point = |one: &PlaceAt| {
@@ -88,13 +123,13 @@ impl PlaceTrend {
         let left: f64 = away().map(|one| error(one) * error(one)).sum();
         let steps = away().zip(away().skip(1)).map(|(one, next)| error(next) - error(one));
         let steps: f64 = steps.map(|step| step * step).sum();
-        let told = self.places.iter().map(|one| one.told[axis]).sum::<f64>() / count;
+        let told = self.told(axis);
         let freedom = TOLD + count - 2.0;
         let all = left + TOLD * told;
         let alike = if all > 0.0 { 1.0 - (steps + 2.0 * TOLD * told) / (2.0 * all) } else { 0.0 };
         let alike = alike.clamp(0.0, MOST_ALIKE);
-        let variance = all / freedom / spread * (1.0 + alike) / (1.0 - alike);
-        Some(Slope { velocity, variance, freedom })
+        let variance = all / freedom * (1.0 + alike) / (1.0 - alike);
+        Some(Line { velocity, spread, noise: PlaceNoise { variance, freedom } })
     }
 }
 

@@ -12,7 +12,7 @@ use std::io::Write;
 
 const MAGIC: &[u8; 4] = b"LCFS";
 /// Raised with every change of a layout; `state_layouts.rs` at the root of the crate tests it.
-pub(crate) const VERSION: u32 = 7;
+pub(crate) const VERSION: u32 = 8;
 const CHECKSUM_BYTES: usize = 4;
 
 /// Bytes that hold `content`, the state of an object of this `kind` with these `parameters`.

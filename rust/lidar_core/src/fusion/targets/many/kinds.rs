@@ -1,29 +1,19 @@
 //! Kinds of targets: at rest, moving, flying, or clutter.
 //!
-//! A line through the measured places shows whether they move, and with what certainty. Their own
-//! scatter is used for this, not the configured noise of the sensors. In space it also shows
-//! climbing targets. The association has weighed whether the measurements belong to a target at
-//! all.
+//! The places that were measured show whether a target stands, and with what certainty. Their own scatter is
+//! used for this, not the configured noise of the sensors. In space a line through them also shows climbing
+//! targets. The association has weighed whether the measurements belong to a target at all.
 
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::tracking::place_trend::{PlaceTrend, Slope};
+use crate::tracking::resting::MotionBelief;
 use serde::{Deserialize, Serialize};
 
 /// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`: nothing is known of them.
 const SHARES: [f64; KINDS] = [0.02, 0.3, 0.3, 0.33, 0.05];
-/// Standard deviation of the velocity of what stands [m/s]: poses of the platform drift.
-const WANDERS: f64 = 0.05;
-/// Standard deviations of the velocity of what moves, over that of new targets: few are as fast as they may be.
-const SPEEDS: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
-/// Share of the time for which what moves rests, and for how long it does [s]: what rests so long counts once.
-const RESTS: f64 = 0.3;
-const REST: f64 = 10.0;
-/// Largest value of what the kept places say together, as a logarithm of odds: a wrong one may be among them.
+/// Largest logarithm of what the kept places say together of a climb: a wrong one may be among them.
 const MOST: f64 = 5.0;
-/// Probability from which on it stands as surely as anything: what has stood for an hour may start, too.
-const STANDS: f64 = 0.95;
-/// Standard deviations of the rate of climb of what flies [m/s], of what stands or is on level ground [m/s], and
-/// of slopes.
+/// Standard deviations of the rate of climb of what flies [m/s], of what is on level ground [m/s], and of slopes.
 const CLIMBS: f64 = 1.0;
 const LEVEL: f64 = 0.1;
 const SLOPES: f64 = 0.1;
@@ -35,8 +25,10 @@ const CRUISES: f64 = 0.5;
 /// Probabilities of the kinds of a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct TargetKinds {
-    /// Belief from motion alone.
-    seen: KindBelief,
+    /// Belief from the climb alone.
+    climbs: KindBelief,
+    /// Whether it stands; None before the first place.
+    motion: Option<MotionBelief>,
     trend: PlaceTrend,
     /// Probability that its last measurements are clutter; None where the association does not tell.
     clutter: Option<f64>,
@@ -45,8 +37,8 @@ pub(super) struct TargetKinds {
 impl Default for TargetKinds {
     /// Nothing was measured.
     fn default() -> Self {
-        let seen = KindBelief::prior(SHARES);
-        Self { seen, trend: PlaceTrend::default(), clutter: None }
+        let climbs = KindBelief::prior(SHARES);
+        Self { climbs, motion: None, trend: PlaceTrend::default(), clutter: None }
     }
 }
 
@@ -61,37 +53,28 @@ impl TargetKinds {
         is_in_space: bool,
     ) {
         let dt = self.trend.take(stamp_ns, place, told);
-        // Of one time: one sight of the target.
-        if dt <= 0.0 {
-            return;
-        }
-        let [Some(x), Some(y)] = [0, 1].map(|axis| self.trend.slope(axis)) else { return };
-        let weight = 1.0 / self.trend.count() as f64;
-        let density = |variance: f64| x.log_density(variance) + y.log_density(variance);
-        let moves = SPEEDS.map(|share| density(share * share * speed));
-        let ratio = log_mean(moves) - density(WANDERS * WANDERS);
-        let moves = log_sum([libm::log(1.0 - RESTS) + ratio, libm::log(RESTS)]);
-        // What says that it stands says so also of what rests for a while.
-        let moves = if moves > 0.0 {
-            weight * moves.min(MOST)
-        } else if self.seen.probability(TrackKind::Static) < STANDS {
-            weight.min(dt / REST) * moves
-        } else {
-            0.0
+        let at = [place[0], place[1]];
+        let first = || {
+            let stands = SHARES[usize::from(u8::from(TrackKind::Static))];
+            MotionBelief::new(stands, at, [told[0], told[1]], speed)
         };
-        self.weigh(moves, [1.0, 1.0, 0.0, 1.0]);
-        let tells_climb = is_in_space && self.trend.count() >= FEWEST_OF_CLIMB;
-        if let Some(climb) = self.trend.slope(2).filter(|_| tells_climb) {
-            let flies = weight * climbing(&climb, libm::hypot(x.velocity, y.velocity));
-            self.weigh(flies, [1.0, 0.0, 0.0, 0.0]);
+        if self.trend.count() == 1 && self.motion.is_none() {
+            self.motion = Some(first());
         }
-    }
-
-    /// Weigh a logarithm of odds: all of it for these kinds, from FLYING to CLUTTER, and half of it for what is
-    /// none of them.
-    fn weigh(&mut self, log_odds: f64, [flying, ground, stands, clutter]: [f64; KINDS - 1]) {
-        let shares = [0.5, flying, ground, stands, clutter];
-        self.seen = self.seen.weighed(shares.map(|share| libm::exp(share * log_odds)));
+        // Of one time: one sight of the target.
+        let Some(motion) = self.motion.as_mut().filter(|_| dt > 0.0) else { return };
+        motion.see(dt, at, [0, 1].map(|axis| self.trend.noise(axis)), speed);
+        if !motion.is_sound() {
+            *motion = first();
+        }
+        let tells_climb = is_in_space && self.trend.count() >= FEWEST_OF_CLIMB;
+        let slopes = [0, 1, 2].map(|axis| self.trend.slope(axis).filter(|_| tells_climb));
+        let [Some(x), Some(y), Some(climb)] = slopes else { return };
+        let speed = libm::hypot(x.velocity, y.velocity);
+        let climbs = climbing(&climb, speed) / self.trend.count() as f64;
+        // All of it for what flies, and half of it for what is none of the kinds.
+        let [unknown, flies] = [0.5, 1.0].map(|share| libm::exp(share * climbs));
+        self.climbs = self.climbs.weighed([unknown, flies, 1.0, 1.0, 1.0]);
     }
 
     /// Take in how probable it is that what was measured is clutter. Of a target that is gone the last
@@ -102,12 +85,23 @@ impl TargetKinds {
 
     /// Probabilities of the kinds.
     pub(super) fn belief(&self) -> KindBelief {
-        let Some(clutter) = self.clutter else { return self.seen };
-        let own = self.seen.probability(TrackKind::Clutter);
+        let seen = self.motion.as_ref().map_or(self.climbs, |motion| {
+            let before = SHARES[usize::from(u8::from(TrackKind::Static))];
+            let stands = motion.stands() / before;
+            let moves = (1.0 - motion.stands()) / (1.0 - before);
+            self.climbs.weighed([moves, moves, moves, stands, moves])
+        });
+        let Some(clutter) = self.clutter else { return seen };
+        let own = seen.probability(TrackKind::Clutter);
         // As much of it as that, in place of what motion alone says.
-        let mut shares = self.seen.probabilities().map(|kind| kind * (1.0 - clutter) / (1.0 - own));
+        let mut shares = seen.probabilities().map(|kind| kind * (1.0 - clutter) / (1.0 - own));
         shares[usize::from(u8::from(TrackKind::Clutter))] = clutter;
         KindBelief::prior(shares)
+    }
+
+    /// True if the parts of a restored state are numbers.
+    pub(super) fn is_sound(&self) -> bool {
+        self.motion.as_ref().is_none_or(MotionBelief::is_sound)
     }
 }
 
@@ -124,11 +118,6 @@ fn climbing(climb: &Slope, speed: f64) -> f64 {
 fn log_sum<const N: usize>(values: [f64; N]) -> f64 {
     let largest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     largest + libm::log(values.iter().map(|value| libm::exp(value - largest)).sum())
-}
-
-/// Logarithm of the mean of exponentials.
-fn log_mean<const N: usize>(values: [f64; N]) -> f64 {
-    log_sum(values) - libm::log(N as f64)
 }
 
 #[cfg(test)]
@@ -162,7 +151,7 @@ mod tests {
     #[test]
     fn what_stands_is_static_after_some_seconds() {
         assert_eq!(kind(&TargetKinds::default()), TrackKind::Unknown);
-        assert_eq!(kind(&followed(|_| [3.0, 4.0, 0.0], 20, false)), TrackKind::Unknown);
+        assert_eq!(kind(&followed(|_| [3.0, 4.0, 0.0], 2, false)), TrackKind::Unknown);
         for is_in_space in [false, true] {
             let stands = followed(|_| [3.0, 4.0, 1.0], 120, is_in_space);
             assert_eq!(kind(&stands), TrackKind::Static);
@@ -213,14 +202,14 @@ mod tests {
     #[test]
     fn clutter_is_what_the_association_says() {
         let stands = followed(|_| [3.0, 4.0, 0.0], 120, false);
-        assert_eq!(stands.belief(), stands.seen);
+        let seen = stands.belief();
         for clutter in [0.001, 0.3, 0.9] {
             let belief = told(&stands, clutter);
             assert!((belief.probability(TrackKind::Clutter) - clutter).abs() < 1e-4);
             let share = |belief: &KindBelief| {
                 belief.probability(TrackKind::Static) / belief.probability(TrackKind::Unknown)
             };
-            assert!((share(&belief) / share(&stands.seen) - 1.0).abs() < 1e-9);
+            assert!((share(&belief) / share(&seen) - 1.0).abs() < 1e-9);
         }
         assert_eq!(told(&stands, 0.9).kind(), TrackKind::Clutter);
     }
@@ -232,6 +221,7 @@ mod tests {
             kinds.see(7, ([f64::from(k), 0.0, 0.0], TOLD), 225.0, true);
             kinds.see(7, ([f64::NAN; 3], TOLD), 225.0, true);
         }
-        assert_eq!(kinds.seen, TargetKinds::default().seen);
+        let first = MotionBelief::new(SHARES[3], [0.0; 2], [TOLD[0]; 2], 225.0);
+        assert_eq!(kinds.motion, Some(first));
     }
 }

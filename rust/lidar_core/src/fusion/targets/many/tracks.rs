@@ -90,6 +90,9 @@ impl Tracks {
             if !track.echoes.is_sound() {
                 return Err(impossible("echoes that cannot be"));
             }
+            if !track.kinds.is_sound() {
+                return Err(impossible("a motion that cannot be"));
+            }
             with(&track.filter).map(|own| track.with_filter(own))
         };
         let all = saved.all.iter().map(one).collect::<Result<_, Error>>()?;
