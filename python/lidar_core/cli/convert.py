@@ -95,14 +95,9 @@ def command(
     console, errors = consoles(json_file)
     if is_run(recording):
         _refuse(values | chosen | of_map, "the objects of a run")
-        told = convert_run(recording, output, name=class_name)
-        write_json(told, json_file)
-        console.print(
-            f"{told['states']} states of {told['objects']} objects at {told['times']}"
-            f" times in {output}",
-            markup=False,
-            soft_wrap=True,
-        )
+        result = convert_run(recording, output, name=class_name)
+        write_json(result, json_file)
+        console.print(_text_of_objects(result, output), markup=False, soft_wrap=True)
         return
     of_points = writers_of("points")
     writer = of_points.get(ending_of(output, of_points))
@@ -119,12 +114,28 @@ def command(
     span = Span.load({"start": start, "end": end})
     result = _write_recording(recording, output, ReadOptions.load(values), topic, span, errors)
     write_json(result, json_file)
-    for name, count in result["written"].items():
-        console.print(f"{name}: {count}", markup=False)
-    for name, count in result["left_out"].items():
-        console.print(f"{name}: {count} messages left out, no scans or poses", markup=False)
-    total = sum(result["written"].values())
-    console.print(f"{total} messages in {output}", markup=False, soft_wrap=True)
+    for line in _texts_of_messages(result, output):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _text_of_objects(result: dict[str, Any], output: Path) -> str:
+    return (
+        f"{result['states']} states of {result['objects']} objects at {result['times']}"
+        f" times in {output}"
+    )
+
+
+def _texts_of_messages(result: dict[str, Any], output: Path) -> list[str]:
+    """Lines about a converted recording: messages per topic, and their sum."""
+    written, left_out = result["written"], result["left_out"]
+    return [
+        *(f"{name}: {count}" for name, count in written.items()),
+        *(
+            f"{name}: {count} messages left out, no scans or poses"
+            for name, count in left_out.items()
+        ),
+        f"{sum(written.values())} messages in {output}",
+    ]
 
 
 def _refuse(options: dict[str, Any], what: str) -> None:

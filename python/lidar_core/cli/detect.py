@@ -63,8 +63,8 @@ def command(
 ) -> None:
     """Find and track flying objects in RECORDING; write tables, trajectories, map and picture.
 
-    A recording that is too short for the burn-in is not an error: the table shows that the gate
-    stayed closed, and why. Ctrl-C ends the run early; the files are complete up to that scan.
+    A recording that is too short for the burn-in is not an error: the table then states why
+    nothing was reported. Ctrl-C ends the run early; the files are complete up to that scan.
     """
     from lidar_core import runs
     from lidar_core.io import ReadOptions

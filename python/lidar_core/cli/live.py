@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from lidar_core.io import ReadOptions
     from lidar_core.live import LiveConfig
     from lidar_core.live.stats import Delay, Report
+    from lidar_core.runs import LiveResult
 
 
 _IN = (
@@ -156,6 +157,7 @@ def command(options: LiveOptions) -> None:
 
     out, errors = consoles(options.json)
 
+    # Longer than other functions: every option is handed to the run by its name.
     def tell(text: str) -> None:
         say(errors, as_options(text))
 
@@ -185,23 +187,26 @@ def command(options: LiveOptions) -> None:
         on_message=tell,
         on_report=lambda report: _tell(errors, report),
     )
-    summary = result.summary
     for note in result.notes:
         tell(note)
-    out.print(_table(summary))
-    if result.files:
-        files = ", ".join(result.files)
-        out.print(f"{options.output}: {files}", highlight=False, soft_wrap=True)
-    for note in summary["notes"]:
-        out.print(f"note: {as_options(note)}", markup=False, highlight=False, soft_wrap=True)
-    more = {} if options.output is None else {"files": result.files}
-    write_json({**summary, **more}, options.json)
+    _write_result(out, result, options)
     if isinstance(result.ended_by, OSError):
         raise result.ended_by
     if result.heard_nothing:
         raise typer.Exit(NOTHING_CAME)
     if result.ended_by is not None:
         raise typer.Exit(INTERRUPTED)
+
+
+def _write_result(out: "Console", result: "LiveResult", options: LiveOptions) -> None:
+    out.print(_table(result.summary))
+    if result.files:
+        files = ", ".join(result.files)
+        out.print(f"{options.output}: {files}", highlight=False, soft_wrap=True)
+    for note in result.summary["notes"]:
+        out.print(f"note: {as_options(note)}", markup=False, highlight=False, soft_wrap=True)
+    more = {} if options.output is None else {"files": result.files}
+    write_json({**result.summary, **more}, options.json)
 
 
 def live_config(domain: int | None, stream: Sequence[str]) -> "LiveConfig":

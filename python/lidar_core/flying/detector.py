@@ -356,11 +356,7 @@ class FlyingObjectDetector(FullState):
             )
         if pose_covariance is not None:
             options["pose_covariance"] = as_pose_covariance(pose_covariance)
-        name = "lidar" if sensor is None else sensor
-        if not isinstance(name, str):
-            raise InputError(f"sensor: expected a name, got {type(name).__name__}")
-        if not name.isprintable():  # halves of characters, too, which no file and no log can hold
-            raise InputError(f"sensor: expected a name that can be printed, got {name!a}")
+        name = _sensor_name(sensor)
         is_organised = np.ndim(points_lidar) == 3
         options = dict.fromkeys(_OPTIONAL) | options
         return stamp, self._detector.process(
@@ -436,6 +432,15 @@ def _world(points: ArrayLike) -> NDArray[np.float64]:
     if not np.isfinite(rows).all():
         raise InputError("points_world: expected finite coordinates, got NaN or infinity")
     return rows
+
+
+def _sensor_name(sensor: str | None) -> str:
+    name = "lidar" if sensor is None else sensor
+    if not isinstance(name, str):
+        raise InputError(f"sensor: expected a name, got {type(name).__name__}")
+    if not name.isprintable():  # halves of characters, too, which no file and no log can hold
+        raise InputError(f"sensor: expected a name that can be printed, got {name!a}")
+    return name
 
 
 def _arrays_of(posed: PosedScan[Any], given: dict[str, Any]) -> dict[str, Any]:

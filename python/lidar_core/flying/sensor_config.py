@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field
 
@@ -11,33 +11,12 @@ from lidar_core.errors import ConfigError
 from lidar_core.flying.config_types import MOST_SCANS, Box
 from lidar_core.sensors import SENSORS, Sensor, sensor_named
 
-Beams: TypeAlias = Literal[
-    "auto",
-    "given",
-    "learnt",
-    "os0-32",
-    "os0-64",
-    "os0-128",
-    "os1-32",
-    "os1-64",
-    "os1-128",
-    "os2-32",
-    "os2-64",
-    "os2-128",
-    "vlp-16",
-    "hdl-32e",
-    "hdl-64e",
-    "vls-128",
-    "xt32",
-    "pandar64",
-    "qt128",
-    "rs16",
-    "livox-mid360",
-    "livox-avia",
-    "livox-hap",
-    "livox-horizon",
-]
-"""How rays without return are known; the names below are those of 3D sensors."""
+SPATIAL = tuple(name for name, sensor in SENSORS.items() if not sensor.is_planar)
+"""Names of the 3D sensors."""
+if TYPE_CHECKING:  # type checkers cannot read the names from the presets
+    Beams: TypeAlias = str
+else:
+    Beams = Literal[("auto", "given", "learnt", *SPATIAL)]
 
 Turn = Annotated[float, Field(ge=-6.3, le=6.3)]
 Elevation = Annotated[float, Field(ge=-1.6, le=1.6)]
@@ -152,7 +131,5 @@ def _table(sensor: Sensor) -> BeamTable:
     return ("view", (low, high, half), pattern.get("rays", 20_000))
 
 
-BEAM_TABLES: dict[str, BeamTable] = {
-    name: _table(sensor) for name, sensor in SENSORS.items() if not sensor.is_planar
-}
+BEAM_TABLES: dict[str, BeamTable] = {name: _table(SENSORS[name]) for name in SPATIAL}
 """Rays of the 3D sensors, at 10 Hz."""

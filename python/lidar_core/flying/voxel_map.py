@@ -170,17 +170,7 @@ class VoxelMap(FullState):
             )
         if not np.isfinite(origins).all():
             raise InputError("sensor_origin: expected finite coordinates, got NaN or infinity")
-        classes = as_real(point_class, name="point_class")
-        if not classes.size:  # an empty list has no integers
-            classes = classes.astype(np.uint8)
-        highest = max(PointClass)
-        if classes.dtype.kind == "f" or (
-            classes.size and (classes.min() < 0 or classes.max() > highest)
-        ):
-            known = ", ".join(f"{one.value} {one.name.lower()}" for one in PointClass)
-            raise InputError(f"point_class: expected integers {known}")
-        if classes.size and classes.max() == PointClass.MOVING:
-            classes = np.minimum(classes, PointClass.UNKNOWN)
+        classes = _as_classes(point_class)
         points_of, rays, visits, voxels = self._map.integrate(
             points,
             as_rows(classes, name="point_class", rows=len(points), shape=(), dtype=np.uint8),
@@ -353,3 +343,16 @@ class VoxelMap(FullState):
             if points.shape[-1:] == (3,):
                 points = points - self.origin
         return as_points(points)
+
+
+def _as_classes(point_class: ArrayLike) -> NDArray[Any]:
+    """Return checked classes of points; the map takes MOVING as UNKNOWN."""
+    classes = as_real(point_class, name="point_class")
+    if not classes.size:  # an empty list has no integers
+        return classes.astype(np.uint8)
+    if classes.dtype.kind == "f" or classes.min() < 0 or classes.max() > max(PointClass):
+        known = ", ".join(f"{one.value} {one.name.lower()}" for one in PointClass)
+        raise InputError(f"point_class: expected integers {known}")
+    if classes.max() == PointClass.MOVING:
+        return np.minimum(classes, PointClass.UNKNOWN)
+    return classes

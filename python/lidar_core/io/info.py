@@ -2,6 +2,7 @@
 
 import statistics
 import warnings
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate, pairwise
@@ -279,17 +280,22 @@ def inspect(recording: "Recording") -> RecordingInfo:
         point_time=dict(found.point_time),
         no_return=dict(found.no_return),
         defects=tuple(_defects(recording, streams, edges, rejected)),
-        looked_at={
-            stream.name: (stream.decoded, len(stream.times))
-            for stream in streams.values()
-            if stream.decoded < len(stream.times) and stream.topic.kind in SCAN_KINDS
-        },
+        looked_at=_looked_at(streams.values()),
         stamps={
             stream.topic.name: stream.other_times
             for stream in streams.values()
             if stream.wants_other_times
         },
     )
+
+
+def _looked_at(streams: Iterable[_Stream]) -> dict[str, tuple[int, int]]:
+    """Decoded scans and all scans of the streams that were not decoded to their end."""
+    return {
+        stream.name: (stream.decoded, len(stream.times))
+        for stream in streams
+        if stream.decoded < len(stream.times) and stream.topic.kind in SCAN_KINDS
+    }
 
 
 def _check_pose_frames(recording: "Recording") -> None:

@@ -148,11 +148,13 @@ def detect(
     run = FlyingRun(FlyingObjectDetector(chosen, threads=threads), threads=threads)
     if known is not None:
         load_known_map(run.detector, known)
-    if cleaned is None:
-        return job.run(run)
+    return job.run(run) if cleaned is None else _with_static_map(job, run, cleaned)
+
+
+def _with_static_map(job: RecordingJob, run: FlyingRun, path: Path) -> RunResult:
     run.detector.make_static_map()
     result = job.run(run)
-    write_static_map(run.detector, cleaned)
+    write_static_map(run.detector, path)
     return result
 
 

@@ -1,6 +1,7 @@
 """Targets from the LiDAR and radar of a recording: the work of `fuse` and `config fit`."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any
@@ -109,17 +110,8 @@ def fuse(
         checkpoint=checkpoint,
         resume=resume,
     )
-
     keeps = checkpoint is not None or resume
-
-    def checkpoints(decides: Mapping[str, Any]) -> Checkpoints:
-        """Return the checkpoints of a run on many targets."""
-        inputs = {"command": "fuse", **decides}
-        if keeps:
-            read = fingerprint(source)
-            inputs |= {name: value for name, value in read.items() if name != "path"}
-        return Checkpoints(folder.path, checkpoint, inputs)
-
+    checkpoints = partial(_checkpoints, folder.path, checkpoint, source if keeps else None)
     ways = {"model": model, "method": method, "association": association}
     job = FuseJob(
         source,
@@ -144,15 +136,33 @@ def fuse(
         if resume:
             checkpoints({}).refuse("of another run: that of one target writes none")
         folder.begin()
-    notes = [f"note: {run.doubt}"] if run.doubt else []
-    if fit_noise and isinstance(run, TargetRun):
-        notes.append(f"note: {text_of_fit(run.config, names_told(config, job.ways))}")
-    if keeps and not is_kept:
-        notes.append("note: one target: no checkpoint is written; a killed run starts again")
+    notes = _notes(job, run, wants_checkpoint=keeps)
     if writes_mcap and (lacks_mcap := no_mcap_of(run.stamps)) and not mcap:
         notes.append(lacks_mcap)
         writes_mcap = False
     return _write_run(run, folder, recording, notes, mcap=writes_mcap, picture=picture)
+
+
+def _checkpoints(
+    folder: Path, interval: float | None, source: Path | None, decides: Mapping[str, Any]
+) -> Checkpoints:
+    """Return the checkpoints of a run on many targets; of no recording if none are kept."""
+    inputs = {"command": "fuse", **decides}
+    if source is not None:
+        read = fingerprint(source)
+        inputs |= {name: value for name, value in read.items() if name != "path"}
+    return Checkpoints(folder, interval, inputs)
+
+
+def _notes(job: FuseJob, run: TargetRun | ManyRun, *, wants_checkpoint: bool) -> list[str]:
+    """Return what the user has to know about a finished run."""
+    notes = [f"note: {run.doubt}"] if run.doubt else []
+    if isinstance(run, TargetRun):
+        if job.fit_noise:
+            notes.append(f"note: {text_of_fit(run.config, names_told(job.config, job.ways))}")
+        if wants_checkpoint:
+            notes.append("note: one target: no checkpoint is written; a killed run starts again")
+    return notes
 
 
 def _write_run(

@@ -57,7 +57,7 @@ def test_a_use_goes_with_a_sensor_and_with_a_file(tmp_path):
     [
         (
             ["--use", "post"],
-            "expected one of long-range, posts, turning-sensor, got 'post'; did you mean posts?",
+            f"expected one of {', '.join(USES)}, got 'post'; did you mean posts?",
         ),
         (["--use", "boats"], "got 'boats'"),
         (["--use", "posts", "--model", "flying"], "posts is for circles, got --model flying"),

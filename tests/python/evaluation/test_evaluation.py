@@ -150,7 +150,7 @@ def test_delays_and_gaps_by_hand():
     assert found.recall == pytest.approx(3 / 7)
     assert found.first_delay == {7: pytest.approx(0.2)}
     assert found.longest_gap == {7: pytest.approx(0.2)}
-    assert found.metrics == {"longest_segment": pytest.approx(2 / 7)}
+    assert found.metrics["longest_segment"] == pytest.approx(2 / 7)
     assert found.n_switches == 1
     assert found.track_ids == (4, 5)
     assert found.false_ids == ()

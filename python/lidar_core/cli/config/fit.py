@@ -64,21 +64,16 @@ def command(
     measurements, such as exchanged axes, end the fit with an error.
     """
     from lidar_core import runs
-    from lidar_core.errors import ConfigError
     from lidar_core.fusion import FusionConfig
     from lidar_core.io import Span
-    from lidar_core.io.files.atomic import check_place, written_whole
+    from lidar_core.io.files.atomic import written_whole
     from lidar_core.parameters import commented_toml
     from lidar_core.runs.settings import config_of_run
 
     if output == Path("-"):
         output = None
     if output is not None:
-        if output.exists() and not overwrite:
-            raise ConfigError(f"{output}: exists; --overwrite replaces it")
-        check_place(output)
-        if any(output.exists() and one.exists() and output.samefile(one) for one in recordings):
-            raise ConfigError(f"{output}: is also an input; choose another file to write")
+        _check_output(output, recordings, overwrite=overwrite)
     choice = runs.ConfigChoice(mode, config, tuple(values))
     fitted = runs.fit_config(
         recordings,
@@ -106,6 +101,18 @@ def command(
     if rows:
         Console().print(result_table("Noise", rows))
     print(output)
+
+
+def _check_output(output: Path, recordings: list[Path], *, overwrite: bool) -> None:
+    """Refuse a file that exists, that cannot be written, or that is an input."""
+    from lidar_core.errors import ConfigError
+    from lidar_core.io.files.atomic import check_place
+
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output}: exists; --overwrite replaces it")
+    check_place(output)
+    if any(output.exists() and one.exists() and output.samefile(one) for one in recordings):
+        raise ConfigError(f"{output}: is also an input; choose another file to write")
 
 
 def _rows(before: "FusionConfig", fitted: "FusionConfig") -> list["Row | None"]:

@@ -2,7 +2,7 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -63,9 +63,7 @@ def command(
 
     The page "Evaluation" of the guide explains each value.
     """
-    from lidar_core.evaluation import EvaluationConfig, evaluate, read_prediction, read_truth
-    from lidar_core.evaluation.score_rows import consistency_warnings
-    from lidar_core.runs.settings import with_assignments
+    from lidar_core.evaluation import evaluate, read_prediction, read_truth
 
     if static is not None:
         _static(predicted, true, static, json)
@@ -79,9 +77,7 @@ def command(
         "burn_in_scans": burn_in,
     }
     prediction = read_prediction(predicted)
-    of_run = {"burn_in_scans": prediction.burn_in_scans}
-    chosen = with_assignments(given_options(of_run), values) | given_options(options)
-    config = EvaluationConfig.load(chosen)
+    config = _config(prediction, values, given_options(options))
     truth = read_truth(true, config=config, is_planar=prediction.is_planar)
     report = evaluate(
         truth,
@@ -94,14 +90,7 @@ def command(
     out, _ = consoles(json)
     without = _without_truth(prediction, truth, config, f"{predicted} and {true}")
     _print(out, report, config, f"{predicted} against {true}")
-    warnings = consistency_warnings(report)
-    for text in warnings:
-        out.print(f"warning: {text}")
-    if without:
-        out.print(f"note: {without} tracks lie at times without truth, and count as false")
-    told = [as_options(text) for text in report.warnings]
-    for text in told:
-        out.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
+    warnings = _print_warnings(out, report, without)
     write_json(
         {
             "command": "evaluate",
@@ -110,10 +99,36 @@ def command(
             "config": config.model_dump(mode="json"),
             "tracks_without_truth": without,
             **report.to_dict(),
-            "warnings": [*warnings, *told],
+            "warnings": warnings,
         },
         json,
     )
+
+
+def _config(
+    prediction: "Prediction", values: list[str], options: dict[str, Any]
+) -> "EvaluationConfig":
+    """Return the burn-in of the run, changed by --set, then by the options of the command."""
+    from lidar_core.evaluation import EvaluationConfig
+    from lidar_core.runs.settings import with_assignments
+
+    of_run = given_options({"burn_in_scans": prediction.burn_in_scans})
+    return EvaluationConfig.load(with_assignments(of_run, values) | options)
+
+
+def _print_warnings(out: "Console", report: "Evaluation", without: int) -> list[str]:
+    """Print the warnings, and the number of tracks without truth; return the warnings."""
+    from lidar_core.evaluation.score_rows import consistency_warnings
+
+    warnings = consistency_warnings(report)
+    for text in warnings:
+        out.print(f"warning: {text}")
+    if without:
+        out.print(f"note: {without} tracks lie at times without truth, and count as false")
+    of_report = [as_options(text) for text in report.warnings]
+    for text in of_report:
+        out.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
+    return [*warnings, *of_report]
 
 
 def _static(predicted: Path, true: Path | None, labelled: Path, json: Path | None) -> None:

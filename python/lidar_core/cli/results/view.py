@@ -61,21 +61,7 @@ def command(
     from lidar_core.viz.playback import Playback
     from lidar_core.viz.playback_picture import draw_film, draw_moment
 
-    chosen = [
-        name
-        for name, value in (
-            ("rerun", rerun),
-            ("web", web),
-            ("rrd", rrd),
-            ("foxglove", foxglove),
-            ("png", png),
-            ("film", film),
-        )
-        if value
-    ]
-    if len(chosen) > 1:
-        named = ", ".join(f"--{name}" for name in chosen)
-        raise ConfigError(f"view: expected at most one viewer or file, got {named}")
+    _check_single(rerun=rerun, web=web, rrd=rrd, foxglove=foxglove, png=png, film=film)
     if at is not None and png is None:
         raise ConfigError("at: selects the time of --png, got no --png")
     played = Playback(run)
@@ -95,6 +81,15 @@ def command(
         print(write_rerun(played, rrd))
     else:
         _show_window(played)
+
+
+def _check_single(**viewers: object) -> None:
+    """Refuse more than one viewer or file."""
+    from lidar_core.errors import ConfigError
+
+    chosen = [f"--{name}" for name, value in viewers.items() if value]
+    if len(chosen) > 1:
+        raise ConfigError(f"view: expected at most one viewer or file, got {', '.join(chosen)}")
 
 
 def _serve(played: "Playback", port: int, allow_origin: list[str]) -> None:

@@ -153,13 +153,7 @@ def _sensor(entries: _Entries, place: str, max_points: int) -> Sensor:
     columns = int(entries.get("columns_per_frame") or (found[1] if found else 0))
     rows = int(entries.get("pixels_per_column") or FIRST_ROWS)
     in_packet = int(entries.get("columns_per_packet") or 16)
-    for name, size, most in (
-        ("pixels_per_column", rows, MOST_ROWS),
-        ("columns_per_frame", columns, MOST_COLUMNS),
-        ("columns_per_packet", in_packet, MOST_IN_PACKET),
-    ):
-        if not 1 <= size <= most:
-            raise FormatError(f"{place}: {name}: expected 1 to {most}, got {size}")
+    _check_counts(rows, columns, in_packet, place)
     check_size(place, rows * columns, limit=max_points, key="max_points", what="a scan of points")
     if altitudes.shape != (rows,) or azimuths.shape != (rows,):
         raise FormatError(
@@ -189,6 +183,16 @@ def _sensor(entries: _Entries, place: str, max_points: int) -> Sensor:
         _matrix(entries.get("lidar_to_sensor_transform", LIDAR_TO_SENSOR), place),
         _matrix(entries.get("extrinsic", np.eye(4)), place),
     )
+
+
+def _check_counts(rows: int, columns: int, in_packet: int, place: str) -> None:
+    for name, size, most in (
+        ("pixels_per_column", rows, MOST_ROWS),
+        ("columns_per_frame", columns, MOST_COLUMNS),
+        ("columns_per_packet", in_packet, MOST_IN_PACKET),
+    ):
+        if not 1 <= size <= most:
+            raise FormatError(f"{place}: {name}: expected 1 to {most}, got {size}")
 
 
 def _beam_origin(entries: _Entries, product: str, place: str) -> FloatArray:

@@ -131,6 +131,8 @@ def live(
     LinkError
         The source cannot be reached; the folder is written.
     """
+    # Longer than other functions: one block opens source, tape, servers and outputs, so that all of
+    # them are closed in the reverse order, also if one of them cannot be opened.
     place = None if replay is None else Path(replay)
     reading, settings, poses = read or ReadOptions(), stream or LiveConfig(), pose or PoseOptions()
     allowed = allowed_origins(list(allow_origin))
@@ -170,10 +172,12 @@ def live(
         def refused(reason: str) -> None:
             on_message(f"refused: {reason}")
 
-        opened: list[Output] = []
-        for text in outputs:
-            made = open_output(text, settings, allowed=allowed, on_refused=refused)
-            opened.append(stack.enter_context(closing(made)))
+        opened: list[Output] = [
+            stack.enter_context(
+                closing(open_output(text, settings, allowed=allowed, on_refused=refused))
+            )
+            for text in outputs
+        ]
         opened += [] if folder is None else [folder]
         loop: LiveLoop[Any] = LiveLoop(
             listening,
@@ -186,20 +190,14 @@ def live(
             on_report=reported,
             on_silence=lambda there: on_message(chosen.silence(listening.name, there)),
         )
-        on_message(f"from {listening.name}")
-        for item in opened:
-            on_message(f"to {item.name}")
-        if server is not None:
-            on_message(f"metrics at {server.address}")
+        address = None if server is None else server.address
+        _announce(listening.name, [item.name for item in opened], address, on_message)
         try:
             loop.run(seconds)
         except KeyboardInterrupt as interrupt:
             ended_by = interrupt
         finally:
-            names = [item.name for item in opened]
-            summary = {"command": "live", "outputs": names, **loop.summary()}
-            if tape is not None:
-                summary |= {"recording": str(tape.path), "not_recorded": tape.lost}
+            summary = _summary(loop, opened, tape)
             if folder is not None:
                 summary, files, notes = folder.write(
                     summary,
@@ -209,6 +207,25 @@ def live(
     if folder is not None and folder.failed is not None:
         ended_by = folder.failed
     return LiveResult(path, summary, tuple(files), tuple(notes), ended_by, loop.heard_nothing)
+
+
+def _announce(
+    source: str, outputs: Sequence[str], metrics: str | None, on_message: Callable[[str], None]
+) -> None:
+    """Tell where scans come from and where results go."""
+    on_message(f"from {source}")
+    for name in outputs:
+        on_message(f"to {name}")
+    if metrics is not None:
+        on_message(f"metrics at {metrics}")
+
+
+def _summary(loop: LiveLoop[Any], outputs: Sequence[Output], tape: Tape | None) -> dict[str, Any]:
+    names = [item.name for item in outputs]
+    summary = {"command": "live", "outputs": names, **loop.summary()}
+    if tape is not None:
+        summary |= {"recording": str(tape.path), "not_recorded": tape.lost}
+    return summary
 
 
 def _folder(

@@ -200,27 +200,31 @@ class ManyRun:
             ),
             folder.write_table("detections", self._detections()),
         ]
-        rows = [
-            (scan.stamp_ns, number, place)
-            for scan in self.scans
-            for number, place in scan.truth.items()
-        ]
-        if rows:
-            place = np.array([row[2] for row in rows])
-            table = planar_table(
-                "target_id",
-                np.array([row[0] for row in rows], np.int64),
-                place,
-                place,
-                np.array([row[1] for row in rows], np.int64),
-            )
-            table = {name: column for name, column in table.items() if name[0] != "v"}
-            files.append(folder.write_table("truth", table))
+        truth = self._truth()
+        if truth:
+            files.append(folder.write_table("truth", truth))
         write_trajectories(
             folder.path / TRACKS_FOLDER,
             ((state.stamp_ns, state.id, in_plane(state.position)) for state in self.tracks),
         )
         return [*(file.name for file in files), TRACKS_FOLDER]
+
+    def _truth(self) -> dict[str, Any]:
+        """Table of the true positions; empty without ground truth."""
+        rows = [
+            (scan.stamp_ns, number, place)
+            for scan in self.scans
+            for number, place in scan.truth.items()
+        ]
+        if not rows:
+            return {}
+        stamps, numbers, places = zip(*rows, strict=True)
+        place = np.array(places)
+        table = planar_table(
+            "target_id", np.array(stamps, np.int64), place, place, np.array(numbers, np.int64)
+        )
+        # The truth states no velocity: the columns of the places stand in for it.
+        return {name: column for name, column in table.items() if name[0] != "v"}
 
     def _last_kinds(self) -> dict[str, int]:
         """Number of tracks of each kind, as they were reported last."""

@@ -99,14 +99,13 @@ def with_moving_target(
         )
         start = np.array([now.scan.stamp_ns, now.scan.stamp_ns + STEP_NS], np.int64)
         position = places(start)[:, :3, 3]
+        velocity = (position[1] - position[0]) / (STEP_NS * 1e-9)
         yield SimulatedScan(
             scan=done.scan,
             world_from_lidar=way.at(start[:1])[0],
             pose_stamps_ns=way.stamps_ns,
             poses=way.poses,
-            truth=truth_of_one(
-                done, position[0], (position[1] - position[0]) / (STEP_NS * 1e-9), target.radius
-            ),
+            truth=truth_of_one(done, position[0], velocity, target.radius),
             label=labels_of(done),
         )
 

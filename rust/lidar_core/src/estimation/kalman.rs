@@ -82,7 +82,8 @@ pub fn predict<const N: usize>(
 /// Replace P by F P F'. `P` has to be symmetric; zeros of `F` cost nothing.
 pub fn carry<const N: usize>(P: &mut SMatrix<f64, N, N>, F: &SMatrix<f64, N, N>) {
     let (P, F) = (&mut P.data.0, &F.data.0);
-    let mut half = [[0.0; N]; N]; // columns of F P
+    // F P by columns, as P is stored: both products then run along memory.
+    let mut half = [[0.0; N]; N];
     for row in 0..N {
         let mut sum = [0.0; N];
         for k in 0..N {

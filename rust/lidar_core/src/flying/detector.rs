@@ -186,6 +186,8 @@ impl FlyingObjectDetector {
         clock: &mut Clock,
         timing: &mut Timing,
     ) -> Result<Option<Result<(), Error>>, Error> {
+        // Longer than other functions: two closures run side by side and borrow most stages, which a
+        // split would pass on as a dozen arguments.
         let waits = self.take_off_ground().is_some(); // points of it are added after classification
         let Self {
             parameters,

@@ -108,7 +108,7 @@ impl Directions {
         for &other in others {
             frame.add_covered(&mut covered, other, false);
         }
-        // The nearest caps cover most of a rim: further ones matter near what they leave, if at all.
+        // The nearest caps cover most of a rim, so the others are tested only near the arcs that stay open.
         let mut gaps = vec![[0.0, 2.0 * PI]];
         let chord = 2.0 * libm::sin(0.5 * cap.radius);
         for cells in &self.levels {

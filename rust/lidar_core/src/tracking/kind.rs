@@ -70,7 +70,8 @@ impl KindBelief {
         if !is_usable || largest == 0.0 {
             return *self;
         }
-        // What is seen has been seen: a kind that never makes it is only as improbable as can be.
+        // A kind that excludes what was observed keeps a least probability: a model may be wrong, and
+        // the logarithm of zero would exclude the kind for good.
         let log = |value: f64| libm::log((value / largest).max(LEAST));
         Self::normalised(std::array::from_fn(|kind| self.log[kind] + log(likelihood[kind])))
     }

@@ -52,7 +52,7 @@ impl MeasuredSpread {
         if lacks <= 0.0 || half <= 0.0 {
             return [[xx, xy], [xy, yy]];
         }
-        // The direction of the least variance gets what lacks.
+        // Only the direction of the least variance grows: the other one is wide enough.
         let across = |value: f64| lacks * (0.5 - 0.5 * value / half);
         let more = -0.5 * lacks * xy / half;
         [[xx + across(0.5 * (xx - yy)), xy + more], [xy + more, yy + across(0.5 * (yy - xx))]]

@@ -254,7 +254,7 @@ impl<S: State> Element<S> {
     /// it.
     pub(super) fn is_over(&mut self, rules: &Rules, arrivals: &mut Arrivals) -> bool {
         let coast = S::coast(rules);
-        // What was never sure is not remembered.
+        // Chance groups of rays would fill the map: only an element that was once certain is kept long.
         let was_sure = self.confirmed || self.belief.was() >= rules.parameters().report_existence;
         let coast = if was_sure { coast } else { Some(coast.map_or(MOMENT, |c| c.min(MOMENT))) };
         let is_over = self.belief.existence_anywhere() < OVER

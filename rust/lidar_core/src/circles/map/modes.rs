@@ -81,8 +81,8 @@ impl<const N: usize> ElementModes<N> {
             return;
         }
         let before = self.clone();
-        // What stops has no velocity, what starts has any: the velocity does not go over with the
-        // position.
+        // A switch changes the velocity: it is zero after a stop and unknown after a start. Only the
+        // position is carried over.
         let (mut stopped, mut started) = (before.states.clone(), before.states.clone());
         if let Some(start) = step.start {
             stopped.iter_mut().skip(1).for_each(|state| set_speed(state, 0.0));

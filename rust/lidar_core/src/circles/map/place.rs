@@ -37,8 +37,8 @@ impl LevelPose {
         let ends = shape.ends()?;
         let [angle, _, start, end, _] = shape.parameters;
         let c = &shape.covariance;
-        // An error of the angle also moves what was seen, unless that lies at the foot of the normal. The place
-        // of its middle, across the line, is the value that hardly depends on the angle.
+        // An error of the angle shifts the visible part across the line, except at the foot of the normal.
+        // The offset at the middle of the visible part hardly depends on the angle.
         let J = Matrix2::new(1.0, 0.0, -0.5 * (start + end), 1.0);
         let mut R = J * Matrix2::new(c[0][0], c[0][1], c[1][0], c[1][1]) * J.transpose();
         let middle = [0, 1].map(|axis| 0.5 * (ends[0][axis] + ends[1][axis]));

@@ -43,6 +43,7 @@ impl CubeMap {
         source: &Source<'_>,
         rays: &[Ray],
     ) -> bool {
+        // Longer than other functions: the same closures serve one thread and several.
         if window.len() > BLOCKS_PER_RAY * rays.len() {
             return false;
         }

@@ -175,6 +175,8 @@ struct Layered {
 impl Layered {
     #[inline(always)]
     fn of(window: &Window, live: &CubeMap, segments: &RaySegments, rays: &Bundle) -> Self {
+        // Longer than other functions: one loop over the lanes, so that the compiler makes vector code
+        // of all of it.
         let none = [0; LANES];
         let mut layered =
             Self { axis: none, from: none, wall: none, pace: none, walls: none, direction: none };

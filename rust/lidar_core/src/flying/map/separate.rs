@@ -112,7 +112,7 @@ impl VoxelMap {
                     count += 1;
                 }
             }
-            self.changes.note(left, u64::MAX); // what is left of the group is looked at again
+            self.changes.note(left, u64::MAX); // the rest of the group may be separate now
         }
         self.changes.search_memory.separate = separate; // its memory is used again
         count

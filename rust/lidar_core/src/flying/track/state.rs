@@ -94,6 +94,7 @@ impl PointTrack {
         stamp_ns: i64,
         parameters: &TrackerParameters,
     ) -> Self {
+        // Longer than other functions: the first values of all fields.
         let [_, velocity, acceleration] = parameters.initial_std;
         let delay = detection.delay;
         let mut mean = SVector::<f64, 9>::zeros();

@@ -240,8 +240,8 @@ impl<const S: usize, W: Sights<Wide = Gaussian<S>>> Engine for Imm<W, S> {
         let (most, mut innovation) = (best.0, best.2);
         // Less the largest, so that the sum cannot underflow however unlikely the measurement is.
         let total: f64 = updated.iter().map(|(log, ..)| libm::exp(log - most)).sum();
-        // the innovation of the likeliest model, its determinant such that the likelihood of the
-        // measurement is that of all models together
+        // Callers compute the likelihood from NIS and determinant. This determinant makes it the
+        // likelihood under all models together.
         innovation.log_determinant = -2.0 * (most + libm::log(total)) - innovation.nis;
         if believe(&innovation) {
             let weight = |log: f64| (libm::exp(log - most) / total).max(LEAST_WEIGHT);

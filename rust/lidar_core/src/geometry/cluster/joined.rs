@@ -185,7 +185,7 @@ impl ReachCells {
     fn size(&self, square: f64) -> u32 {
         // With q^2 below 2^(e + 1), q is below 2^((e + 1) / 2).
         let square = -least(-(self.growth * square), -0.25);
-        let exponent = (square.to_bits() >> 52) as u32; // 1023 + e, at least 1021
+        let exponent = (square.to_bits() >> 52) as u32; // 1023 + e; the least square is 1/4, so the subtraction below cannot wrap
         (exponent - 1021) >> 1
     }
 

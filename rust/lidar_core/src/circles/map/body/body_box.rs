@@ -112,7 +112,7 @@ impl BodyBox {
         let center = along * (near + depth) + across * (0.5 * (low + high));
         let (side, doubt) = (FACING * FACING, DOUBT * DOUBT * width * width);
         let mut R = Matrix4::from_diagonal(&Vector4::new(side, side, doubt, side));
-        // The near side is known: centre and depth hang together.
+        // The near side is known, so the errors of centre and depth are correlated.
         let mut block = R.fixed_view_mut::<2, 2>(0, 0);
         block += along * along.transpose() * doubt;
         for row in 0..2 {

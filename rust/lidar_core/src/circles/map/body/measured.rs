@@ -105,7 +105,7 @@ impl RoundBody {
         let Distances { least, calm, first } = self.circle.distances(&seen, motion)?;
         let has_stayed =
             trace.is_some_and(|trace| trace >= STAYED) && self.circle.standing(motion) > LIKELY;
-        // What is round and leaves departs from its place before its trace tells it.
+        // A round object leaves its place before its trace shows that it moves.
         let is_round = self.outline.is_surely_round();
         let (from, most, left) = match (has_stayed, is_round) {
             (true, false) => (first, NEAR, STAYING),

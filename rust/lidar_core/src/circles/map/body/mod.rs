@@ -222,7 +222,7 @@ impl State for RoundBody {
             self.outline.correct(seen.outline.as_ref(), rules)?;
         }
         self.surround(seen, rules)?;
-        // One scan may take a circle for something else, of which it hardly knows the centre.
+        // A single scan may classify a circle as another shape, whose centre it hardly determines.
         let mut used = face.unwrap_or(seen.circle);
         if let Some(round) = seen.round.filter(|_| self.outline.is_round())
             && self.circle.cost(&self.noisy(&round), rules.gate())?.is_some()
@@ -326,7 +326,7 @@ impl State for RoundBody {
     fn settle(&mut self, rules: &Rules) -> bool {
         let [begin, end] = rules.parameters().standing.hysteresis;
         let (probability, moves_by) = self.motion(rules);
-        // What is known and has entered free space is believed at once.
+        // An element that is known well and entered free space needs no second measurement.
         let is_leaving = self.is_in_free && self.known >= MET;
         let least = match (self.stands, is_leaving) {
             (true, false) => MOVES,
