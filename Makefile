@@ -75,12 +75,13 @@ coverage: test-env ## Lines that tests reach: of Python by PART, of Rust with ca
 	else echo "Rust: no cargo-llvm-cov"; fi
 
 # COUNT files, broken by SEED, each read in a child with 2 GiB and 20 s; those that end badly are
-# kept in target/hostile.
+# kept in target/hostile. With MINUTES=n it stops after this time, as `make kills` does.
+FOR_MINUTES = $(if $(filter command%,$(origin MINUTES)),--minutes $(MINUTES))
 COUNT ?= 20000
 SEED ?= 1
 hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: COUNT=n, SEED=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile --count $(COUNT) \
-	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile $(if $(EVIDENCE),--evidence)
+	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile $(FOR_MINUTES) $(if $(EVIDENCE),--evidence)
 	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
 
 # One good file per format, cut at every STEP-th offset and with every byte there damaged.
@@ -99,8 +100,10 @@ fuzz: ## Fuzz every target in turn, guided by coverage: MINUTES=n, EVIDENCE=1.
 	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
 
 KILLS ?= 300
-kills: ## Kill commands that write at any time, and look at what they leave: KILLS=n.
-	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.kills --count $(KILLS)
+kills: ## Kill commands that write at any time, and look at what they leave: KILLS=n, EVIDENCE=1.
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.kills --count $(KILLS) \
+	    --seed $(SEED) $(FOR_MINUTES) $(if $(EVIDENCE),--evidence)
+	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
 
 signals: ## Press Ctrl-C in calls of two million points.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.signals

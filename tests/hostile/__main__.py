@@ -75,9 +75,14 @@ def run(
     keep: Path | None = None,
     generated_only: bool = False,
     quiet: bool = False,
+    minutes: float = float("inf"),
     **limits: int,
 ) -> tuple[Counter[str], Counter[str], list[str], Outcome | None]:
-    """Attack `count` files, every format in turn; outcomes, outcomes by format, what was bad."""
+    """Attack `count` files, every format in turn, as long as there is time.
+
+    Returns outcomes, outcomes by format, and what was bad.
+    """
+    until = time.monotonic() + 60 * minutes
     warm_up()
     totals, by_format, bad = Counter[str](), Counter[str](), list[str]()
     slowest = None
@@ -91,6 +96,8 @@ def run(
             del groups[name]
         start = time.monotonic()
         for number in range(first, first + count):
+            if time.monotonic() > until:
+                break
             rng = np.random.default_rng([seed, number])
             name = list(groups)[number % len(groups)]
             chosen = groups[name][rng.integers(len(groups[name]))]
@@ -176,6 +183,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first, to repeat one")
     parser.add_argument("--format", action="append", default=[], help="only these endings")
     parser.add_argument("--keep", type=Path, help="folder for the files that ended badly")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--generated-only", action="store_true", help="without LIDAR_CORE_DATA")
     parser.add_argument("--evidence", action="store_true", help="add the counts to docs/evidence")
     chosen = parser.parse_args()
@@ -187,6 +195,7 @@ def main() -> int:
         first=chosen.first,
         keep=chosen.keep,
         generated_only=chosen.generated_only,
+        minutes=chosen.minutes,
     )
     for line in sorted(by_format.items()):
         print(*line)
@@ -202,7 +211,7 @@ def main() -> int:
         print(f"{totals['saved']} would have ended badly in one process; their children ended so")
     longest = f"; longest {slowest.seconds:.1f} s of CPU" if slowest else ""
     took = f"{time.monotonic() - start:.0f} s"
-    print(f"{chosen.count} files, seed {chosen.seed}, {took}: {told}{longest}")
+    print(f"{sum(by_format.values())} files, seed {chosen.seed}, {took}: {told}{longest}")
     return 1 if bad else 0
 
 

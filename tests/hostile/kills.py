@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hostile import evidence
 from lidar_core.run_folder import CHECKPOINT
 
 PROGRAM = "import sys; sys.argv[0] = 'lidar-core'; from lidar_core.cli import main; main()"
@@ -260,6 +261,12 @@ class Tally:
     def killed(self) -> int:
         return self.ended["killed"]
 
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How kills ended, as the page of evidence counts it."""
+        wrong = {how: n for how, n in self.ended.items() if how not in ("killed", "was faster")}
+        return {"ok": self.killed} | wrong
+
     def __str__(self) -> str:
         met = f", on a checkpoint {self.checkpoints}" if self.is_resumed else ""
         return ", ".join(f"{how} {count}" for how, count in self.ended.items()) + met
@@ -349,14 +356,18 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--size", type=int, default=20, help="scans of the recordings")
     parser.add_argument("--work", action="append", default=[], help="only this")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after this time")
+    parser.add_argument("--evidence", action="store_true", help="add the counts to docs/evidence")
     chosen = parser.parse_args()
+    until = time.monotonic() + 60 * chosen.minutes
     with tempfile.TemporaryDirectory() as folder:
         attack = Attack(Path(folder), random.Random(chosen.seed), {}, {})
         prepared(attack.folder, chosen.size)
         every = works(chosen.size)
         names = chosen.work or list(every)
         for number in range(10 * chosen.count):
-            if sum(one.killed for one in attack.tallies.values()) >= chosen.count:
+            killed = sum(one.killed for one in attack.tallies.values())
+            if killed >= chosen.count or time.monotonic() > until:
                 break
             name = names[number % len(names)]
             how = attack.kill(name, every[name])
@@ -364,6 +375,8 @@ def main() -> int:
                 print(f"{name}: {how}", flush=True)
     for name, tally in attack.tallies.items():
         print(f"{name}: {tally}")
+    if chosen.evidence:
+        evidence.add("kills", {name: one.outcomes for name, one in attack.tallies.items()})
     resumed = [one for one in attack.tallies.values() if one.is_resumed]
     print(
         f"{sum(one.killed for one in attack.tallies.values())} kills that ended well, of"

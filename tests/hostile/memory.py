@@ -1,4 +1,4 @@
-"""`python -m hostile.memory`: six kinds of work under limits of memory that are too small for it.
+"""`python -m hostile.memory`: every kind of work under limits of memory that are too small for it.
 
 Every try is a child: it makes its object, lowers its address space to what it has plus some, works,
 raises the limit again, and looks at the object. An error must be typed and leave the object as it
@@ -57,6 +57,15 @@ def integrated(folder: Path, size: float) -> Prepared:
     return lambda: world.integrate(points, classes, np.zeros(3)), world.to_bytes
 
 
+def reaching_far(folder: Path, size: float) -> Prepared:
+    """Few rays through very many blocks, on four threads: the blocks take more than the rays."""
+    from lidar_core.flying.voxel_map import VoxelMap
+
+    world, count = VoxelMap(threads=4), int(20_000 * size)
+    points, classes = _cloud(count, 90.0), np.ones(count, np.uint8)
+    return lambda: world.integrate(points, classes, np.zeros(3)), world.to_bytes
+
+
 def processed(folder: Path, size: float) -> Prepared:
     """A scan through the detector; `health` counts a refused one, the core does not."""
     from lidar_core.flying import FlyingObjectDetector
@@ -112,13 +121,88 @@ def inferred(folder: Path, size: float) -> Prepared:
     return lambda: detector.detect(rows, bearings), bytes
 
 
+def clustered(folder: Path, size: float) -> Prepared:
+    """Labels of a cloud."""
+    from lidar_core import cluster_points
+
+    points = _cloud(int(2_000_000 * size))
+    return lambda: cluster_points(points, max_distance=0.1, min_points=1), bytes
+
+
+def looked_up(folder: Path, size: float) -> Prepared:
+    """States and values of places in a map, and places set in it."""
+    from lidar_core.flying.voxel_map import VoxelMap
+
+    world = VoxelMap()
+    world.set_occupied(_cloud(1000, 5.0))
+    points = _cloud(int(3_000_000 * size), 20.0)
+
+    def work() -> object:
+        found = world.state_at(points), world.values_at(points)
+        world.set_occupied(points)
+        return found
+
+    return work, world.to_bytes
+
+
+def simulated(folder: Path, size: float) -> Prepared:
+    """A scan of many rays."""
+    from lidar_core.sim import LidarModel, simulate
+    from lidar_core.sim.scenes import demo
+
+    rows = max(int(2_000_000 * size) // 4000, 1)
+    pattern = {"kind": "spinning", "columns": 4000}
+    elevations = tuple(np.linspace(-30, 30, rows))
+    lidar = LidarModel.load({"pattern": {**pattern, "elevations_deg": elevations}})
+    scene = demo(scans=1).model_copy(update={"lidar": lidar})
+    return lambda: list(simulate(scene, seed=0, scans=1)), bytes
+
+
+def fused(folder: Path, size: float) -> Prepared:
+    """Measurements of one target through a filter, and smoothed."""
+    from lidar_core.fusion import Measurements
+    from lidar_core.fusion.run import run, smooth
+
+    rows = np.arange(int(200_000 * size))
+    places = rows[:, None] * [0.1, 0.05]
+    measurements = Measurements.from_arrays(rows * 10**8, np.full(len(rows), "lidar"), places)
+    return lambda: (run(measurements), smooth(measurements)), bytes
+
+
+def assigned(folder: Path, size: float) -> Prepared:
+    """Pairs of many with many."""
+    from lidar_core.evaluation.matching.assignment import cheapest
+
+    edge = int(2500 * size**0.5)
+    costs = np.random.default_rng(0).random((edge, edge))
+    return lambda: cheapest(costs, gate=2.0, alone=1e9), bytes
+
+
+def swept(folder: Path, size: float) -> Prepared:
+    """A sweep of very many rays through the pipeline of circles; `health` counts as above."""
+    from lidar_core.circles import CirclePipeline, CirclesConfig
+
+    rays = int(100_000 * min(1.0, 5 * size))
+    scanner = {"n_beams": rays, "angle_min": -3.1, "angle_increment": 6.2 / rays}
+    pipeline = CirclePipeline(CirclesConfig.load({"scanner": scanner}))
+    ranges = np.where(np.arange(rays) % 1000 < 500, 4.0, 9.0)
+    return lambda: pipeline.process(ranges, np.eye(4), 0), pipeline._pipeline.to_state
+
+
 WORK = {
     "open": opened,
     "integrate": integrated,
+    "reach far": reaching_far,
     "process": processed,
     "track": tracked,
     "save": saved,
     "infer": inferred,
+    "cluster": clustered,
+    "look up": looked_up,
+    "simulate": simulated,
+    "fuse": fused,
+    "assign": assigned,
+    "sweep": swept,
 }
 
 

@@ -8,6 +8,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -204,17 +205,21 @@ def head_of_another_size(data, rng):
 def bomb(data, rng):
     """Data that expands to 256 MiB, in place of the file or behind its first bytes."""
     size = 2**28
-    zeros = bytes(2**20)
     if data[:2] == b"PK":
         return _zip_bomb(data, size)
-    if data[:3] == b"BZh" or rng.random() < 0.4:
-        packer = bz2.BZ2Compressor()
-        packed = b"".join(packer.compress(zeros) for _ in range(size >> 20)) + packer.flush()
-    else:
-        packed = gzip.compress(bytes(2**24))
+    packed = _packed_zeros("bz2" if data[:3] == b"BZh" or rng.random() < 0.4 else "gzip", size)
     return packed if rng.random() < 0.5 else data[: _place(data, rng)] + packed
 
 
+@cache  # it takes seconds, and all files get the same
+def _packed_zeros(how: str, size: int) -> bytes:
+    if how == "gzip":
+        return gzip.compress(bytes(size >> 4))
+    packer = bz2.BZ2Compressor()
+    return b"".join(packer.compress(bytes(2**20)) for _ in range(size >> 20)) + packer.flush()
+
+
+@lru_cache(100)  # for the same reason, most archives being whole here
 def _zip_bomb(data: bytes, size: int) -> bytes:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()

@@ -6,6 +6,7 @@ use crate::guard::{detached, stoppable};
 use lidar_core::Error;
 use lidar_core::estimation::assignment::{Pair, assign};
 use lidar_core::estimation::chi2;
+use lidar_core::util::budget::check_memory;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -24,6 +25,7 @@ pub(crate) fn assign_columns<'py>(
     let [rows, columns] = [cost.shape()[0], cost.shape()[1]];
     let costs = arrays::flat("cost", &cost)?;
     let work = || {
+        check_memory("a table of costs", costs.len(), size_of::<Pair>())?;
         let near = costs.iter().enumerate().filter(|(_, cost)| **cost <= gate);
         let pairs: Vec<Pair> = near
             .map(|(at, &cost)| Pair { row: at / columns, column: at % columns, cost })

@@ -8,6 +8,8 @@ use lidar_core::util::budget;
 
 /// Largest number of faces of one mesh.
 pub const MAX_FACES: usize = 20_000_000;
+/// Memory that a face may take, with its corners, boxes and the tree [bytes].
+const ROOM_OF_FACE: usize = 640;
 
 /// Triangle mesh with a tree of its own.
 #[derive(Clone, Debug)]
@@ -23,7 +25,7 @@ pub struct Mesh {
 impl Mesh {
     /// # Errors
     /// [`Error::Value`] if a vertex is not finite or beyond 1e15 m, there is no face, or a face names no vertex;
-    /// [`Error::Limit`] above [`MAX_FACES`].
+    /// [`Error::Limit`] above [`MAX_FACES`], [`Error::Memory`].
     pub fn new(vertices: Vec<[f64; 3]>, faces: Vec<[u32; 3]>) -> Result<Self, Error> {
         let bad = |name, expected, index, got| Error::Value { name, expected, index, got };
         let is_near = |v: &[f64; 3]| v.iter().all(|c| c.abs() <= FARTHEST); // false for NaN
@@ -39,6 +41,7 @@ impl Mesh {
             let got = format!("{:?} of {} vertices", faces[index], vertices.len());
             return Err(bad("faces", "indices of vertices", index, got));
         }
+        budget::check_memory("a mesh", faces.len(), ROOM_OF_FACE)?;
         let mut boxes =
             budget::vec_with_capacity("mesh", faces.len(), MAX_FACES, "split the mesh")?;
         boxes.extend(
@@ -69,6 +72,7 @@ impl Mesh {
             return Err(refused("cell", "finite and > 0", &cell));
         }
         let cells = (rows - 1) * (columns - 1);
+        budget::check_memory("a height field", 2 * cells, ROOM_OF_FACE)?;
         let mut faces =
             budget::vec_with_capacity("height field", 2 * cells, MAX_FACES, "use larger cells")?;
         let half = [0.5 * cell * (rows - 1) as f64, 0.5 * cell * (columns - 1) as f64];

@@ -7,6 +7,7 @@ use crate::surface::{Surface, SurfaceInteraction, USUAL_REFLECTIVITY, is_seen, s
 use crate::trajectory::Trajectory;
 use lidar_core::Error;
 use lidar_core::geometry::transform::{Transform, dot};
+use lidar_core::util::budget::check_memory;
 use lidar_core::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -27,6 +28,9 @@ const STEP: f64 = 1e-6;
 
 /// Optical properties, in fog, of bodies for which none are given; met at normal incidence.
 const USUAL: Surface = Surface { reflectivity: USUAL_REFLECTIVITY, mirror: 0.0, clear: 0.0 };
+
+/// Memory that a ray may take, with what is made of it for the caller [bytes].
+const ROOM_OF_RAY: usize = 192;
 
 /// Rays per chunk: fixed, so that the result cannot depend on the number of threads.
 const RAYS_PER_CHUNK: usize = 4096;
@@ -73,9 +77,10 @@ struct WorldState {
 /// Simulate one scan.
 ///
 /// # Errors
-/// Errors of [`Lidar::check`], [`Error::Interrupted`].
+/// Errors of [`Lidar::check`], [`Error::Memory`], [`Error::Interrupted`].
 pub fn scan(pool: &ThreadPool, task: &Task<'_>) -> Result<SimulatedScan, Error> {
     task.lidar.check()?;
+    check_memory("a scan", task.lidar.rays(), ROOM_OF_RAY)?;
     let sweep = task.lidar.sweep(task.scan);
     let watch = cancel::watch();
     let parts: Vec<ScanPart> = pool.install(|| {

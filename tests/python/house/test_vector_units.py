@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from repository import ROOT
 
 from golden.scenes import FILES
 from lidar_core._core import vector_unit, vector_units
@@ -56,6 +58,27 @@ def test_every_vector_unit_gives_the_same_bits(unit):
 @pytest.mark.parametrize("unit", vector_units())
 def test_every_vector_unit_gives_the_same_bits_in_every_scene(unit):
     check(unit, [1, 2, 4], FILES["flying"])
+
+
+CHOOSERS = re.compile(
+    r"\b(?:Arch::new|V[34]::try_new|Neon::try_new)\b|feature_detected|target_feature"
+)
+"""What asks the CPU."""
+DYNAMIC = re.compile(r"\bDMatrix\b|\bDVector\b|\bDyn\b")
+"""For matrices of dynamic size nalgebra chooses kernels by the CPU, some with fused sums."""
+
+
+def choosers(sources):
+    """Files whose code, tests left out, would get other bits on another CPU."""
+    code = {path: text.split("#[cfg(test)]\nmod")[0] for path, text in sources.items()}
+    return {path for path, text in code.items() if CHOOSERS.search(text) or DYNAMIC.search(text)}
+
+
+def test_one_file_chooses_the_unit():
+    found = {path.relative_to(ROOT): path.read_text() for path in ROOT.glob("rust/*/src/**/*.rs")}
+    assert choosers(found) == {Path("rust/lidar_core/src/util/vector_unit.rs")}
+    wrong = {"a": "Arch::new().dispatch(k)", "b": "DMatrix::zeros(n, n)", "c": "dispatch(Kernel)"}
+    assert choosers(wrong) == {"a", "b"}
 
 
 def test_the_best_unit_is_used():

@@ -20,12 +20,15 @@ use super::selection::ShapeParameters;
 use super::shape::ShapeEstimate;
 use crate::Error;
 use crate::geometry::transform::Transform;
+use crate::util::budget::check_memory;
 use crate::util::full_state::{impossible, opened, sealed};
 use crate::util::stopwatch::Clock;
 
 const KIND: &str = "circle pipeline";
 /// Largest number of scanners of one pipeline.
 const MAX_SCANNERS: usize = 64;
+/// Memory that a ray may take, all stages together [bytes].
+const ROOM_OF_RAY: usize = 384;
 /// Cosine of the largest tilt of a scan plane that can be projected to the ground: 88.9 degrees.
 const STEEPEST: f64 = 0.02;
 
@@ -133,6 +136,7 @@ impl CirclePipeline {
         let mut clock = Clock::start();
         let parameters = &self.parameters;
         raw.check(scanner.bearings.len())?;
+        check_memory("a sweep", scanner.bearings.len(), ROOM_OF_RAY)?;
         self.map
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;

@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::error::require;
+use crate::util::budget::check_memory;
 use crate::util::cancel;
 
 /// One possible pair.
@@ -15,6 +16,9 @@ pub struct Pair {
     pub cost: f64,
 }
 
+/// Memory that a pair may take, and as much for every row and column [bytes].
+const ROOM_OF_PAIR: usize = 128;
+
 /// Column assigned to every row such that the sum of costs is minimal.
 ///
 /// A row may stay without a column, which costs `unassigned`; pairs that are not listed are
@@ -22,7 +26,7 @@ pub struct Pair {
 ///
 /// # Errors
 /// [`Error::Value`] for an index outside the table or a cost that is not finite,
-/// [`Error::Interrupted`].
+/// [`Error::Memory`], [`Error::Interrupted`].
 ///
 /// # Source
 /// Shortest augmenting paths: Jonker & Volgenant, "A shortest augmenting path algorithm for dense
@@ -37,6 +41,8 @@ pub fn assign(
     if rows == 0 {
         return Ok(Vec::new());
     }
+    let entries = pairs.len().saturating_add(rows).saturating_add(columns);
+    check_memory("an assignment", entries, ROOM_OF_PAIR)?;
     let mut solver = Solver::new(rows, columns, pairs, unassigned);
     for row in 0..rows {
         cancel::check()?;

@@ -7,7 +7,7 @@ use crate::estimation::probability::box_probability;
 use crate::geometry::caps::{Cap, Directions};
 use crate::geometry::lattice::{Lattice, wide};
 use crate::geometry::transform::{Transform, cross, direction_of, minus, norm};
-use crate::util::budget::check_points;
+use crate::util::budget::{check_memory, check_points};
 use crate::util::{cancel, threads};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -37,6 +37,7 @@ pub fn point_covariance(
     range_std: f64,
 ) -> Result<Vec<[[f64; 3]; 3]>, Error> {
     check_points(points_lidar.len())?;
+    check_memory("covariances", points_lidar.len(), size_of::<[[f64; 3]; 3]>())?;
     let is_std = (0.0..=LARGEST_RANGE_STD).contains(&range_std);
     require(is_std, "range_std", "0 to 100 [m]", range_std)?;
     let of_point = |&point: &[f32; 3]| {
@@ -85,6 +86,7 @@ pub fn hit_probability(
     threads: usize,
 ) -> Result<Vec<f64>, Error> {
     check_points(points.len())?;
+    check_memory("probabilities", points.len(), 2 * size_of::<Result<f64, Error>>())?;
     if covariance.len() != 1 && covariance.len() != points.len() {
         let (expected, got) = (points.len(), covariance.len());
         return Err(Error::Length { name: "covariance", expected, got });

@@ -31,7 +31,7 @@ use super::track::{PointCloudTracker, Track};
 use crate::Error;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::Transform;
-use crate::util::budget::check_memory;
+use crate::util::budget::check_scan_memory;
 use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
 use crate::util::stopwatch::Clock;
@@ -110,7 +110,7 @@ impl FlyingObjectDetector {
     }
 
     fn run_stages(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
-        check_memory("a scan", raw.points.len())?;
+        check_scan_memory(raw.points.len())?;
         let (mut clock, mut timing) = (Clock::start(), Timing::default());
         let stamp_ns = self.prepare(raw)?;
         timing.prepare = clock.lap();

@@ -33,18 +33,34 @@ pub fn vec_with_capacity<T>(
 /// Memory that a call may take beside that of its rows [bytes]. More than the largest block that
 /// allocators keep for themselves, so that what is asked for here goes back to the system.
 const ROOM: usize = 48 << 20;
-/// Memory that a call may take for one row of its input, all stages together [bytes].
-const ROOM_OF_ROW: usize = 640;
+/// Memory that the stages of a scan may take for one of its points, all together [bytes].
+const ROOM_OF_POINT: usize = 640;
+/// Rows that together take less than this are as any small allocation: nobody asks for them [bytes].
+const BRIEF: usize = 1 << 20;
 
-/// Ask for the memory that a call with so many rows may take, and give it back.
+/// Ask for the memory that a scan may take, whatever its size: a few rays may make a map grow.
+///
+/// # Errors
+/// [`Error::Memory`] if it cannot be had.
+pub(crate) fn check_scan_memory(points: usize) -> Result<(), Error> {
+    ask("a scan", points, points.saturating_mul(ROOM_OF_POINT))
+}
+
+/// Ask for the memory that a call may take for its rows, `bytes_of_row` for each.
+///
+/// # Errors
+/// [`Error::Memory`] if it cannot be had.
+pub fn check_memory(what: &'static str, rows: usize, bytes_of_row: usize) -> Result<(), Error> {
+    let bytes = rows.saturating_mul(bytes_of_row);
+    if bytes < BRIEF { Ok(()) } else { ask(what, rows, bytes) }
+}
+
+/// Ask for memory, and give it back.
 ///
 /// Most allocations are small and cannot fail by themselves: without memory they end the process.
 /// A call that may need many asks here before it changes anything.
-///
-/// # Errors
-/// [`Error::Limit`] if the memory cannot be had.
-pub(crate) fn check_memory(what: &'static str, rows: usize) -> Result<(), Error> {
-    let bytes = rows.saturating_mul(ROOM_OF_ROW).saturating_add(ROOM);
+fn ask(what: &'static str, rows: usize, bytes: usize) -> Result<(), Error> {
+    let bytes = bytes.saturating_add(ROOM);
     let mut room = Vec::<u8>::new();
     let is_there = room.try_reserve_exact(bytes).is_ok();
     std::hint::black_box(&room); // else the compiler may leave the allocation out
@@ -68,4 +84,18 @@ pub fn check_points(len: usize) -> Result<(), Error> {
         });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_that_cannot_be_had_is_refused_and_little_is_not_asked_for() {
+        let told = check_memory("a table", usize::MAX / 8, 64).map_err(|error| error.to_string());
+        assert!(told.is_err_and(|text| text.starts_with("a table of ")));
+        assert!(matches!(check_scan_memory(usize::MAX / 1024), Err(Error::Memory { .. })));
+        assert!(check_memory("a table", BRIEF - 1, 1).is_ok());
+        assert!(check_memory("a table", 1000, 4096).is_ok());
+    }
 }

@@ -10,6 +10,7 @@ use lidar_core::circles::fit::circle::CircleEstimate;
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
 use lidar_core::circles::segment::segments::{Segments, Side};
 use lidar_core::circles::shape::{ShapeEstimate, ShapeFitter, ShapeKind};
+use lidar_core::util::budget::check_memory;
 use lidar_core::util::cancel;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -29,6 +30,11 @@ pub(crate) type CircleArrays<'py> = (
 type SegmentArrays<'py> =
     (PyReadonlyArray1<'py, u32>, PyReadonlyArray1<'py, i64>, PyReadonlyArray2<'py, u8>);
 
+/// Memory that a ray may take: range, bearing and number, each copied [bytes].
+const ROOM_OF_RAY: usize = 64;
+/// Memory that a circle may take, with its arrays for the caller [bytes].
+const ROOM_OF_CIRCLE: usize = size_of::<CircleEstimate>() + 256;
+
 #[pyfunction]
 #[pyo3(signature = (ranges, bearings, *, config, scanner))]
 pub(crate) fn detect_circles<'py>(
@@ -44,7 +50,9 @@ pub(crate) fn detect_circles<'py>(
     let found = stoppable(py, || {
         let mut fitter = Fitter::new(config.parameters(&scanner)?)?;
         let mut scan = PolarScan { ranges: Vec::new(), bearings: bearings.to_vec() };
-        let mut circles = Vec::with_capacity(ranges.len() / beams.max(1));
+        let rows = ranges.len() / beams.max(1);
+        check_memory("sweeps", rows, ROOM_OF_CIRCLE)?;
+        let mut circles = Vec::with_capacity(rows);
         for row in ranges.chunks_exact(beams.max(1)) {
             cancel::check()?;
             scan.ranges.clear();
@@ -141,8 +149,10 @@ fn read_scan(
     bearings: &PyReadonlyArray1<'_, f64>,
     segments: &SegmentArrays<'_>,
 ) -> Result<(PolarScan, Segments), BorderError> {
-    let ranges = arrays::flat("ranges", ranges)?.to_vec();
-    let bearings = arrays::flat("bearings", bearings)?.to_vec();
+    let ranges = arrays::flat("ranges", ranges)?;
+    let bearings = arrays::flat("bearings", bearings)?;
+    check_memory("a sweep", ranges.len().max(bearings.len()), ROOM_OF_RAY)?;
+    let (ranges, bearings) = (ranges.to_vec(), bearings.to_vec());
     Ok((PolarScan { ranges, bearings }, read_segments(segments)?))
 }
 
@@ -153,6 +163,7 @@ fn read_segments((rays, starts, sides): &SegmentArrays<'_>) -> Result<Segments, 
         return Err(BorderError::Shape { name: "segments.sides", expected: "(S, 2)", got });
     }
     let starts = arrays::flat("segments.starts", starts)?;
+    check_memory("segments", starts.len().max(sides.len()), ROOM_OF_CIRCLE)?;
     let codes = arrays::flat("segments.sides", sides)?;
     let side = |&code: &u8| match code {
         0 => Ok(Side::Free),

@@ -11,6 +11,7 @@ use lidar_core::circles::preprocess::sweep_poses::SweepPoses;
 use lidar_core::circles::segment::segmentation::segment;
 use lidar_core::circles::segment::segments::{Segments, Side};
 use lidar_core::geometry::motion::ScanPoses;
+use lidar_core::util::budget::check_memory;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyReadonlyArray3, PyUntypedArrayMethods,
@@ -29,6 +30,9 @@ pub(crate) type SegmentArrays<'py> =
 /// Names of the projections.
 pub(crate) const PROJECTIONS: [(&str, Projection); 2] =
     [("exact", Projection::Exact), ("paper", Projection::Paper)];
+
+/// Memory that a ray may take in one stage, with its arrays for the caller [bytes].
+const ROOM_OF_RAY: usize = 256;
 
 #[pyfunction]
 #[pyo3(signature = (ranges, bearings, world_from_lidar, *, planes, stamp_ns, ray_time_ns,
@@ -138,5 +142,6 @@ fn scan_slices<'a>(
         let (expected, got) = (bearings.len(), ranges.len());
         return Err(Error::Length { name: "ranges", expected, got }.into());
     }
+    check_memory("a sweep", ranges.len(), ROOM_OF_RAY)?;
     Ok((ranges, bearings))
 }

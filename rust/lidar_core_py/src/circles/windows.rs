@@ -9,6 +9,7 @@ use lidar_core::circles::fit::network_window::{
     ANSWER, CONTEXT, SLOT_NUMBERS, SLOTS, SegmentWindow, WindowFrame, circle_of, describe,
 };
 use lidar_core::circles::segment::segments::Side;
+use lidar_core::util::budget::check_memory;
 use numpy::{
     IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyUntypedArrayMethods,
@@ -77,6 +78,8 @@ impl Windows<'_> {
                 return Err(Error::Length { name, expected: count, got });
             }
         }
+        let room = size_of::<[f32; SLOTS * SLOT_NUMBERS + CONTEXT]>() + size_of::<[f64; FRAME]>();
+        check_memory("windows", count, room)?;
         let mut slots = vec![0.0; count * SLOTS * SLOT_NUMBERS];
         let mut context = vec![0.0; count * CONTEXT];
         let mut frames = Vec::with_capacity(count);
@@ -141,6 +144,7 @@ pub(crate) fn circles_from_answers<'py>(
     }
     let frames = arrays::flat("frames", &frames)?.as_chunks::<FRAME>().0;
     let answers = arrays::flat("answers", &answers)?.as_chunks::<ANSWER>().0;
+    check_memory("answers", count, 2 * size_of::<[f64; 12]>())?;
     let (mut circles, mut covariances) = (Vec::new(), Vec::new());
     for (&[bearing, scale, distance, radius, hits], answer) in frames.iter().zip(answers) {
         let frame =

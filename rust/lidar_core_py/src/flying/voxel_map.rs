@@ -11,6 +11,7 @@ use lidar_core::flying::integrate::integrator::Integrator;
 use lidar_core::flying::map::parameters::Separation;
 use lidar_core::flying::map::voxel_map::VoxelMap;
 use lidar_core::flying::point_class::{classes_from_numbers, numbers_from_classes};
+use lidar_core::util::budget::check_memory;
 use lidar_core::util::threads::Workers;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -98,7 +99,11 @@ impl PyVoxelMap {
         points: PyReadonlyArray2<'_, f32>,
     ) -> Result<Bound<'py, PyArray1<u8>>, BorderError> {
         let points = arrays::rows3("points", &points)?;
-        Ok(self.with_map(py, |map| Ok(map.states_at(points)))?.into_pyarray(py))
+        let states = self.with_map(py, |map| {
+            check_memory("states", points.len(), 1)?;
+            Ok(map.states_at(points))
+        })?;
+        Ok(states.into_pyarray(py))
     }
 
     fn values_at<'py>(
@@ -107,7 +112,11 @@ impl PyVoxelMap {
         points: PyReadonlyArray2<'_, f32>,
     ) -> Result<Bound<'py, PyArray1<f32>>, BorderError> {
         let points = arrays::rows3("points", &points)?;
-        Ok(self.with_map(py, |map| Ok(map.values_at(points)))?.into_pyarray(py))
+        let values = self.with_map(py, |map| {
+            check_memory("values", points.len(), size_of::<f32>())?;
+            Ok(map.values_at(points))
+        })?;
+        Ok(values.into_pyarray(py))
     }
 
     fn set_occupied(
@@ -203,7 +212,10 @@ impl PyVoxelMap {
 
     /// The map as bytes; equal maps give equal bytes.
     fn to_bytes(&self, py: Python<'_>) -> Result<Vec<u8>, BorderError> {
-        self.with_map(py, |map| Ok(map.to_bytes()))
+        self.with_map(py, |map| {
+            check_memory("the bytes of a map", map.memory_bytes(), 2)?;
+            Ok(map.to_bytes())
+        })
     }
 
     /// World coordinates of the point that the map's coordinates are relative to.

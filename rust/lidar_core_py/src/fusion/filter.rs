@@ -14,6 +14,7 @@ use lidar_core::fusion::targets::target::FilterStep;
 use lidar_core::fusion::{
     Filter, FusionParameters, Measurement, Record, Sensor, run, run_batch, smooth,
 };
+use lidar_core::util::budget::check_memory;
 use lidar_core::util::threads;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
@@ -254,6 +255,7 @@ impl PyMeasurements {
         covariances: PyReadonlyArray2<'_, f64>,
     ) -> Result<Self, BorderError> {
         let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
+        check_memory("measurements", stamps_ns.len(), 2 * size_of::<Measurement>())?;
         let sensors = arrays::flat("sensors", &sensors)?;
         let values = arrays::flat("values", &values)?;
         let counts = arrays::flat("counts", &counts)?;
@@ -343,6 +345,8 @@ pub(crate) fn fusion_fit_noise<'py>(
     least_rate: f64,
     evaluations: i64,
 ) -> Result<Fitted<'py>, BorderError> {
+    let rows = targets.iter().map(|target| target.0.len()).sum();
+    check_memory("measurements", rows, 2 * size_of::<Measurement>())?;
     let targets: Vec<Vec<Measurement>> = targets.iter().map(|target| target.0.clone()).collect();
     let evaluations = arrays::count("evaluations", evaluations)?;
     let search = SimplexSearch { step: 0.5, tolerance: 1e-6, evaluations };

@@ -6,6 +6,7 @@ use crate::guard::{Guarded, detached};
 use crate::sim::config::{LidarConfig, MotionConfig, ParticlesConfig, SurfaceConfig};
 use lidar_core::Error;
 use lidar_core::geometry::transform::Transform;
+use lidar_core::util::budget::check_memory;
 use lidar_core::util::{cancel, threads};
 use lidar_sim::air::Particles;
 use lidar_sim::mesh::Mesh;
@@ -105,6 +106,7 @@ impl SimTrajectory {
         stamps_ns: PyReadonlyArray1<'_, i64>,
     ) -> Result<Bound<'py, PyArray3<f64>>, BorderError> {
         let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
+        check_memory("poses", stamps_ns.len(), 2 * size_of::<[f64; 16]>())?;
         let values: Vec<f64> =
             stamps_ns.iter().flat_map(|&stamp| matrix(&self.0.pose_at(stamp))).collect();
         Ok(values.into_pyarray(py).reshape([stamps_ns.len(), 4, 4])?)
@@ -116,6 +118,7 @@ impl SimTrajectory {
         stamps_ns: PyReadonlyArray1<'_, i64>,
     ) -> Result<Rows<'py, f64>, BorderError> {
         let stamps_ns = arrays::flat("stamps_ns", &stamps_ns)?;
+        check_memory("velocities", stamps_ns.len(), size_of::<[f64; 3]>())?;
         let rows = stamps_ns.iter().map(|&stamp| self.0.velocity_at(stamp)).collect();
         arrays::rows_into(py, rows)
     }
@@ -249,6 +252,7 @@ impl SimScene {
         let directions = arrays::rows3("directions", &directions)?;
         let (distances, labels): (Vec<f64>, Vec<i32>) =
             self.0.with_stoppable(py, |(scene, pool)| {
+                check_memory("rays", origins.len(), 64)?;
                 let watch = cancel::watch();
                 let rays = origins.par_iter().zip(directions).with_min_len(1024);
                 let meet = |(&origin, &direction): (&[f64; 3], &[f64; 3])| {
@@ -276,6 +280,7 @@ impl SimScene {
     ) -> Result<Array1<'py, f64>, BorderError> {
         let points = arrays::rows3("points", &points)?;
         let distances = self.0.with_stoppable(py, |(scene, _)| {
+            check_memory("clearances", points.len(), 3 * size_of::<f64>())?;
             let watch = cancel::watch();
             let clearance =
                 |&point: &[f64; 3]| watch.check().map(|()| scene.clearance(point, limit));

@@ -49,6 +49,27 @@ def test_every_way_to_end_badly_is_found(kind):
     assert hostile("-c", program) == (0, f"{kind}\n")
 
 
+def test_a_child_that_gets_no_processor_does_not_hang():
+    """Beside another on one processor it waits half of the time; one that sleeps does not."""
+    program = (
+        "import os, time\n"
+        "from hostile.child import starved\n"
+        "os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])\n"
+        "def child(busy):\n"
+        "    one, end = os.fork(), time.monotonic() + 2\n"
+        "    while one == 0:\n"
+        "        time.sleep(0 if busy else 2)\n"
+        "        sum(range(20_000)) if busy else None\n"
+        "        time.monotonic() < end or os._exit(0)\n"
+        "    return one\n"
+        "busy, _, asleep = child(True), child(True), child(False)\n"
+        "time.sleep(1.5)\n"
+        "print(starved(busy) > 0.2, starved(asleep) < 0.5 * starved(busy), starved(2**22 + 9))\n"
+        "for _ in range(3): os.wait()\n"
+    )
+    assert hostile("-c", program) == (0, "True True 0.0\n")
+
+
 def test_broken_files_of_every_format_end_in_typed_errors():
     status, told = hostile("-m", "hostile", "--count", "40", "--seed", "7", "--generated-only")
     assert status == 0, told

@@ -96,6 +96,8 @@ def test_kills_without_a_checkpoint_prove_nothing():
     )
     assert fault({"a": plain, "b": tally(1, killed=2, torn=1)}, 5) == "1 ended badly"
     assert "on a checkpoint 1" in str(tally(1, killed=2))
+    ended = {"killed": 2, "was faster": 5, "torn": 1}
+    assert tally(1, **ended).outcomes == {"ok": 2, "torn": 1}  # for the page of evidence
 
 
 def test_a_kill_waits_for_a_file(tmp_path, monkeypatch):

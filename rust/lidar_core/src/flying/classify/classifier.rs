@@ -11,6 +11,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
+use crate::util::budget::check_scan_memory;
 use crate::util::cancel;
 use crate::util::object_pool::{ObjectPool, PooledObject};
 use crate::util::threads::Workers;
@@ -88,7 +89,7 @@ impl Classification {
 /// background, flying or unknown. The map stays as it is.
 ///
 /// # Errors
-/// [`Error::Length`], [`Error::Parameter`], [`Error::Interrupted`].
+/// [`Error::Length`], [`Error::Parameter`], [`Error::Memory`], [`Error::Interrupted`].
 pub fn classify_clusters(
     map: &VoxelMap,
     points: &[[f32; 3]],
@@ -111,6 +112,7 @@ pub fn classify_clusters(
             got: labels[index].to_string(),
         });
     }
+    check_scan_memory(points.len())?;
     let (mut clusters, mut classifications) = (Clusters::default(), Vec::new());
     clusters.fill(points, labels);
     let rules = ClusterRules { map, points, origin, parameters };

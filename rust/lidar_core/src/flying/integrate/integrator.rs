@@ -21,13 +21,15 @@ use crate::flying::map::parameters::{Rays, Skip};
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::Voxel;
-use crate::util::budget::check_memory;
+use crate::util::budget::{check_memory, check_scan_memory};
 use crate::util::cancel;
 use crate::util::threads::Workers;
 
 /// Blocks that a scan may touch whatever the budget of the map: those outside its operating volume
 /// are not stored. 256 MiB.
 const LEAST_SCRATCH: usize = 1 << 17;
+/// Memory that a block of the window may take, beside that of the threads [bytes].
+const ROOM_OF_BLOCK: usize = 16;
 
 /// Stage that updates a voxel map with scans; its memory is used again by the next scan.
 pub struct Integrator {
@@ -96,7 +98,7 @@ impl Integrator {
         map: &mut VoxelMap,
         scan: &ClassifiedScan<'_>,
     ) -> Result<IntegrateStats, Error> {
-        check_memory("a scan", scan.points.len())?;
+        check_scan_memory(scan.points.len())?;
         self.cast(map, scan)?;
         self.apply(map, scan.class, scan.pose_error)
     }
@@ -118,6 +120,9 @@ impl Integrator {
         let Some([low, high]) = plan.bounds() else { return Ok(()) };
         let window = Window::spanning(low, high)?;
         let most = map.blocks.max_blocks().max(LEAST_SCRATCH);
+        // A few rays may reach far: then the window takes more than the points.
+        let of_threads: usize = accumulators.iter().map(|one| one.room(&window)).sum();
+        check_memory("the window of a scan", of_threads + window.len() * ROOM_OF_BLOCK, 1)?;
         if map.parameters().rays == Rays::OnePerEnd {
             merge_ends(&mut accumulators[0], window, &source, &mut plan.rays, most)?;
         }

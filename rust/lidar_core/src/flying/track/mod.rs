@@ -38,7 +38,7 @@ pub use visibility::view::CloudView;
 
 use crate::Error;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
-use crate::util::budget::check_points;
+use crate::util::budget::{check_memory, check_points};
 use belief::existence::{FalseBirths, Sight};
 use belief::standing::{self, UnmovedTarget};
 use belief::visits::{Visits, renamed};
@@ -56,6 +56,8 @@ const EXPECTED: f64 = 0.5;
 /// this from its box [m].
 const EXPECTED_STDS: f64 = 2.5;
 const FARTHEST: f64 = 0.5;
+/// Memory that a point of a cloud may take beside its copy [bytes].
+const ROOM_OF_POINT: usize = 64;
 
 /// Multi-target tracker over point clouds and detections that may come late.
 ///
@@ -111,6 +113,7 @@ impl PointCloudTracker {
         stamp_ns: i64,
     ) -> Result<Stats, Error> {
         check_points(points.len())?;
+        check_memory("a point cloud", points.len(), ROOM_OF_POINT)?;
         let mut stats = Stats { late: self.buffer.is_late(stamp_ns)?, ..Stats::default() };
         let cloud = self.buffer.copy(points, delays, stamp_ns, self.keeps_points)?;
         if !stats.late {

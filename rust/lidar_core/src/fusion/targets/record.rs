@@ -11,6 +11,7 @@ use crate::fusion::filter::smoother::{RunRow, smoothed};
 use crate::fusion::model::Model;
 use crate::fusion::parameters::{FusionParameters, Method};
 use crate::fusion::sensors::measurement::Measurement;
+use crate::util::budget::check_memory;
 use crate::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -37,6 +38,12 @@ pub struct Record {
     /// range, bearing, elevation and range rate of the radar.
     pub variances: ([f64; 3], [f64; 4]),
 }
+
+/// Memory that a row of a run may take, with a copy for the caller [bytes].
+const ROOM_OF_ROW: usize = 2 * (size_of::<Output>() + 64);
+/// The same of a smoothed run, which keeps all states until the last is known [bytes].
+const ROOM_OF_SMOOTHED_ROW: usize =
+    size_of::<RunRow>() + size_of::<FilterStep>() + 2 * size_of::<Output>() + ROOM_OF_ROW;
 
 impl Record {
     fn with_capacity(rows: usize) -> Self {
@@ -108,9 +115,10 @@ pub fn padded(innovation: Option<&Innovation>) -> [f64; MAX_INNOVATION] {
 /// Filter measurements in the order of their stamps; those of one stamp keep their order.
 ///
 /// # Errors
-/// Errors of [`Filter::new`].
+/// Errors of [`Filter::new`], [`Error::Memory`], [`Error::Interrupted`].
 pub fn run(parameters: &FusionParameters, measurements: &[Measurement]) -> Result<Record, Error> {
     let mut filter = Filter::new(&parameters.without_buffer())?;
+    check_memory("a run", measurements.len(), ROOM_OF_ROW)?;
     let mut record = Record::with_capacity(measurements.len());
     let watch = cancel::watch();
     for m in in_order(measurements).iter() {
@@ -132,6 +140,8 @@ pub fn run_batch(
     targets: &[&[Measurement]],
 ) -> Result<Vec<Record>, Error> {
     Filter::new(parameters)?;
+    let rows = targets.iter().map(|target| target.len()).sum();
+    check_memory("runs", rows, ROOM_OF_ROW)?; // of all: they are kept until the last has ended
     let watch = cancel::watch();
     let of_target = |target: &&[Measurement]| watch.run(|| run(parameters, target));
     let records: Vec<Result<Record, Error>> =
@@ -148,6 +158,7 @@ pub fn smooth(
     measurements: &[Measurement],
     lag_ns: Option<i64>,
 ) -> Result<Record, Error> {
+    check_memory("a smoothed run", measurements.len(), ROOM_OF_SMOOTHED_ROW)?;
     let mut record = Record::with_capacity(measurements.len());
     let sorted = in_order(measurements);
     let errors = smooth_into(parameters, &sorted, lag_ns, |step| {
@@ -184,7 +195,8 @@ fn smooth_into(
     let smooths = !matches!(parameters.method, Method::Interacting { .. });
     require(smooths, "method", "one that can be smoothed", "\"imm\"")?;
     let mut filter = Filter::new(&parameters.without_buffer())?;
-    let (mut rows, mut steps) = (Vec::new(), Vec::new());
+    let count = measurements.len();
+    let (mut rows, mut steps) = (Vec::with_capacity(count), Vec::with_capacity(count));
     for m in measurements {
         cancel::check()?;
         let link = filter.link(m.stamp_ns());

@@ -8,12 +8,15 @@ mod octree_link;
 
 use crate::Error;
 use crate::error::{require, require_positive};
-use crate::util::budget::check_points;
+use crate::util::budget::{check_memory, check_points};
 use crate::util::{cancel, vector_unit};
 use octree_link::{Fixed, Linker};
 
 /// Label of points that belong to no cluster.
 pub const NOISE: i32 = -1;
+
+/// Memory that a point may take: its keys, group and label, each with what is sorted [bytes].
+const ROOM_OF_POINT: usize = 128;
 
 /// Group of points that are not finite.
 pub(super) const NO_GROUP: u32 = u32::MAX;
@@ -35,8 +38,8 @@ pub struct Clustering {
 /// size and points that are not finite. Distances are compared as squares in `f64`.
 ///
 /// # Errors
-/// [`Error::Parameter`], [`Error::Limit`] for too many points, [`Error::PointOutOfRange`] if the
-/// cloud is more than 2^31 cells wide, [`Error::Interrupted`].
+/// [`Error::Parameter`], [`Error::Limit`] for too many points, [`Error::Memory`],
+/// [`Error::PointOutOfRange`] if the cloud is more than 2^31 cells wide, [`Error::Interrupted`].
 ///
 /// # Source
 /// Vrba et al., eqs 13-15.
@@ -61,6 +64,7 @@ impl Labeller {
     pub fn label(&mut self, points: &[[f32; 3]], clustering: &Clustering) -> Result<&[i32], Error> {
         check(clustering)?;
         check_points(points.len())?;
+        check_memory("a cloud", points.len(), ROOM_OF_POINT)?;
         let distance = clustering.max_distance;
         let group_of = self.linker.linked(points, distance, &Fixed::new(distance))?;
         cancel::check()?;

@@ -19,8 +19,9 @@ use crate::Error;
 use crate::circles::fit::circle::CircleEstimate;
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
 use crate::tracking::kind::TrackKind;
+use crate::util::budget::check_memory;
 use crate::util::full_state::impossible;
-use covariance::{Covariance, ELEMENT, place};
+use covariance::{Covariance, ELEMENT, ROBOT, place};
 use measurement::{Matrix5x3, MeasurementModel, mapped};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
@@ -108,6 +109,9 @@ impl JointMap {
     ) -> Result<MapOutcome, Error> {
         self.check_stamp((scan.stamp_ns, scan.sensor))?;
         let pose = check(scan)?;
+        let elements = self.state.landmarks.len() + scan.estimates.len();
+        let entries = (ROBOT + ELEMENT * elements).pow(2);
+        check_memory("the covariance of a map", entries, 3 * size_of::<f64>())?;
         let mut state = self.state.clone(); // an error must not leave it half updated
         let mut number = *next_id;
         state.predict(scan, self.parameters.velocity_step);

@@ -41,6 +41,8 @@ pub(crate) struct Accumulator {
     walked: u64,
     /// Largest number of blocks that one scan may touch.
     most: usize,
+    /// True once a block found no memory.
+    is_starved: bool,
 }
 
 /// Position of a block or a mark: in the window, or among the blocks beyond it.
@@ -51,6 +53,16 @@ pub(crate) enum Slot {
 }
 
 impl Accumulator {
+    /// Memory that `aim` would take [bytes].
+    pub(in crate::flying::integrate) fn room(&self, window: &Window) -> usize {
+        if window.is_whole() {
+            let of_block = size_of::<[Mark; VOLUME]>() + size_of::<u64>();
+            window.len().saturating_sub(self.dense.len()) * of_block
+        } else {
+            window.len().saturating_sub(self.table.len()) * size_of::<u32>()
+        }
+    }
+
     /// Aim the empty accumulator at `window`; it will touch at most `most` blocks.
     pub(crate) fn aim(&mut self, window: Window, most: usize) {
         self.most = most;
@@ -58,13 +70,14 @@ impl Accumulator {
             self.dense.reserve(window.len());
         } else {
             self.table.resize(window.len(), EMPTY);
+            self.is_starved |= !self.dense.grow(1); // the slot of marks that have no other
         }
         self.window = Some(window);
     }
 
     /// Empty it for the next scan.
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
-        (self.visits, self.walked) = (0, 0);
+        (self.visits, self.walked, self.is_starved) = (0, 0, false);
         self.dense.clear(pool);
         for (index, _) in self.opened.drain(..) {
             self.table[index as usize] = EMPTY;
@@ -87,12 +100,13 @@ impl Accumulator {
     #[cold]
     fn open(&mut self, index: usize) -> usize {
         let slot = self.opened.len();
-        if slot > self.most {
-            return slot.saturating_sub(1); // too many: `check` says so, and no mark is used
+        let is_too_many = slot > self.most;
+        self.is_starved |= !is_too_many && !self.dense.grow(slot + 1);
+        if is_too_many || self.is_starved {
+            return slot.saturating_sub(1); // `check` says so, and no mark is used
         }
         self.table[index] = slot as u32;
         self.opened.push((index as u32, slot as u32));
-        self.dense.grow(slot + 1);
         slot
     }
 
@@ -240,6 +254,7 @@ impl Accumulator {
         // `EMPTY` is no slot of `other`: blocks that keep it are left as they are.
         sources.clear();
         sources.resize(self.dense.len(), EMPTY);
+        self.is_starved |= other.is_starved;
         for (index, slot) in other.slots() {
             let own = self.slot(window, index as usize);
             sources.resize(sources.len().max(own + 1), EMPTY);
@@ -251,8 +266,15 @@ impl Accumulator {
     }
 
     /// # Errors
-    /// [`Error::Limit`] if the scan touches too many blocks; its marks are of no use then.
+    /// [`Error::Limit`] if the scan touches too many blocks, [`Error::Memory`] if there is none for
+    /// them; its marks are of no use then.
     pub(crate) fn check(&self) -> Result<(), Error> {
+        if self.is_starved {
+            let blocks = self.opened.len();
+            let what =
+                format!("a scan that touches more than {blocks} blocks of 2 KiB needs memory");
+            return Err(Error::Memory { what });
+        }
         if self.opened.len() > self.most || self.sparse.opened.len() > self.most {
             return Err(Error::Limit {
                 what: format!("a scan that touches more than {} voxels", self.most * VOLUME),

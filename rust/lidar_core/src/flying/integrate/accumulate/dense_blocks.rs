@@ -35,12 +35,17 @@ impl DenseBlocks {
         }
     }
 
-    /// Grow to so many slots as blocks are opened.
-    pub(crate) fn grow(&mut self, slots: usize) {
-        if self.len() < slots {
+    /// Grow to so many slots as blocks are opened; false if the memory cannot be had.
+    #[must_use]
+    pub(crate) fn grow(&mut self, slots: usize) -> bool {
+        let more = slots.saturating_sub(self.len());
+        let has_room =
+            self.marks.try_reserve(more * VOLUME).is_ok() && self.met.try_reserve(more).is_ok();
+        if has_room && more > 0 {
             self.marks.resize(slots * VOLUME, 0);
             self.met.resize(slots, 0);
         }
+        has_room
     }
 
     /// Marks of all slots.
