@@ -73,7 +73,7 @@ def command(
     view = _view(simulator, run, truth, report)
     if picture:
         path = output / "picture.png"
-        drawn, notes = draw([(path, lambda: draw_flying(view, path))])
+        drawn, notes = draw([(path, lambda _: draw_flying(view, path))])
         files += drawn
         for note in notes:
             tell(errors, note)

@@ -14,8 +14,8 @@ from lidar_core.circles.scanner import layout_name
 from lidar_core.config import checked
 from lidar_core.io import PoseOptions, ReadOptions, open_recording, posed_laser_scans
 from lidar_core.messages import LaserScan
-from lidar_core.runs.recording import RecordingJob, folder_to_write, no_progress
-from lidar_core.runs.result import OnProgress, RunResult
+from lidar_core.runs.recording import RecordingJob, folder_to_write
+from lidar_core.runs.result import OnProgress, RunResult, no_progress
 from lidar_core.runs.scans.circles import CirclesRun
 from lidar_core.runs.settings import ConfigChoice, config_of_run
 

@@ -133,7 +133,7 @@ class RecordingJob(Generic[ScanT]):
         self._write_note()
         notes: list[str] = []
         if self.picture:
-            drawn, notes = draw(run.pictures(self.folder, self.recording.name))
+            drawn, notes = draw(run.pictures(self.folder, self.recording.name), self.on_progress)
             files += drawn
         if (self.folder.path / MCAP).exists():
             files.append(MCAP)
@@ -237,7 +237,3 @@ def folder_to_write(
     writes_mcap = wants_mcap(mcap)
     folder = RunFolder(Path(output), overwrite=overwrite, reads=reads, resume=resume)
     return folder, writes_mcap
-
-
-def no_progress(what: str, done: int, total: int | None) -> None:
-    """Ignore how far a run is."""

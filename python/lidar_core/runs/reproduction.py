@@ -59,7 +59,7 @@ class ReproduceJob:
         self._write(f"{item.name}.toml", note_of(inputs, result.config))
         if self.draws:
             path = self.folder / f"{item.name}.png"
-            names, notes = draw([(path, lambda: write_figure(path, result.draw, size=PICTURE))])
+            names, notes = draw([(path, lambda _: write_figure(path, result.draw, size=PICTURE))])
             self.files += names
             return values, notes
         return values, []

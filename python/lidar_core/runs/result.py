@@ -17,7 +17,7 @@ from lidar_core.io.options import NS
 MCAP = "run.mcap"
 OnProgress: TypeAlias = Callable[[str, int, int | None], None]
 """Is called with what is done, how much of it, and of how much, where that is known."""
-Picture: TypeAlias = tuple[Path, Callable[[], object]]
+Picture: TypeAlias = tuple[Path, Callable[[OnProgress], object]]
 """A file, and what draws it."""
 
 
@@ -87,12 +87,18 @@ def no_mcap_of(stamps: NDArray[np.int64]) -> str | None:
     return f"no {MCAP}: MCAP holds no times below 0, and the first is {first / NS:g} s"
 
 
-def draw(pictures: Iterable[Picture]) -> tuple[list[str], list[str]]:
-    """Draw pictures; return names of those drawn, and a note if matplotlib is missing."""
+def no_progress(what: str, done: int, total: int | None) -> None:
+    """Ignore how far a run is."""
+
+
+def draw(
+    pictures: Iterable[Picture], on_progress: OnProgress = no_progress
+) -> tuple[list[str], list[str]]:
+    """Draw pictures and films; return names of those drawn, and a note if matplotlib is missing."""
     names: list[str] = []
     try:
         for path, paint in pictures:
-            paint()
+            paint(on_progress)
             names.append(path.name)
     except MissingExtraError as error:
         return names, [f"no picture: {error}"]

@@ -1,6 +1,6 @@
 """Pictures of a run of the circle pipeline, with matplotlib: one PNG, or an animation."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +58,14 @@ def draw_circles(view: CirclesView, path: str | Path) -> Path:
     return write_figure(path, lambda figure: _compose(figure, view), size=SIZE, dpi=DPI)
 
 
-def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: float) -> Path:
+def animate_circles(
+    view: CirclesView,
+    path: str | Path,
+    *,
+    frames: int,
+    rate: float,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
     """Draw the map over time.
 
     Parameters
@@ -71,6 +78,8 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
         Frames at most, evenly picked.
     rate : float
         Frames per second [Hz].
+    on_frame : callable
+        Gets the number of frames that are drawn, and that of all.
 
     Raises
     ------
@@ -85,11 +94,13 @@ def animate_circles(view: CirclesView, path: str | Path, *, frames: int, rate: f
 
     def paint(figure: Any) -> Iterator[None]:
         axes = figure.add_subplot()
-        for scan in picked:
+        for number, scan in enumerate(picked):
+            on_frame(number, len(picked))
             axes.clear()
             _above(axes, view, scan, window)
             axes.set_title(f"{view.title}: {_seconds(view)[scan]:.1f} s" if scan >= 0 else "")
             yield
+        on_frame(len(picked), len(picked))
 
     return write_film(path, paint, size=FILM_SIZE, dpi=FILM_DPI, rate=rate)
 

@@ -83,7 +83,7 @@ def _compose(figure: Any, view: FlyingView) -> None:
     time = _seconds(view, view.stamp_ns)
     span = f", 0 to {time[-1]:.1f} s" if len(time) else ""
     above.set(title=f"from above{span}", xlabel="x [m]", ylabel="y [m]")
-    corner = plan.corner_away_from([view.sensor[-1:, :2]])
+    corner = plan.corner_away_from(_in_sight(view, plan))
     opaque_legend(above, corner, ncols=2, labelspacing=0.35)
     _map(side, view, (0, 2), elevation, depth=(plan.low[1], plan.high[1]))
     side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
@@ -109,6 +109,13 @@ def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
         known = view.cloud if len(view.cloud) else view.occupied
         return window_over([bulk_of(known)[:, columns], sensor], tall, smallest=SMALLEST)
     return window_around(moving, tall, also=[sensor])
+
+
+def _in_sight(view: FlyingView, plan: Window) -> list[NDArray[np.float64]]:
+    """What a legend should not hide: the way of the sensor, and the arrow to where it is."""
+    way = view.sensor[:, :2]
+    seen = ((way >= plan.low) & (way <= plan.high)).all(axis=1)
+    return [way[seen], way[-1:]]
 
 
 def _map(

@@ -10,8 +10,16 @@ from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.viz.circles_picture import colour_of
 from lidar_core.viz.drawing.frame import panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
-from lidar_core.viz.drawing.marks import WAY, ring, scale_bar
-from lidar_core.viz.figure import DASHED, PALE, draw_truth, opaque_legend, two_columns, write_figure
+from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
+from lidar_core.viz.figure import (
+    DASHED,
+    INK,
+    PALE,
+    draw_truth,
+    opaque_legend,
+    two_columns,
+    write_figure,
+)
 from lidar_core.viz.views import FusionView, PlanarLine
 
 SIZE, DPI = (12.0, 7.0), 90
@@ -57,7 +65,7 @@ def _compose(figure: Any, view: FusionView) -> None:
 
 
 def _above(axes: Any, view: FusionView) -> None:
-    """Measurements, truth and the whole ways of the tracks."""
+    """Measurements, truth, the way of the sensor, and the whole ways of the tracks."""
     ways = [line.position for line in (*view.tracks.values(), *view.truth.values())]
     window = window_over(ways or view.seen.values(), panel_tallness(axes), smallest=SMALLEST)
     window.apply(axes)
@@ -73,6 +81,9 @@ def _above(axes: Any, view: FusionView) -> None:
             label=sensor,
             rasterized=True,
         )
+    if len(view.sensor):
+        axes.plot(*view.sensor.T, color=INK, lw=1.2, zorder=3, label="sensor")
+        sensor_mark(axes, window, view.sensor[-1])
     draw_truth(axes, (line.position for line in view.truth.values()))
     longest = sorted(view.tracks, key=lambda number: -len(view.tracks[number].stamp_ns))[:NAMED]
     for order, (number, line) in enumerate(view.tracks.items()):
@@ -90,7 +101,9 @@ def _above(axes: Any, view: FusionView) -> None:
     axes.set(title=_above_title(view), xlabel="x [m]", ylabel="y [m]")
     axes.grid(visible=True)
     if view.seen or view.tracks:
-        opaque_legend(axes, window.corner_away_from(ways or view.seen.values()), ncols=2)
+        opaque_legend(
+            axes, window.corner_away_from([*(ways or view.seen.values()), view.sensor]), ncols=2
+        )
 
 
 def _above_title(view: FusionView) -> str:

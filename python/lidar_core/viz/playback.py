@@ -158,6 +158,11 @@ class Playback:
         return [path for path in places if path.is_file()]
 
     @property
+    def points_name(self) -> str:
+        """What legends call points without a class."""
+        return "measurement" if self.capability == "fusion" else "scan"
+
+    @property
     def recording(self) -> Path | None:
         """MCAP file with the scans; None where the run wrote none."""
         path = self.folder / RECORDING

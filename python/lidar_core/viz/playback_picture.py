@@ -149,6 +149,8 @@ class _Scene:
         Whether there is a view from above alone.
     shows_whole_ways : bool
         Whether the ways fill the picture: fused targets have no map around them.
+    points_name : str
+        What points without a class are called.
     moving, around : sequence of ndarray, shape (N, 3)
         Places that are in the middle, and places that are shown where there is room [m].
     voxels : ndarray, shape (N, 3)
@@ -158,6 +160,7 @@ class _Scene:
     title: str
     is_planar: bool
     shows_whole_ways: bool
+    points_name: str
     moving: Sequence[NDArray[np.float64]]
     around: Sequence[NDArray[np.float64]]
     voxels: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
@@ -173,10 +176,13 @@ class _Scene:
         sensors = [moment.sensor[None] for moment, _ in shown if moment.sensor is not None]
         if run.capability == "circles":
             moved = [way for way in ways if np.linalg.norm(np.ptp(way, axis=0)) > MOVED]
-            return cls(run.folder.name, True, False, moved, [*ways, *outlines, bulk, *sensors])
+            around = [*ways, *outlines, bulk, *sensors]
+            return cls(run.folder.name, True, False, run.points_name, moved, around)
         around = sensors[-1:] if ways else [bulk, *sensors[-1:]]
         is_fused = run.capability == "fusion"
-        return cls(run.folder.name, is_fused, is_fused, ways, around, *_map_of(run))
+        return cls(
+            run.folder.name, is_fused, is_fused, run.points_name, ways, around, *_map_of(run)
+        )
 
     def window(self, axes: tuple[int, int], tall: float) -> Window:
         """Return the part of the world that a panel of this height over width shows."""
@@ -218,7 +224,9 @@ def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds
     above = figure.add_subplot(grid[:, 0])
     plan = scene.window((0, 1), panel_tallness(above))
     if planar:
-        _panel(above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf))
+        _panel(
+            above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf), points=scene.points_name
+        )
     else:
         side = figure.add_subplot(grid[0, 1])
         elevation = scene.window((0, 2), panel_tallness(side))
@@ -252,10 +260,11 @@ def _panel(
     window: Window,
     *,
     depth: tuple[float, float],
+    points: str = "scan",
 ) -> None:
-    """One projection; points out of `depth` are left out."""
+    """One projection; points out of `depth` are left out; those without a class are `points`."""
     window.apply(panel)
-    _draw_points(panel, moment, axes, window, depth)
+    _draw_points(panel, moment, axes, window, depth, points)
     for number, outline in enumerate(moment.outlines):
         line = outline.points[:, axes]
         name = None if number else "wall or other shape"
@@ -289,6 +298,7 @@ def _draw_points(
     axes: tuple[int, int],
     window: Window,
     depth: tuple[float, float],
+    plain: str,
 ) -> None:
     flat = moment.points[:, axes]
     far = moment.points[:, 3 - sum(axes)]
@@ -299,7 +309,7 @@ def _draw_points(
         chosen = flat[rows[moment.point_class[rows] == kind]]
         if (moment.point_class == kind).any():
             is_plain = kind == ShownClass.INVALID
-            name = "scan" if is_plain else kind.name.lower().replace("_", " ")
+            name = plain if is_plain else kind.name.lower().replace("_", " ")
             panel.plot([], [], ".", ms=6, color=colour, label=name)
         size = 1 + 2 * (kind > ShownClass.BACKGROUND)
         panel.plot(*chosen.T, ".", ms=size, color=colour, rasterized=True)

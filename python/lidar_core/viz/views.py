@@ -126,6 +126,8 @@ class FusionView:
     nis : mapping of str to pair of ndarray, shape (N,)
         By sensor: times [ns], and NIS divided by its 95 % limit. One value in twenty is expected
         above 1.
+    sensor : ndarray, shape (S, 2), float64
+        Way of a sensor that moves [m]; empty for one that does not.
     """
 
     title: str
@@ -133,3 +135,4 @@ class FusionView:
     tracks: Mapping[int, PlanarLine]
     truth: Mapping[int, PlanarLine]
     nis: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
+    sensor: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))

@@ -125,6 +125,32 @@ def test_the_legend_of_a_picture_in_the_plane_lies_beside_it(drawn, name):
         assert not legend_of(figure).get_window_extent().overlaps(text.get_window_extent())
 
 
+def test_a_fusion_picture_shows_measurements_in_the_world_and_the_way_of_the_sensor(drawn):
+    """The tour's sensor flies 36 m: without its pose, a measurement would be metres off."""
+    above = drawn["fusion", "picture"].axes[0]
+    way = next(line.get_xydata() for line in above.lines if line.get_gid() == WAY)
+    seen = {dots.get_label(): dots.get_offsets() for dots in above.collections}
+    for sensor in ("lidar", "radar"):
+        away = np.linalg.norm(seen[sensor][:, None] - way[None], axis=2).min(axis=1)
+        assert len(away) > 50
+        assert np.median(away) < 0.5
+    (flown,) = (line.get_xydata() for line in above.lines if line.get_label() == "sensor")
+    assert np.ptp(flown[:, 0]) > 5
+    assert "measurement" in [t.get_text() for t in legend_of(drawn["fusion", "png"]).get_texts()]
+
+
+@pytest.mark.parametrize("name", ["demo", "flying"])
+def test_the_legend_hides_nothing_of_the_way_of_the_sensor(drawn, name):
+    figure = drawn[name, "picture"]
+    above = figure.axes[0]
+    box = above.get_legend().get_window_extent()
+    (flown,) = (line for line in above.lines if line.get_label() == "sensor")
+    places = above.transData.transform(flown.get_xydata())
+    places = places[above.get_window_extent().padded(-1).extents[0] <= places[:, 0]]
+    hidden = [place for place in places if box.contains(*place)]
+    assert len(hidden) == 0
+
+
 def test_time_counts_from_the_first_scan_also_where_none_was_kept(drawn):
     """The drones of the demo are found after 1 s; 40 scans are 3.9 s long."""
     assert drawn["demo", "png"].get_suptitle() == "demo: 3.90 s, 2 objects"
@@ -142,7 +168,7 @@ def test_pictures_have_a_legend_a_scale_a_time_and_sigmas(drawn, case):
     figure = drawn[case]
     above = figure.axes[0]
     names = [text.get_text() for text in legend_of(figure).get_texts()]
-    assert "sensor" in names or case == ("fusion", "picture"), names
+    assert "sensor" in names, names
     assert any("2σ" in name for name in names), names
     told = [text.get_text() for text in above.texts]
     assert any(re.fullmatch(r"[\d.]+ m", text) for text in told), told

@@ -105,7 +105,11 @@ def test_scans_whose_points_were_not_kept_are_left_out_of_the_film(view, tmp_pat
     path = animate_circles(replace(view, points=points), tmp_path / "a.gif", frames=9, rate=5.0)
     with image.open(path) as made:
         assert (made.format, made.n_frames) == ("GIF", 4)
-    path = animate_circles(view, path, frames=3, rate=5.0)
+    told = []
+    path = animate_circles(
+        view, path, frames=3, rate=5.0, on_frame=lambda done, total: told.append((done, total))
+    )
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
     with image.open(path) as made:
         assert made.n_frames == 3
     assert [file.name for file in tmp_path.iterdir()] == ["a.gif"]

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from time import perf_counter
 from typing import Any, Self
 
@@ -21,7 +23,7 @@ from lidar_core.io.tables.circles import map_columns
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
-from lidar_core.runs.result import MCAP, Picture
+from lidar_core.runs.result import MCAP, OnProgress, Picture
 from lidar_core.runs.scans.times import ScanTimes
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.film import film_ending
@@ -190,11 +192,9 @@ class CirclesRun:
         """The picture of a run on the recording `name`, and the film where it is wanted."""
         view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
         picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
-        found: list[Picture] = [(picture, lambda: draw_circles(view, picture))]
+        found: list[Picture] = [(picture, lambda _: draw_circles(view, picture))]
         if self._film:
-            found.append(
-                (film, lambda: animate_circles(view, film, frames=FILM_FRAMES, rate=FILM_RATE))
-            )
+            found.append((film, lambda on_progress: _draw_film(view, film, on_progress)))
         return found
 
     def view(self, title: str, **more: Any) -> CirclesView:
@@ -282,6 +282,12 @@ class CirclesRun:
             "element": np.concatenate([no_rows, *(item.element for item in found)]),
             **covariance_columns(names, covariance),
         }
+
+
+def _draw_film(view: CirclesView, path: Path, on_progress: OnProgress) -> None:
+    animate_circles(
+        view, path, frames=FILM_FRAMES, rate=FILM_RATE, on_frame=partial(on_progress, "film")
+    )
 
 
 def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:

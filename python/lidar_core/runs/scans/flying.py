@@ -94,7 +94,7 @@ class FlyingRun:
         """The picture of a run on the recording `name`."""
         view = self.view(f"{name}: {self.n_scans} scans, {len(self.track_ids)} tracks")
         path = folder.path / "picture.png"
-        return [(path, lambda: draw_flying(view, path))]
+        return [(path, lambda _: draw_flying(view, path))]
 
     def keep(self, item: PosedScan[Scan], frame: FlyingFrame, wall_ms: float) -> None:
         """Keep the results of a scan that took `wall_ms`, and write them to run.mcap."""

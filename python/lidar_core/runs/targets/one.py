@@ -28,7 +28,14 @@ from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.result import Picture
-from lidar_core.runs.targets.planar import PlanarStep, in_plane, sensor_at, write_run_mcap
+from lidar_core.runs.targets.planar import (
+    YAWS,
+    PlanarStep,
+    in_plane,
+    in_world,
+    sensor_at,
+    write_run_mcap,
+)
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 LIMIT = 0.95
@@ -265,21 +272,34 @@ class TargetRun:
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
         """The picture of a run on the recording `name`."""
         path = folder.path / "picture.png"
-        return [(path, lambda: draw_fusion(self.view(name), path))]
+        return [(path, lambda _: draw_fusion(self.view(name), path))]
 
     def view(self, name: str) -> FusionView:
         """Return the content of a picture."""
         rows, truth, result = self.seen, self.log.truth, self.result
         stamps = result.stamps_ns
         line = PlanarLine(stamps[rows], self.states[:, :2], result.covariances[rows][:, :2, :2])
-        fixed = not any(m.sensor == "pose" for m in self.log.measurements)
+        moving = {m.sensor for m in self.log.measurements} & YAWS.keys()
         return FusionView(
             title=f"{name}: {self.config.model}, {self.config.method}",
-            seen=measured_places(self.log.measurements) if fixed else {},
+            seen=self._seen_in_world(),
             tracks={0: line} if rows.any() else {},
             truth={} if truth is None else {0: PlanarLine(stamps, truth.position)},
             nis=nis_ratios(self.nis()),
+            sensor=self._sensor_poses()[self.last, :2] if moving else np.empty((0, 2)),
         )
+
+    def _sensor_poses(self) -> NDArray[np.float64]:
+        """x, y and yaw (N, 3) of the sensor at every measurement."""
+        return sensor_at(self.log.measurements, self.stamps, self.config.lever_arm)
+
+    def _seen_in_world(self) -> dict[str, NDArray[np.float64]]:
+        """Measured positions (M, 2) by sensor, placed with the pose at their time."""
+        found: dict[str, list[NDArray[np.float64]]] = {}
+        for m, pose in zip(self.log.measurements, self._sensor_poses(), strict=True):
+            for sensor, places in measured_places([m]).items():
+                found.setdefault(sensor, []).append(in_world(places, pose))
+        return {sensor: np.concatenate(places) for sensor, places in found.items()}
 
 
 NisBySensor: TypeAlias = dict[

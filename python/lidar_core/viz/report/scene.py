@@ -54,6 +54,7 @@ def scene_of(
     lattice = _Lattice([voxels, *(points for points, _ in clouds)])
     return {
         "planar": run.capability != "flying",
+        "points": run.points_name,
         "times": [round((moment.stamp_ns - start_ns) * 1e-9, 4) for moment in moments],
         "lattice": {"origin": lattice.origin.tolist(), "step": lattice.step},
         "voxels": lattice.packed(voxels),

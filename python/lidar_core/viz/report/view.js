@@ -251,12 +251,12 @@
   const present = new Set();
   for (const one of scene.scans) for (const kind of bytes(one.classes)) present.add(kind);
   const keys = [...present].filter((kind) => NAMES[kind]).map((kind) => [NAMES[kind], COLOURS[kind]]);
-  if (present.has(0) || present.has(1)) keys.unshift([scene.planar ? "scan" : "background", COLOURS[1]]);
+  if (present.has(0) || present.has(1)) keys.unshift([scene.planar ? scene.points : "background", COLOURS[1]]);
   if (scene.outlines.some((one) => one.length)) keys.push(["wall or other shape", WALL]);
   if (scene.truth.length) keys.push(["truth", TRUTH]);
   for (const [name, colour] of keys) {
     const dot = document.createElement("span");
-    dot.className = "key";
+    dot.className = name === "truth" ? "key line" : "key";
     dot.style.background = colour;
     element("legend").append(dot, `${name} `);
   }
