@@ -8,7 +8,7 @@ KEPT, TOLD, ALIKE = 12, 1.0, 0.9
 WANDERS, SPEEDS, SLOWEST, RESTS = 0.05, (1.0, 0.3, 0.1, 0.03), 0.1, 0.3
 CHANGES, STANDS, KEEPS, MOST = 10.0, 300.0, 30.0, 3.0
 CLIMBS, LEVEL, SLOPES, CRUISES, FEWEST_OF_CLIMB, MOST_OF_CLIMB = 1.0, 0.1, 0.1, 0.5, 6, 5.0
-LEAST = 1e-6
+LEAST, FEWEST = 1e-6, 6
 BEGINS = np.array([RESTS, *[(1 - RESTS) / len(SPEEDS)] * len(SPEEDS)])
 """Shares of the motions of what moves."""
 
@@ -127,13 +127,15 @@ def see(track, stamp, place, told, speed, *, in_space=False):
     past = track.setdefault("places", [])
     past.append((stamp * 1e-9, *place, *told))
     del past[:-KEPT]
-    motions = track.setdefault("motions", Motions(place[:2], told[:2], speed))
-    if len(past) < 2 or past[-1][0] <= past[-2][0]:
+    seen = np.array(past)
+    found = line(seen) if len(past) > 2 else None
+    if "motions" not in track:
+        if len(past) >= FEWEST:
+            noise = seen[:, 4:6].mean(axis=0) if found is None else found[1][:2]
+            track["motions"] = Motions(place[:2], noise, speed)
         return
-    seen, dt = np.array(past), past[-1][0] - past[-2][0]
-    found = line(seen)
-    if found is None:
-        motions.see(dt, place[:2], seen[:, 4:6].mean(axis=0), TOLD, speed)
+    motions, dt = track["motions"], past[-1][0] - past[-2][0]
+    if dt <= 0:
         return
     velocity, noise, freedom, spread = found
     motions.see(dt, place[:2], noise[:2], freedom, speed)

@@ -354,5 +354,5 @@ def _as_classes(point_class: ArrayLike) -> NDArray[Any]:
         known = ", ".join(f"{one.value} {one.name.lower()}" for one in PointClass)
         raise InputError(f"point_class: expected integers {known}")
     if classes.max() == PointClass.MOVING:
-        return np.minimum(classes, PointClass.UNKNOWN)
+        return np.asarray(np.minimum(classes, PointClass.UNKNOWN))
     return classes

@@ -151,7 +151,7 @@ def detect(
     return job.run(run) if cleaned is None else _with_static_map(job, run, cleaned)
 
 
-def _with_static_map(job: RecordingJob, run: FlyingRun, path: Path) -> RunResult:
+def _with_static_map(job: RecordingJob[Scan], run: FlyingRun, path: Path) -> RunResult:
     run.detector.make_static_map()
     result = job.run(run)
     write_static_map(run.detector, path)

@@ -200,7 +200,7 @@ class ManyRun:
             ),
             folder.write_table("detections", self._detections()),
         ]
-        truth = self._truth()
+        truth = self._truth_table()
         if truth:
             files.append(folder.write_table("truth", truth))
         write_trajectories(
@@ -209,7 +209,7 @@ class ManyRun:
         )
         return [*(file.name for file in files), TRACKS_FOLDER]
 
-    def _truth(self) -> dict[str, Any]:
+    def _truth_table(self) -> dict[str, Any]:
         """Table of the true positions; empty without ground truth."""
         rows = [
             (scan.stamp_ns, number, place)

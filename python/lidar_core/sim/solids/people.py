@@ -66,8 +66,9 @@ LEG_SWING_DEG = 20.0
 
 
 class Person(Config):
-    """A person who walks along x: a trunk (elliptic cylinder), a neck, a head, swinging arms and legs.
+    """A person who walks along x, with swinging arms and legs.
 
+    A trunk (elliptic cylinder), a neck, a head, two arms and two legs.
     The origin of the frame is on the ground. Sizes: about the 50th percentile of men.
     """
 

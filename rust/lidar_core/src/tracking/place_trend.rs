@@ -31,7 +31,7 @@ pub(crate) struct PlaceNoise {
 }
 
 /// The line through the places along one axis.
-struct Line {
+struct FittedLine {
     velocity: f64,
     /// Sum of the squares of the times from their mean [s^2].
     spread: f64,
@@ -87,7 +87,7 @@ impl PlaceTrend {
     /// time.
     #[must_use]
     pub fn slope(&self, axis: usize) -> Option<Slope> {
-        let Line { velocity, spread, noise } = self.line(axis)?;
+        let FittedLine { velocity, spread, noise } = self.line(axis)?;
         Some(Slope { velocity, variance: noise.variance / spread, freedom: noise.freedom })
     }
 
@@ -104,7 +104,7 @@ impl PlaceTrend {
     }
 
     /// See [`Self::slope`].
-    fn line(&self, axis: usize) -> Option<Line> {
+    fn line(&self, axis: usize) -> Option<FittedLine> {
         let first = self.places.first().filter(|_| self.places.len() >= 3 && axis < 3)?;
         let count = self.places.len() as f64;
         let point = |one: &PlaceAt| {
@@ -129,7 +129,7 @@ impl PlaceTrend {
         let alike = if all > 0.0 { 1.0 - (steps + 2.0 * TOLD * told) / (2.0 * all) } else { 0.0 };
         let alike = alike.clamp(0.0, MOST_ALIKE);
         let variance = all / freedom * (1.0 + alike) / (1.0 - alike);
-        Some(Line { velocity, spread, noise: PlaceNoise { variance, freedom } })
+        Some(FittedLine { velocity, spread, noise: PlaceNoise { variance, freedom } })
     }
 }
 

@@ -17,6 +17,9 @@ const MOST: f64 = 5.0;
 const CLIMBS: f64 = 1.0;
 const LEVEL: f64 = 0.1;
 const SLOPES: f64 = 0.1;
+/// Whether a target stands is asked from so many places on: their scatter tells the noise of the first ones. With a
+/// noise that is told too small, the next places would contradict every place where it may stand.
+const FEWEST: usize = 6;
 /// Fewer places tell no rate of climb: one car in two would seem to climb a little more steeply than its road.
 const FEWEST_OF_CLIMB: usize = 6;
 /// Share of the time for which what flies neither climbs nor sinks.
@@ -27,7 +30,7 @@ const CRUISES: f64 = 0.5;
 pub(super) struct TargetKinds {
     /// Belief from the climb alone.
     climbs: KindBelief,
-    /// Whether it stands; None before the first place.
+    /// Whether it stands; None before there are [`FEWEST`] places.
     motion: Option<MotionBelief>,
     trend: PlaceTrend,
     /// Probability that its last measurements are clutter; None where the association does not tell.
@@ -54,16 +57,18 @@ impl TargetKinds {
     ) {
         let dt = self.trend.take(stamp_ns, place, told);
         let at = [place[0], place[1]];
+        let noise = [0, 1].map(|axis| self.trend.noise(axis));
         let first = || {
             let stands = SHARES[usize::from(u8::from(TrackKind::Static))];
-            MotionBelief::new(stands, at, [told[0], told[1]], speed)
+            MotionBelief::new(stands, at, noise.map(|noise| noise.variance), speed)
         };
-        if self.trend.count() == 1 && self.motion.is_none() {
-            self.motion = Some(first());
+        if self.motion.is_none() {
+            self.motion = (self.trend.count() >= FEWEST).then(first);
+            return;
         }
         // Of one time: one sight of the target.
         let Some(motion) = self.motion.as_mut().filter(|_| dt > 0.0) else { return };
-        motion.see(dt, at, [0, 1].map(|axis| self.trend.noise(axis)), speed);
+        motion.see(dt, at, noise, speed);
         if !motion.is_sound() {
             *motion = first();
         }
@@ -197,6 +202,19 @@ mod tests {
         }
     }
 
+    /// Told noise that is too small by three, and by six, does not make what stands move.
+    #[test]
+    fn what_stands_need_not_be_told_the_noise() {
+        for wrong in [1.0, 3.0, 6.0] {
+            let at = |scans| {
+                let error = |t: f64, n: f64| (7.1 * wrong * (10.0 * t + n)).sin() * 0.1 * wrong;
+                followed(|t| [3.0 + error(t, 0.0), 4.0 + error(t, 0.3), 0.0], scans, false)
+            };
+            assert_eq!(kind(&at(5)), TrackKind::Unknown);
+            assert_eq!(kind(&at(200)), TrackKind::Static, "{wrong}");
+        }
+    }
+
     /// What the association says of clutter is the probability of that kind; the others share the rest as
     /// before.
     #[test]
@@ -221,7 +239,7 @@ mod tests {
             kinds.see(7, ([f64::from(k), 0.0, 0.0], TOLD), 225.0, true);
             kinds.see(7, ([f64::NAN; 3], TOLD), 225.0, true);
         }
-        let first = MotionBelief::new(SHARES[3], [0.0; 2], [TOLD[0]; 2], 225.0);
+        let first = MotionBelief::new(SHARES[3], [5.0, 0.0], [TOLD[0]; 2], 225.0);
         assert_eq!(kinds.motion, Some(first));
     }
 }
