@@ -65,14 +65,20 @@ def run_limited(work: Callable[[], object], *, memory: int = MEMORY, cpu: int = 
 
 
 def starved(process: int) -> float:
-    """Time for which a process and those that it started could run, and had no processor [s]."""
+    """Time for which a process, or one that it started, could run and had no processor [s].
+
+    The largest of them: those that wait at the same time do not add up.
+    """
     place = Path(f"/proc/{process}")
     try:
         waited = int((place / "schedstat").read_text().split()[1]) * 1e-9
-        started = (place / "task" / str(process) / "children").read_text().split()
     except (OSError, IndexError):
         return 0.0  # it has ended, or this system does not tell
-    return waited + sum(starved(int(one)) for one in started)
+    try:
+        started = (place / "task" / str(process) / "children").read_text().split()
+    except OSError:
+        return waited
+    return max([waited, *(starved(int(one)) for one in started)])
 
 
 def _awaited(child: int, pipe: int, clock: float) -> tuple[str, int, resource.struct_rusage]:

@@ -155,9 +155,9 @@ def command(options: LiveOptions) -> None:
     """
     from lidar_core import runs
 
+    # Longer than other functions: every option is handed to the run by its name.
     out, errors = consoles(options.json)
 
-    # Longer than other functions: every option is handed to the run by its name.
     def tell(text: str) -> None:
         say(errors, as_options(text))
 

@@ -319,14 +319,14 @@ class ManyRun:
         seen = {source: np.concatenate(found[source]) for source in sorted(found)}
         ids = sorted({number for state in self.tracks for number in state.id.tolist()})
         targets = sorted({number for scan in self.scans for number in scan.truth})
-        none = np.empty((0, 2))
+        way = self._sensors[:, :2]
         return FusionView(
             title=f"{name}: {len(ids)} tracks",
             seen=seen,
             tracks={number: self._line(number) for number in ids},
             truth={number: self._truth(number) for number in targets},
             nis=nis_ratios(self.nis()),
-            sensor=self._sensors[:, :2] if np.ptp(self._sensors[:, :2], axis=0).any() else none,
+            sensor=way if (way != way[:1]).any() else way[:0],
         )
 
     def _line(self, number: int) -> PlanarLine:

@@ -43,7 +43,7 @@ const BRIEF: usize = 1 << 20;
 /// # Errors
 /// [`Error::Memory`] if it cannot be had.
 pub(crate) fn check_scan_memory(points: usize) -> Result<(), Error> {
-    ask("a scan", points, points.saturating_mul(ROOM_OF_POINT))
+    ask("a scan", points.saturating_mul(ROOM_OF_POINT))
 }
 
 /// Ask for the memory that a call may take for its rows, `bytes_of_row` for each.
@@ -52,14 +52,14 @@ pub(crate) fn check_scan_memory(points: usize) -> Result<(), Error> {
 /// [`Error::Memory`] if it cannot be had.
 pub fn check_memory(what: &'static str, rows: usize, bytes_of_row: usize) -> Result<(), Error> {
     let bytes = rows.saturating_mul(bytes_of_row);
-    if bytes < BRIEF { Ok(()) } else { ask(what, rows, bytes) }
+    if bytes < BRIEF { Ok(()) } else { ask(what, bytes) }
 }
 
 /// Ask for memory, and give it back.
 ///
 /// Most allocations are small and cannot fail by themselves: without memory they end the process.
 /// A call that may need many asks here before it changes anything.
-fn ask(what: &'static str, rows: usize, bytes: usize) -> Result<(), Error> {
+fn ask(what: &'static str, bytes: usize) -> Result<(), Error> {
     let bytes = bytes.saturating_add(ROOM);
     let mut room = Vec::<u8>::new();
     let is_there = room.try_reserve_exact(bytes).is_ok();
@@ -67,7 +67,7 @@ fn ask(what: &'static str, rows: usize, bytes: usize) -> Result<(), Error> {
     if is_there {
         return Ok(());
     }
-    let what = format!("{what} of {rows} rows may take {} MiB of memory", bytes >> 20);
+    let what = format!("{what} may take {} MiB of memory", bytes >> 20);
     Err(Error::Memory { what })
 }
 
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn memory_that_cannot_be_had_is_refused_and_little_is_not_asked_for() {
         let told = check_memory("a table", usize::MAX / 8, 64).map_err(|error| error.to_string());
-        assert!(told.is_err_and(|text| text.starts_with("a table of ")));
+        assert!(told.is_err_and(|text| text.starts_with("a table may take ")));
         assert!(matches!(check_scan_memory(usize::MAX / 1024), Err(Error::Memory { .. })));
         assert!(check_memory("a table", BRIEF - 1, 1).is_ok());
         assert!(check_memory("a table", 1000, 4096).is_ok());

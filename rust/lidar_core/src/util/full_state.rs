@@ -73,8 +73,13 @@ pub(crate) fn opened<T: DeserializeOwned>(
     if bytes.get(..4) != Some(MAGIC) {
         return Err(damaged(0, "expected the state of an object (magic LCFS)"));
     }
-    if bytes.get(4..8) != Some(&VERSION.to_le_bytes()) {
-        return Err(damaged(4, "the version is unknown; update lidar_core to read it"));
+    let version = bytes.get(4..8).and_then(|four| four.try_into().ok()).map(u32::from_le_bytes);
+    match version {
+        Some(VERSION) => {}
+        Some(older) if older < VERSION => {
+            return Err(damaged(4, "an older lidar_core saved it, and only that one reads it"));
+        }
+        _ => return Err(damaged(4, "the version is unknown; update lidar_core to read it")),
     }
     if body < content || bytes[body..] != crc32(&bytes[..body]).to_le_bytes() {
         return Err(damaged(body, "the checksum is wrong: the bytes are damaged or cut off"));

@@ -234,6 +234,6 @@ def test_boats_move_and_what_returns_all_the_time_stands(recordings, association
     assert np.mean(np.array(boats) == TrackKind.STATIC) < 0.01
     # Joint probabilities take what returns from one place again and again for clutter, too.
     stands = [TrackKind.STATIC, TrackKind.CLUTTER][: 1 + (association == "joint")]
-    # Returns that jump along a jetty look like motion.
-    assert np.isin(standing, stands).mean() > 0.65
+    # .70 and .72 were measured: some returns jump along a jetty, as if it moved.
+    assert np.isin(standing, stands).mean() > 0.68
     assert np.isin(boats, stands).mean() < 0.02

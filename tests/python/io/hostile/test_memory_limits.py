@@ -13,7 +13,7 @@ GOOD = {"ok", "typed"}
 
 
 LARGER = {"open", "track", "infer"}
-"""Of these the nightly run has more, and longer ones."""
+"""Left out here: they take long, and the nightly run has them."""
 
 
 @pytest.mark.parametrize("name", [name for name in memory.WORK if name not in LARGER])

@@ -36,6 +36,7 @@ pub(crate) fn merge_ends(
     most: usize,
 ) -> Result<(), Error> {
     accumulator.aim(window, most);
+    accumulator.check()?;
     dispatch(Merge { accumulator, window: &window, source, rays });
     accumulator.check()?;
     accumulator.clear(None);
@@ -94,6 +95,9 @@ pub(crate) fn cast_all(
     let meets = |index| task.live.is_none_or(|live| live.meets(index));
     let work = |(number, accumulator): (usize, &mut Accumulator)| {
         accumulator.aim(*task.window, most);
+        if accumulator.check().is_err() {
+            return; // the caller asks, too
+        }
         let mut stretches = Stretches::default();
         let mut room = RAYS_FROM_EMPTY;
         while let Some(rays) = take(&chunks, number) {

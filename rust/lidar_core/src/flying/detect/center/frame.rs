@@ -228,7 +228,7 @@ impl SeenExtent {
 
 /// Whether rays pass below the hits, both in a plane across the line of sight [m], the second axis
 /// upwards. Of what stands on the ground, and of what the lower edge of the field of view cuts off,
-/// none do. None if the rays are too far apart to tell, for few pass above, too, and if they pass only just below.
+/// none do. None if few rays pass above, too: they are too far apart to tell. None also if rays pass only just below.
 fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
     let bounds = |axis: usize| ends(hits.iter().map(|hit| hit[axis]));
     let ([left, right], [low, high]) = (bounds(0), bounds(1));

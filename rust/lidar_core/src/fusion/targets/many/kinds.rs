@@ -17,8 +17,8 @@ const MOST: f64 = 5.0;
 const CLIMBS: f64 = 1.0;
 const LEVEL: f64 = 0.1;
 const SLOPES: f64 = 0.1;
-/// Whether a target stands is asked from so many places on: their scatter tells the noise of the first ones. With a
-/// noise that is told too small, the next places would contradict every place where it may stand.
+/// Whether a target stands is asked from so many places on: their scatter tells the noise of the first ones. With
+/// too small a noise, later places would contradict standing still.
 const FEWEST: usize = 6;
 /// Fewer places tell no rate of climb: one car in two would seem to climb a little more steeply than its road.
 const FEWEST_OF_CLIMB: usize = 6;
@@ -70,7 +70,7 @@ impl TargetKinds {
         let Some(motion) = self.motion.as_mut().filter(|_| dt > 0.0) else { return };
         motion.see(dt, at, noise, speed);
         if !motion.is_sound() {
-            *motion = first();
+            self.motion = Some(first()).filter(MotionBelief::is_sound);
         }
         let tells_climb = is_in_space && self.trend.count() >= FEWEST_OF_CLIMB;
         let slopes = [0, 1, 2].map(|axis| self.trend.slope(axis).filter(|_| tells_climb));
