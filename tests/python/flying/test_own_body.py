@@ -348,6 +348,6 @@ def test_the_own_body_has_a_colour_and_a_legend_entry():
     moment = Moment(0, np.zeros((4, 3), np.float32), view.cloud_class, nothing)
     panel = figure_module.Figure().add_subplot()
     window = Window(np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
-    playback_picture._draw_points(panel, moment, (0, 1), window, (-1.0, 1.0))
+    playback_picture._draw_points(panel, moment, (0, 1), window, (-1.0, 1.0), "scan")
     texts = panel.get_legend_handles_labels()[1]
     assert texts == ["background", "unknown", "own body"]
