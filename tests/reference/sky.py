@@ -71,6 +71,7 @@ COLUMN = ((AZIMUTHS / (2 * np.pi) + 0.5) * COLUMNS + 1e-9).astype(int) % COLUMNS
 WIDEST = max(map(len, BESIDE))
 PADDED = np.array([np.pad(row, (0, WIDEST - len(row)), mode="edge") for row in BESIDE])
 """Neighbours of every cell, itself included; the last one repeated."""
+NO_SURFACE = -(2**62)
 
 
 def _solid_angles():
@@ -147,7 +148,7 @@ class SkyOracle:
     has_rows: bool = False
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, F32))
     surface: np.ndarray = field(default_factory=lambda: np.full(CELLS, np.inf, F32))
-    surface_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, -(2**62)))
+    surface_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, NO_SURFACE))
     since_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, -1))
     counts: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, np.int64))
     drops: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, np.int64))
@@ -264,7 +265,7 @@ class SkyOracle:
             places = nearest[thing].astype(float)[:, None] * CENTERS[thing]
             is_surface = np.linalg.norm(np.ptp(places, axis=0)) > 2.0
             self.surface[thing] = nearest[thing]
-            self.surface_ns[thing] = stamp_ns if is_surface else -(2**62)
+            self.surface_ns[thing] = stamp_ns if is_surface else NO_SURFACE
 
     def _limits(self, stamp_ns):
         limit = np.where(stamp_ns - self.surface_ns <= 500_000_000, self.surface, F32(np.inf))
@@ -286,7 +287,10 @@ class SkyOracle:
         above[fall > 0] = (-ground - 1.0) / fall[fall > 0]
         into_sky = np.minimum(np.minimum(visible, limit.astype(float) - 0.5), above)
         around = np.array([hits[row].sum() for row in BESIDE])
-        before = np.minimum(nearest[PADDED].min(axis=1).astype(float) - 0.5, above)
+        # Between rows the space around a target is never seen: it limits its own cells alone.
+        is_small = self.has_rows & (hits > 0) & (self.surface_ns == NO_SURFACE)
+        around_it = np.where(is_small, F32(np.inf), nearest)[PADDED].min(axis=1)
+        before = np.minimum(np.minimum(around_it, nearest).astype(float) - 0.5, above)
         before[(around < 7) | (around >= 400)] = 0.0
         is_sky = seen.is_empty & (into_sky >= 2.0) & ~is_lost
         reach = np.where(is_sky, into_sky, np.minimum(before, self.max_range))

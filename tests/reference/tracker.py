@@ -63,8 +63,8 @@ VISIT_BEFORE, VISIT, VISITS_KEPT = 10**9, 2 * 10**9, 60 * 10**9  # ns
 BESIDE, RAISED, AWAY = 2.0, 1.0, 1.0  # m
 KIND_SHARES, LEAST_KIND = (0.03, 0.6, 0.05, 0.07, 0.25), 1e-6
 BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
-NOT_FREE_AT_FIRST = (0.7, 0.08, 1.5, 1.0, 0.08)
-OVER_UNSEEN = (0.4, 0.03, 1.5, 1.0, 0.03)
+NOT_FREE_AT_FIRST = (0.35, 0.08, 1.5, 1.0, 0.08)
+OVER_UNSEEN = (0.2, 0.03, 1.5, 1.0, 0.03)
 FITS, MOST_SURPRISE, GAIN, MOST_MANOEUVRE = 1.2, 5.0, 0.2, 5.0
 FLYING = 1
 STEADY, AGILE, KNOWN_SHARE = 1.0, 4.0, 0.95  # [m/s^2], [m/s^2], no unit
@@ -189,7 +189,7 @@ class Track:
     points: np.ndarray = None  # of its last cluster
     usual: float = 0.0  # number of points of its clusters, an average
     seen_kinds: np.ndarray = field(default_factory=lambda: np.array(KIND_SHARES))
-    known_below: bool = False
+    free_at_first: bool | None = None
     was_over_unseen: bool = False
     agility: float = 0.0
     radius: MeanLog = field(default_factory=MeanLog)
@@ -248,13 +248,15 @@ class Track:
         self.filled.add(filled)
         if is_over_unseen and is_free_below is False:
             if not self.was_over_unseen:
-                self.seen_kinds = weighed(self.seen_kinds, OVER_UNSEEN)
-            self.known_below = self.was_over_unseen = True
+                told = NOT_FREE_AT_FIRST if self.free_at_first is False else np.ones(5)
+                self.seen_kinds = weighed(self.seen_kinds, np.divide(OVER_UNSEEN, told))
+            self.was_over_unseen = True
         elif is_free_below is not None:
-            is_first = not (is_free_below or self.known_below)
+            is_first = self.free_at_first is None and not is_free_below
             shares = NOT_FREE_AT_FIRST if is_first else BELOW[is_free_below]
             self.seen_kinds = weighed(self.seen_kinds, shares)
-            self.known_below = True
+        if self.free_at_first is None:
+            self.free_at_first = is_free_below
 
     @property
     def kind(self):
@@ -915,7 +917,7 @@ class Tracker:
                 believed=best.believed,
                 has_moved=best.has_moved,
                 seen_kinds=best.seen_kinds,
-                known_below=best.known_below,
+                free_at_first=best.free_at_first,
                 agility=best.agility,
                 radius=best.radius,
                 filled=best.filled,

@@ -3,6 +3,7 @@
 use super::super::free_path::FreePath;
 use super::super::grid::{CELLS, GRID, PARTS};
 use super::super::{NEVER, Sky};
+use super::surfaces::NO_SURFACE;
 use super::{BEFORE_SURFACE, ScanToObserve, SkyObservation};
 use crate::geometry::lattice::wide;
 use std::f64::consts::PI;
@@ -90,14 +91,24 @@ impl SkyObservation {
 
     /// Free length between the rays of a sparse sensor, in a cell that is no sky [m]: anything nearer
     /// than all returns around would have been hit. 0 for dense sensors, which leave no gaps.
+    ///
+    /// Rows never move, so what lies between them around a target is never seen: a target that limited the cells
+    /// around it would never be in free space. Patterns that do not repeat need no such help.
     fn reach_before(&self, cell: usize) -> f64 {
         let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
         let rays: u32 = beside().map(|other| self.hits[other]).sum();
         if !(LEAST_AROUND..MOST_AROUND).contains(&rays) {
             return 0.0;
         }
-        let nearest = beside().map(|other| self.nearest[other]).fold(f32::INFINITY, f32::min);
+        let limits = |other: &usize| *other == cell || !self.is_beside_gaps(*other);
+        let nearest = beside().filter(limits).map(|other| self.nearest[other]);
+        let nearest = nearest.fold(f32::INFINITY, f32::min);
         (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
+    }
+
+    /// True if a sensor with rows sees something in a cell that is as small as a target.
+    fn is_beside_gaps(&self, cell: usize) -> bool {
+        self.has_rows && self.hits[cell] > 0 && self.surface_ns[cell] == NO_SURFACE
     }
 
     /// Length that the rays of an empty cell clear [m].

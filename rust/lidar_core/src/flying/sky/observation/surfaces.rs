@@ -15,6 +15,8 @@ const SURFACE_CELLS: usize = 3;
 const SAME_RANGE: f32 = 1.0;
 /// Things with a larger diagonal of their box are surfaces; smaller ones may be targets [m].
 const SURFACE_SIZE: f64 = 2.0;
+/// Time of the last return of a surface where things are smaller than that [ns].
+pub(super) const NO_SURFACE: i64 = i64::MIN;
 /// Holes in surfaces have fewer cells than this: 40 degrees by 40.
 const MOST_OF_HOLE: usize = 400;
 
@@ -33,7 +35,7 @@ impl SkyObservation {
             for &cell in &self.thing {
                 let cell = usize::from(cell);
                 self.surface[cell] = self.nearest[cell];
-                self.surface_ns[cell] = if is_surface { self.stamp_ns } else { i64::MIN };
+                self.surface_ns[cell] = if is_surface { self.stamp_ns } else { NO_SURFACE };
             }
         }
     }

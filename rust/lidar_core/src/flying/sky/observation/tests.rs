@@ -173,3 +173,47 @@ fn rays_stay_above_the_lowest_returns() -> Result<(), Error> {
     assert!(observation.directions.iter().any(|direction| direction[2] < -0.1));
     Ok(())
 }
+
+/// Returns of 21 rows, 2 degrees apart and each shifted by `shift` of its number and the azimuth, on a sphere of 15 m,
+/// but 5 m away where `is_near` is true of the azimuth and elevation in degrees.
+fn rows(shift: fn(i32, i32) -> f64, is_near: fn(f64, f64) -> bool) -> Vec<[f32; 3]> {
+    let mut points = Vec::new();
+    for row in -10..=10 {
+        for column in -450..450 {
+            let (azimuth, elevation) =
+                (0.4 * f64::from(column), 2.0 * f64::from(row) + shift(row, column));
+            let range = if is_near(azimuth, elevation) { 5.0 } else { 15.0 };
+            let ((sin, cos), (up, flat)) =
+                (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
+            points.push([flat * cos, flat * sin, up].map(|value| (range * value) as f32));
+        }
+    }
+    points
+}
+
+#[test]
+fn gaps_of_rows_are_free_beside_what_is_small_and_not_beside_surfaces() -> Result<(), Error> {
+    let map = VoxelMap::new(parameters())?;
+    let least_beside = |points: Vec<[f32; 3]>| -> Result<f64, Error> {
+        let mut sky = Sky::of(&Beams::Learnt).ok_or(Error::Interrupted)?;
+        let observation = observe(&mut sky, &map, &vec![points; 5]);
+        let beside = |direction: &[f32; 3]| {
+            let [azimuth, elevation] = [direction[1].atan2(direction[0]), direction[2].asin()];
+            (4.2..5.8).contains(&azimuth.to_degrees()) && elevation.to_degrees().abs() < 1.0
+        };
+        let rays = observation.directions.iter().zip(&observation.reach);
+        let reach: Vec<f64> =
+            rays.filter(|(ray, _)| beside(ray)).map(|(_, &reach)| f64::from(reach)).collect();
+        assert!(!reach.is_empty());
+        Ok(reach.into_iter().fold(f64::INFINITY, f64::min))
+    };
+    let ball = |azimuth: f64, elevation: f64| azimuth.abs() < 3.5 && elevation.abs() < 3.5;
+    let still = |_: i32, _: i32| 0.0;
+    assert!(least_beside(rows(still, ball))? > 14.0);
+    // The opposites: a surface may go on beside what is seen of it; without rows later scans look there.
+    assert!(least_beside(rows(still, |azimuth, _| azimuth.abs() < 3.5))? < 5.0);
+    let scattered =
+        |row: i32, column: i32| f64::from((7 * row + 13 * column).rem_euclid(20)) * 0.1 - 1.0;
+    assert!(least_beside(rows(scattered, ball))? < 5.0);
+    Ok(())
+}

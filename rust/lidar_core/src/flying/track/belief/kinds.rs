@@ -23,12 +23,12 @@ const FREE_BELOW: [f64; KINDS] = [0.8, 1.0, 0.15, 0.4, 1.0];
 const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
 /// The same of the first look at it: what comes into view like this nearly always walks or drives in over
 /// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
-const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.7, 0.08, 1.5, 1.0, 0.08];
+const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.35, 0.08, 1.5, 1.0, 0.08];
 /// Of what has moved to where nothing below it was ever seen: behind a table, a car or a wall most things that
 /// move are people. What hides the space below hides it in every scan, so it counts once, also of what seemed to
 /// be free below before: the track of a person may begin with an arm. Where rays below it are lost, as over a wet
 /// road, nothing hides anything.
-const OVER_UNSEEN: [f64; KINDS] = [0.4, 0.03, 1.5, 1.0, 0.03];
+const OVER_UNSEEN: [f64; KINDS] = [0.2, 0.03, 1.5, 1.0, 0.03];
 
 /// Standard deviations of the acceleration of what moves steadily, and of what manoeuvres [m/s^2].
 const STEADY: f64 = 1.0;
@@ -136,8 +136,8 @@ pub(in crate::flying::track) struct Kinds {
     recurs: Mean,
     /// Share of its detections in which it was beside structure and near where it began.
     hangs: Mean,
-    /// Whether a look has told if rays pass below it.
-    is_known_below: bool,
+    /// Whether rays passed below it in the first look that told; None if none has told yet.
+    was_free_at_first: Option<bool>,
     /// Whether the newest look that told anything found it above space that was never seen.
     is_over_unseen: bool,
     /// Whether any look found it above such space.
@@ -151,7 +151,6 @@ impl Kinds {
     pub(in crate::flying::track) fn new() -> Self {
         let [radius, least_radius, filled] = [Mean::default(); 3];
         let seen = KindBelief::prior(SHARES);
-        let [is_known_below, is_over_unseen, was_over_unseen] = [false; 3];
         let (recurs, hangs) = (Mean::default(), Mean::default());
         Self {
             seen,
@@ -160,9 +159,9 @@ impl Kinds {
             filled,
             recurs,
             hangs,
-            is_known_below,
-            is_over_unseen,
-            was_over_unseen,
+            was_free_at_first: None,
+            is_over_unseen: false,
+            was_over_unseen: false,
             agility: 0.0,
         }
     }
@@ -185,20 +184,30 @@ impl Kinds {
         self.filled.add_log(shape.filled_share);
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
             if !self.was_over_unseen {
-                self.seen = self.seen.weighed(OVER_UNSEEN);
+                self.seen = self.seen.weighed(self.over_unseen());
             }
-            (self.is_known_below, self.is_over_unseen) = (true, true);
-            self.was_over_unseen = true;
+            self.was_free_at_first.get_or_insert(false);
+            (self.is_over_unseen, self.was_over_unseen) = (true, true);
         } else if let Some(is_free) = shape.is_free_below
             && !(is_led && self.is_over_unseen && !is_free)
         {
-            self.seen = self.seen.weighed(match (is_free, self.is_known_below) {
+            self.seen = self.seen.weighed(match (is_free, self.was_free_at_first) {
                 (true, _) => FREE_BELOW,
-                (false, true) => NOT_FREE_BELOW,
-                (false, false) => NOT_FREE_AT_FIRST,
+                (false, Some(_)) => NOT_FREE_BELOW,
+                (false, None) => NOT_FREE_AT_FIRST,
             });
-            (self.is_known_below, self.is_over_unseen) = (true, false);
+            self.was_free_at_first.get_or_insert(is_free);
+            self.is_over_unseen = false;
         }
+    }
+
+    /// What the first look above space that was never seen tells. What hides that space often hid it in the first
+    /// look of all, too: what that has told already is taken off.
+    fn over_unseen(&self) -> [f64; KINDS] {
+        if self.was_free_at_first != Some(false) {
+            return OVER_UNSEEN;
+        }
+        std::array::from_fn(|kind| OVER_UNSEEN[kind] / NOT_FREE_AT_FIRST[kind])
     }
 
     /// Enter how much came and went, 0 to 1, at the place of a detection before the track began, and whether that
@@ -399,6 +408,30 @@ mod tests {
         assert_ne!(kind_after(1), TrackKind::Flying);
         // The opposite: what rays have passed below for a second flies on behind a wall.
         assert_eq!(kind_after(10), TrackKind::Flying);
+    }
+
+    #[test]
+    fn what_hides_the_space_below_counts_once() {
+        let over_unseen = TargetShape {
+            radius: 0.35,
+            least_radius: 0.35,
+            filled_share: 0.8,
+            is_free_below: Some(false),
+            is_over_unseen: true,
+        };
+        let hidden = TargetShape { is_over_unseen: false, ..over_unseen };
+        let seen_as = |shapes: [TargetShape; 2]| {
+            let mut kinds = Kinds::new();
+            shapes.into_iter().for_each(|shape| kinds.measure(shape, false));
+            kinds.seen.probabilities()
+        };
+        let [later, at_once] = [[hidden, over_unseen], [over_unseen; 2]].map(seen_as);
+        for (later, at_once) in later.into_iter().zip(at_once) {
+            assert!((later - at_once).abs() < 1e-12, "{later} {at_once}");
+        }
+        // The opposite: where rays passed below at first, it is something else that hides it.
+        let free = TargetShape { is_free_below: Some(true), ..hidden };
+        assert_ne!(seen_as([free, over_unseen]), at_once);
     }
 
     #[test]
