@@ -70,6 +70,20 @@ def test_a_child_that_gets_no_processor_does_not_hang():
     assert hostile("-c", program) == (0, "True True 0.0\n")
 
 
+def test_large_files_are_drawn_less_often_than_small_ones():
+    program = (
+        "import numpy as np\n"
+        "from hostile.__main__ import _drawn\n"
+        "rng, sizes = np.random.default_rng(0), [10, 60_000, 8 * 2**20]\n"
+        "print(*np.bincount([_drawn(sizes, rng) for _ in range(20_000)]), _drawn([0], rng))\n"
+    )
+    status, told = hostile("-c", program)
+    small, as_small, large, only = map(int, told.split())
+    assert (status, only) == (0, 0)
+    assert abs(small - as_small) < 700
+    assert 20 < large < 200  # they come, too
+
+
 def test_broken_files_of_every_format_end_in_typed_errors():
     status, told = hostile("-m", "hostile", "--count", "40", "--seed", "7", "--generated-only")
     assert status == 0, told
