@@ -1,11 +1,9 @@
 """The hostile suite: what it must find, it finds; a slice of it finds nothing."""
 
-import os
-import subprocess
 import sys
 
 import pytest
-from repository import ROOT
+from hostile_runs import hostile
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and fork as on Linux")
 
@@ -17,21 +15,6 @@ PLANTED = {
     "hang": "while True: pass",
     "memory": "bytearray(2**27)",
 }
-
-
-def hostile(*arguments, limit=300):
-    """Run Python with the suite at hand, without threads of this process; its output."""
-    paths = [str(ROOT / "tests"), str(ROOT / "tests/python/helpers"), os.environ.get("PYTHONPATH")]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=limit,
-        check=False,
-    )
-    return done.returncode, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("kind", PLANTED)
