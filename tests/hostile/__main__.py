@@ -30,6 +30,10 @@ VIA_CHILD = 20
 code in one process, which is faster, and again by a child if that ends badly."""
 
 
+ORDINARY = 64 * 1024
+"""Size up to which all files of a format are drawn equally often [bytes]."""
+
+
 def warm_up() -> None:
     """Load what readers load, once: a fork of this process then costs milliseconds."""
     for name in LIBRARIES:
@@ -40,6 +44,13 @@ def warm_up() -> None:
     from lidar_core.io.readers import known_formats
 
     known_formats()
+
+
+def _drawn(sizes: list[int], rng: np.random.Generator) -> int:
+    """Which file is broken. Large ones are drawn less often: they hold more of the same, and a
+    read of one takes as long as a hundred of small ones."""
+    weights = np.minimum(1.0, ORDINARY / np.maximum(sizes, 1))
+    return int(rng.choice(len(sizes), p=weights / weights.sum()))
 
 
 def _laid_out(seed: Seed, rng: np.random.Generator, folder: Path) -> tuple[Path, str]:
@@ -100,7 +111,7 @@ def run(
                 break
             rng = np.random.default_rng([seed, number])
             name = list(groups)[number % len(groups)]
-            chosen = groups[name][rng.integers(len(groups[name]))]
+            chosen = groups[name][_drawn([len(one.data) for one in groups[name]], rng)]
             folder = root / f"{number}"
             folder.mkdir()
             path, how = _laid_out(chosen, rng, folder)

@@ -12,7 +12,6 @@ import json
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,15 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hostile import evidence
+from hostile.commands import run
 from lidar_core.run_folder import CHECKPOINT
 
-PROGRAM = "import sys; sys.argv[0] = 'lidar-core'; from lidar_core.cli import main; main()"
 OF_TIME = (
     *("timing.parquet", "timing.csv", "results.parquet", "results.csv", "report.html"),
     *("run.toml", "batch.toml", "summary.json", "job.json", "1-fuse.json", "run.mcap", "log.txt"),
 )
 """Files that hold times of the computer, or how often a command was given."""
-PATIENCE_S = 300
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,9 @@ def works(size: int) -> dict[str, Work]:
     beat = ("--checkpoint", "0.05")
     return {
         "simulate": Work(
-            ("simulate", "demo", "-o", "made.npz", "--scans", str(size)), "made.npz", ()
+            ("simulate", "demo", "-o", "made.npz", "--scans", str(size), "--sensor", "vlp-16"),
+            "made.npz",
+            (),
         ),
         "convert": Work(("convert", "flight.npz", "flight.mcap"), "flight.mcap", ()),
         "demo": Work(("demo", "-o", "demo", "--scans", str(size)), "demo", ()),
@@ -94,41 +94,10 @@ def works(size: int) -> dict[str, Work]:
     }
 
 
-def run(
-    folder: Path,
-    arguments: tuple[str, ...],
-    *,
-    wait: float | None = None,
-    after: Path | None = None,
-) -> int:
-    """Do a command in `folder`; its exit status.
-
-    With `wait` it is killed so many seconds after its start, or after the file `after` appears.
-    """
-    with (
-        (folder / "stderr").open("wb") as told,
-        subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *arguments],
-            cwd=folder,
-            stdout=subprocess.DEVNULL,
-            stderr=told,
-        ) as process,
-    ):
-        until = time.monotonic() + PATIENCE_S
-        while after is not None and not after.exists() and process.poll() is None:
-            assert time.monotonic() < until, f"{after} never came"
-            time.sleep(0.002)
-        try:
-            return process.wait(PATIENCE_S if wait is None else wait)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            return process.wait()
-
-
 def prepared(folder: Path, size: int) -> None:
     """Recordings, a run and jobs for the commands."""
     for arguments in (
-        ("simulate", "demo", "-o", "flight.npz", "--scans", str(size)),
+        ("simulate", "demo", "-o", "flight.npz", "--scans", str(size), "--sensor", "vlp-16"),
         ("simulate", "overflight", "-o", "walk.csv", "--scans", str(20 * size)),
         ("simulate", "hall.toml", "-o", "sweeps.npz"),
         ("fuse", "walk.csv", "-o", "known", "--no-picture"),
@@ -354,7 +323,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m hostile.kills", description=__doc__)
     parser.add_argument("--count", type=int, default=300, help="kills in all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--size", type=int, default=20, help="scans of the recordings")
+    parser.add_argument("--size", type=int, default=6, help="scans of the recordings")
     parser.add_argument("--work", action="append", default=[], help="only this")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--evidence", action="store_true", help="add the counts to docs/evidence")

@@ -6,8 +6,8 @@ from typing import Any
 
 from lidar_core.errors import FormatError
 
-RECORD_BYTES = 9  # operation code and length before every record
-CHUNK_BYTES = 8 + 8 + 8 + 4 + 4 + 8  # of a chunk without its compression's name and its data
+NextChunk = Callable[[int], tuple[int, list[Any]]]
+"""Start and records of the first chunk at or behind a byte of the file; its checksum is checked."""
 
 
 @dataclass(slots=True)
@@ -36,11 +36,11 @@ class Salvage:
     chunks: int = 0
     broken: int = 0
 
-    def see(self, record: Any, end: int, whole_chunk: Callable[[int], list[Any]]) -> None:
-        """Take the record that ended at byte `end`; `whole_chunk` reads and checks a chunk."""
-        self.known_bytes = end
+    def see(self, record: Any, end: int, next_chunk: NextChunk) -> None:
+        """Take the record that ended at byte `end`."""
+        behind, self.known_bytes = self.known_bytes, end
         if isinstance(record, self.records.Chunk):
-            self._see_chunk(record, end, whole_chunk)
+            self._see_chunk(record, behind, next_chunk)
         else:
             self._see_one(record)
 
@@ -62,11 +62,9 @@ class Salvage:
         elif isinstance(record, self.records.Message):
             self.messages += 1
 
-    def _see_chunk(self, chunk: Any, end: int, whole_chunk: Callable[[int], list[Any]]) -> None:
-        length = CHUNK_BYTES + len(chunk.compression.encode()) + len(chunk.data)
-        offset = end - length - RECORD_BYTES
+    def _see_chunk(self, chunk: Any, behind: int, next_chunk: NextChunk) -> None:
         try:
-            inside = whole_chunk(offset)
+            offset, inside = next_chunk(behind)
         except FormatError:
             self.broken += 1
             return
@@ -74,7 +72,7 @@ class Salvage:
         for record in inside:
             self._see_one(record)
         index = self.records.ChunkIndex(
-            chunk_length=length + RECORD_BYTES,
+            chunk_length=self.known_bytes - offset,
             chunk_start_offset=offset,
             compression=chunk.compression,
             compressed_size=len(chunk.data),

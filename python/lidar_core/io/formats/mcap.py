@@ -1,6 +1,7 @@
 """MCAP files: ROS 2 and ROS 1 messages, and Foxglove's protobuf messages."""
 
 import heapq
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,8 +11,8 @@ from typing import IO, Any
 
 from lidar_core.errors import FormatError, LidarCoreError, LimitError
 from lidar_core.extras import require
-from lidar_core.io.files.compressed import lz4_data, zstd_data
 from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.mcap_chunk import CHUNK_CODE, RECORD_HEAD, chunk_records
 from lidar_core.io.files.mcap_salvage import Salvage
 from lidar_core.io.formats.ros import MAX_TOPICS
 from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
@@ -98,7 +99,7 @@ class McapRecording(Recording):
             topic = self._topics[message.channel_id]
             channel = self._summary.channels[message.channel_id]
             place = f"{self.path}, message {order} on {topic.name}"
-            schema = self._summary.schemas[channel.schema_id]
+            schema = self._schema(channel, place)
             yield place, self._foxglove.message(schema, message.data, place)
 
     def stored(self) -> Iterator[tuple[Any, Any, Any]]:
@@ -152,8 +153,9 @@ class McapRecording(Recording):
             return self._salvage_index()
         with self._reading(f"{place} (a file that was not closed has none; recover reads it)"):
             summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
-        if summary is None or (not summary.chunk_indexes and not summary.channels):
-            summary = self._scan_for_channels()
+        summary = summary or self._empty_summary()
+        if not self._is_complete(summary):
+            self._scan_for_channels(summary)
         check_size(
             place, len(summary.channels), limit=MAX_TOPICS, key="nothing", what="a number of topics"
         )
@@ -161,10 +163,10 @@ class McapRecording(Recording):
 
     def _salvage_index(self) -> Any:
         """Index of the complete chunks, read from the start of the file to the first defect."""
-        summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+        summary = self._empty_summary()
         salvage = Salvage(summary, self._records)
         self._file.seek(0)
-        stored = iter(self._stream(emit_chunks=True).records)
+        stored = iter(self._stream().records)
         while True:
             try:
                 with self._reading(f"{self.path}: MCAP data"):
@@ -174,30 +176,45 @@ class McapRecording(Recording):
                 break
             if record is None or isinstance(record, self._records.DataEnd):
                 break
-            salvage.see(record, self._file.tell(), self._whole_chunk)
+            salvage.see(record, self._file.tell(), self._next_chunk)
         lost = self.path.stat().st_size - salvage.known_bytes if salvage.end else 0
         self.findings.notes.extend(salvage.notes(lost))
         return summary
 
-    def _whole_chunk(self, offset: int) -> list[Any]:
-        """Records of the chunk at byte `offset`; the file stays where it is."""
+    def _next_chunk(self, place: int) -> tuple[int, list[Any]]:
+        """Start of the next chunk and its records; records of other kinds may come before it.
+
+        The search begins with the record at byte `place`. The file stays where it is.
+        """
         position = self._file.tell()
         try:
-            return self._chunk_records(offset)
+            self._file.seek(max(place, _MAGIC_BYTES))
+            while (head := self._file.read(RECORD_HEAD.size))[:1] != CHUNK_CODE:
+                self._file.seek(RECORD_HEAD.unpack(head)[1], os.SEEK_CUR)
+            offset = self._file.tell() - RECORD_HEAD.size
+            return offset, self._chunk_records(offset)
         finally:
             self._file.seek(position)
 
-    def _scan_for_channels(self) -> Any:
-        """Channels and schemas of a file whose summary does not repeat them."""
-        summary = require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+    @staticmethod
+    def _empty_summary() -> Any:
+        return require("mcap.summary", extra="io", purpose="reading MCAP").Summary()
+
+    @staticmethod
+    def _is_complete(summary: Any) -> bool:
+        """Whether the summary repeats the channels and their schemas, which it need not."""
+        told = summary.statistics.channel_count if summary.statistics is not None else 1
+        used = {channel.schema_id for channel in summary.channels.values()}
+        return len(summary.channels) >= told and used <= {0, *summary.schemas}
+
+    def _scan_for_channels(self, summary: Any) -> None:
+        """Add the channels and schemas of the data to a summary that does not repeat them."""
         with self._reading(f"{self.path}: MCAP data"):
-            self._file.seek(0)
-            for record in self._stream(emit_chunks=False).records:
+            for record in self._all_records():
                 if isinstance(record, self._records.Schema):
                     summary.schemas[record.id] = record
                 elif isinstance(record, self._records.Channel):
                     summary.channels[record.id] = record
-        return summary
 
     def _list_topics(self) -> dict[int, Topic]:
         counts = {}
@@ -215,11 +232,11 @@ class McapRecording(Recording):
         offsets = index.message_index_offsets
         return not offsets or not wanted.isdisjoint(offsets)
 
-    def _stream(self, *, emit_chunks: bool) -> Any:
+    def _stream(self) -> Any:
         return self._mcap.StreamReader(
             self._file,
             skip_magic=self._file.tell() >= _MAGIC_BYTES,
-            emit_chunks=emit_chunks,
+            emit_chunks=True,
             record_size_limit=self.options.max_record_bytes,
         )
 
@@ -232,27 +249,26 @@ class McapRecording(Recording):
         place = f"{self.path}, chunk at byte {offset}"
         with self._reading(place):
             self._file.seek(offset)
-            chunk = next(self._stream(emit_chunks=True).records, None)
+            chunk = next(self._stream().records, None)
             if not isinstance(chunk, self._records.Chunk):
                 raise FormatError(f"{place}: the index points here, but there is no chunk")
-            limit = self.options.max_record_bytes
-            check_size(
-                place,
-                chunk.uncompressed_size,
-                limit=limit,
-                key="max_record_bytes",
-                what="a chunk of bytes",
-            )
-            chunk.data = _decompress(chunk, place, limit)
-            chunk.compression = ""
-            return list(self._mcap.breakup_chunk(chunk, validate_crc=True))
+            return chunk_records(chunk, place, self.options.max_record_bytes)
+
+    def _all_records(self) -> Iterator[Any]:
+        """Records in the order of the file, with those inside chunks."""
+        self._file.seek(0)
+        for record in self._stream().records:
+            if isinstance(record, self._records.Chunk):
+                place = f"{self.path}, chunk that ends at byte {self._file.tell()}"
+                yield from chunk_records(record, place, self.options.max_record_bytes)
+            else:
+                yield record
 
     def _read_without_chunks(self, wanted: set[int]) -> Iterator[tuple[int, Any]]:
-        self._file.seek(0)
         messages = []
         try:
             with self._reading(f"{self.path}: MCAP data"):
-                for order, record in enumerate(self._stream(emit_chunks=False).records):
+                for order, record in enumerate(self._all_records()):
                     if isinstance(record, self._records.Message) and record.channel_id in wanted:
                         messages.append((record.log_time, order, record))
         except LidarCoreError:
@@ -294,9 +310,15 @@ class McapRecording(Recording):
         if ros is not None:
             return ros.decode(topic.name, ros_name(topic.type), message.data, place)
         if channel.message_encoding == "protobuf":
-            schema = self._summary.schemas[channel.schema_id]
+            schema = self._schema(channel, place)
             return self._foxglove.decode(topic.name, schema, channel.metadata, message.data, place)
         return []
+
+    def _schema(self, channel: Any, place: str) -> Any:
+        schema = self._summary.schemas.get(channel.schema_id)
+        if schema is None:
+            raise FormatError(f"{place}: schema {channel.schema_id} is nowhere in the file")
+        return schema
 
 
 def _with_ros_name(topic: Topic) -> Topic:
@@ -310,19 +332,3 @@ def _kind(encoding: str, type_name: str) -> tuple[Kind, str]:
     if encoding == "protobuf":
         return foxglove_kind(type_name), ""
     return "other", f"message encoding {encoding!r} is not read"
-
-
-def _decompress(chunk: Any, place: str, limit: int) -> bytes:
-    """Data of a chunk, at most `limit` bytes: the size that the file declares is not trusted."""
-    data: bytes = chunk.data
-    if chunk.compression == "zstd":
-        data = zstd_data(data, place, limit)
-    elif chunk.compression == "lz4":
-        data = lz4_data(data, place, limit)
-    elif chunk.compression:
-        raise FormatError(f"{place}: unknown compression {chunk.compression!r}")
-    if len(data) != chunk.uncompressed_size:
-        raise FormatError(
-            f"{place}: declared {chunk.uncompressed_size} bytes, holds {len(data)} or more"
-        )
-    return data

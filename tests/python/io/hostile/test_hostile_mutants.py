@@ -1,11 +1,9 @@
 """The hostile suite: what it must find, it finds; a slice of it finds nothing."""
 
-import os
-import subprocess
 import sys
 
 import pytest
-from repository import ROOT
+from hostile_runs import hostile
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and fork as on Linux")
 
@@ -17,21 +15,6 @@ PLANTED = {
     "hang": "while True: pass",
     "memory": "bytearray(2**27)",
 }
-
-
-def hostile(*arguments, limit=300):
-    """Run Python with the suite at hand, without threads of this process; its output."""
-    paths = [str(ROOT / "tests"), str(ROOT / "tests/python/helpers"), os.environ.get("PYTHONPATH")]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=limit,
-        check=False,
-    )
-    return done.returncode, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("kind", PLANTED)
@@ -68,6 +51,20 @@ def test_a_child_that_gets_no_processor_does_not_hang():
         "for _ in range(3): os.wait()\n"
     )
     assert hostile("-c", program) == (0, "True True 0.0\n")
+
+
+def test_large_files_are_drawn_less_often_than_small_ones():
+    program = (
+        "import numpy as np\n"
+        "from hostile.__main__ import _drawn\n"
+        "rng, sizes = np.random.default_rng(0), [10, 60_000, 8 * 2**20]\n"
+        "print(*np.bincount([_drawn(sizes, rng) for _ in range(20_000)]), _drawn([0], rng))\n"
+    )
+    status, told = hostile("-c", program)
+    small, as_small, large, only = map(int, told.split())
+    assert (status, only) == (0, 0)
+    assert abs(small - as_small) < 700
+    assert 20 < large < 200  # they come, too
 
 
 def test_broken_files_of_every_format_end_in_typed_errors():

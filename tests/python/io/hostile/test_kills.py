@@ -2,13 +2,15 @@
 
 import subprocess
 import sys
+import time
 from collections import Counter
 
 import numpy as np
 import pytest
 from repository import ROOT
 
-from hostile.kills import Tally, Work, contents, fault, left_over, run, torn, works
+from hostile.commands import run
+from hostile.kills import Tally, Work, contents, fault, left_over, torn, works
 from lidar_core.flying.voxel_map import VoxelMap
 from lidar_core.io import write_recording
 from lidar_core.messages import Scan
@@ -100,16 +102,29 @@ def test_kills_without_a_checkpoint_prove_nothing():
     assert tally(1, **ended).outcomes == {"ok": 2, "torn": 1}  # for the page of evidence
 
 
-def test_a_kill_waits_for_a_file(tmp_path, monkeypatch):
+def writing(folder, arguments):
+    (folder / "met").write_text("a")
+    time.sleep(60)
+
+
+def doing_nothing(folder, arguments):
+    pass
+
+
+def test_a_kill_waits_for_a_file(tmp_path):
     """What makes kills fall on checkpoints."""
-    program = "import pathlib, time; pathlib.Path('met').write_text('a'); time.sleep(60)"
-    monkeypatch.setattr("hostile.kills.PROGRAM", program)
-    assert run(tmp_path, (), wait=0.0, after=tmp_path / "met") == -9
+    assert run(tmp_path, (), wait=0.0, after=tmp_path / "met", work=writing) == -9
     assert (tmp_path / "met").exists()
-    monkeypatch.setattr("hostile.kills.PROGRAM", "pass")
-    assert run(tmp_path, (), wait=5.0, after=tmp_path / "never") == 0
+    assert run(tmp_path, (), wait=5.0, after=tmp_path / "never", work=doing_nothing) == 0
     assert Work((), "a", ("--resume",)).is_resumed
     assert not Work((), "a").is_resumed
+
+
+def test_processes_of_commands_say_how_they_ended(tmp_path):
+    assert run(tmp_path, ("info", "missing.npz")) == 2
+    assert "missing.npz" in (tmp_path / "stderr").read_text()
+    assert run(tmp_path, ("config", "show", "--model", "read")) == 0
+    assert (tmp_path / "stderr").read_text() == ""
 
 
 @pytest.mark.nightly
