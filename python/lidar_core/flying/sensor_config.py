@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, TypeAlias
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field
 
@@ -13,10 +13,15 @@ from lidar_core.sensors import SENSORS, Sensor, sensor_named
 
 SPATIAL = tuple(name for name, sensor in SENSORS.items() if not sensor.is_planar)
 """Names of the 3D sensors."""
-if TYPE_CHECKING:  # type checkers cannot read the names from the presets
-    Beams: TypeAlias = str
-else:
-    Beams = Literal[("auto", "given", "learnt", *SPATIAL)]
+# Type checkers and editors cannot read the names from the presets; a test compares the two.
+# fmt: off
+Beams: TypeAlias = Literal[
+    "auto", "given", "learnt",
+    "os0-32", "os0-64", "os0-128", "os1-32", "os1-64", "os1-128", "os2-32", "os2-64", "os2-128",
+    "vlp-16", "hdl-32e", "hdl-64e", "vls-128", "xt32", "pandar64", "qt128", "rs16",
+    "livox-mid360", "livox-avia", "livox-hap", "livox-horizon",
+]
+# fmt: on
 
 Turn = Annotated[float, Field(ge=-6.3, le=6.3)]
 Elevation = Annotated[float, Field(ge=-1.6, le=1.6)]
@@ -112,7 +117,7 @@ class SensorConfig(Config):
         if self.beam_elevations:
             return ("rows", tuple(sorted(self.beam_elevations)), self.beam_columns or 1800)
         if self.beams in BEAM_TABLES:
-            return BEAM_TABLES[str(self.beams)]
+            return BEAM_TABLES[self.beams]
         return ("learnt", (), 0)
 
     @property
