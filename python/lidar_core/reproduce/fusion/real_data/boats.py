@@ -29,6 +29,7 @@ from lidar_core.fusion import (
 from lidar_core.fusion.coverage import seen_times
 from lidar_core.fusion.measurement import measured_place
 from lidar_core.reproduce.common import in_space
+from lidar_core.reproduce.fusion.real_data.bounds import known_share
 from lidar_core.reproduce.recordings import recording
 from lidar_core.reproduce.types import Row
 
@@ -40,6 +41,8 @@ REGION = 0.95
 PERSISTS, BIN = 10.0, 2.0
 """Another boat: returns near a track in most bins, for longer than this [s]."""
 FILLED = 0.8
+JOINT_SCANS = (1, 2, 3, 4)
+"""Scans with a return of each boat that tell the two apart, where association is by the truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,12 @@ def boat_rows(scenario: int, count: int, config: MultiTargetConfig) -> list[Row]
     values: dict[tuple[str, str], float | None] = {
         ("scans", "1"): len(scans),
         ("one-to-one share, lesser target", "1"): min((one.share for one in cover), default=None),
+        **{
+            (f"that share by truth, told apart by {needed} scans", "1"): known_share(
+                scans, config, needed=needed, reach=REACH, gap=GAP
+            )
+            for needed in JOINT_SCANS
+        },
         ("id changes, both targets", "1"): sum(one.n_switches for one in cover),
         ("false tracks per scan", "1"): float(np.mean(false)),
         ("of them on other boats per scan", "1"): float(np.mean(others)),
