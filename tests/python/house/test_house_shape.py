@@ -178,8 +178,7 @@ NUMBER = re.compile(r":\s*(?:Some\()?\[?-?\d")
 
 def rust_files():
     folders = ("rust/lidar_core/src", "rust/lidar_sim/src", "benches", "tests/rust")
-    paths = [path for folder in folders for path in (ROOT / folder).rglob("*.rs")]
-    return [path for path in paths if path.name != "defaults.rs"]
+    return [path for folder in folders for path in (ROOT / folder).rglob("*.rs")]
 
 
 def product_code(path):
@@ -204,9 +203,8 @@ def copies_in(text, names):
 
 
 def test_configurations_are_stated_once_in_rust():
-    homes = list(CORE.rglob("defaults.rs"))
-    names = {name for home in homes for name in DEFAULT.findall(home.read_text(encoding="utf-8"))}
-    assert len(homes) == 3
+    texts = [product_code(path) for path in CORE.rglob("*.rs")]
+    names = {name for text in texts for name in DEFAULT.findall(text)}
     assert {"FlyingParameters", "PipelineParameters", "FusionParameters"} <= names
     copies = {
         path.relative_to(ROOT).as_posix(): found
@@ -214,6 +212,24 @@ def test_configurations_are_stated_once_in_rust():
         if (found := list(copies_in(product_code(path), names)))
     }
     assert copies == {}, "begin with Default or paper() and state what differs"
+
+
+def defaults_away_from_home(texts):
+    """Types whose default does not stand in the file that declares them."""
+    return [
+        name
+        for text in texts
+        for name in DEFAULT.findall(text)
+        if not re.search(rf"\b(?:struct|enum) {name}\b", text)
+    ]
+
+
+def test_a_default_stands_beside_the_struct_that_it_fills():
+    """So a new parameter and its value are one place in Rust."""
+    assert defaults_away_from_home(product_code(path) for path in CORE.rglob("*.rs")) == []
+    apart = ["pub struct Map { size: f64 }", "impl Default for Map {}"]
+    assert defaults_away_from_home(apart) == ["Map"]
+    assert defaults_away_from_home(["\n".join(apart)]) == []
 
 
 def test_a_copied_configuration_is_seen():
