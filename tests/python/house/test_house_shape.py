@@ -250,6 +250,40 @@ def test_folders_of_tests_stay_small_and_have_the_names_of_the_package():
     assert len({path.name for path in files}) == len(files), "pytest needs different names"
 
 
+# Length
+
+LONGER = "Longer than other"
+"""Begins the reason of a file above 400 lines, or of a function above 40."""
+
+
+def long_files_without_a_reason(texts, most=400):
+    """Names of texts with more lines than `most` and no reason among the first lines."""
+    for name, text in texts:
+        first = "\n".join(text.splitlines()[:20])
+        if text.count("\n") > most and LONGER not in first:
+            yield name
+
+
+def test_what_is_longer_than_others_says_why():
+    crates = [CORE, SIMULATOR, BINDING]
+    assert house.long_rust_functions(crates, unless=f"// {LONGER} functions: ") == []
+    paths = [path for root in crates for path in house.rust_modules(root).values()]
+    paths = [path for path in paths if not path.stem.endswith("tests")]
+    paths += PACKAGE.rglob("*.py")
+    texts = ((str(path.relative_to(ROOT)), product_code(path)) for path in paths)
+    assert list(long_files_without_a_reason(texts)) == []
+
+
+def test_a_long_file_or_function_without_a_reason_is_seen(tmp_path):
+    texts = [("short", "\n" * 9), ("long", "\n" * 10), ("told", f"//! {LONGER}" + "\n" * 10)]
+    assert list(long_files_without_a_reason(texts, most=9)) == ["long"]
+    body = "    let x = 1;\n" * 40
+    (tmp_path / "lib.rs").write_text(
+        f"fn one() {{\n{body}}}\n\nfn two() {{\n    // {LONGER}\n{body}}}\n", encoding="utf-8"
+    )
+    assert house.long_rust_functions([tmp_path], unless=LONGER) == ["lib.rs:one"]
+
+
 # Public names
 
 
