@@ -2,7 +2,8 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use lidar_core::Error;
-use lidar_core::flying::classify::classifier::{ClassifyParameters, classify_clusters};
+use lidar_core::flying::classify::classifier::classify_clusters;
+use lidar_core::flying::classify::parameters::ClassifyParameters;
 use lidar_core::flying::integrate::integrator::Integrator;
 use lidar_core::flying::map::parameters::{MapParameters, Separation};
 use lidar_core::flying::map::voxel_map::VoxelMap;

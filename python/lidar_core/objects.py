@@ -1,6 +1,6 @@
 """Objects at one time, one row each: tracks, detections, elements of maps, targets, the truth.
 
-This file is long because all tables are one family of classes.
+Longer than other files: all tables are one family of classes.
 """
 
 from dataclasses import dataclass, fields

@@ -3,7 +3,7 @@
 
 use lidar_core::Error;
 use lidar_core::flying::background::parameters::SeedParameters;
-use lidar_core::flying::classify::classifier::ClassifyParameters;
+use lidar_core::flying::classify::parameters::ClassifyParameters;
 use lidar_core::flying::detector::FlyingObjectDetector;
 use lidar_core::flying::integrate::pose_weights::PoseParameters;
 use lidar_core::flying::map::parameters::{MapParameters, Separation};

@@ -2,8 +2,8 @@
 //!
 //! `state_layouts.txt` has the accepted layouts: the version, a checksum of the layout of every
 //! kind, and the types in words. It is written again by
-//! `LIDAR_CORE_WRITE_LAYOUTS=1 cargo test -p lidar_core --lib state_layouts`, but not where a
-//! layout has changed and the version has not.
+//! `LIDAR_CORE_WRITE_LAYOUTS=1 cargo test -p lidar_core --lib state_layouts`. This also raises the
+//! version if a layout has changed: a state of before would be misread.
 
 use crate::Error;
 use crate::circles::map::{CircleMap, CircleMapParameters};
@@ -15,7 +15,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::parameters::FlyingParameters;
 use crate::flying::track::{PointCloudTracker, TrackerParameters};
 use crate::fusion::{Filter, FusionParameters, ManyParameters, ManyTargets};
-use crate::util::full_state::{VERSION, crc32};
+use crate::util::full_state::{VERSION, crc32, version_of};
 use crate::util::layout::{Layout, heard};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -65,60 +65,54 @@ fn told(version: u32, layouts: &BTreeMap<&'static str, Layout>) -> String {
     lines.join("\n") + "\n"
 }
 
-/// Version of such a text, and its lines of checksum and kind.
-fn head(text: &str) -> (&str, Vec<&str>) {
+/// Lines of checksum and kind of such a text.
+fn sums(text: &str) -> Vec<&str> {
     let has_checksum = |line: &&str| {
         line.split_once(' ').is_some_and(|(sum, _)| {
             sum.len() == 8 && sum.bytes().all(|byte| byte.is_ascii_hexdigit())
         })
     };
-    let mut lines = text.lines();
-    (lines.next().unwrap_or_default(), lines.take_while(has_checksum).collect())
+    text.lines().skip(1).take_while(has_checksum).collect()
 }
 
-/// Whether layouts may be what they are now.
-///
-/// # Errors
-/// What is wrong and what to do; `true` with it where writing the file again is the cure.
-fn compared(accepted: &str, now: &str) -> Result<(), (bool, String)> {
+/// Version that these layouts need: the next one if the layout of an accepted kind has changed.
+fn version_for(accepted: &str, layouts: &BTreeMap<&'static str, Layout>) -> u32 {
+    let version = version_of(accepted);
+    let now = told(version, layouts);
+    let now = sums(&now);
+    version + u32::from(sums(accepted).iter().any(|line| !now.contains(line)))
+}
+
+/// What is wrong with the accepted layouts, and what to do.
+fn compared(accepted: &str, now: &str) -> Result<(), String> {
     if accepted == now {
         return Ok(());
     }
-    let (before, after) = (head(accepted), head(now));
-    let changed: Vec<_> = before.1.iter().filter(|line| !after.1.contains(line)).collect();
-    if before.0 == after.0 && !changed.is_empty() {
-        let lines = |one: &str, other: &str| {
-            let kept: Vec<_> = other.lines().collect();
-            one.lines().filter(|line| !kept.contains(line)).collect::<Vec<_>>().join("\n    ")
-        };
-        return Err((
-            false,
-            format!(
-                "the layout of saved states has changed, and their {} has not: a state of before \
-                 would be misread. Raise VERSION in util/full_state.rs, then write \
-                 state_layouts.txt again with {WRITE}=1.\n  Before:\n    {}\n  Now:\n    {}",
-                after.0,
-                lines(accepted, now),
-                lines(now, accepted),
-            ),
-        ));
-    }
-    let what = "state_layouts.txt is of another version, or a type has another name, or a kind of \
-                state is new: write it again with";
-    Err((true, format!("{what} {WRITE}=1 cargo test -p lidar_core --lib state_layouts")))
+    let lines = |one: &str, other: &str| {
+        let kept: Vec<_> = other.lines().collect();
+        one.lines().filter(|line| !kept.contains(line)).collect::<Vec<_>>().join("\n    ")
+    };
+    Err(format!(
+        "the layouts of saved states are not those of state_layouts.txt; a changed layout needs a \
+         new version. Both are written by {WRITE}=1 cargo test -p lidar_core --lib state_layouts\n  \
+         Before:\n    {}\n  Now:\n    {}",
+        lines(accepted, now),
+        lines(now, accepted),
+    ))
 }
 
 #[test]
 fn layouts_change_only_with_the_version() -> Result<(), Box<dyn std::error::Error>> {
     let layouts = heard(open_all)?;
-    let now = told(VERSION, &layouts);
+    let accepted = fs::read_to_string(file())?;
+    let now = told(version_for(&accepted, &layouts), &layouts);
     assert!(!now.contains('?'), "a layout is not known to its end:\n{now}");
-    let compared = compared(&fs::read_to_string(file())?, &now);
-    if matches!(compared, Err((true, _))) && std::env::var_os(WRITE).is_some() {
+    assert_eq!(VERSION, version_of(&accepted), "the version is that of the list");
+    if std::env::var_os(WRITE).is_some() {
         fs::write(file(), &now)?;
         return Ok(());
     }
-    compared.map_err(|(_, text)| text.into())
+    compared(&accepted, &now).map_err(Into::into)
 }
 
 #[test]
@@ -136,15 +130,15 @@ fn every_kind_of_state_is_compared() -> std::io::Result<()> {
             }
         }
     }
-    let known = head(&fs::read_to_string(file())?).1.len();
+    let known = sums(&fs::read_to_string(file())?).len();
     assert_eq!(opened, known, "a state is opened that `open_all` does not open");
     Ok(())
 }
 
 mod planted {
-    //! A change of a layout with the same version fails; so that the test above can fail.
+    //! A change of a layout is seen, and needs a new version; so that the test above can fail.
 
-    use super::{Layout, compared, told};
+    use super::{Layout, compared, told, version_for};
     use serde::Deserialize;
     use std::collections::BTreeMap;
 
@@ -180,14 +174,15 @@ mod planted {
     other!(Longer, first: f64, second: Option<Vec<(u32, [i16; 3])>>, third: Choice, fourth: bool);
     other!(Shorter, first: f64, third: Choice);
 
-    fn text_of<T: serde::de::DeserializeOwned>(version: u32) -> Result<String, String> {
+    fn layouts_of<T: serde::de::DeserializeOwned>() -> Result<BTreeMap<&'static str, Layout>, String>
+    {
         let layout = Layout::of::<T>().map_err(|error| error.to_string())?;
-        Ok(told(version, &BTreeMap::from([("thing", layout)])))
+        Ok(BTreeMap::from([("thing", layout)]))
     }
 
     #[test]
     fn a_layout_is_known_to_its_last_variant() -> Result<(), String> {
-        let text = text_of::<before::Kept>(1)?;
+        let text = told(1, &layouts_of::<before::Kept>()?);
         assert!(text.contains("Choice: One | Two (u8, bool) | Three "), "{text}");
         assert!(text.contains("second option<list<(u32, [i16; 3])>>"), "{text}");
         assert!(text.contains("inner text"), "{text}");
@@ -195,31 +190,33 @@ mod planted {
     }
 
     #[test]
-    fn a_changed_layout_with_the_same_version_fails() -> Result<(), String> {
-        let accepted = text_of::<before::Kept>(1)?;
-        assert_eq!(compared(&accepted, &text_of::<before::Kept>(1)?), Ok(()));
+    fn a_changed_layout_fails_and_needs_the_next_version() -> Result<(), String> {
+        let accepted = told(7, &layouts_of::<before::Kept>()?);
+        let same = layouts_of::<before::Kept>()?;
+        assert_eq!(version_for(&accepted, &same), 7);
+        assert_eq!(compared(&accepted, &told(7, &same)), Ok(()));
         let others = [
-            text_of::<Narrowed>(1)?,
-            text_of::<Swapped>(1)?,
-            text_of::<Longer>(1)?,
-            text_of::<Shorter>(1)?,
+            layouts_of::<Narrowed>()?,
+            layouts_of::<Swapped>()?,
+            layouts_of::<Longer>()?,
+            layouts_of::<Shorter>()?,
         ];
-        for now in others {
-            let Err((false, text)) = compared(&accepted, &now) else {
-                return Err(format!("not seen: {now}"));
+        for other in &others {
+            assert_eq!(version_for(&accepted, other), 8);
+            let Err(text) = compared(&accepted, &told(8, other)) else {
+                return Err(format!("not seen: {}", told(8, other)));
             };
-            assert!(text.contains("Raise VERSION in util/full_state.rs"), "{text}");
+            assert!(text.contains("LIDAR_CORE_WRITE_LAYOUTS=1"), "{text}");
         }
         Ok(())
     }
 
     #[test]
-    fn a_changed_layout_of_a_new_version_or_a_new_name_only_needs_the_file() -> Result<(), String> {
-        let accepted = text_of::<before::Kept>(1)?;
-        for now in [text_of::<Longer>(2)?, text_of::<Renamed>(1)?] {
-            let compared = compared(&accepted, &now);
-            assert!(matches!(compared, Err((true, _))), "{compared:?}");
-        }
+    fn another_name_of_a_type_keeps_the_version() -> Result<(), String> {
+        let accepted = told(7, &layouts_of::<before::Kept>()?);
+        let renamed = layouts_of::<Renamed>()?;
+        assert_eq!(version_for(&accepted, &renamed), 7);
+        assert!(compared(&accepted, &told(7, &renamed)).is_err(), "the list is written again");
         Ok(())
     }
 }

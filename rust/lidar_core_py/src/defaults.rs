@@ -12,7 +12,7 @@ use crate::fusion::many::MultiTargetConfig;
 use lidar_core::Error;
 use lidar_core::circles::map::CircleMapParameters;
 use lidar_core::circles::parameters::PipelineParameters;
-use lidar_core::flying::classify::classifier::ClassifyParameters;
+use lidar_core::flying::classify::parameters::ClassifyParameters;
 use lidar_core::flying::map::parameters::MapParameters;
 use lidar_core::flying::parameters::FlyingParameters;
 use lidar_core::flying::track::TrackerParameters;

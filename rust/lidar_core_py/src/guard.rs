@@ -90,6 +90,8 @@ fn watched<T: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Caught<T> + Send,
 ) -> Result<Caught<T>, BorderError> {
+    // Longer than other functions: the closures share the thread, its result and the signal that
+    // was raised.
     if !is_main_thread(py)? {
         return Ok(py.detach(work));
     }

@@ -225,13 +225,8 @@ impl Task<'_> {
             let ahead = match surface.interaction(ray.direction, normal, draws) {
                 SurfaceInteraction::Scattered => {
                     let cosine = dot(ray.direction, normal).abs();
-                    let power = signal(
-                        surface.reflectivity,
-                        cosine,
-                        distance,
-                        self.lidar.range_max,
-                        extinction,
-                    );
+                    let range = self.lidar.range_max;
+                    let power = signal(surface.reflectivity, cosine, distance, range, extinction);
                     let fading = random::normal(drawn[2], drawn[3]);
                     let label = if is_ghost { GHOST_LABEL } else { hit.label };
                     return is_seen(power, fading).then_some(RayHit { distance, label, ..hit });
@@ -243,10 +238,7 @@ impl Task<'_> {
                 SurfaceInteraction::Passed => ray.direction,
             };
             way = distance + STEP;
-            let start = |axis: usize| {
-                ray.origin[axis] + hit.distance * ray.direction[axis] + STEP * ahead[axis]
-            };
-            ray = CastRay { origin: std::array::from_fn(start), direction: ahead };
+            ray = turned(&ray, hit.distance, ahead);
             hit = self.meet(&ray, world, &mut unused, self.lidar.range_max - way)?;
         }
         None
@@ -308,4 +300,12 @@ impl Task<'_> {
         }
         nearest
     }
+}
+
+/// The ray that goes on from a hit in another direction, a step away from the surface, which it would
+/// meet again otherwise.
+fn turned(ray: &CastRay, distance: f64, ahead: [f64; 3]) -> CastRay {
+    let start =
+        |axis: usize| ray.origin[axis] + distance * ray.direction[axis] + STEP * ahead[axis];
+    CastRay { origin: std::array::from_fn(start), direction: ahead }
 }

@@ -178,8 +178,7 @@ NUMBER = re.compile(r":\s*(?:Some\()?\[?-?\d")
 
 def rust_files():
     folders = ("rust/lidar_core/src", "rust/lidar_sim/src", "benches", "tests/rust")
-    paths = [path for folder in folders for path in (ROOT / folder).rglob("*.rs")]
-    return [path for path in paths if path.name != "defaults.rs"]
+    return [path for folder in folders for path in (ROOT / folder).rglob("*.rs")]
 
 
 def product_code(path):
@@ -204,9 +203,8 @@ def copies_in(text, names):
 
 
 def test_configurations_are_stated_once_in_rust():
-    homes = list(CORE.rglob("defaults.rs"))
-    names = {name for home in homes for name in DEFAULT.findall(home.read_text(encoding="utf-8"))}
-    assert len(homes) == 3
+    texts = [product_code(path) for path in CORE.rglob("*.rs")]
+    names = {name for text in texts for name in DEFAULT.findall(text)}
     assert {"FlyingParameters", "PipelineParameters", "FusionParameters"} <= names
     copies = {
         path.relative_to(ROOT).as_posix(): found
@@ -214,6 +212,24 @@ def test_configurations_are_stated_once_in_rust():
         if (found := list(copies_in(product_code(path), names)))
     }
     assert copies == {}, "begin with Default or paper() and state what differs"
+
+
+def defaults_away_from_home(texts):
+    """Types whose default does not stand in the file that declares them."""
+    return [
+        name
+        for text in texts
+        for name in DEFAULT.findall(text)
+        if not re.search(rf"\b(?:struct|enum) {name}\b", text)
+    ]
+
+
+def test_a_default_stands_beside_the_struct_that_it_fills():
+    """So a new parameter and its value are one place in Rust."""
+    assert defaults_away_from_home(product_code(path) for path in CORE.rglob("*.rs")) == []
+    apart = ["pub struct Map { size: f64 }", "impl Default for Map {}"]
+    assert defaults_away_from_home(apart) == ["Map"]
+    assert defaults_away_from_home(["\n".join(apart)]) == []
 
 
 def test_a_copied_configuration_is_seen():
@@ -232,6 +248,40 @@ def test_folders_of_tests_stay_small_and_have_the_names_of_the_package():
     known = own | {name for name in folders for place in places if (place / name).is_dir()}
     assert sorted(folders.keys() - known) == []
     assert len({path.name for path in files}) == len(files), "pytest needs different names"
+
+
+# Length
+
+LONGER = "Longer than other"
+"""Begins the reason of a file above 400 lines, or of a function above 40."""
+
+
+def long_files_without_a_reason(texts, most=400):
+    """Names of texts with more lines than `most` and no reason among the first lines."""
+    for name, text in texts:
+        first = "\n".join(text.splitlines()[:20])
+        if text.count("\n") > most and LONGER not in first:
+            yield name
+
+
+def test_what_is_longer_than_others_says_why():
+    crates = [CORE, SIMULATOR, BINDING]
+    assert house.long_rust_functions(crates, unless=f"// {LONGER} functions: ") == []
+    paths = [path for root in crates for path in house.rust_modules(root).values()]
+    paths = [path for path in paths if not path.stem.endswith("tests")]
+    paths += PACKAGE.rglob("*.py")
+    texts = ((str(path.relative_to(ROOT)), product_code(path)) for path in paths)
+    assert list(long_files_without_a_reason(texts)) == []
+
+
+def test_a_long_file_or_function_without_a_reason_is_seen(tmp_path):
+    texts = [("short", "\n" * 9), ("long", "\n" * 10), ("told", f"//! {LONGER}" + "\n" * 10)]
+    assert list(long_files_without_a_reason(texts, most=9)) == ["long"]
+    body = "    let x = 1;\n" * 40
+    (tmp_path / "lib.rs").write_text(
+        f"fn one() {{\n{body}}}\n\nfn two() {{\n    // {LONGER}\n{body}}}\n", encoding="utf-8"
+    )
+    assert house.long_rust_functions([tmp_path], unless=LONGER) == ["lib.rs:one"]
 
 
 # Public names

@@ -43,6 +43,7 @@ impl Parts {
         parameters: &PipelineParameters,
         map: &CircleMap,
     ) -> Self {
+        // Longer than other functions: each rule decides by what the ones before it have found.
         let limits = [prepared.range_std, parameters.max_deviation];
         let mut parts = Self::default();
         for (number, circle) in circles.iter().enumerate() {

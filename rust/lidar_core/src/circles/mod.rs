@@ -36,7 +36,6 @@
 //! # Ok::<(), lidar_core::Error>(())
 //! ```
 
-mod defaults;
 pub mod fit;
 pub mod frame;
 pub mod map;

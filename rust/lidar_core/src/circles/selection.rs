@@ -26,6 +26,13 @@ pub struct ShapeParameters {
     pub min_hits: usize,
 }
 
+/// Shape rules of the best mode.
+impl Default for ShapeParameters {
+    fn default() -> Self {
+        Self { max_size: 0.5, model_std: 0.03, min_hits: 6 }
+    }
+}
+
 impl ShapeParameters {
     /// # Errors
     /// [`Error::Parameter`] for a parameter outside its range.

@@ -142,7 +142,7 @@ impl Solver {
             self.row_of[column] = Some(row);
             match previous {
                 Some(previous) => column = previous,
-                None => break, // only `start` had no column
+                None => break, // the path has reached `start`, the row that had no column yet
             }
         }
         self.search.reset();

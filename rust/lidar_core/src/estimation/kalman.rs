@@ -137,6 +137,8 @@ pub fn correct<const N: usize, const M: usize>(
     model: &Linearised<N, M>,
     believe: impl FnOnce(&Mahalanobis<M>) -> bool,
 ) -> Result<Mahalanobis<M>, Error> {
+    // Longer than other functions: loops over rows that the compiler makes vector code of, and that
+    // share A, S and their factor.
     let (P, H) = (&state.covariance.data.0, &model.H.data.0);
     let mut A = [[0.0; N]; M]; // H P by rows: sums of whole rows become vector code
     for k in 0..N {
@@ -187,6 +189,7 @@ fn joseph<const N: usize, const M: usize>(
     gain: &[[f64; N]; M],
     model: &Linearised<N, M>,
 ) {
+    // Longer than other functions: the terms of one sum, which share G and the gain.
     // Columns of (I - K H) P, as P - K (H P): A holds H P already, which saves a product of N x N.
     let mut G = [[0.0; N]; N];
     for k in 0..N {

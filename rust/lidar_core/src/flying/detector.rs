@@ -110,6 +110,7 @@ impl FlyingObjectDetector {
     }
 
     fn run_stages(&mut self, raw: &RawScan<'_>) -> Result<Frame, Error> {
+        // Longer than other functions: all stages in their order, and nothing else.
         check_scan_memory(raw.points.len())?;
         let (mut clock, mut timing) = (Clock::start(), Timing::default());
         let stamp_ns = self.prepare(raw)?;

@@ -32,7 +32,6 @@
 pub mod analysis;
 pub mod background;
 pub mod classify;
-mod defaults;
 pub mod detect;
 pub mod detector;
 pub mod frame;

@@ -1,8 +1,8 @@
 //! All parameters of the detector.
 
 use super::background::parameters::SeedParameters;
-use super::classify::classifier::ClassifyParameters;
 use super::classify::flood::{check_steps, search_radius};
+use super::classify::parameters::ClassifyParameters;
 use super::integrate::pose_weights::PoseParameters;
 use super::map::parameters::MapParameters;
 use super::map::parameters::Separation;
@@ -12,6 +12,10 @@ use crate::Error;
 use crate::geometry::cluster::Clustering;
 use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use std::collections::BTreeMap;
+
+/// Rays clear this much further than the range in which targets are sought, so that what is around
+/// a target at that range has been observed [m].
+const RANGE_MARGIN: f64 = 2.0;
 
 /// All parameters of the detector.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +55,51 @@ pub struct FlyingParameters {
     pub mismatch_share: Option<f64>,
     /// Distance from the sensor beyond which the map forgets voxels [m].
     pub forget_distance: Option<f64>,
+}
+
+/// Best mode.
+impl Default for FlyingParameters {
+    fn default() -> Self {
+        let map = MapParameters::default();
+        Self {
+            map: MapParameters { max_range: map.max_range + RANGE_MARGIN, ..map },
+            clustering: Clustering::default(),
+            cluster_angle: 0.02,
+            cluster_voxels: false,
+            classify: ClassifyParameters::default(),
+            separation: Separation::default(),
+            removal_waits: true,
+            seed: SeedParameters::default(),
+            sensors: BTreeMap::new(),
+            default_sensor: SensorParameters::default(),
+            tracker: TrackerParameters::default(),
+            centers: true,
+            pose: PoseParameters::default(),
+            range_std: 0.03,
+            target_radius: 0.325,
+            mismatch_share: Some(0.5),
+            forget_distance: None,
+        }
+    }
+}
+
+impl FlyingParameters {
+    /// The algorithms as published, with the parameters of Table II.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            map: MapParameters::paper(),
+            cluster_angle: 0.0,
+            classify: ClassifyParameters::paper(),
+            seed: SeedParameters::paper(),
+            default_sensor: SensorParameters::paper(),
+            tracker: TrackerParameters::paper(),
+            centers: false,
+            pose: PoseParameters::paper(),
+            mismatch_share: None,
+            ..Self::default()
+        }
+    }
 }
 
 impl FlyingParameters {

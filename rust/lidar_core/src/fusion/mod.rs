@@ -22,7 +22,6 @@
 //! # Ok::<(), lidar_core::Error>(())
 //! ```
 
-mod defaults;
 pub mod filter;
 pub mod model;
 pub mod models;

@@ -1,5 +1,6 @@
 //! Parameters of a filter: model, method, noise, sensors, rules.
 
+use super::filter::paper::Paper;
 use super::model::{MIXABLE, Model};
 use super::models::motion::{Noise, NoiseForm, Prior};
 use super::sensors::sensing::Sensing;
@@ -52,6 +53,20 @@ pub struct Strengths {
     pub start: f64,
 }
 
+/// White noise in continuous time.
+impl Default for Strengths {
+    fn default() -> Self {
+        Self {
+            form: NoiseForm::Continuous,
+            acceleration: 0.7,
+            jerk: 2.0,
+            turn: 0.5,
+            platform: 0.5,
+            start: 4.0,
+        }
+    }
+}
+
 /// All parameters of a filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionParameters {
@@ -69,6 +84,46 @@ pub struct FusionParameters {
     pub life: LifecycleRules,
     /// Offset of the sensor from the platform's origin, axes of the platform [m].
     pub lever: [f64; 3],
+}
+
+/// Coordinated turn, extended Kalman filter: a velocity in place of speed and heading means something
+/// also at rest.
+impl Default for FusionParameters {
+    fn default() -> Self {
+        Self {
+            model: Model::CoordinatedTurn,
+            method: Method::Extended,
+            strengths: Strengths::default(),
+            prior: Prior::default(),
+            sensing: Sensing::default(),
+            life: LifecycleRules::default(),
+            lever: [0.0; 3],
+        }
+    }
+}
+
+impl FusionParameters {
+    /// The filter as published, which does not give the deviations of eq. 23.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            model: Model::Paper(Paper::default()),
+            strengths: Strengths {
+                acceleration: 3.0,
+                turn: 2.0,
+                platform: 0.5,
+                ..Strengths::default()
+            },
+            life: LifecycleRules {
+                start_rows: 1,
+                gate: [f64::INFINITY; 5],
+                memory: None,
+                loss_ratio: None,
+                ..LifecycleRules::default()
+            },
+            ..Self::default()
+        }
+    }
 }
 
 impl FusionParameters {

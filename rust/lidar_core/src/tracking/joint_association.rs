@@ -96,6 +96,8 @@ impl Links {
     /// Tracks and measurements tell each other in turn how much of a pair is left for the other;
     /// the messages converge for every group.
     fn approximate(&self, group: &TrackOptions, pairs: &[Pair]) -> Vec<f64> {
+        // Longer than other functions: both directions of the messages and their weights share the
+        // tables of the group.
         let own: Vec<usize> = group.iter().flatten().copied().collect();
         let weights = own.iter().map(|index| libm::exp((-pairs[*index].cost).min(LARGEST)));
         let weights: Vec<f64> = weights.collect();

@@ -11,9 +11,21 @@ use std::fmt::Debug;
 use std::io::Write;
 
 const MAGIC: &[u8; 4] = b"LCFS";
-/// Raised with every change of a layout; `state_layouts.rs` at the root of the crate tests it.
-pub(crate) const VERSION: u32 = 8;
+/// Raised with every change of a layout. The list of accepted layouts states it, so that what writes
+/// the list also raises the version: `state_layouts.rs` at the root of the crate.
+pub(crate) const VERSION: u32 = version_of(include_str!("../state_layouts.txt"));
 const CHECKSUM_BYTES: usize = 4;
+
+/// The number in the first line of a list of layouts, such as "version 8".
+pub(crate) const fn version_of(layouts: &str) -> u32 {
+    let bytes = layouts.as_bytes();
+    let (mut at, mut version) = ("version ".len(), 0);
+    while at < bytes.len() && bytes[at].is_ascii_digit() {
+        version = 10 * version + (bytes[at] - b'0') as u32;
+        at += 1;
+    }
+    version
+}
 
 /// Bytes that hold `content`, the state of an object of this `kind` with these `parameters`.
 ///
@@ -66,6 +78,8 @@ pub(crate) fn opened<T: DeserializeOwned>(
     parameters: &impl Debug,
     bytes: &[u8],
 ) -> Result<T, Error> {
+    // Longer than other functions: the checks of the parts of the bytes in their order, each with
+    // its error.
     #[cfg(test)]
     super::layout::tell::<T>(kind);
     let body = bytes.len().saturating_sub(CHECKSUM_BYTES);

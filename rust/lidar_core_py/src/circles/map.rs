@@ -169,6 +169,7 @@ impl PyCircleMap {
         delays: Option<PyReadonlyArray1<'py, f64>>,
         view: Option<ViewArrays<'py>>,
     ) -> Result<Events<'py>, BorderError> {
+        // Longer than other functions: one argument per array of the public call.
         let estimates = estimates(&circles, &covariance)?;
         let pose: [f64; 16] = square("world_from_lidar", &world_from_lidar)?;
         let doubt =

@@ -4,7 +4,7 @@ use crate::arrays;
 use crate::flying::tracker::TrackerConfig;
 use lidar_core::Error;
 use lidar_core::flying::background::parameters::SeedParameters;
-use lidar_core::flying::classify::classifier::ClassifyParameters;
+use lidar_core::flying::classify::parameters::ClassifyParameters;
 use lidar_core::flying::integrate::pose_weights::{PoseParameters, PoseWeighting};
 use lidar_core::flying::map::parameters::Separation;
 use lidar_core::flying::map::parameters::{MapParameters, RayUnit, Rays, Skip};

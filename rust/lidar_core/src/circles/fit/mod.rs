@@ -14,6 +14,7 @@ pub(super) mod whole;
 mod tests;
 
 use super::preprocess::polar_scan::PolarScan;
+use super::segment::parameters::RANGE_LIMITS;
 use super::segment::segments::Segments;
 use crate::Error;
 use crate::util::cancel;
@@ -60,6 +61,20 @@ pub struct FitParameters {
     pub usual_radius: f64,
     /// Smallest and largest range of the scan [m]; surfaces outside look like rays without return.
     pub range_limits: [f64; 2],
+}
+
+/// Fit of the expected circle, the method of the best mode.
+impl Default for FitParameters {
+    fn default() -> Self {
+        Self {
+            method: FitMethod::Expected,
+            range_std: 0.01,
+            beam_half_width: 0.0,
+            radius: [0.02, 1.0],
+            usual_radius: 0.5,
+            range_limits: RANGE_LIMITS,
+        }
+    }
 }
 
 impl FitParameters {

@@ -160,6 +160,47 @@ fn rename<S>(all: &mut [Element<S>], numbers: &[(i64, i64)]) {
     all.sort_by_key(|element| element.id);
 }
 
+/// Tell an element without a measurement whether the scan should have measured it. Only such elements
+/// are asked, since visibility costs a search in the scan.
+fn look_for<S: State>(
+    element: &mut Element<S>,
+    (from, dt): (&Viewpoint, f64),
+    rules: &Rules,
+) -> Result<(), Error> {
+    let visibility = element.state.look(from, rules);
+    let is_unknown = visibility == CircleVisibility::OutOfView;
+    // What a ray or two still end on is far away, not hidden.
+    let is_glimpsed = is_unknown && element.state.glimpse(from, rules)?;
+    element.unmeasured(visibility, from.sensor, if is_glimpsed { 0.0 } else { dt });
+    Ok(())
+}
+
+/// Create an element for every measurement that no known one explains, and give parts the element of
+/// their whole: as measurements they would count one body twice.
+fn create<S: State>(
+    rules: &Rules,
+    (all, arrivals): (&mut Vec<Element<S>>, &Arrivals),
+    seen: &mut [Option<i64>],
+    (measurements, wholes): (&[S::Measurement], &[usize]),
+    from: &Viewpoint,
+    mut fresh: impl FnMut(usize) -> i64,
+) {
+    // Eqs 18-20, after all corrections: a new element must not take a measurement that a known one explains.
+    for (index, measurement) in measurements.iter().enumerate() {
+        let is_new = wholes[index] == index && seen[index].is_none();
+        if is_new && S::is_born(measurement, rules) {
+            let id = fresh(index);
+            let state = S::new(measurement, all.iter().map(|one| &one.state), rules);
+            let belief = ElementBelief::new(S::birth_place(measurement), arrivals);
+            all.push(Element::new(id, state, belief, from.key()));
+            seen[index] = Some(id);
+        }
+    }
+    for (index, whole) in wholes.iter().enumerate() {
+        seen[index] = seen[*whole];
+    }
+}
+
 /// Predict, associate, correct and create the elements of one kind.
 fn take_in<S: State>(
     rules: &Rules,
@@ -168,6 +209,7 @@ fn take_in<S: State>(
     (from, dt): (&Viewpoint, f64),
     fresh: &mut impl FnMut(Option<i64>) -> i64,
 ) -> Result<(), Error> {
+    // Longer than other functions: the stages of a scan in the order of the paper.
     // A second sensor may have a scan of the same stamp: no time, no noise and no switch of modes.
     if dt > 0.0 {
         let step = rules.motion().step(dt);
@@ -184,33 +226,21 @@ fn take_in<S: State>(
         is_measured[row] = true;
         seen.elements[measurement] = Some(all[row].id);
     }
-    // Visibility costs a search in the scan: only elements without a measurement need it.
     for (element, is_measured) in all.iter_mut().zip(is_measured) {
         if is_measured {
             element.measured(from.key());
         } else {
-            let visibility = element.state.look(from, rules);
-            let is_unknown = visibility == CircleVisibility::OutOfView;
-            // What a ray or two still end on is far away, not hidden.
-            let is_glimpsed = is_unknown && element.state.glimpse(from, rules)?;
-            element.unmeasured(visibility, from.sensor, if is_glimpsed { 0.0 } else { dt });
+            look_for(element, (from, dt), rules)?;
         }
     }
-    // Eqs 18-20, after all corrections: a new element must not take a measurement that a known one explains.
-    for (index, measurement) in measurements.iter().enumerate() {
-        let is_new = wholes[index] == index && seen.elements[index].is_none();
-        if is_new && S::is_born(measurement, rules) {
-            let id = fresh(known[index]);
-            let state = S::new(measurement, all.iter().map(|one| &one.state), rules);
-            let belief = ElementBelief::new(S::birth_place(measurement), arrivals);
-            all.push(Element::new(id, state, belief, from.key()));
-            seen.elements[index] = Some(id);
-        }
-    }
-    // Parts only get the element of their whole: as measurements they would count one body twice.
-    for (index, whole) in wholes.into_iter().enumerate() {
-        seen.elements[index] = seen.elements[whole];
-    }
+    create(
+        rules,
+        (&mut *all, arrivals),
+        &mut seen.elements,
+        (&measurements, &wholes),
+        from,
+        |index| fresh(known[index]),
+    );
     all.sort_by_key(|element| element.id);
     Ok(())
 }

@@ -76,6 +76,13 @@ pub struct LineRules {
     pub coast: Option<f64>,
 }
 
+/// Line rules of the best mode.
+impl Default for LineRules {
+    fn default() -> Self {
+        Self { density: 1e-6, std: 0.01, gap: 0.5, length: 0.5, reach: 3.0, coast: Some(60.0) }
+    }
+}
+
 /// Parameters of the map with a filter per element.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Independent {
@@ -108,6 +115,41 @@ pub struct Independent {
     pub lines: LineRules,
 }
 
+/// Modes of motion: density of the acceleration [m^2/s^3], weight, mean time [s].
+const MODES: [MotionMode; 3] = [
+    MotionMode { density: 0.1, weight: 0.4, duration: 2.0 },
+    MotionMode { density: 0.5, weight: 0.599, duration: 2.0 },
+    MotionMode { density: 200.0, weight: 0.001, duration: 0.1 },
+];
+
+/// One filter per element, as in the best mode.
+impl Default for Independent {
+    fn default() -> Self {
+        Self {
+            modes: MODES.to_vec(),
+            standing: Standing {
+                share: 0.5,
+                duration: 10.0,
+                moving: 5.0,
+                density: 1e-4,
+                start_speed: 1.0,
+                hysteresis: [0.8, 0.4],
+            },
+            center_noise: 0.002,
+            radius_density: 1e-6,
+            turn_density: 0.01,
+            birth_density: 1e-4,
+            merge_gap: 0.15,
+            report_existence: 0.9,
+            limits: Limits { position: 1.0, velocity: 3.0, radius: 0.3 },
+            coast: Some(5.0),
+            visibility_test: VisibilityTest { margin: 0.15, min_rays: 4 },
+            buffer_time: 0.25,
+            lines: LineRules::default(),
+        }
+    }
+}
+
 /// The joint filter of eqs 8-33.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
@@ -115,6 +157,13 @@ pub struct Joint {
     pub velocity_step: f64,
     /// Eigenvalue of the covariance above which an element is removed, eq. 33; units are mixed.
     pub max_eigenvalue: f64,
+}
+
+/// Joint filter with the values of eqs 14 and 33.
+impl Default for Joint {
+    fn default() -> Self {
+        Self { velocity_step: 0.1, max_eigenvalue: 3.0 }
+    }
 }
 
 /// Filter of the elements.
@@ -136,6 +185,25 @@ pub struct CircleMapParameters {
     pub gate_probability: f64,
     /// Standard deviation of a new element's velocity, per axis [m/s].
     pub initial_speed: f64,
+}
+
+/// Map of the best mode: one filter per element.
+impl Default for CircleMapParameters {
+    fn default() -> Self {
+        Self {
+            filter: ElementFilter::Independent(Independent::default()),
+            gate_probability: 0.9999,
+            initial_speed: 1.5,
+        }
+    }
+}
+
+impl CircleMapParameters {
+    /// Map with the joint filter as published.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { filter: ElementFilter::Paper(Joint::default()), ..Self::default() }
+    }
 }
 
 impl CircleMapParameters {

@@ -96,6 +96,7 @@ impl KeptScan {
     /// # Errors
     /// [`Error::Value`] for a pose or an object that cannot be used, [`Error::Limit`] for too many.
     pub(super) fn new(scan: &CircleScan<'_>) -> Result<Self, Error> {
+        // Longer than other functions: one expression per field of a measurement.
         let pose = check(scan)?;
         let R_pose =
             scan.pose_covariance.map(|rows| SMatrix::from_fn(|row, column| rows[row][column]));

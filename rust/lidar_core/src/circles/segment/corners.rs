@@ -20,6 +20,13 @@ pub struct CornerParameters {
     pub width: f64,
 }
 
+/// Corner rules of the best mode.
+impl Default for CornerParameters {
+    fn default() -> Self {
+        Self { depth: 0.15, width: 1.2 }
+    }
+}
+
 /// Append the surfaces of an object to `found`, as ranges of its `rays`. An object that bulges
 /// towards the sensor is one surface.
 pub(crate) fn surfaces(

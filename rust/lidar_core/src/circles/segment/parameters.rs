@@ -6,6 +6,9 @@ use super::corners::CornerParameters;
 /// the adaptive bound would join objects behind one another.
 pub const INCIDENCE: f64 = std::f64::consts::PI / 18.0;
 
+/// Nearest and farthest surface that the scanner of the paper measures [m].
+pub(in crate::circles) const RANGE_LIMITS: [f64; 2] = [0.1, 10.0];
+
 /// Largest distances from the nearer and the farther range limit at which it may cut an object [m].
 pub const CUT_MARGINS: [f64; 2] = [0.15, 1.2];
 
@@ -62,4 +65,37 @@ pub struct SegmentParameters {
     /// Distance of an outermost ray from a range limit, within which the object may continue unseen
     /// beyond the limit [m].
     pub cut_margins: [f64; 2],
+}
+
+/// Segmentation of the best mode.
+impl Default for SegmentParameters {
+    fn default() -> Self {
+        Self {
+            bound: Bound::Adaptive { incidence: INCIDENCE, slack: 0.09 },
+            max_gap: 2,
+            merge_distance: 0.5,
+            merge_deviation: 0.03,
+            corner: CornerParameters::default(),
+            min_points: 4,
+            min_fraction: 0.0,
+            range_limits: RANGE_LIMITS,
+            cut_margins: CUT_MARGINS,
+        }
+    }
+}
+
+impl SegmentParameters {
+    /// Segmentation by eq. 6 as published.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            bound: Bound::Fixed(0.2),
+            max_gap: 0,
+            merge_distance: 0.0,
+            corner: CornerParameters { depth: 0.0, ..CornerParameters::default() },
+            min_points: 1,
+            min_fraction: 0.003,
+            ..Self::default()
+        }
+    }
 }

@@ -26,6 +26,31 @@ pub struct SeedParameters {
     pub take_off_height: Option<f64>,
 }
 
+/// Best mode.
+impl Default for SeedParameters {
+    fn default() -> Self {
+        Self {
+            burn_in_scans: 10,
+            burn_in_period: Some(0.1),
+            burn_in_extent: 2.5,
+            standing_scans: 5,
+            standing_shift: 0.04,
+            standing_track_distance: 0.5,
+            ground_height: None,
+            take_off_height: None,
+        }
+    }
+}
+
+impl SeedParameters {
+    /// A burn-in for targets of the paper's size: the paper does not state the source of the first
+    /// background.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { burn_in_period: None, burn_in_extent: 1.0, standing_scans: 0, ..Self::default() }
+    }
+}
+
 impl SeedParameters {
     /// The place on the ground below the first position of the sensor, as a range finder would
     /// see it: two readings make its voxel tentatively occupied.

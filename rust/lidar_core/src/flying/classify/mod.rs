@@ -8,6 +8,7 @@ pub(crate) mod flood;
 pub(crate) mod grouping;
 mod may_fly;
 pub(crate) mod occupied_nearby;
+pub mod parameters;
 pub(crate) mod pockets;
 pub(crate) mod scan_classifier;
 pub(crate) mod shadow;

@@ -1,4 +1,6 @@
 //! A scan in clusters, and their classes.
+//!
+//! Longer than other files, so that the fields of the classifier stay private to it.
 
 use super::classifier::{Classification, Classifier, ClusterRules, reclassify};
 use super::clusters::{Cluster, Clusters};
@@ -160,6 +162,7 @@ impl ScanClassifier {
     /// observed, such as that behind a table, flies if free space is around it. So does what moves above such
     /// space, given by the ascending rows `over_unseen`; it may stand on something.
     pub(crate) fn lift(&mut self, input: &ScanToClassify<'_>, rows: &[u32], over_unseen: &[u32]) {
+        // Longer than other functions: all conditions for one cluster.
         if rows.is_empty() && over_unseen.is_empty() {
             return;
         }

@@ -45,6 +45,7 @@ pub(crate) fn detect<'c>(
     clusters: &Clusters,
     classifications: impl Iterator<Item = (usize, &'c Classification)>,
 ) -> ScanDetections {
+    // Longer than other functions: the steps for one cluster, which change one detection.
     let ScanToDetect { scan, view, parameters, .. } = *input;
     let mut found = ScanDetections::default();
     let longest = parameters.classify.max_extent;
@@ -72,14 +73,7 @@ pub(crate) fn detect<'c>(
         detection.is_among_surfaces =
             !is_flying.is_empty() && is_among_surfaces(scan, &cluster, &is_flying);
         if let Some(center) = centers.next() {
-            detection = detection.at(&center);
-            if detection.is_free_below == Some(false) && are_rays_lost_below(scan, &cluster) {
-                detection.is_free_below = None;
-            }
-            // The rays into a sky that is known by its density are made up: those that passed are not known.
-            if scan.sky == SkySource::Density {
-                detection.filled_share = share_of_expected(scan, &cluster);
-            }
+            detection = centered(detection, &center, scan, &cluster);
         }
         if let Some(spread) = view.spread() {
             detection.add_pose_covariance(spread);
@@ -90,6 +84,24 @@ pub(crate) fn detect<'c>(
         }
     }
     found
+}
+
+/// The detection at its centre, without what rays tell that the scan does not have.
+fn centered(
+    detection: Detection,
+    center: &Center,
+    scan: &Prepared,
+    cluster: &Cluster<'_>,
+) -> Detection {
+    let mut detection = detection.at(center);
+    if detection.is_free_below == Some(false) && are_rays_lost_below(scan, cluster) {
+        detection.is_free_below = None;
+    }
+    // The rays into a sky that is known by its density are made up: those that passed are not known.
+    if scan.sky == SkySource::Density {
+        detection.filled_share = share_of_expected(scan, cluster);
+    }
+    detection
 }
 
 /// For every flying cluster the centre behind its points, if centres are asked for.

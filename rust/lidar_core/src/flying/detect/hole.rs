@@ -35,6 +35,8 @@ const AHEAD_SQUARED: f64 = 0.64;
 /// True if a hole joins a cluster to a surface at its range. `is_flying` tells of every row of the
 /// scan whether it is of something that seems to fly: that is no surface.
 pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[bool]) -> bool {
+    // Longer than other functions: four sides are asked alike; the closures share the edges of the
+    // cluster.
     let Some(view) = View::of(scan, cluster) else { return false };
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
@@ -114,6 +116,8 @@ fn has_hole(
     density: impl Fn(f64) -> Option<f64>,
     beside: impl Fn([f64; 2]) -> [f64; 2],
 ) -> bool {
+    // Longer than other functions: one pass over the returns beside an edge, each of which may be
+    // the end of a hole.
     let (mut all, mut column, mut row) = (0.0, 0.0, Vec::new());
     for one in seen {
         let [along, aside] = beside(one.place);

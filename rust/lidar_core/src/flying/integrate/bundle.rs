@@ -128,9 +128,8 @@ impl Bundle {
             let rate = least(length[lane] / (end[lane] - start[lane]).abs(), f64::MAX);
             let (walls, ahead) = ((last - first).abs(), f64::from(self.end[lane]));
             let pace = least(rate.round_ties_even(), ahead + 1.0);
-            // Not further than the end: rounding may have made one unit too many of it.
-            // With pace and first wall moved like this the last wall lies at the end or before it, and the
-            // next one behind: the ray crosses exactly `walls` walls, whatever was rounded.
+            // Rounding may put the last wall one unit behind the end. The shorter pace puts it at the end or
+            // before, and the next wall behind: the ray crosses exactly `walls` walls.
             let pace = if (walls - 1.0) * pace > ahead { pace - 1.0 } else { pace };
             let wall = least((gap * rate).round_ties_even(), ahead - (walls - 1.0) * pace);
             let wall = -least(-wall, -(ahead + 1.0 - walls * pace));

@@ -179,6 +179,26 @@ pub struct PoseParameters {
     pub end_sigmas: f64,
 }
 
+/// Poses without a covariance are taken for certain; where one is given, rays end earlier.
+impl Default for PoseParameters {
+    fn default() -> Self {
+        Self {
+            position_std: [0.0; 3],
+            angle_std: [0.0; 3],
+            weighting: Some(PoseWeighting::Ends),
+            end_sigmas: 3.0,
+        }
+    }
+}
+
+impl PoseParameters {
+    /// The map is updated with poses that count as certain.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { weighting: None, ..Self::default() }
+    }
+}
+
 /// Uncertainty of the points of a scan that comes from its pose.
 pub(crate) struct PoseNoise {
     /// Errors of the pose for detections and tracks; None if they are unknown.

@@ -168,7 +168,7 @@ impl WithSimd for Apply<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> (Bits, u32) {
         let Self { rule, block, marks, met } = self;
-        let rule = *rule; // a copy that nothing else can change
+        let rule = *rule; // a local copy stays in registers: no store of the loop can change it
         let (mut changed, mut n_changed) = ([0; EDGE as usize], 0);
         let rows = marks.as_chunks().0;
         for row in rows_of(met) {

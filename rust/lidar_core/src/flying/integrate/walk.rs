@@ -90,13 +90,14 @@ pub(crate) fn cast_all(
     rays: &[Ray],
     most: usize,
 ) {
+    // Longer than other functions: the same closures serve one thread and several.
     let watch = cancel::watch();
     let chunks = Mutex::new(rays.chunks(RAYS_PER_CHUNK));
     let meets = |index| task.live.is_none_or(|live| live.meets(index));
     let work = |(number, accumulator): (usize, &mut Accumulator)| {
         accumulator.aim(*task.window, most);
         if accumulator.check().is_err() {
-            return; // the caller asks, too
+            return; // the caller reads the error from the accumulator
         }
         let mut stretches = Stretches::default();
         let mut room = RAYS_FROM_EMPTY;

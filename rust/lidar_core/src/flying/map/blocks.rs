@@ -167,7 +167,8 @@ pub(crate) fn offset_of(voxel: Voxel) -> usize {
 impl Hash for Place {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let [x, y, z] = self.0.map(|index| u64::from(index.cast_unsigned()));
-        // A third of the word apart: near blocks, whose indices differ in low bits, get different keys.
+        // The indices of near blocks differ in their low bits. Each axis has these bits in another third of the
+        // word, so that near blocks get different keys.
         state.write_u64(x ^ y.rotate_left(21) ^ z.rotate_left(42));
     }
 }

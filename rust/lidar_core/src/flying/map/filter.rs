@@ -69,7 +69,7 @@ pub fn two_to_minus(n: f64) -> f64 {
     };
     let n = n.clamp(0.0, 1000.0);
     let whole = (n + 0.5).floor();
-    let x = whole - n; // |x| <= 1/2: what follows the last term is below 1e-12
+    let x = whole - n; // |x| <= 1/2: the terms that are left out sum up to less than 1e-12
     let series = SERIES.iter().fold(0.0, |sum, term| (sum + term) * x) + 1.0;
     series * f64::from_bits((EXPONENT - whole).to_bits() << 52)
 }

@@ -80,6 +80,39 @@ pub struct MapParameters {
     pub max_voxels: u64,
 }
 
+/// Table II; the unit of the ray weight is the voxel's edge.
+impl Default for MapParameters {
+    fn default() -> Self {
+        Self {
+            voxel_size: 0.25,
+            origin: [0.0; 3],
+            g_occ: 0.0,
+            g_unk: -740.0,
+            g_free: -1000.0,
+            initial: -740.0,
+            thresholds: [-750.0, -300.0, -0.1],
+            extra_thresholds: Vec::new(),
+            max_range: 20.0,
+            end_margin: 0.0,
+            rays: Rays::All,
+            skip: Skip::Saturated,
+            settles: true,
+            ray_unit: RayUnit::Edges,
+            ray_gain: 1.0,
+            bounds: None,
+            max_voxels: 200_000_000,
+        }
+    }
+}
+
+impl MapParameters {
+    /// Table II; the unit of the ray weight is the metre, as in the paper's text.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { ray_unit: RayUnit::Metres, settles: false, ..Self::default() }
+    }
+}
+
 impl MapParameters {
     /// Parameters for coordinates relative to `origin` [m, world].
     #[must_use]
@@ -137,6 +170,13 @@ pub struct Separation {
     /// Observed voxels within `max_gap` of a removed one are pulled towards free too; those of a
     /// permanent one when its group has changed, not by every removal.
     pub dilate: bool,
+}
+
+/// Table II; d_sep is not in it and comes from the authors' code.
+impl Default for Separation {
+    fn default() -> Self {
+        Self { max_gap: 0.8, min_confident: 24, dilate: false }
+    }
 }
 
 impl Separation {

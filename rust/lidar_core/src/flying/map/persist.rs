@@ -146,30 +146,7 @@ impl VoxelMap {
 
     /// The reverse of [`VoxelMap::to_bytes_with`].
     pub(super) fn from_bytes_with(bytes: &[u8]) -> Result<(Self, Vec<SavedBody>), Error> {
-        let mut reader = Reader { bytes, at: 0 };
-        if &reader.take::<4>()? != MAGIC {
-            return Err(format_error(
-                0,
-                "expected a voxel map (magic LCVM); this is another kind of file",
-            ));
-        }
-        let version = u32::from_le_bytes(reader.take()?);
-        // Before the checksum, whose place another version may change.
-        if !(VERSION..=VERSION_WITH_BODY).contains(&version) {
-            let text = format!(
-                "expected version {VERSION} or {VERSION_WITH_BODY}, got {version}; update \
-                 lidar_core to read it"
-            );
-            return Err(format_error(4, &text));
-        }
-        let body = bytes.len().saturating_sub(4);
-        if body < 8 || crc32(&bytes[..body]).to_le_bytes() != bytes[body..] {
-            return Err(format_error(
-                body,
-                "the checksum is wrong: the file is damaged or cut off",
-            ));
-        }
-        reader.bytes = &bytes[..body];
+        let (version, mut reader) = read_head(bytes)?;
         let parameters = read_parameters(&mut reader)?;
         let mut map = Self::new(parameters)?;
         let count = u64::from_le_bytes(reader.take()?);
@@ -189,6 +166,43 @@ impl VoxelMap {
         let bodies = if version == VERSION { Vec::new() } else { read_bodies(&mut reader)? };
         Ok((map, bodies))
     }
+}
+
+/// Version of a file, and a reader of what follows it, up to the checksum, which is right.
+fn read_head(bytes: &[u8]) -> Result<(u32, Reader<'_>), Error> {
+    let mut reader = Reader { bytes, at: 0 };
+    if &reader.take::<4>()? != MAGIC {
+        return Err(format_error(
+            0,
+            "expected a voxel map (magic LCVM); this is another kind of file",
+        ));
+    }
+    let version = u32::from_le_bytes(reader.take()?);
+    // Before the checksum, whose place another version may change.
+    if !(VERSION..=VERSION_WITH_BODY).contains(&version) {
+        let text = format!(
+            "expected version {VERSION} or {VERSION_WITH_BODY}, got {version}; update lidar_core \
+             to read it"
+        );
+        return Err(format_error(4, &text));
+    }
+    let body = bytes.len().saturating_sub(4);
+    if body < 8 || crc32(&bytes[..body]).to_le_bytes() != bytes[body..] {
+        return Err(format_error(body, "the checksum is wrong: the file is damaged or cut off"));
+    }
+    reader.bytes = &bytes[..body];
+    Ok((version, reader))
+}
+
+/// Corners of the operating volume, if the file states one.
+fn read_bounds(reader: &mut Reader<'_>) -> Result<Option<[[f64; 3]; 2]>, Error> {
+    if reader.take::<1>()? == [0] {
+        return Ok(None);
+    }
+    Ok(Some([
+        [reader.f64()?, reader.f64()?, reader.f64()?],
+        [reader.f64()?, reader.f64()?, reader.f64()?],
+    ]))
 }
 
 fn write_parameters(p: &MapParameters, bytes: &mut Vec<u8>) {
@@ -221,14 +235,7 @@ fn read_parameters(reader: &mut Reader<'_>) -> Result<MapParameters, Error> {
     let thresholds = [reader.f32()?, reader.f32()?, reader.f32()?];
     let (ray_unit, rays, settles) = read_ray_unit(reader)?;
     let max_voxels = u64::from_le_bytes(reader.take()?);
-    let bounds = if reader.take::<1>()? == [0] {
-        None
-    } else {
-        Some([
-            [reader.f64()?, reader.f64()?, reader.f64()?],
-            [reader.f64()?, reader.f64()?, reader.f64()?],
-        ])
-    };
+    let bounds = read_bounds(reader)?;
     let [extra] = reader.take::<1>()?;
     #[cfg(canary_1)]
     if extra == 3 && bounds.is_some() && ray_unit == RayUnit::Diagonals {

@@ -51,6 +51,7 @@ impl VoxelMap {
     /// Members of separate groups, of those groups that changed; with their neighbours if these are
     /// pulled too.
     fn separate_voxels(&mut self, separation: Separation) -> Result<Vec<Layer>, Error> {
+        // Longer than other functions: one search, whose steps share its memory.
         let looks_at_all = self.changes.settled_with != Some(separation);
         if looks_at_all {
             (self.changes.search_memory, self.changes.neighbours) = (SearchMemory::default(), None);

@@ -201,26 +201,18 @@ impl GroundMovers {
         map: &VoxelMap,
         stamp_ns: i64,
     ) -> Result<(), Error> {
+        // Longer than other functions: its loop fills four lists from the same parts.
         self.skip();
         self.entered.retain(|_, stay| stay.is_remembered(stamp_ns));
         let mut space = FreeSpace::of(map);
         let mut cursor = Cursor::new(&map.blocks);
         let steps = (ABOVE_GROUND / map.lattice().voxel_size()).ceil() as i32;
         let found = self.in_free_space(scan, map, &mut space);
-        let things = Things::of(scan, map.lattice());
-        let voxels = &found.voxels;
+        let movers = self.in_open_space(scan, map, &found.voxels, &mut space)?;
+        let places: Vec<Voxel> = movers.iter().map(|&at| found.voxels[at]).collect();
         let known = &self.entered;
         let is_entered = |voxel: Voxel| known.contains_key(&Place(voxel));
         let mut entered = Vec::new();
-        let mut is_open =
-            |&voxel: &Voxel| space.is_open(voxel, is_entered, |beside| things.hide(voxel, beside));
-        let watch = cancel::watch();
-        let open: Vec<bool> =
-            voxels.iter().map(|voxel| !watch.is_asked() && is_open(voxel)).collect();
-        watch.check()?;
-        let chosen = with_beside(voxels, &open, FEWEST_OPEN);
-        let movers: Vec<usize> = (0..voxels.len()).filter(|&at| chosen[at]).collect();
-        let places: Vec<Voxel> = movers.iter().map(|&at| voxels[at]).collect();
         for part in parts(&places) {
             let n_points: usize = part.iter().map(|&at| found.rows(movers[at]).len()).sum();
             if n_points < FEWEST_POINTS {
@@ -287,6 +279,26 @@ impl GroundMovers {
     /// as the space behind a table: they may fly or stand on something. Ascending.
     pub(crate) fn over_unseen(&self) -> &[u32] {
         &self.over_unseen
+    }
+
+    /// Which of the voxels lie in open space, or beside such ones.
+    fn in_open_space(
+        &self,
+        scan: &ScanOfMovers<'_>,
+        map: &VoxelMap,
+        voxels: &[Voxel],
+        space: &mut FreeSpace<'_>,
+    ) -> Result<Vec<usize>, Error> {
+        let things = Things::of(scan, map.lattice());
+        let is_entered = |voxel: Voxel| self.entered.contains_key(&Place(voxel));
+        let mut is_open =
+            |&voxel: &Voxel| space.is_open(voxel, is_entered, |beside| things.hide(voxel, beside));
+        let watch = cancel::watch();
+        let open: Vec<bool> =
+            voxels.iter().map(|voxel| !watch.is_asked() && is_open(voxel)).collect();
+        watch.check()?;
+        let chosen = with_beside(voxels, &open, FEWEST_OPEN);
+        Ok((0..voxels.len()).filter(|&at| chosen[at]).collect())
     }
 
     /// Points that are not known to fly, in voxels that are free, or were before something entered them.

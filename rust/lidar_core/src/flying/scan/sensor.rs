@@ -43,6 +43,39 @@ pub struct SensorParameters {
     pub returns_per_ray: usize,
 }
 
+/// Best mode: rays without return and the robot itself are found from the returns.
+impl Default for SensorParameters {
+    fn default() -> Self {
+        Self {
+            min_range: 0.3,
+            self_box: None,
+            blind_sectors: Vec::new(),
+            self_mask: None,
+            learn_mask_scans: 10,
+            learn_mask_range: 1.0,
+            mask_empty_only: false,
+            beams: Beams::Learnt,
+            known_sensors: Vec::new(),
+            find_body: true,
+            returns_per_ray: 1,
+        }
+    }
+}
+
+impl SensorParameters {
+    /// Every return is used, however near, and nothing is looked for.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            min_range: 0.0,
+            learn_mask_scans: 0,
+            beams: Beams::Given,
+            find_body: false,
+            ..Self::default()
+        }
+    }
+}
+
 /// State of one LiDAR.
 #[derive(Clone, Debug)]
 pub(crate) struct Sensor {
@@ -266,6 +299,7 @@ impl Sensor {
         observation: Option<&mut SkyObservation>,
         needs_directions: bool,
     ) {
+        // Longer than other functions: one step for every property of the sensor.
         self.last_stamp_ns = Some(stamp_ns);
         self.last_pose = Some(*pose);
         let mut is_droplet: &[bool] = &[];

@@ -66,6 +66,7 @@ pub(super) fn confirm(
     set: &SetOfDetections<'_>,
     parameters: &TrackerParameters,
 ) -> Vec<i64> {
+    // Longer than other functions: both ways to confirm change the same fields of a track.
     let mut evidence = vec![None; tracks.len()];
     for &(index, of_track) in set.fed {
         evidence[index] = Some(of_track);

@@ -147,6 +147,8 @@ impl PointCloudTracker {
         detections: &Detections<'_>,
         occupied: &dyn Occupancy,
     ) -> Result<Stats, Error> {
+        // Longer than other functions: the stages of a set of detections on copies, so that an
+        // error changes nothing.
         let fresh = detections.hypotheses(self.parameters())?;
         let stamp_ns = detections.stamp_ns;
         let hypotheses = self.updater.replay(fresh, stamp_ns, &self.buffer, occupied)?;

@@ -56,6 +56,18 @@ pub struct Motion {
     pub std: [f64; 3],
 }
 
+/// Targets accelerate for about a second; what is not seen for long rather goes straight on.
+impl Default for Motion {
+    fn default() -> Self {
+        Self {
+            acceleration_time: Some(1.0),
+            unseen_time: Some(0.3),
+            form: NoiseForm::Adaptive,
+            std: [0.0, 0.1, 4.0],
+        }
+    }
+}
+
 /// Position that a cluster measures, and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementForm {
@@ -76,6 +88,14 @@ pub struct Hiding {
     pub share: f64,
     /// Time constant of the usual size [s].
     pub time: f64,
+}
+
+/// Two seconds are long beside the time between two scans, and short beside a change of distance
+/// that changes the visible size.
+impl Default for Hiding {
+    fn default() -> Self {
+        Self { share: 0.75, time: 2.0 }
+    }
 }
 
 /// Association of tracks with clusters and of detections with tracks.
@@ -136,6 +156,13 @@ pub struct Merging {
     pub speed: f64,
 }
 
+/// Two targets that fly past each other differ by more than 1 m/s.
+impl Default for Merging {
+    fn default() -> Self {
+        Self { distance: 0.3, speed: 1.0 }
+    }
+}
+
 /// Rule for the ageing of a track without a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ageing {
@@ -189,6 +216,60 @@ pub struct TrackerParameters {
     pub merging: Option<Merging>,
     /// Ageing.
     pub ageing: Ageing,
+}
+
+/// Best mode.
+impl Default for TrackerParameters {
+    fn default() -> Self {
+        Self {
+            buffer_size: 10,
+            clustering: Clustering { max_distance: 0.5, ..Clustering::default() },
+            max_extent: Some(2.5),
+            occupied_distance: 0.7,
+            radius: Radius { form: RadiusForm::SixthRoot, scale: 1.22, min: 1.5, max: 3.0 },
+            motion: Motion::default(),
+            initial_std: [0.3, 4.0, 3.0],
+            measurement: MeasurementForm::Center,
+            measurement_std: 0.07,
+            hiding: Some(Hiding::default()),
+            association: Association::Global { gate_probability: 0.9999, clutter_density: 1e-5 },
+            rejoin_acceleration: Some(2.0),
+            split_distance: Some(0.8),
+            confirmation: Confirmation::Existence { report: 0.9 },
+            merging: Some(Merging::default()),
+            ageing: Ageing::Visible { max_coast: 3.0, report_coast: 0.5 },
+        }
+    }
+}
+
+impl TrackerParameters {
+    /// Algorithm 2 with the values of Table II.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            clustering: Clustering::default(),
+            max_extent: None,
+            occupied_distance: 1.0,
+            radius: Radius { form: RadiusForm::Paper, scale: 0.5, ..Self::default().radius },
+            motion: Motion {
+                acceleration_time: None,
+                unseen_time: None,
+                form: NoiseForm::Paper,
+                std: [0.5, 0.5, 0.1],
+            },
+            initial_std: [0.5, 3.0, 3.0],
+            measurement: MeasurementForm::Paper,
+            measurement_std: 1.0,
+            hiding: None,
+            association: Association::Paper,
+            rejoin_acceleration: None,
+            split_distance: None,
+            confirmation: Confirmation::Counts { hits: 1, window: 1 },
+            merging: None,
+            ageing: Ageing::Paper,
+            ..Self::default()
+        }
+    }
 }
 
 impl TrackerParameters {

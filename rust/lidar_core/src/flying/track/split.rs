@@ -147,6 +147,7 @@ pub(super) fn unite(
     regions: &[SearchRegion],
     longest: f64,
 ) {
+    // Longer than other functions: the closures share the box of one track.
     let side = |region: &SearchRegion| region.size.into_iter().fold(0.0, f64::max);
     let confirmed: Vec<&SearchRegion> = regions.iter().filter(|one| one.confirmed).collect();
     for &region in confirmed.iter().filter(|region| side(region) >= LARGE) {

@@ -63,8 +63,7 @@ impl Updater {
         tracks: &mut [PointTrack],
         scan: &CloudScan<'_>,
     ) -> Result<UpdateOutcome, Error> {
-        let model = &self.parameters.motion;
-        let mut due = predicted(tracks, scan.stamp_ns, model);
+        let mut due = predicted(tracks, scan.stamp_ns, &self.parameters.motion);
         let regions: Vec<SearchRegion> =
             due.iter().map(|(_, track)| self.search_region(track)).collect();
         let found = match self.parameters.association {
@@ -79,32 +78,44 @@ impl Updater {
             track.left = has_left(track, scan);
         }
         let mut outcome = UpdateOutcome::default();
-        for (((dt, track), region), measurement) in due.into_iter().zip(&regions).zip(found) {
-            let row = measurement.as_ref().and_then(|measurement| measurement.row);
+        for ((due, region), measurement) in due.into_iter().zip(&regions).zip(found) {
             let rays = self.rays(region, scan.visibility, measurement.is_some());
-            track.nis = None;
-            track.sight = if measurement.is_some() {
-                Sight::Followed
-            } else {
-                Sight::without(track.expected_returns(rays))
-            };
-            match measurement.map(|measurement| track.correct(&measurement)) {
-                Some(Ok(())) => {
-                    if let Some(hiding) = &self.parameters.hiding {
-                        track.remember_size(dt, hiding);
-                    }
-                    outcome.corrected.push(track.id);
-                    outcome.rows.extend(row);
-                    continue;
-                }
-                Some(Err(_)) => outcome.rejected += 1,
-                None => {}
-            }
-            if rays >= ENOUGH_RAYS {
-                track.grow_old(dt, model);
-            }
+            self.correct(due, measurement, rays, &mut outcome);
         }
         Ok(outcome)
+    }
+
+    /// Correct a predicted track with its measurement, or let it grow older if `rays` should have met
+    /// it and it has none.
+    fn correct(
+        &self,
+        (dt, track): (f64, &mut PointTrack),
+        measurement: Option<Measurement>,
+        rays: usize,
+        outcome: &mut UpdateOutcome,
+    ) {
+        let row = measurement.as_ref().and_then(|measurement| measurement.row);
+        track.nis = None;
+        track.sight = if measurement.is_some() {
+            Sight::Followed
+        } else {
+            Sight::without(track.expected_returns(rays))
+        };
+        match measurement.map(|measurement| track.correct(&measurement)) {
+            Some(Ok(())) => {
+                if let Some(hiding) = &self.parameters.hiding {
+                    track.remember_size(dt, hiding);
+                }
+                outcome.corrected.push(track.id);
+                outcome.rows.extend(row);
+                return;
+            }
+            Some(Err(_)) => outcome.rejected += 1,
+            None => {}
+        }
+        if rays >= ENOUGH_RAYS {
+            track.grow_old(dt, &self.parameters.motion);
+        }
     }
 
     /// Bring hypotheses to the present, over the buffered clouds newer than they are.

@@ -61,6 +61,23 @@ pub struct Paper {
     pub prior: Prior,
 }
 
+/// First reading of what the paper leaves open, with the deviations and prior of the filter.
+impl Default for Paper {
+    fn default() -> Self {
+        Self {
+            reading: Reading::A,
+            fixed_alpha: false,
+            by_matrix: false,
+            fixed_straight_y: false,
+            zero_platform_column: false,
+            speed: 0.0,
+            elevation: 0.0,
+            std: [0.0; 3],
+            prior: Prior::default(),
+        }
+    }
+}
+
 impl Paper {
     /// State after `dt` [s] by eqs 8 and 9, with the previous position added and the platform's
     /// term multiplied by the step.
@@ -146,6 +163,7 @@ impl Paper {
         variances: &[f64],
         believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error> {
+        // Longer than other functions: three equations of the paper on the same matrices.
         let singular = || Error::NotPositiveDefinite { matrix: "S" };
         let M = &state.covariance;
         let mut y = z - state.mean.fixed_rows::<K>(0);

@@ -44,6 +44,15 @@ pub struct Prior {
     pub platform_rate: f64,
 }
 
+impl Default for Prior {
+    #[allow(clippy::approx_constant)] // 0.7071 m is what ships, not the root of 1/2
+    fn default() -> Self {
+        let [position, speed, heading, turn_rate, acceleration, platform_rate] =
+            [0.7071, 5.0, 1.732, 1.0, 3.0, 1.0].map(|std: f64| std * std);
+        Self { position, speed, heading, turn_rate, acceleration, platform_rate }
+    }
+}
+
 /// First sight of a target: its position, and its velocity along the line of sight.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct First {

@@ -22,6 +22,21 @@ pub struct Sensing {
     pub convert_radar: bool,
 }
 
+/// Sensors of 0.15 m (LiDAR), 0.3 m, 0.03 rad and 0.3 m/s (radar) on a platform of exact poses.
+impl Default for Sensing {
+    fn default() -> Self {
+        let variance = |std: f64| std * std;
+        Self {
+            lidar: [0.15; 3].map(variance),
+            radar: [0.3, 0.03, 0.03, 0.3].map(variance),
+            gyro: variance(0.01),
+            pose: [0.0; 6],
+            range_min: 0.1,
+            convert_radar: false,
+        }
+    }
+}
+
 impl Sensing {
     /// Variance of a gyro's turn rate [rad^2/s^2].
     #[must_use]

@@ -31,6 +31,24 @@ pub struct LifecycleRules {
     pub buffer_ns: i64,
 }
 
+/// Probability of the gate for a true measurement.
+const GATE_PROBABILITY: f64 = 0.9999;
+
+impl Default for LifecycleRules {
+    fn default() -> Self {
+        Self {
+            start_rows: 6,
+            gate: Self::gates(Some(GATE_PROBABILITY)).unwrap_or([f64::INFINITY; 5]),
+            memory: Some(200.0),
+            loss_ratio: Some(4.0),
+            radar_starts_speed: true,
+            starts_as_measured: false,
+            gyro: GyroUse::Input,
+            buffer_ns: 500_000_000,
+        }
+    }
+}
+
 impl LifecycleRules {
     /// Gates of the squared distance for 1 to 5 measured values, which a true measurement passes with
     /// `probability`; None: no gates.

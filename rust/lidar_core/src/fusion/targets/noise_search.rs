@@ -114,6 +114,23 @@ pub fn quantities(
     found
 }
 
+/// Check that the model has a likelihood, and that there are enough measurements for the values.
+fn check_can_fit(
+    start: &FusionParameters,
+    targets: &[Vec<Measurement>],
+    fitted: &[Quantity],
+) -> Result<(), Error> {
+    let has_likelihood = !matches!(start.model, Model::Paper(_));
+    require(has_likelihood, "model", "one with a likelihood", "\"paper\"")?;
+    let count = targets.iter().map(|target| target.len().saturating_sub(SETTLED)).sum::<usize>();
+    if count < SETTLED * (1 + fitted.len()) {
+        let (name, got) = ("measurements", count.to_string());
+        let expected = "at least ten per fitted value, after the first ten of every target";
+        return Err(Error::Value { name, expected, index: 0, got });
+    }
+    Ok(())
+}
+
 /// Parameters `start` with the `fitted` quantities at their maximum likelihood over the
 /// measurements of all targets, and the log likelihood. A fitted deviation of the range rate is at
 /// least `least_rate` [m/s].
@@ -131,20 +148,9 @@ pub fn fit(
     least_rate: f64,
     search: &SimplexSearch,
 ) -> Result<(FusionParameters, f64), Error> {
-    require(
-        !matches!(start.model, Model::Paper(_)),
-        "model",
-        "one with a likelihood",
-        "\"paper\"",
-    )?;
+    check_can_fit(start, targets, fitted)?;
     let targets: Vec<Vec<Measurement>> =
         targets.iter().map(|target| in_order(target).into_owned()).collect();
-    let count = targets.iter().map(|target| target.len().saturating_sub(SETTLED)).sum::<usize>();
-    if count < SETTLED * (1 + fitted.len()) {
-        let (name, got) = ("measurements", count.to_string());
-        let expected = "at least ten per fitted value, after the first ten of every target";
-        return Err(Error::Value { name, expected, index: 0, got });
-    }
     let scaled = |logs: &[f64]| {
         let mut parameters = *start;
         for (quantity, log) in fitted.iter().zip(logs) {

@@ -95,6 +95,8 @@ impl JoinedLabeller {
 
     /// Number the clusters of the searched points by first appearance; joined points have one label.
     fn number(&mut self, is_joined: &[bool]) {
+        // Longer than other functions: the numbers of joined and other points come from one count
+        // in the order of the rows.
         let Self { whole, labels, rows, named, others, joined, .. } = self;
         let parts = whole.labels();
         // What is linked to a joined point is joined, too.
@@ -185,7 +187,8 @@ impl ReachCells {
     fn size(&self, square: f64) -> u32 {
         // With q^2 below 2^(e + 1), q is below 2^((e + 1) / 2).
         let square = -least(-(self.growth * square), -0.25);
-        let exponent = (square.to_bits() >> 52) as u32; // 1023 + e; the least square is 1/4, so the subtraction below cannot wrap
+        // The bits are 1023 + e. The least square is 1/4, so the subtraction below cannot wrap.
+        let exponent = (square.to_bits() >> 52) as u32;
         (exponent - 1021) >> 1
     }
 

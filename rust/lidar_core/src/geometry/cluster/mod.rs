@@ -32,6 +32,13 @@ pub struct Clustering {
     pub max_points: Option<usize>,
 }
 
+/// Table II.
+impl Default for Clustering {
+    fn default() -> Self {
+        Self { max_distance: 0.25, min_points: 1, max_points: None }
+    }
+}
+
 /// Group `points` [m] that are linked by steps of at most `max_distance`.
 ///
 /// Clusters are numbered by first appearance; [`NOISE`] marks points in clusters of unwanted

@@ -39,6 +39,8 @@ pub(super) fn put_together(
     seen: &mut [BodyMeasurement],
     wholes: &mut [usize],
 ) {
+    // Longer than other functions: three rules for the same legs, in their order, share what is
+    // still free.
     let mut free: Vec<usize> = (0..seen.len())
         .filter(|&one| {
             let is_thin = |leg: usize| {

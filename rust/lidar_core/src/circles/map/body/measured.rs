@@ -67,7 +67,7 @@ impl RoundBody {
         for axis in 0..2 {
             seen.R[(axis, axis)] += self.jitter.variance();
         }
-        // As much as the fit states is chance.
+        // The variance that the fit states is chance; only what exceeds it is the shape of the body.
         seen.R[(2, 2)] += (self.rough - seen.R[(2, 2)]).max(0.0);
         seen
     }
@@ -85,8 +85,8 @@ impl RoundBody {
             Legs::One => STRIDE,
             Legs::None => SWAY * self.place()[2] * self.outline.doubt(),
         };
-        // White noise of this variance has the same effect as one that lasts. After a gap it counts as three
-        // times one scan, too: there, a part of a step is all that was seen.
+        // The filter knows only white noise: this variance has the effect of an error that lasts. The factor
+        // is 3 at least, also after a gap, because only a part of a step was seen there.
         std * std * (1.0 + 2.0 * LASTS / dt.clamp(SHORTEST, LASTS))
     }
 
@@ -128,6 +128,23 @@ impl RoundBody {
         Ok(seen)
     }
 
+    /// True if a measurement is farther away than the body can have come since it was measured.
+    fn is_out_of_reach(&self, seen: &CircleMeasurement, rules: &Rules) -> bool {
+        // Most pairs are too far apart, whatever their covariances.
+        let apart = self.apart(&seen.z);
+        if apart > FARTHEST.max(FASTEST * self.waiting) {
+            return true;
+        }
+        let place = self.circle().covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        let has_stood = self.circle.standing(rules.motion()) > STOOD;
+        let time = if exceeds(&place, KNOWN * KNOWN) && !has_stood {
+            self.waiting
+        } else {
+            self.waiting / f64::from(self.waits.max(1))
+        };
+        apart > FARTHEST.max(FASTEST * time)
+    }
+
     /// -2 ln of the likelihood of a measurement; None if it is of another body.
     ///
     /// Now and then another part of a body is seen, and its circle is elsewhere by a part of its
@@ -143,22 +160,10 @@ impl RoundBody {
         if !rules.has_standing() {
             return self.circle.cost(&noisy, rules.gate());
         }
-        // Most pairs are too far apart, whatever their covariances.
-        let apart = self.apart(&seen.z);
-        if apart > FARTHEST.max(FASTEST * self.waiting) {
+        if self.is_out_of_reach(seen, rules) {
             return Ok(None);
         }
         let state = self.circle();
-        let place = state.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let has_stood = self.circle.standing(rules.motion()) > STOOD;
-        let time = if exceeds(&place, KNOWN * KNOWN) && !has_stood {
-            self.waiting
-        } else {
-            self.waiting / f64::from(self.waits.max(1))
-        };
-        if apart > FARTHEST.max(FASTEST * time) {
-            return Ok(None);
-        }
         let wide = self.of_part(&noisy);
         let Linearised { y, H, R } = wide.against(&state.mean);
         let S = symmetrised(H * state.covariance * H.transpose() + R);

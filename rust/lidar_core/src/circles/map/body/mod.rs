@@ -138,6 +138,7 @@ impl State for RoundBody {
         others: impl Iterator<Item = &'a Self>,
         rules: &Rules,
     ) -> Self {
+        // Longer than other functions: the first values of all fields.
         // The noise of the others tells what to expect of a new one: they are seen by the same
         // scanner from the same poses.
         let known = rules.parameters().center_noise * rules.parameters().center_noise;

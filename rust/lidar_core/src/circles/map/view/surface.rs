@@ -38,7 +38,7 @@ impl SortedView {
             let before = (0..middle).rev().take_while(|&ray| self.ray(ray).0 >= bearing - half);
             for range in after.chain(before).map(|ray| self.ray(ray).1) {
                 if range < distance {
-                    return Met::Unknown; // behind something
+                    return Met::Unknown; // something nearer hides the place
                 }
                 is_free |= !range.is_nan();
             }

@@ -75,6 +75,7 @@ pub(super) struct OpenFrame {
 
 impl OpenFrame {
     pub(crate) fn of(observation: &TargetObservation, range_std: f64) -> Self {
+        // Longer than other functions: one estimate, whose terms share nearly all values.
         let count = observation.hits.len() as f64;
         let centroid = observation.hits.iter().map(|hit| hit.point).sum::<Vector3<f64>>() / count;
         let origin = observation.origin();
@@ -187,6 +188,8 @@ impl SeenExtent {
         origin: Vector3<f64>,
         axes: &[Vector3<f64>; 3],
     ) -> Self {
+        // Longer than other functions: the widths and shares of one outline, from the same rays and
+        // points.
         let [across, up, sight] = axes;
         let flat =
             |point: Vector3<f64>| [(point - centroid).dot(across), (point - centroid).dot(up)];

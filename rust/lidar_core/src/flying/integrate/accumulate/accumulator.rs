@@ -179,7 +179,7 @@ impl Accumulator {
                 return;
             }
             let (marks, spots) = (self.dense.marks_mut(), &spots[..within]);
-            // All are looked at before any is changed: their memory is waited for once.
+            // All are read before any is changed: their cache misses overlap instead of following one another.
             black_box(spots.iter().fold(0, |seen, &(spot, _)| seen | marks[spot]));
             for &(spot, content) in spots {
                 marks[spot] = with_points(marks[spot], content, 1);

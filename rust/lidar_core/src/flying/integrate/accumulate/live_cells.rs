@@ -75,7 +75,7 @@ impl LiveCells {
                 }
             }
         }
-        // Nothing is stored outside the operating volume.
+        // Marks outside the operating volume would be cast in vain: nothing is stored there.
         if map.is_bounded() {
             for index in window.indices().filter(|&at| !map.admits_some_of(window.place(at))) {
                 self.set(index, 0);

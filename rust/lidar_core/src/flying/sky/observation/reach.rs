@@ -31,6 +31,8 @@ impl SkyObservation {
     /// Find the sky, and the rays into it: of each cell every third part, others in the next scan;
     /// the more of them the longer the last scan is ago.
     pub(super) fn cast(&mut self, sky: &Sky, scan: &ScanToObserve<'_>, visible: f64) {
+        // Longer than other functions: one pass over the cells, since the share of sky and the rays
+        // come from the same numbers.
         let visible = visible.min(scan.map.parameters().max_range);
         let pause = sky.last_ns.map_or(0, |last| self.stamp_ns.saturating_sub(last));
         let is_same_place = sky.sees_the_same_from(self.place) && pause <= LONGEST_PAUSE_NS;
@@ -56,11 +58,8 @@ impl SkyObservation {
             let mut is_trusted = false;
             if is_sky {
                 into_sky += f64::from(self.expected[cell]);
-                let was_sky = is_same_place && sky.since_ns[cell] != NEVER;
-                let since = if was_sky { sky.since_ns[cell] } else { self.stamp_ns };
-                (self.since_ns[cell], self.is_sky[cell]) = (since, true);
-                self.sky_reach[cell] = reach as f32;
-                is_trusted = self.stamp_ns.saturating_sub(since) >= TRUSTED_NS;
+                let known_ns = if is_same_place { sky.since_ns[cell] } else { NEVER };
+                is_trusted = self.note_sky(cell, reach, known_ns);
             }
             for part in 0..PARTS * PARTS {
                 let turn = part / PARTS + part % PARTS + sky.scans as usize;
@@ -80,6 +79,15 @@ impl SkyObservation {
             }
         }
         (self.share, self.rays) = (if all > 0.0 { into_sky / all } else { 0.0 }, all);
+    }
+
+    /// Note a cell of sky, which was sky since `known_ns` already if that is not [`NEVER`]; true if it
+    /// was for long.
+    fn note_sky(&mut self, cell: usize, reach: f64, known_ns: i64) -> bool {
+        let since = if known_ns == NEVER { self.stamp_ns } else { known_ns };
+        (self.since_ns[cell], self.is_sky[cell]) = (since, true);
+        self.sky_reach[cell] = reach as f32;
+        self.stamp_ns.saturating_sub(since) >= TRUSTED_NS
     }
 
     pub(super) fn seems_empty(&self, cell: usize) -> bool {

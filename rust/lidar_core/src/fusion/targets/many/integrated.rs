@@ -210,17 +210,10 @@ impl Tracks {
         births: &mut Births,
         assigned: &mut [Assigned],
     ) -> NearIndex {
+        // Longer than other functions: one pass over the tracks, which shares out measurements and
+        // divides the young.
         let scan = space.scan;
-        let mut of_track: Vec<Vec<OwnPair>> = vec![Vec::new(); self.all.len()];
-        let pairs = candidates.pairs.iter().zip(&candidates.innovations);
-        for (index, (pair, innovation)) in pairs.enumerate() {
-            of_track[pair.row].push(OwnPair {
-                column: pair.column,
-                probability: found.pair[index],
-                innovation: *innovation,
-                is_likely: found.is_likely[index],
-            });
-        }
+        let of_track = pairs_of_tracks(self.all.len(), candidates, found);
         let mut best = vec![0.0; assigned.len()];
         let (mut divided, mut measured) = (Vec::new(), Vec::new());
         for ((track, own), presence) in self.all.iter_mut().zip(of_track).zip(&found.presence) {
@@ -263,6 +256,8 @@ impl Tracks {
         births: &mut Births,
         assigned: &mut [Assigned],
     ) {
+        // Longer than other functions: the conditions for a new track in the order of their cost,
+        // then all its fields.
         let (scan, existence) = (space.scan, space.existence);
         let mut unseen = self.unseen.clone();
         unseen.expect_speed(self.population.speed(space.parameters.filter.prior.speed));
@@ -299,6 +294,25 @@ impl Tracks {
             self.all.push(track);
         }
     }
+}
+
+/// The pairs of every track, with their probabilities.
+fn pairs_of_tracks(
+    tracks: usize,
+    candidates: &Candidates,
+    found: &JointEvidence,
+) -> Vec<Vec<OwnPair>> {
+    let mut of_track: Vec<Vec<OwnPair>> = vec![Vec::new(); tracks];
+    let pairs = candidates.pairs.iter().zip(&candidates.innovations);
+    for (index, (pair, innovation)) in pairs.enumerate() {
+        of_track[pair.row].push(OwnPair {
+            column: pair.column,
+            probability: found.pair[index],
+            innovation: *innovation,
+            is_likely: found.is_likely[index],
+        });
+    }
+    of_track
 }
 
 /// Assumptions about a scanner before its scans show its properties.

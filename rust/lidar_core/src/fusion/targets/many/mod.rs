@@ -187,6 +187,7 @@ impl ManyTargets {
 
     /// Insert a scan at its time, and process the later ones again.
     fn insert(&mut self, scan: Scan) -> Result<Vec<Assigned>, Error> {
+        // Longer than other functions: an error in any of the later scans has to undo all before.
         let place = self.history.partition_point(|past| past.scan.stamp_ns <= scan.stamp_ns);
         let (stamp_ns, fresh) = (scan.stamp_ns, NewNumbers::of_scan(scan.measurements.len()));
         let is_last = place == self.history.len();

@@ -1,6 +1,9 @@
 //! Parameters of a tracker of many targets.
 
-use crate::fusion::parameters::FusionParameters;
+use crate::fusion::model::{Model, switches};
+use crate::fusion::models::motion::Prior;
+use crate::fusion::parameters::{FusionParameters, Method, Strengths};
+use crate::fusion::targets::lifecycle::LifecycleRules;
 
 /// Largest number of tracks at a time, and of measurements in a scan.
 pub const MAX_TARGETS: usize = 2_000;
@@ -27,6 +30,32 @@ pub struct ManyParameters {
     pub association: TargetAssociation,
 }
 
+/// Probabilities of existence, of targets that stand, move evenly, or change their velocity.
+impl Default for ManyParameters {
+    fn default() -> Self {
+        Self {
+            filter: FusionParameters {
+                method: Method::Interacting {
+                    models: switches(&[Model::ConstantVelocity, Model::Standing]),
+                    sojourn: 2.0,
+                    quiet: Some(0.1),
+                },
+                strengths: Strengths { acceleration: 1.0, ..Strengths::default() },
+                prior: Prior { speed: 225.0, ..Prior::default() },
+                life: LifecycleRules { start_rows: 1, ..LifecycleRules::default() },
+                ..FusionParameters::default()
+            },
+            confirm_hits: 3,
+            confirm_window: 5,
+            max_coast: 2.0,
+            max_position_std: 5.0,
+            birth_distance: 0.0,
+            report_speed: 0.0,
+            association: TargetAssociation::Integrated(ExistenceParameters::default()),
+        }
+    }
+}
+
 /// Association of measurements with tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TargetAssociation {
@@ -46,6 +75,15 @@ pub enum TargetAssociation {
     Integrated(ExistenceParameters),
 }
 
+/// Clutter of 1 in 1000 m^2 (LiDAR) and of 1e-3 / (m rad m/s) (radar), shared out by probabilities.
+impl TargetAssociation {
+    /// Joint probabilistic data association with the defaults of the Python package.
+    #[must_use]
+    pub fn joint() -> Self {
+        Self::Joint { detection: 0.9, clutter: [1e-3, 1e-3] }
+    }
+}
+
 /// Parameters of probabilities of existence. Properties of a scanner are learnt; the values here
 /// are the start values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,4 +94,11 @@ pub struct ExistenceParameters {
     pub clutter: [f64; 2],
     /// Probability of existence from which on a track is reported.
     pub report: f64,
+}
+
+/// Targets that stay for half a minute, in clutter that is learnt.
+impl Default for ExistenceParameters {
+    fn default() -> Self {
+        Self { detection: 0.9, clutter: [1e-3, 1e-3], report: 0.95 }
+    }
 }

@@ -3,7 +3,9 @@
 use super::company::Bodies;
 use super::near_pairs::{ScanIndex, places_of};
 use super::parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
-use super::track::{Assigned, Births, IntegratedScan, Scan, Shared, TargetTrack, TrackState};
+use super::track::{
+    Assigned, Births, IntegratedScan, Scan, Shared, TargetTrack, TrackState, TrackingWork,
+};
 use crate::Error;
 use crate::fusion::parameters::FusionParameters;
 use crate::fusion::targets::any_filter::Filter;
@@ -200,34 +202,47 @@ impl Tracks {
             Vec::new()
         };
         let standing = self.standing_clutter(parameters, scan, &places, known);
-        if let TargetAssociation::Integrated(existence) = &parameters.association {
-            let seen = (scan, standing.as_slice());
+        let seen = (scan, standing.as_slice());
+        // Probabilities of existence start tracks with the association; counts start them after it.
+        let measured = if let TargetAssociation::Integrated(existence) = &parameters.association {
             let candidates = self.candidates(parameters, seen, &index, |_| true, &assigned, work);
             let space = IntegratedScan { parameters, existence, scan, standing: &standing };
             self.integrate(&space, &candidates, births, &mut assigned);
-            self.keep_company(parameters, stamp_ns);
-            self.hear_echoes(parameters, scan);
-            self.learn_places(parameters, scan, &places, known);
-            self.learn_kinds(parameters, scan, &assigned);
-            within("tracks", self.all.len())?;
-            return Ok(assigned);
-        }
-        for confirmed in [true, false] {
-            let wanted = |track: &TargetTrack| track.confirmed == confirmed;
-            let seen = (scan, standing.as_slice());
-            let candidates = self.candidates(parameters, seen, &index, wanted, &assigned, work);
-            self.associate(parameters, scan, &candidates, &mut assigned)?;
-        }
-        let measured = self.bodies_at(stamp_ns);
-        self.all.iter_mut().for_each(|track| track.judge(parameters));
-        self.all.retain(|track| track.stays(stamp_ns, parameters));
+            None
+        } else {
+            Some(self.count_hits(parameters, seen, &index, &mut assigned, work)?)
+        };
         self.keep_company(parameters, stamp_ns);
         self.hear_echoes(parameters, scan);
         self.learn_places(parameters, scan, &places, known);
-        self.start(parameters, scan, &measured, births, &mut assigned);
+        if let Some(measured) = measured {
+            self.start(parameters, scan, &measured, births, &mut assigned);
+        }
         self.learn_kinds(parameters, scan, &assigned);
         within("tracks", self.all.len())?;
         Ok(assigned)
+    }
+
+    /// Associate confirmed tracks, then the others; confirm and end tracks by counts of their hits.
+    /// Returns where the measured targets are.
+    fn count_hits(
+        &mut self,
+        parameters: &ManyParameters,
+        (scan, standing): (&Scan, &[f64]),
+        index: &ScanIndex,
+        assigned: &mut [Assigned],
+        work: &mut TrackingWork,
+    ) -> Result<Bodies, Error> {
+        for confirmed in [true, false] {
+            let wanted = |track: &TargetTrack| track.confirmed == confirmed;
+            let seen = (scan, standing);
+            let candidates = self.candidates(parameters, seen, index, wanted, assigned, work);
+            self.associate(parameters, scan, &candidates, assigned)?;
+        }
+        let measured = self.bodies_at(scan.stamp_ns);
+        self.all.iter_mut().for_each(|track| track.judge(parameters));
+        self.all.retain(|track| track.stays(scan.stamp_ns, parameters));
+        Ok(measured)
     }
 
     /// Predict all tracks to the time of a scan, with the motion of the platform that it states.
