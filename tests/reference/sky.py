@@ -146,6 +146,7 @@ class SkyOracle:
     voxel_size: float
     max_range: float
     has_rows: bool = False
+    alone: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, bool))
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(CELLS, F32))
     surface: np.ndarray = field(default_factory=lambda: np.full(CELLS, np.inf, F32))
     surface_ns: np.ndarray = field(default_factory=lambda: np.full(CELLS, NO_SURFACE))
@@ -252,7 +253,7 @@ class SkyOracle:
 
     def _remember(self, hits, nearest, stamp_ns):
         """Things larger than 2 m are surfaces; smaller ones may be targets."""
-        taken = hits == 0
+        taken, self.alone = hits == 0, np.zeros(CELLS, bool)
         for first in range(CELLS):
             if taken[first]:
                 continue
@@ -264,6 +265,11 @@ class SkyOracle:
                         thing.append(other)
             places = nearest[thing].astype(float)[:, None] * CENTERS[thing]
             is_surface = np.linalg.norm(np.ptp(places, axis=0)) > 2.0
+            others = np.setdiff1d(np.flatnonzero(hits), thing)
+            ways = nearest[others].astype(float)[:, None] * CENTERS[others]
+            off = np.maximum(places.min(axis=0) - ways, ways - places.max(axis=0)).clip(0)
+            is_beside = (np.linalg.norm(off, axis=1) < 1.5).any()
+            self.alone[thing] = self.has_rows and not is_surface and not is_beside
             self.surface[thing] = nearest[thing]
             self.surface_ns[thing] = stamp_ns if is_surface else NO_SURFACE
 
@@ -288,8 +294,7 @@ class SkyOracle:
         into_sky = np.minimum(np.minimum(visible, limit.astype(float) - 0.5), above)
         around = np.array([hits[row].sum() for row in BESIDE])
         # Between rows the space around a target is never seen: it limits its own cells alone.
-        is_small = self.has_rows & (hits > 0) & (self.surface_ns == NO_SURFACE)
-        around_it = np.where(is_small, F32(np.inf), nearest)[PADDED].min(axis=1)
+        around_it = np.where(self.alone, F32(np.inf), nearest)[PADDED].min(axis=1)
         before = np.minimum(np.minimum(around_it, nearest).astype(float) - 0.5, above)
         before[(around < 7) | (around >= 400)] = 0.0
         is_sky = seen.is_empty & (into_sky >= 2.0) & ~is_lost

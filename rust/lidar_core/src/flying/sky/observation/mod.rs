@@ -124,6 +124,8 @@ pub(crate) struct SkyObservation {
     /// Cells of a thing, while it is looked at.
     thing: Vec<u16>,
     is_taken: Vec<bool>,
+    /// Cells of what is as small as a target and has nothing beside it, of a sensor with rows.
+    is_alone: Vec<bool>,
     // The next values of `Sky`.
     evidence: Vec<f32>,
     surface: Vec<f32>,

@@ -3,7 +3,6 @@
 use super::super::free_path::FreePath;
 use super::super::grid::{CELLS, GRID, PARTS};
 use super::super::{NEVER, Sky};
-use super::surfaces::NO_SURFACE;
 use super::{BEFORE_SURFACE, ScanToObserve, SkyObservation};
 use crate::geometry::lattice::wide;
 use std::f64::consts::PI;
@@ -108,15 +107,10 @@ impl SkyObservation {
         if !(LEAST_AROUND..MOST_AROUND).contains(&rays) {
             return 0.0;
         }
-        let limits = |other: &usize| *other == cell || !self.is_beside_gaps(*other);
+        let limits = |other: &usize| *other == cell || !self.is_alone[*other];
         let nearest = beside().filter(limits).map(|other| self.nearest[other]);
         let nearest = nearest.fold(f32::INFINITY, f32::min);
         (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
-    }
-
-    /// True if a sensor with rows sees something in a cell that is as small as a target.
-    fn is_beside_gaps(&self, cell: usize) -> bool {
-        self.has_rows && self.hits[cell] > 0 && self.surface_ns[cell] == NO_SURFACE
     }
 
     /// Length that the rays of an empty cell clear [m].

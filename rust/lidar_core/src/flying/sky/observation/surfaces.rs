@@ -15,8 +15,8 @@ const SURFACE_CELLS: usize = 3;
 const SAME_RANGE: f32 = 1.0;
 /// Things with a larger diagonal of their box are surfaces; smaller ones may be targets [m].
 const SURFACE_SIZE: f64 = 2.0;
-/// Time of the last return of a surface where things are smaller than that [ns].
-pub(super) const NO_SURFACE: i64 = i64::MIN;
+/// What has anything else as near as this is a part of it, such as a leaf of a tree [m].
+const BESIDE: f64 = 1.5;
 /// Holes in surfaces have fewer cells than this: 40 degrees by 40.
 const MOST_OF_HOLE: usize = 400;
 
@@ -25,23 +25,39 @@ impl SkyObservation {
     pub(super) fn remember_surfaces(&mut self, sky: &Sky) {
         self.surface.clone_from(&sky.surface);
         self.surface_ns.clone_from(&sky.surface_ns);
-        self.is_taken.clear();
-        self.is_taken.resize(CELLS, false);
+        for flags in [&mut self.is_taken, &mut self.is_alone] {
+            flags.clear();
+            flags.resize(CELLS, false);
+        }
         for first in 0..CELLS {
             if self.hits[first] == 0 || self.is_taken[first] {
                 continue;
             }
-            let is_surface = self.take_thing(first) > SURFACE_SIZE;
+            let [low, high] = self.take_thing(first);
+            let is_surface = norm(minus(high, low)) > SURFACE_SIZE;
+            let is_alone = self.has_rows && !is_surface && self.is_alone_in(low, high);
             for &cell in &self.thing {
                 let cell = usize::from(cell);
                 self.surface[cell] = self.nearest[cell];
-                self.surface_ns[cell] = if is_surface { self.stamp_ns } else { NO_SURFACE };
+                self.surface_ns[cell] = if is_surface { self.stamp_ns } else { i64::MIN };
+                self.is_alone[cell] = is_alone;
             }
         }
     }
 
-    /// Gather the cells of the thing seen in the cell `first`; the diagonal of its box [m].
-    fn take_thing(&mut self, first: usize) -> f64 {
+    /// True if nothing but the thing that was gathered last is in or around its box, relative to the sensor.
+    fn is_alone_in(&self, low: [f64; 3], high: [f64; 3]) -> bool {
+        let off = |place: f64, axis: usize| (low[axis] - place).max(place - high[axis]).max(0.0);
+        let is_beside = |cell: usize| {
+            let range = f64::from(self.nearest[cell]);
+            let place = |axis: usize| off(range * GRID.centers[cell][axis], axis);
+            self.hits[cell] > 0 && norm([place(0), place(1), place(2)]) < BESIDE
+        };
+        !(0..CELLS).any(|cell| is_beside(cell) && !self.thing.contains(&(cell as u16)))
+    }
+
+    /// Gather the cells of the thing seen in the cell `first`; its box, relative to the sensor [m].
+    fn take_thing(&mut self, first: usize) -> [[f64; 3]; 2] {
         self.thing.clear();
         self.thing.push(first as u16);
         self.is_taken[first] = true;
@@ -63,7 +79,7 @@ impl SkyObservation {
                 }
             }
         }
-        norm(minus(high, low))
+        [low, high]
     }
 
     /// Let surfaces that are known limit the cells around them.
