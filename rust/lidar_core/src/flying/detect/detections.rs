@@ -5,7 +5,7 @@ use super::detection::{Detection, Teammate};
 use super::filled::share_of_expected;
 use super::hole::is_joined;
 use super::parts::UnitedClusters;
-use super::surroundings::{are_rays_lost_below, is_among_surfaces};
+use super::surroundings::{are_rays_lost_below, is_among_surfaces, is_free_below_rest};
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -94,8 +94,12 @@ fn centered(
     cluster: &Cluster<'_>,
 ) -> Detection {
     let mut detection = detection.at(center);
-    if detection.is_free_below == Some(false) && are_rays_lost_below(scan, cluster) {
-        detection.is_free_below = None;
+    if detection.is_free_below == Some(false) {
+        if is_free_below_rest(scan, cluster) {
+            detection.is_free_below = Some(true);
+        } else if are_rays_lost_below(scan, cluster) {
+            detection.is_free_below = None;
+        }
     }
     // The rays into a sky that is known by its density are made up: those that passed are not known.
     if scan.sky == SkySource::Density {

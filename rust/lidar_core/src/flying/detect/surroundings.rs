@@ -19,6 +19,15 @@ const LOST: f64 = 0.15;
 /// its last cells of 2 degrees are only partly in it. 3 and 5 degrees: rows may lie 2 degrees apart.
 const FURTHER_DOWN: [f64; 2] = [0.0524, 0.0875];
 
+/// Rows of a sparse sensor meet a target this far apart at most; returns at this range from its own are of it [m].
+const NEXT_ROW: f64 = 0.5;
+const SAME_RANGE: f64 = 0.5;
+/// Rays pass below it that return this much further away, and so far below its end [m].
+const BEHIND: f64 = 1.0;
+const JUST_BELOW: f64 = 0.1;
+/// One ray may pass between the legs of a person.
+const FEWEST_PASSING: usize = 2;
+
 /// True if more returns of surfaces lie around a cluster than it has itself. `is_flying` tells of every
 /// row of the scan whether it is of something that seems to fly: that is no surface.
 pub(crate) fn is_among_surfaces(
@@ -44,7 +53,33 @@ pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> boo
     sky.is_some_and(|sky| are_lost_below(scan, cluster, |direction| sky.density_at(direction)))
 }
 
-/// The same, where `density` rays per steradian are cast in a direction.
+/// True if something goes on below a cluster, at its range, and rays pass below the end of that: the next row of a
+/// sparse sensor has met the same target. What stands on the ground goes on to where the ground is.
+pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+    let Some(view) = View::of(scan, cluster) else { return false };
+    let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
+    let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
+    for ([aside, up], _) in own {
+        (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
+    }
+    let in_line = |aside: f64| (left - BESIDE..right + BESIDE).contains(&aside);
+    let all = scan.points.iter().filter_map(|&point| view.seen(wide(point)));
+    let mut below: Vec<([f64; 2], f64)> =
+        all.filter(|&([aside, up], _)| in_line(aside) && up < low).collect();
+    below.sort_unstable_by(|one, other| other.0[1].total_cmp(&one.0[1]));
+    let mut end = low;
+    for &([_, up], further) in &below {
+        if further.abs() < SAME_RANGE && end - up <= NEXT_ROW {
+            end = up;
+        }
+    }
+    let passes = |&&([_, up], further): &&([f64; 2], f64)| {
+        further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&up)
+    };
+    end < low && below.iter().filter(passes).count() >= FEWEST_PASSING
+}
+
+/// True if rays are lost below a cluster, where `density` rays per steradian are cast in a direction.
 fn are_lost_below(
     scan: &Prepared,
     cluster: &Cluster<'_>,
@@ -111,6 +146,31 @@ mod tests {
         let mut clusters = Clusters::default();
         clusters.fill(&scan.points, &labels[..scan.points.len()]);
         are_lost_below(&scan, &clusters.get(0), cast)
+    }
+
+    /// Whether rays pass below the rest of a row of returns 10 m away, at heights of rows below it and their ranges.
+    fn free_below_rest(rows: &[(f32, f32)]) -> bool {
+        let row = |up: f32, range: f32| {
+            (0..5).map(move |step| [range, 0.02 * step as f32 * range, 0.1 * up * range])
+        };
+        let mut scan = Prepared::default();
+        scan.points = row(0.0, 10.0).collect();
+        scan.points.extend(rows.iter().flat_map(|&(up, range)| row(up, range)));
+        let labels: Vec<i32> =
+            (0..scan.points.len() as i32).map(|row| if row < 5 { 0 } else { -1 }).collect();
+        let mut clusters = Clusters::default();
+        clusters.fill(&scan.points, &labels);
+        is_free_below_rest(&scan, &clusters.get(0))
+    }
+
+    #[test]
+    fn a_target_of_two_rows_is_free_below_and_what_stands_is_not() {
+        assert!(free_below_rest(&[(-0.35, 10.1), (-0.7, 16.0)]));
+        // Nothing below it is of it, the ground follows, nothing follows, or the next part is far below.
+        assert!(!free_below_rest(&[(-0.35, 16.0), (-0.7, 16.0)]));
+        assert!(!free_below_rest(&[(-0.35, 10.1), (-0.7, 10.0), (-1.05, 9.0), (-1.4, 7.0)]));
+        assert!(!free_below_rest(&[(-0.35, 10.1)]));
+        assert!(!free_below_rest(&[(-0.7, 10.1), (-1.05, 16.0)]));
     }
 
     #[test]
