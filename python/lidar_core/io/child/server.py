@@ -30,6 +30,9 @@ PATIENCE = 1.0
 """A reader that closed its socket ends by itself within this [s]."""
 BATCH, BATCH_BYTES = 128, 8 * 2**20
 """Records that are sent ahead, and their bytes."""
+FIRST_BATCH = 4
+"""Records of the first batch; each next one has twice as many. Who wants only the first records, as
+those do who look for a frame or a time, does not wait for others to be read."""
 TOGETHER, TOGETHER_BYTES = 32, 2**18
 """Records of one frame, and bytes of their arrays."""
 KEPT = 2 * BATCH
@@ -119,6 +122,7 @@ class Reader:
         self._recording: Any = None
         self._topics: list[Topic] = []
         self._streams: dict[int, Iterator[Record]] = {}
+        self._batches: dict[int, int] = {}
         self._counts: Counter[int] = Counter()
         self._kept: OrderedDict[tuple[int, int], Record] = OrderedDict()
         self._wanted: set[tuple[int, str, str]] = set()
@@ -198,7 +202,9 @@ class Reader:
         """
         if stream not in self._streams:
             self._streams[stream] = iter(self._recording.records(_kinds(kinds)))
-        records, left, spent = self._streams[stream], BATCH, 0
+        left = self._batches.get(stream, FIRST_BATCH)
+        self._batches[stream] = min(2 * left, BATCH)
+        records, spent = self._streams[stream], 0
         while left > 0 and spent < BATCH_BYTES:
             frame: dict[str, Any] = {"stream": stream, "items": []}
             buffers: list[memoryview] = []
@@ -272,6 +278,7 @@ class Reader:
 
     def _stop(self, stream: int) -> None:
         self._streams.pop(stream, None)
+        self._batches.pop(stream, None)
         for key in [key for key in self._kept if key[0] == stream]:
             del self._kept[key]
 

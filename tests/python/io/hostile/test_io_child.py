@@ -18,9 +18,10 @@ from small_messages import assert_same_fields, make_pose, make_scan
 import lidar_core as lc
 from lidar_core.errors import FormatError, InputError, LimitError
 from lidar_core.io import open_recording, read_cloud, read_columns, trusted_files, write_recording
-from lidar_core.io.child import client, wire
+from lidar_core.io.child import client, server, wire
 from lidar_core.io.child.recording import ChildRecording
 from lidar_core.io.child.trust import HAS_CHILDREN
+from lidar_core.io.records import Findings, Record, Topic
 from lidar_core.messages import LaserScan
 
 pytestmark = pytest.mark.skipif(not HAS_CHILDREN, reason="no child processes with limits here")
@@ -360,3 +361,35 @@ def test_paths_are_relative_to_the_folder_of_the_caller(tmp_path, monkeypatch):
         Path("b.ply").write_bytes(b"ply\n")
         with pytest.raises(FormatError, match=r"^b\.ply: "):
             read_cloud("b.ply", trusted=False)
+
+
+def test_who_wants_only_the_first_records_does_not_wait_for_others(monkeypatch):
+    """Batches grow from 4 records to 128; each stream begins anew."""
+    monkeypatch.setattr(server.limits, "allow_cpu", lambda _: None)
+    monkeypatch.setattr(server.wire, "send", lambda *_: 0)
+    read = []
+
+    class Long:
+        def records(self, _):
+            for number in range(10_000):
+                read.append(number)
+                yield Record(Topic("/a", "b", "scan", 10_000), number, list)
+
+        def noticed(self):
+            return Findings()
+
+    reader = server.Reader(None)
+    reader._recording = Long()
+
+    def batches(stream, count):
+        sizes = []
+        for _ in range(count):
+            read.clear()
+            reader._more(stream, None)
+            sizes.append(len(read))
+        return sizes
+
+    assert batches(0, 7) == [4, 8, 16, 32, 64, 128, 128]
+    assert batches(1, 2) == [4, 8]
+    reader._stop(0)
+    assert batches(0, 1) == [4]
