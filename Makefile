@@ -60,6 +60,7 @@ test: test-env ## Install what the tests need and run them all, on a wheel.
 
 nightly: test-env ## Long versions of tests, and statistics, that `make test` leaves out.
 	$(TEST_VENV)/bin/pytest -n 2 --dist loadfile -m nightly
+	HYPOTHESIS_PROFILE=nightly $(TEST_VENV)/bin/pytest -n 2 --dist loadfile -m hypothesis
 
 # Child processes count, too. Rust needs `cargo install cargo-llvm-cov` and the component llvm-tools.
 PART ?= tests/python

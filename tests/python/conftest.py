@@ -7,14 +7,16 @@ import pytest
 from hypothesis import HealthCheck, settings
 from repository import RECORDINGS, ROOT
 
-# The same examples on every run; `HYPOTHESIS_PROFILE=wide` looks further.
+# The same examples on every run; `make nightly` looks at 200, `HYPOTHESIS_PROFILE=wide` at 5,000.
 settings.register_profile(
     "ci",
     derandomize=True,
+    max_examples=25,
     deadline=None,
     database=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
+settings.register_profile("nightly", settings.get_profile("ci"), max_examples=200)
 settings.register_profile("wide", settings.get_profile("ci"), derandomize=False, max_examples=5000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 

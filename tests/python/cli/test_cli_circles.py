@@ -362,7 +362,7 @@ def test_points_of_long_runs_are_thinned(recording, monkeypatch):
 
 def test_ctrl_c_leaves_whole_files_and_ends_with_130(recordings, tmp_path):
     folder = tmp_path / "run"
-    log = recordings / "2d/radish/intel.clf.bz2"
+    log = recordings / "2d/radish/mit-csail.clf.bz2"
     with running("circles", log, "-o", folder, "--no-picture") as process:
         for _ in count():
             assert process.poll() is None, process.communicate()

@@ -207,7 +207,7 @@ def test_points_that_are_not_background_are_kept_first():
 
 
 def test_a_long_run_is_thinned_to_its_end(tmp_path):
-    rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(5 * MOST_MOMENTS)]
+    rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(2 * MOST_MOMENTS)]
     (tmp_path / "a.txt").write_text("\n".join(rows) + "\n")
     made("fuse", tmp_path / "a.txt", "-o", tmp_path / "run", "--no-picture")
     scene = Page(write_report(tmp_path / "run")).scene

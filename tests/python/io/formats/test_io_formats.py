@@ -255,13 +255,13 @@ def test_truncated_ros_recordings_are_refused_or_read_up_to_the_cut(tmp_path, ve
     assert len(whole) == 10
     refused = 0
     cut = tmp_path / f"cut{path.suffix}"
-    for length in range(1, len(data), max(1, len(data) // 40)):
+    for length in range(1, len(data), max(1, len(data) // 20)):
         cut.write_bytes(data[:length])
         text, messages = outcome(cut, FormatError)
         assert text is None or str(cut) in text
         refused += text is not None
         assert len(messages) <= len(whole)
-    assert refused > 30
+    assert refused > 15
 
 
 @pytest.mark.parametrize(("version", "storage"), STORAGES)
@@ -270,7 +270,7 @@ def test_flipped_bytes_never_raise_anything_else(tmp_path, version, storage):
     data = path.read_bytes()
     rng = np.random.default_rng(7)
     broken = tmp_path / f"broken{path.suffix}"
-    for position in rng.integers(0, len(data), 25):
+    for position in rng.integers(0, len(data), 12):
         value = rng.integers(0, 256)
         broken.write_bytes(data[:position] + bytes([value]) + data[position + 1 :])
         text, _ = outcome(broken, (FormatError, LimitError))
@@ -553,7 +553,7 @@ def test_truncated_pcd_is_refused(tmp_path, encoding):
     path = tmp_path / "0.pcd"
     PointCloud.from_xyzi_points(rows).save(path, encoding=encoding)
     data = path.read_bytes()
-    for length in range(1, len(data) - 30, 7):
+    for length in range(1, len(data) - 30, 23):
         path.write_bytes(data[:length])
         with pytest.raises(FormatError, match=r"0\.pcd"):
             read_all(path)

@@ -17,7 +17,7 @@ from lidar_core.io.options import ReadOptions
 
 FORMATS = {0: "1.2", 3: "1.2", 5: "1.3", 6: "1.4", 7: "1.4", 10: "1.4"}
 COUNT = 400
-MUTANTS = 60
+MUTANTS = 20
 """Per format and ending: 1,440 in all."""
 BUDGET = 800 * 2**20
 """Address space beyond what the child process needs to start [bytes]."""

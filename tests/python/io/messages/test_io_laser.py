@@ -489,7 +489,17 @@ BAGS = {
 }
 
 
-@pytest.mark.parametrize(("name", "expected"), BAGS.items())
+LONG = {"radish/fr079.clf.bz2", "radish/intel.clf.bz2"}
+"""Logs that take long to unpack; two others have their format."""
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        pytest.param(*one, marks=[pytest.mark.nightly] if one[0] in LONG else [])
+        for one in BAGS.items()
+    ],
+)
 def test_info_opens_every_2d_recording(recordings, name, expected):
     result = CliRunner().invoke(app, ["info", str(recordings / "2d" / name), "--json"])
     assert result.exit_code == 0, result.output

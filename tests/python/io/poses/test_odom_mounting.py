@@ -145,7 +145,13 @@ def test_angles_of_a_mounting_are_those_that_make_it(angles):
     np.testing.assert_allclose(again, matrix, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["intersection", "overtake_ego", "overtake_red", "parallel"])
+OTHER_CARS = ["overtake_ego", "overtake_red", "parallel"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["intersection", *(pytest.param(name, marks=pytest.mark.nightly) for name in OTHER_CARS)],
+)
 def test_nameless_poses_of_the_real_cars_are_not_the_lasers(recordings, name):
     """The cars tell poses of ego_pose and red_pose, and not where the laser sits on them."""
     with open_recording(recordings / "2d" / "datmo" / f"{name}.bag") as recording:
