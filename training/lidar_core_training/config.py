@@ -15,71 +15,86 @@ class TrainConfig(Config):
     """
 
     network: Literal["paper-cnn", "cnn", "one-step"] = Field(
-        "paper-cnn",
+        default="paper-cnn",
         description="Table I on whole scans with the loss of eq. 7, or the network on windows"
         " with the likelihood of circle and covariance, or the experiment that finds all circles"
         " of a scan (no unit).",
     )
     start: str | None = Field(
-        None,
+        default=None,
         description="Weights to begin with: a network that comes with the package, or an .onnx"
         " file that `lidar-core export` wrote; none: random ones (no unit).",
     )
     datasets: tuple[DatasetConfig, ...] = Field(
-        (DatasetConfig(),), min_length=1, description="What it learns from, all of them mixed."
+        default=(DatasetConfig(),),
+        min_length=1,
+        description="What it learns from, all of them mixed.",
     )
     per_scan: int = Field(
-        8, ge=1, description="one-step: circles that share a scan (count, no unit)."
+        default=8, ge=1, description="one-step: circles that share a scan (count, no unit)."
     )
-    walls: int = Field(3, ge=0, description="one-step: walls in a scan (count, no unit).")
+    walls: int = Field(default=3, ge=0, description="one-step: walls in a scan (count, no unit).")
     epochs: int = Field(
-        106, ge=1, description="Passes over the training data, or parts of it (count, no unit)."
+        default=106,
+        ge=1,
+        description="Passes over the training data, or parts of it (count, no unit).",
     )
     parts: int = Field(
-        1,
+        default=1,
         ge=1,
         le=10_000,
         description="Into how many epochs a pass over the training data is divided; each of them"
         " ends with a validation (count, no unit).",
     )
     validation_samples: int = Field(
-        0,
+        default=0,
         ge=0,
         description="How many samples of the validation data an epoch ends with, at even"
         " distances; 0: all (count, no unit).",
     )
     batch_size: int = Field(
-        256, ge=1, description="Samples per step, of all processes together (count, no unit)."
+        default=256,
+        ge=1,
+        description="Samples per step, of all processes together (count, no unit).",
     )
     optimiser: Literal["adam", "muon"] = Field(
-        "adam",
+        default="adam",
         description="Adam as published, or Muon for the hidden layers, which learns the same from"
         " fewer samples (no unit).",
     )
-    learning_rate: float = Field(1e-4, gt=0, description="Of Adam, or its peak (no unit).")
+    learning_rate: float = Field(default=1e-4, gt=0, description="Of Adam, or its peak (no unit).")
     schedule: Literal["constant", "one-cycle"] = Field(
-        "constant",
+        default="constant",
         description="Learning rate: constant as published, or up to the peak and down to 0 along"
         " a cosine (no unit).",
     )
     warmup_share: float = Field(
-        0.05, gt=0, lt=1, description="One-cycle: share of all steps on the way up (no unit)."
+        default=0.05,
+        gt=0,
+        lt=1,
+        description="One-cycle: share of all steps on the way up (no unit).",
     )
     gradient_limit: float = Field(
-        0.0, ge=0, description="Longest gradient, longer ones are shortened; 0: any (no unit)."
+        default=0.0,
+        ge=0,
+        description="Longest gradient, longer ones are shortened; 0: any (no unit).",
     )
     square_weight: float = Field(
-        300.0, ge=0, description="cnn: weight of the squared error beside the likelihood [1/m^2]."
+        default=300.0,
+        ge=0,
+        description="cnn: weight of the squared error beside the likelihood [1/m^2].",
     )
     precision: Literal["float32", "mixed"] = Field(
-        "float32", description="Mixed: products in bfloat16, on a GPU only (no unit)."
+        default="float32", description="Mixed: products in bfloat16, on a GPU only (no unit)."
     )
     device: Literal["auto", "cpu", "cuda"] = Field(
-        "auto", description="Where; auto takes a GPU if there is one (no unit)."
+        default="auto", description="Where; auto takes a GPU if there is one (no unit)."
     )
-    threads: int = Field(2, ge=1, le=256, description="Threads on a CPU (count, no unit).")
-    checkpoint_minutes: float = Field(5.0, gt=0, description="Time between checkpoints [min].")
-    seed: int = Field(0, ge=0, description="Of data, first weights and order (no unit).")
+    threads: int = Field(default=2, ge=1, le=256, description="Threads on a CPU (count, no unit).")
+    checkpoint_minutes: float = Field(
+        default=5.0, gt=0, description="Time between checkpoints [min]."
+    )
+    seed: int = Field(default=0, ge=0, description="Of data, first weights and order (no unit).")
 
     @model_validator(mode="after")
     def _is_one_scanner(self) -> Self:

@@ -53,7 +53,7 @@ class BatchGroup(Config):
         " file, or addresses such as s3://bucket/*.mcap (no unit).",
     )
     rows: tuple[dict[str, Value], ...] | str = Field(
-        (),
+        default=(),
         description="Values that belong together, or a table of them: a .csv or .parquet file,"
         " from the folder of the batch file, or an address such as s3://bucket/a.csv (no unit).",
     )
@@ -108,7 +108,7 @@ class BatchGroup(Config):
 class BatchConfig(Config):
     """A batch: groups of jobs."""
 
-    jobs: tuple[BatchGroup, ...] = Field((), description="Groups of jobs (no unit).")
+    jobs: tuple[BatchGroup, ...] = Field(default=(), description="Groups of jobs (no unit).")
 
     @model_validator(mode="after")
     def _groups_have_names(self) -> Self:

@@ -24,13 +24,13 @@ class CirclesConfig(Config):
     """
 
     scanner: Scanner = Field(
-        Scanner(), description="2D LiDARs that `scanners` does not name (no unit)."
+        default=Scanner(), description="2D LiDARs that `scanners` does not name (no unit)."
     )
     scanners: dict[str, Scanner] = Field(
-        {}, description="2D LiDARs by the name that `process` is given (no unit)."
+        default={}, description="2D LiDARs by the name that `process` is given (no unit)."
     )
     detector: Annotated[FitMethod | NetworkName, BeforeValidator(checked)] = Field(
-        "ml",
+        default="ml",
         description="Estimator of circles from segments (no unit); it overrides `fit.method`."
         " Also a network: one of the package, or an .onnx file.",
     )
@@ -38,7 +38,7 @@ class CirclesConfig(Config):
     segment: SegmentConfig = SegmentConfig()
     fit: FitConfig = FitConfig()
     max_deviation: float = Field(
-        0.08,
+        default=0.08,
         gt=0,
         description="Segments with a larger root mean square distance of their hits from the"
         " circle, or from the shape that they have, stay out of the map [m].",
@@ -46,7 +46,7 @@ class CirclesConfig(Config):
     shapes: ShapeConfig = ShapeConfig()
     map: CircleMapConfig = CircleMapConfig()
     on_bad_scan: Literal["raise", "count"] = Field(
-        "raise", description="Reaction to a scan that cannot be used (no unit)."
+        default="raise", description="Reaction to a scan that cannot be used (no unit)."
     )
 
     @classmethod

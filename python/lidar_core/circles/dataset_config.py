@@ -29,57 +29,70 @@ class DatasetConfig(Config):
         "cut_margins": "samples have the margins with which scans are segmented",
     }
     kind: Literal["lattice", "continuous"] = Field(
-        "lattice",
+        default="lattice",
         description="Circles on a lattice as published, or anywhere (no unit).",
     )
-    scanner: Scanner = Field(Scanner(), description="Scanner that measures the circles.")
+    scanner: Scanner = Field(default=Scanner(), description="Scanner that measures the circles.")
     reach: float = Field(
-        10.0, gt=0, le=1000, description="Centres lie within this of the scanner in x and y [m]."
+        default=10.0,
+        gt=0,
+        le=1000,
+        description="Centres lie within this of the scanner in x and y [m].",
     )
-    spacing: float = Field(0.05, gt=0, le=10, description="Lattice: step between centres [m].")
+    spacing: float = Field(
+        default=0.05, gt=0, le=10, description="Lattice: step between centres [m]."
+    )
     radius: tuple[Radius, Radius] = Field(
-        (0.05, 0.5), description="Smallest and largest radius [m], above 0, in order."
+        default=(0.05, 0.5), description="Smallest and largest radius [m], above 0, in order."
     )
-    radius_step: float = Field(0.05, gt=0, le=10, description="Lattice: step between radii [m].")
+    radius_step: float = Field(
+        default=0.05, gt=0, le=10, description="Lattice: step between radii [m]."
+    )
     draws: int = Field(
-        2, ge=1, le=1000, description="Lattice: measurements of every circle (count, no unit)."
+        default=2,
+        ge=1,
+        le=1000,
+        description="Lattice: measurements of every circle (count, no unit).",
     )
     circles: int = Field(
-        1_000_000,
+        default=1_000_000,
         ge=1,
         le=1_000_000_000,
         description="Continuous: how many, one measurement of each (count, no unit).",
     )
     range_std: tuple[NotNegative, NotNegative] = Field(
-        (0.01, 0.01), description="Standard deviation of a range, from and to [m], >= 0."
+        default=(0.01, 0.01), description="Standard deviation of a range, from and to [m], >= 0."
     )
     beam_half_width: tuple[NotNegative, NotNegative] = Field(
-        (0.0, 0.0), description="Half the width of a ray, from and to [rad], >= 0."
+        default=(0.0, 0.0), description="Half the width of a ray, from and to [rad], >= 0."
     )
     occluded_share: float = Field(
-        0.0, ge=0, le=1, description="Share of samples partly hidden by something (no unit)."
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Share of samples partly hidden by something (no unit).",
     )
     mixed_share: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1,
         description="Share of edges of circles where a ray hits circle and background, so that it"
         " ends up to 0.1 m behind the circle (no unit).",
     )
     split_by: Literal["sample", "circle"] = Field(
-        "sample",
+        default="sample",
         description="Unit of the split into training, validation and test: samples as"
         " published, which puts measurements of one circle into several parts, or"
         " circles (no unit).",
     )
     validation_share: float = Field(
-        0.16, ge=0, lt=1, description="Share of samples for validation, Table II (no unit)."
+        default=0.16, ge=0, lt=1, description="Share of samples for validation, Table II (no unit)."
     )
     test_share: float = Field(
-        0.2, ge=0, lt=1, description="Share of samples for the test, Table II (no unit)."
+        default=0.2, ge=0, lt=1, description="Share of samples for the test, Table II (no unit)."
     )
     shard_size: int = Field(
-        65_536, ge=1, le=10_000_000, description="Samples per file (count, no unit)."
+        default=65_536, ge=1, le=10_000_000, description="Samples per file (count, no unit)."
     )
 
     @classmethod

@@ -15,13 +15,13 @@ class PreprocessConfig(Config):
     """Range limitation and horizontal projection. Source: Sanchez-Lopez et al., secs. III-A, B."""
 
     planes: tuple[Plane, ...] = Field(
-        (),
+        default=(),
         max_length=64,
         description="Operating volume: where a x + b y + c z <= d [m] for each (a, b, c, d), world"
         " frame, eq. 4; empty: everywhere.",
     )
     projection: Literal["exact", "paper"] = Field(
-        "exact",
+        default="exact",
         description="Tilted scans: every point as seen from above, which moves bearings as well,"
         " or ranges by cos(pitch) cos(roll) as in eq. 5 (no unit).",
     )
@@ -84,46 +84,46 @@ class SegmentConfig(Config):
         "incidence": "surfaces are met at 10 deg at least",
     }
     bound: Literal["adaptive", "fixed"] = Field(
-        "adaptive",
+        default="adaptive",
         description="Largest distance of neighbours: as the angle between rays on a surface"
         " allows, or `distance` everywhere (no unit).",
     )
     slack: float = Field(
-        0.09,
+        default=0.09,
         ge=0,
         le=3,
         description="Addition to the adaptive bound for the noise of the ranges, at least"
         " three of their standard deviations [m].",
     )
     distance: float = Field(
-        0.2, gt=0, le=10, description="Distance of neighbours with the fixed bound [m]."
+        default=0.2, gt=0, le=10, description="Distance of neighbours with the fixed bound [m]."
     )
     max_gap: int = Field(
-        2,
+        default=2,
         ge=0,
         le=1000,
         description="Rays without return that neighbours may have between them, polar space"
         " (count, no unit).",
     )
     merge_distance: float = Field(
-        0.5,
+        default=0.5,
         ge=0,
         le=10,
         description="Parts of a surface that something nearer hides in part are one object if"
         " their ends are closer than this [m]; 0: never.",
     )
     corner_depth: float = Field(
-        0.15,
+        default=0.15,
         ge=0,
         le=10,
         description="Surfaces with a common corner are separate segments if the corner is this deep"
         " behind the line between their other ends [m]; 0: never, as in the paper.",
     )
     min_points: int = Field(
-        4, ge=1, le=100_000, description="Smaller segments are dropped (count, no unit)."
+        default=4, ge=1, le=100_000, description="Smaller segments are dropped (count, no unit)."
     )
     min_fraction: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1,
         description="Segments with a smaller share of all rays are dropped (share, no unit);"

@@ -29,23 +29,25 @@ class Scanner(Config):
     """
 
     angle_min: float = Field(
-        math.radians(-135.0),
+        default=math.radians(-135.0),
         ge=-4 * math.pi,
         le=4 * math.pi,
         description="Bearing of the first ray, counter-clockwise from the x axis [rad].",
     )
     angle_increment: float = Field(
-        math.radians(0.25),
+        default=math.radians(0.25),
         ge=-1.0,
         le=1.0,
         description="Step from ray to ray [rad], not 0; negative: the scanner turns clockwise.",
     )
     n_beams: int = Field(
-        1081, ge=2, le=_MOST_BEAMS, description="Rays of one sweep (count, no unit)."
+        default=1081, ge=2, le=_MOST_BEAMS, description="Rays of one sweep (count, no unit)."
     )
-    range_min: float = Field(0.1, ge=0, le=20, description="Nearest surface that is measured [m].")
+    range_min: float = Field(
+        default=0.1, ge=0, le=20, description="Nearest surface that is measured [m]."
+    )
     range_max: float = Field(
-        10.0, gt=0, le=500, description="Farthest surface that is measured [m]."
+        default=10.0, gt=0, le=500, description="Farthest surface that is measured [m]."
     )
 
     def __init__(self, *values: float, **named: Any) -> None:

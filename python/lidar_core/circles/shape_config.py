@@ -22,12 +22,12 @@ class ShapeConfig(Config):
         "min_hits": "circles beside something nearer have 6 rays at least",
     }
     enabled: bool = Field(
-        True,
+        default=True,
         description="Distinguish lines, rectangles and ellipses from circles, and keep them in the"
         " map as such. Off: every segment is a circle, as in the paper (no unit).",
     )
     max_size: float = Field(
-        0.5,
+        default=0.5,
         gt=0,
         le=20,
         description="Largest half length of an ellipse, rectangle or free standing line that is a"

@@ -18,41 +18,44 @@ class EvaluationConfig(Config):
         "order": "OSPA and GOSPA have the order 2",
     }
     gate: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         le=1000,
         description="An estimate further from every target's centre is false [m]; also the cutoff c"
         " of OSPA and GOSPA.",
     )
     max_distance: float = Field(
-        20.0, gt=0, le=1e5, description="Targets further from the sensor need not be found [m]."
+        default=20.0,
+        gt=0,
+        le=1e5,
+        description="Targets further from the sensor need not be found [m].",
     )
     min_hits: int = Field(
-        3,
+        default=3,
         ge=0,
         le=1_000_000,
         description="Targets with fewer points need not be found (count, no unit).",
     )
     burn_in_scans: int = Field(
-        0,
+        default=0,
         ge=0,
         le=1_000_000,
         description="First scans, in which no target need be found (count, no unit).",
     )
     time_tolerance: float = Field(
-        1e-4,
+        default=1e-4,
         ge=0,
         le=10,
         description="Estimates belong to the truth of a time at most this far away [s].",
     )
     distance_edges: tuple[Edge, ...] = Field(
-        tuple(float(edge) for edge in range(0, 51, 5)),
+        default=tuple(float(edge) for edge in range(0, 51, 5)),
         min_length=2,
         description="Edges of the groups by distance from the sensor [m]; a group holds its far"
         " edge.",
     )
     band: float = Field(
-        0.95,
+        default=0.95,
         gt=0,
         lt=1,
         description="Probability inside the band of a consistent NEES or NIS (no unit). Source:"

@@ -23,55 +23,67 @@ class VoxelMapConfig(Config):
 
     # A voxel below 1 cm is smaller than the noise of ranges; one above 5 m holds target and
     # background at once.
-    voxel_size: float = Field(0.25, ge=0.01, le=5, description="Edge of a voxel, v_s [m].")
-    g_occ: float = Field(0.0, description="G that background points pull a voxel to (no unit).")
-    g_unk: float = Field(
-        -740.0, description="G that unknown and flying points pull a voxel to (no unit)."
+    voxel_size: float = Field(default=0.25, ge=0.01, le=5, description="Edge of a voxel, v_s [m].")
+    g_occ: float = Field(
+        default=0.0, description="G that background points pull a voxel to (no unit)."
     )
-    g_free: float = Field(-1000.0, description="G that rays pull a voxel to (no unit).")
-    initial: float = Field(-740.0, description="G of a voxel never observed (no unit).")
-    threshold_confident: float = Field(-0.1, description="Occupied from here up (no unit).")
-    threshold_tentative: float = Field(-300.0, description="Tentative from here up (no unit).")
+    g_unk: float = Field(
+        default=-740.0, description="G that unknown and flying points pull a voxel to (no unit)."
+    )
+    g_free: float = Field(default=-1000.0, description="G that rays pull a voxel to (no unit).")
+    initial: float = Field(default=-740.0, description="G of a voxel never observed (no unit).")
+    threshold_confident: float = Field(default=-0.1, description="Occupied from here up (no unit).")
+    threshold_tentative: float = Field(
+        default=-300.0, description="Tentative from here up (no unit)."
+    )
     threshold_uncertain: float = Field(
-        -750.0, description="Uncertain from here up, free below (no unit)."
+        default=-750.0, description="Uncertain from here up, free below (no unit)."
     )
     extra_thresholds: tuple[float, ...] = Field(
-        (), max_length=16, description="Further levels that `state_at` counts, eq. 6 (no unit)."
+        default=(),
+        max_length=16,
+        description="Further levels that `state_at` counts, eq. 6 (no unit).",
     )
     max_range: float = Field(
-        20.0, gt=0, le=1000, description="Rays clear no further than this, d_max of eq. 20 [m]."
+        default=20.0,
+        gt=0,
+        le=1000,
+        description="Rays clear no further than this, d_max of eq. 20 [m].",
     )
     end_margin: float = Field(
-        0.0, ge=0, le=10, description="Rays that hit something end this much earlier [m]."
+        default=0.0, ge=0, le=10, description="Rays that hit something end this much earlier [m]."
     )
     rays: Literal["all", "one_per_end"] = Field(
-        "all",
+        default="all",
         description="Rays that are cast: all, or of those that end in the same voxel the first, as"
         " often as there are others, which is faster and not exact (no unit).",
     )
     skip: Literal["saturated", "none"] = Field(
-        "saturated",
+        default="saturated",
         description="Voxels that rays pass in one step: those in directions and at distances where"
         " each holds exactly `g_free` or is permanent, or none. Maps, detections and tracks are the"
         " same to the bit (no unit).",
     )
     saturation: Literal["settled", "paper"] = Field(
-        "settled",
+        default="settled",
         description="settled: a value that rays have pulled to within 64 steps of float32 from"
         " `g_free` becomes `g_free`, so that `skip` passes it also where few rays are; paper:"
         " rounding may hold it some steps short for ever (no unit).",
     )
     ray_unit: Literal["edges", "metres", "diagonals"] = Field(
-        "edges",
+        default="edges",
         description="Length unit of the ray weight of eq. 22: voxel edges, metres (the paper's"
         " text) or voxel diagonals (no unit).",
     )
-    ray_gain: float = Field(1.0, gt=0, le=1000, description="Factor on the ray weight (no unit).")
+    ray_gain: float = Field(
+        default=1.0, gt=0, le=1000, description="Factor on the ray weight (no unit)."
+    )
     bounds: Box | None = Field(
-        None, description="Lower and upper corner of a fixed operating volume [m]; none: no bounds."
+        default=None,
+        description="Lower and upper corner of a fixed operating volume [m]; none: no bounds.",
     )
     max_voxels: int = Field(
-        200_000_000,
+        default=200_000_000,
         ge=512,
         le=10**12,
         description="Budget of stored voxels, in whole blocks of 512, 4.3 bytes each (count,"
@@ -100,10 +112,10 @@ class ClusterConfig(Config):
     """Clusters of points. Source: Vrba et al., eqs 13-15; defaults: Table II."""
 
     max_distance: float = Field(
-        0.25, gt=0, le=10, description="Largest gap inside a cluster, d_cluster [m]."
+        default=0.25, gt=0, le=10, description="Largest gap inside a cluster, d_cluster [m]."
     )
     max_angle: float = Field(
-        0.02,
+        default=0.02,
         ge=0,
         le=0.5,
         description="Gaps of this angle times the range of the nearer point are inside a cluster"
@@ -111,13 +123,19 @@ class ClusterConfig(Config):
         " sky is found, and that have no rows, widen it; paper: 0.",
     )
     min_points: int = Field(
-        1, ge=1, le=MOST_POINTS, description="Smaller clusters are unknown (count, no unit)."
+        default=1,
+        ge=1,
+        le=MOST_POINTS,
+        description="Smaller clusters are unknown (count, no unit).",
     )
     max_points: int | None = Field(
-        None, ge=1, le=MOST_POINTS, description="Larger clusters are unknown (count, no unit)."
+        default=None,
+        ge=1,
+        le=MOST_POINTS,
+        description="Larger clusters are unknown (count, no unit).",
     )
     of: Literal["points", "voxels"] = Field(
-        "points",
+        default="points",
         description="Input of the clustering: points, or the centres of their voxels as in"
         " the authors' code (no unit).",
     )
@@ -130,83 +148,83 @@ class ClassifyConfig(Config):
     """
 
     close_distance: float = Field(
-        0.7,
+        default=0.7,
         gt=0,
         le=10,
         description="Rule A: a point closer than this to the centre of an occupied voxel is"
         " background, d_close [m].",
     )
     search_distance: float = Field(
-        3.0,
+        default=3.0,
         gt=0,
         le=100,
         description="Rule B: a path of uncertain voxels this long (L1) connects a cluster,"
         " d_search [m].",
     )
     search_adds_extent: bool = Field(
-        False,
+        default=False,
         description="The diagonal of a cluster's box is added to its search distance, as in the"
         " authors' code (no unit).",
     )
     map_state: Literal["before", "after_update"] = Field(
-        "before",
+        default="before",
         description="Rule B reads the map before this scan's update, or after it as in the"
         " authors' code (no unit).",
     )
     border: Literal["open", "closed"] = Field(
-        "open",
+        default="open",
         description="Border of a fixed operating volume for a search: a way out (open) or a"
         " wall (closed, the paper) (no unit).",
     )
     shadow: Literal["own", "paper"] = Field(
-        "own",
+        default="own",
         description="own: uncertain voxels in a cluster's own shadow do not connect it;"
         " paper: they do, and a target approached head-on is never found (no unit).",
     )
     own_voxels: Literal["expanded", "paper"] = Field(
-        "expanded",
+        default="expanded",
         description="expanded: the search continues from the voxels of the cluster even if they are"
         " free, so that a wall seen at a grazing angle is not detected as flying; paper: it does"
         " not (no unit).",
     )
     max_extent: float | None = Field(
-        2.5,
+        default=2.5,
         gt=0,
         le=50,
         description="Largest diagonal of the box of a group of clusters that can be a flying"
         " object [m]; the visible side of a sphere has one of up to 3.1 radii.",
     )
     background_extent: float | None = Field(
-        3.5, gt=0, le=100, description="Larger clusters are background at any time [m]."
+        default=3.5, gt=0, le=100, description="Larger clusters are background at any time [m]."
     )
     min_points: int = Field(
-        3,
+        default=3,
         ge=1,
         le=MOST_POINTS,
         description="Least number of points of a flying object (count, no unit).",
     )
     max_distance: float | None = Field(
-        20.0,
+        default=20.0,
         gt=0,
         le=1000,
         description="Largest distance of a flying object from the sensor [m].",
     )
     group_distance: float | None = Field(
-        0.7,
+        default=0.7,
         gt=0,
         le=10,
         description="Clusters with gaps up to this are classified together: by their common extent,"
         " and as background if background of this scan is among them [m]; none: each by itself.",
     )
     min_clearance: float = Field(
-        0.625,
+        default=0.625,
         ge=0,
         le=1,
         description="A flying object has at least this share of free voxels around its own voxels:"
         " only the neighbours behind it may be hidden (share, no unit).",
     )
     upright_height: float | None = Field(
-        1.2,
+        default=1.2,
         gt=0,
         le=50,
         description="Clusters at least this high, whose diagonal on the ground is at most two"
@@ -214,16 +232,16 @@ class ClassifyConfig(Config):
         " people, and do not fly [m].",
     )
     follow_tracks: bool = Field(
-        True,
+        default=True,
         description="Unknown clusters that continue a confirmed track are flying objects, even if"
         " their surroundings are not known (no unit).",
     )
     fill_pockets: bool = Field(
-        False,
+        default=False,
         description="Enclosed uncertain voxels around a flying cluster become free (no unit).",
     )
     search: Literal["explained", "full"] = Field(
-        "explained",
+        default="explained",
         description="explained: points that rule A makes background anyway are one cluster, and"
         " only the others are searched for clusters; full: all points are searched. Classes,"
         " detections and tracks are the same to the bit; where they may not be (clusters of limited"
@@ -253,26 +271,26 @@ class SeparateConfig(Config):
     """Removal of separate background. Source: Vrba et al., sec. III-D, eq. 23."""
 
     max_gap: float = Field(
-        0.8,
+        default=0.8,
         ge=0,
         le=10,
         description="Largest distance between the centres of neighbouring voxels of a group,"
         " d_sep; not in Table II, taken from the authors' code [m].",
     )
     min_confident: int = Field(
-        24,
+        default=24,
         ge=0,
         le=10**9,
         description="Groups with fewer confidently occupied voxels are removed, n_conf,min"
         " (count, no unit).",
     )
     dilate: bool = Field(
-        False,
+        default=False,
         description="Observed voxels within `max_gap` of a removed one are pulled towards free"
         " too, as in the authors' code (no unit).",
     )
     waits_for_background: bool = Field(
-        True,
+        default=True,
         description="Nothing is removed before one group holds `min_confident` confident voxels;"
         " otherwise removal begins with the first scan, as in the paper, and pulls down the"
         " background of sparse sensors faster than they build it up (no unit).",
@@ -290,13 +308,13 @@ class SeedConfig(Config):
         "standing_track_distance": "a track 0.5 m from its start follows nothing that stands",
     }
     burn_in_scans: int = Field(
-        10,
+        default=10,
         ge=0,
         le=MOST_SCANS,
         description="First scans, in which nothing is reported (count, no unit).",
     )
     burn_in_period: float | None = Field(
-        0.1,
+        default=0.1,
         gt=0,
         le=60,
         description="`burn_in_scans` and `standing_scans` are those of a sensor with this time"
@@ -304,27 +322,27 @@ class SeedConfig(Config):
         " as in paper mode: scans are counted however they come.",
     )
     burn_in_extent: float = Field(
-        2.5,
+        default=2.5,
         gt=0,
         le=50,
         description="During the burn-in clusters with a larger diagonal of their box are"
         " background; must exceed that of the largest target [m].",
     )
     standing_scans: int = Field(
-        5,
+        default=5,
         ge=0,
         le=MOST_SCANS,
         description="Points that keep their place in this many scans of the burn-in, at least"
         " 3, are background, however few; 0 for none (count, no unit).",
     )
     ground_height: float | None = Field(
-        None,
+        default=None,
         ge=-1e4,
         le=1e4,
         description="Clusters that reach below this height are background, world frame [m].",
     )
     take_off_height: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=1000,
         description="Height of the sensor above the ground in the first scan: the ground below"
@@ -344,46 +362,46 @@ class FlyingConfig(Config):
     separate: SeparateConfig = SeparateConfig()
     seed: SeedConfig = SeedConfig()
     sensor: SensorConfig = Field(
-        SensorConfig(), description="LiDARs that `sensors` does not name (no unit)."
+        default=SensorConfig(), description="LiDARs that `sensors` does not name (no unit)."
     )
     sensors: dict[str, SensorConfig] = Field(
-        {}, description="LiDARs by the name that `process` is given (no unit)."
+        default={}, description="LiDARs by the name that `process` is given (no unit)."
     )
     tracker: TrackerConfig = TrackerConfig()
     pose: PoseConfig = PoseConfig()
     range_margin: float = Field(
-        2.0,
+        default=2.0,
         ge=0,
         le=100,
         description="Rays clear this much further than `voxel_map.max_range`, so that the space"
         " around a target at that range is observed [m].",
     )
     position: Literal["center", "paper"] = Field(
-        "center",
+        default="center",
         description="Position of a detection: the centre of the target behind the points that were"
         " hit, or the centroid of these points, eq. 19 (no unit).",
     )
     range_std: float = Field(
-        0.03,
+        default=0.03,
         ge=0,
         le=1,
         description="Standard deviation of a range, for detection covariances [m].",
     )
     mismatch_share: float | None = Field(
-        0.5,
+        default=0.5,
         gt=0,
         le=1,
         description="A scan with a larger share of returns in free space does not change the map"
         " (share, no unit); none: every scan does.",
     )
     forget_distance: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=1e5,
         description="The map forgets blocks that are further from the sensor [m].",
     )
     on_bad_scan: Literal["raise", "count"] = Field(
-        "raise", description="Reaction to a scan that cannot be used (no unit)."
+        default="raise", description="Reaction to a scan that cannot be used (no unit)."
     )
 
     @field_validator("sensors")

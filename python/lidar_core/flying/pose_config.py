@@ -14,24 +14,24 @@ class PoseConfig(Config):
     """Certainty of poses, and its effect on the map. Source: Vrba et al., sec. IV."""
 
     position_std: tuple[_Std, _Std, _Std] = Field(
-        (0.0, 0.0, 0.0),
+        default=(0.0, 0.0, 0.0),
         description="Standard deviations along x, y, z of poses that come without a covariance"
         " [m].",
     )
     angle_std: tuple[_Angle, _Angle, _Angle] = Field(
-        (0.0, 0.0, 0.0),
+        default=(0.0, 0.0, 0.0),
         description="Standard deviations of the angles about x, y, z of R = Rz Ry Rx [rad]; if all"
         " six standard deviations are 0, poses are exact.",
     )
     weighting: Literal["off", "ends", "spread"] = Field(
-        "ends",
+        default="ends",
         description="Effect of uncertain poses. ends: rays with a return end earlier, because they"
         " must not clear the voxels that may contain their ends; spread: in addition, a point of"
         " the background updates every voxel that may contain it, weighted by the probability;"
         " off: the map is updated as if poses were exact (no unit).",
     )
     end_sigmas: float = Field(
-        3.0,
+        default=3.0,
         ge=0,
         le=100,
         description="Rays end earlier by this many standard deviations of position and range"

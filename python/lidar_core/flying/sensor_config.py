@@ -37,52 +37,55 @@ class SensorConfig(Config):
     removed: ClassVar[Mapping[str, str]] = {
         "learn_mask_range": "the robot is looked for within 1 m",
     }
-    min_range: float = Field(0.3, ge=0, le=20, description="Nearer returns are not used [m].")
+    min_range: float = Field(
+        default=0.3, ge=0, le=20, description="Nearer returns are not used [m]."
+    )
     self_box: Box | None = Field(
-        None, description="Lower and upper corner of the robot, lidar frame [m]."
+        default=None, description="Lower and upper corner of the robot, lidar frame [m]."
     )
     blind_sectors: tuple[tuple[Turn, Turn, Elevation, Elevation], ...] = Field(
-        (),
+        default=(),
         description="Directions that the robot hides: azimuth from, to, elevation from, to [rad].",
     )
     self_mask: tuple[bool, ...] | None = Field(
-        None, description="Per point of the cloud: true where the ray hits the robot (no unit)."
+        default=None,
+        description="Per point of the cloud: true where the ray hits the robot (no unit).",
     )
     learn_mask_scans: int = Field(
-        10,
+        default=10,
         ge=0,
         le=MOST_SCANS,
         description="First scans in which the directions towards the robot are learnt, 0 for none"
         " (count, no unit).",
     )
     mask_empty_only: bool = Field(
-        False,
+        default=False,
         description="Masks skip only rays without return (the authors' code), not all (no unit).",
     )
     find_body: bool = Field(
-        True,
+        default=True,
         description="Find the robot itself by returns that keep their place in the sensor's"
         " frame while the sensor moves, and that are joined to near returns: they"
         " are neither target nor background (no unit).",
     )
     beams: Beams | None = Field(
-        "auto",
+        default="auto",
         description="Source of the rays without return: auto, given with their directions or"
         " else found from the returns; given, never found; learnt, as auto; or the"
         " name of a sensor, found from the returns and its rays (no unit). None:"
         " given.",
     )
     beam_columns: int | None = Field(
-        None,
+        default=None,
         ge=8,
         le=36_000,
         description="Rays per turn of each of `beam_elevations`; none: 1800 (count, no unit).",
     )
     beam_elevations: tuple[Elevation, ...] = Field(
-        (), description="Elevation of every row of a sensor that has no name here [rad]."
+        default=(), description="Elevation of every row of a sensor that has no name here [rad]."
     )
     returns_per_ray: int = Field(
-        1,
+        default=1,
         ge=1,
         le=8,
         description="Returns per ray: the cloud is that many equal parts, one after another"

@@ -42,77 +42,83 @@ class TrackerConfig(Config):
         "merge_speed": "tracks of one target differ by 1 m/s at most",
     }
     buffer_size: int = Field(
-        10, ge=1, le=1000, description="Clouds kept for late detections, N_buf (count, no unit)."
+        default=10,
+        ge=1,
+        le=1000,
+        description="Clouds kept for late detections, N_buf (count, no unit).",
     )
     cluster_distance: float = Field(
-        0.5, gt=0, le=10, description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m."
+        default=0.5,
+        gt=0,
+        le=10,
+        description="Largest gap inside a cluster [m]; paper: d_cluster, 0.25 m.",
     )
     max_extent: float | None = Field(
-        2.5,
+        default=2.5,
         ge=0,
         le=50,
         description="Largest side of the bounding box of a target's cluster [m]; none, as in"
         " the paper: no limit.",
     )
     occupied_distance: float = Field(
-        0.7,
+        default=0.7,
         ge=0,
         le=10,
         description="A centroid this close to an occupied voxel's centre is background, d_min [m];"
         " the paper gives no value; paper mode uses 1.0 m.",
     )
     radius: Literal["paper", "sixth-root"] = Field(
-        "sixth-root",
+        default="sixth-root",
         description="Root of the determinant in the uncertainty radius: cube root, eq. 26, or sixth"
         " root, which gives a length (no unit).",
     )
     radius_scale: float = Field(
-        1.22,
+        default=1.22,
         gt=0,
         le=100,
         description="Multiplier of the uncertainty radius, c_r (no unit); paper: 0.5.",
     )
     radius_limits: tuple[Radius, Radius] = Field(
-        (1.5, 3.0),
+        default=(1.5, 3.0),
         description="Smallest uncertainty radius, r_min, and the largest, r_max, above which a"
         " track is removed [m].",
     )
     acceleration_time: float | None = Field(
-        1.0,
+        default=1.0,
         gt=0,
         le=1e4,
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
     )
     process_noise: Literal["paper", "continuous", "adaptive"] = Field(
-        "adaptive",
+        default="adaptive",
         description="Growth of uncertainty: the same at every step, eq. 31; white noise in"
         " continuous time; or that, up to 5 times wider for a flying target whose measurements lie"
         " further from their predictions than it allows (no unit).",
     )
     process_std: Triple = Field(
-        (0.0, 0.1, 4.0),
+        default=(0.0, 0.1, 4.0),
         description="Noise of position, velocity and acceleration, Xi_r, Xi_v, Xi_a: per step [m],"
         " [m/s], [m/s^2], or roots of densities [m/s^0.5], [m/s^1.5], [m/s^2.5]; paper: 0.5, 0.5,"
         " 0.1.",
     )
     initial_std: Triple = Field(
-        (0.3, 4.0, 3.0),
+        default=(0.3, 4.0, 3.0),
         description="Standard deviations of a new track's position, where the detection has no"
         " covariance [m], velocity [m/s] and acceleration [m/s^2], > 0, P_0; paper: 0.5, 3, 3.",
     )
     measurement: Literal["paper", "cluster", "center"] = Field(
-        "center",
+        default="center",
         description="Measurement from a cluster: its centroid with covariance Z^2 I; or with"
         " that plus the scatter of its points divided by their number; or the"
         " centre of the target behind the points, if the rays of the scan are"
         " known (as in the detector), else as `cluster` (no unit).",
     )
     measurement_std: float = Field(
-        0.07, gt=0, le=5, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
+        default=0.07, gt=0, le=5, description="Standard deviation of a centroid, Z [m]; paper: 1 m."
     )
     hidden_share: float | None = Field(
-        0.75,
+        default=0.75,
         gt=0,
         le=1,
         description="A cluster with a side shorter than this share of the track's usual one is"
@@ -121,25 +127,25 @@ class TrackerConfig(Config):
         " association.",
     )
     association: Literal["paper", "global"] = Field(
-        "global",
+        default="global",
         description="Who gets a cluster: every track the nearest one, Algorithm 2, or global"
         " nearest neighbour, one to one and gated (no unit).",
     )
     gate_probability: float = Field(
-        0.9999,
+        default=0.9999,
         gt=0,
         lt=1,
         description="Probability that a target passes the gate of its own track (no unit); global"
         " association.",
     )
     clutter_density: float = Field(
-        1e-5,
+        default=1e-5,
         gt=0,
         le=1e3,
         description="Density of clusters that belong to no track [1/m^3]; global association.",
     )
     rejoin_acceleration: float | None = Field(
-        2.0,
+        default=2.0,
         gt=0,
         le=1e3,
         description="A track that was confirmed and lost its target gets detections as if the"
@@ -147,7 +153,7 @@ class TrackerConfig(Config):
         " the paper: only where it was predicted; global association.",
     )
     split_distance: float | None = Field(
-        0.8,
+        default=0.8,
         gt=0,
         le=10,
         description="A cluster this near to several confirmed tracks, which are further apart from"
@@ -155,7 +161,7 @@ class TrackerConfig(Config):
         " association.",
     )
     report_existence: float | None = Field(
-        0.9,
+        default=0.9,
         gt=0,
         lt=1,
         description="A track is reported from this probability of existence on, until it falls"
@@ -163,39 +169,39 @@ class TrackerConfig(Config):
         " `confirm_window`.",
     )
     confirm_hits: int = Field(
-        1,
+        default=1,
         ge=1,
         le=64,
         description="A track is reported once it has a detection in this many of the last"
         " `confirm_window` sets of detections (count, no unit); only without `report_existence`.",
     )
     confirm_window: int = Field(
-        1,
+        default=1,
         ge=1,
         le=64,
         description="Sets of detections looked back on (count, no unit); only without"
         " `report_existence`.",
     )
     merge_distance: float | None = Field(
-        0.3,
+        default=0.3,
         ge=0,
         le=10,
         description="Tracks this close are one target [m]; none, as in the paper: never.",
     )
     ageing: Literal["paper", "visible"] = Field(
-        "visible",
+        default="visible",
         description="When the uncertainty of a track without a cluster grows towards removal:"
         " always (Algorithm 2), or only while its region should give returns (no unit).",
     )
     max_coast: float = Field(
-        3.0,
+        default=3.0,
         gt=0,
         le=3600,
         description="A track without measurement for longer is removed in any case [s]; ageing"
         " `visible`.",
     )
     report_coast: float = Field(
-        0.5,
+        default=0.5,
         gt=0,
         le=3600,
         description="A track without measurement for longer is kept but not reported [s]; ageing"

@@ -41,32 +41,32 @@ class PublishedModel(Config):
     """
 
     reading: Literal["a", "b", "c", "d"] = Field(
-        "a",
+        default="a",
         description="Further states that the radar measures besides x and y, eq. 26 (no"
         " unit): a: v is the range rate, theta the bearing, w zero; b: as a, but w"
         " is the range rate; c: v and theta are the true ones, the fourth and"
         " fifth value of the measurement; d: none.",
     )
     alpha: Literal["literal", "fixed"] = Field(
-        "literal",
+        default="literal",
         description="alpha of eq. 18: theta + dt as printed, or theta + w dt as in eq. 8 (no"
         " unit).",
     )
     prediction: Literal["motion", "matrix"] = Field(
-        "motion", description="State predicted by eqs 8 and 9 or by Phi, eq. 15 (no unit)."
+        default="motion", description="State predicted by eqs 8 and 9 or by Phi, eq. 15 (no unit)."
     )
     straight_y: Literal["literal", "fixed"] = Field(
-        "literal",
+        default="literal",
         description="Part of the platform in y of a target that goes straight, eq. 9: v_dx as"
         " printed, or v_dy as in eq. 8 (no unit). With `speed` zero both are zero.",
     )
     platform_column: Literal["literal", "zero"] = Field(
-        "literal",
+        default="literal",
         description="Column of w_d in eqs 18 and 19 (no unit): as printed; or zero, as eq. 16 makes"
         " it of eqs 8 and 9, in which w_d does not occur. With `speed` zero both are zero.",
     )
     speed: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1e3,
         description="Speed of the platform, V0 of eq. 7 [m/s]. The paper states none, and its"
@@ -74,7 +74,7 @@ class PublishedModel(Config):
         " x and y, and the column of w_d in eqs 18 and 19 is zero.",
     )
     elevation: float = Field(
-        0.0, ge=-1.6, le=1.6, description="Elevation of the platform, phi of eq. 7 [rad]."
+        default=0.0, ge=-1.6, le=1.6, description="Elevation of the platform, phi of eq. 7 [rad]."
     )
 
 
@@ -95,15 +95,15 @@ class FusionConfig(Config):
         "noise_memory": "noise is estimated over 200 measurements",
         "loss_window": "the NIS is averaged over 10 measurements",
     }
-    model: ModelName = Field("ct", description=f"How targets move (no unit): {_MEANINGS}.")
+    model: ModelName = Field(default="ct", description=f"How targets move (no unit): {_MEANINGS}.")
     method: Literal["kf", "ekf", "ukf", "ckf", "imm"] = Field(
-        "ekf",
+        default="ekf",
         description="Linear Kalman filter, which takes radar as a position, of models cv, ca,"
         " cv-3d, ca-3d; extended; unscented and cubature, both in square-root form; interacting"
         " multiple models, whose state is that of ca or ca-3d (no unit).",
     )
     sigma_spread: float | None = Field(
-        3.0,
+        default=3.0,
         gt=0,
         le=1e3,
         description="The sigma points of ukf lie this many variances from the mean: at 3, they lie"
@@ -113,56 +113,56 @@ class FusionConfig(Config):
         " is undefined while a target is at rest.",
     )
     sigma_points: Literal["redrawn", "carried"] = Field(
-        "redrawn",
+        default="redrawn",
         description="Sigma points that ukf compares with a measurement: new ones, drawn from the"
         " predicted covariance; or those of the prediction, as courses do (no unit).",
     )
     imm_models: tuple[MixableName, ...] = Field(
-        ("cv", "ctrv"),
+        default=("cv", "ctrv"),
         min_length=1,
         description="Models that imm mixes, all in the plane or all in space (no unit).",
     )
     imm_sojourn: float = Field(
-        2.0,
+        default=2.0,
         gt=0,
         le=1e6,
         description="Mean time for which a target follows one of them [s]; standing: 300 s.",
     )
     imm_quiet: float | None = Field(
-        None,
+        default=None,
         gt=0,
         lt=1,
         description="Share of the process noise with which each model of imm but standing takes"
         " part a second time, for targets that move evenly (no unit); none: no such models.",
     )
     process: Literal["continuous", "discrete"] = Field(
-        "continuous",
+        default="continuous",
         description="Process noise: white in continuous time, the same for any rate of"
         " measurements; or constant over a step, as courses have it (no unit).",
     )
     acceleration_noise: float = Field(
-        0.7,
+        default=0.7,
         ge=0,
         le=1e4,
         description="Noise of the acceleration: root of its density [m/s^1.5], or discrete its"
         " standard deviation [m/s^2].",
     )
     jerk_noise: float = Field(
-        2.0,
+        default=2.0,
         ge=0,
         le=1e5,
         description="Noise of the jerk, models ca and ctra: root of its density [m/s^2.5], or"
         " discrete its standard deviation [m/s^3].",
     )
     turn_noise: float = Field(
-        0.5,
+        default=0.5,
         ge=0,
         le=1e3,
         description="Noise of the angular acceleration: root of its density [rad/s^1.5], or"
         " discrete its standard deviation [rad/s^2].",
     )
     platform_noise: float = Field(
-        0.5,
+        default=0.5,
         ge=0,
         le=1e3,
         description="Noise of the angular acceleration of the platform, if its turn rate is a"
@@ -170,91 +170,94 @@ class FusionConfig(Config):
         " deviation [rad/s^2].",
     )
     lidar_std: Pair | Triple = Field(
-        (0.15, 0.15),
+        default=(0.15, 0.15),
         description="Standard deviations of x and y of the LiDAR [m], > 0; a third value is that of"
         " z, else it is that of y.",
     )
     radar_std: Triple | Four = Field(
-        (0.3, 0.03, 0.3),
+        default=(0.3, 0.03, 0.3),
         description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of"
         " the radar, > 0; or of range, bearing, elevation and range rate. Without"
         " the fourth, the elevation has the value of the bearing.",
     )
     gyro_std: float = Field(
-        0.01, gt=0, le=10, description="Standard deviation of the gyro's turn rate [rad/s]."
+        default=0.01, gt=0, le=10, description="Standard deviation of the gyro's turn rate [rad/s]."
     )
     pose_std: Triple | Six = Field(
-        (0.0, 0.0, 0.0),
+        default=(0.0, 0.0, 0.0),
         description="Standard deviations of x, y [m] and yaw [rad] of the platform's poses,"
         " >= 0; or of x, y, z [m], roll, pitch and yaw [rad]. Their effect on a"
         " measured place is added to the noise of LiDAR and radar; zeros: exact.",
     )
     gyro: Literal["input", "exact", "measurement", "none"] = Field(
-        "input",
+        default="input",
         description="Use of the gyro by model ctrv-drone (no unit): its rate as an input,"
         " with bias and delay estimated as states gyro_bias [rad/s] and gyro_delay"
         " [s]; or its rate as an exact input; or as a measurement of a sixth state"
         " w_d; or not used, with w_d estimated.",
     )
     lever_arm: Pair | Triple = Field(
-        (0.0, 0.0),
+        default=(0.0, 0.0),
         description="Position of the sensor relative to the platform's origin, platform axes:"
         " x, y (and z) [m].",
     )
     start_rows: int = Field(
-        6,
+        default=6,
         ge=1,
         le=1000,
         description="Measurements that a constant-velocity filter takes before the model does"
         " (count, no unit); 1: the model at once, as always with cv, cv-3d and ctrv-drone.",
     )
     start_speed: Literal["range-rate", "zero"] = Field(
-        "range-rate",
+        default="range-rate",
         description="Speed of a target that a radar sees first: its range rate along the bearing,"
         " or zero (no unit).",
     )
     initial_position: float = Field(
-        0.7071, gt=0, le=1e6, description="Standard deviation of the first position [m]."
+        default=0.7071, gt=0, le=1e6, description="Standard deviation of the first position [m]."
     )
     initial_speed: float = Field(
-        5.0,
+        default=5.0,
         gt=0,
         le=1e4,
         description="Standard deviation of the first speed, or of the first velocity per axis"
         " [m/s].",
     )
     initial_heading: float = Field(
-        1.732, gt=0, le=100, description="Standard deviation of the first heading [rad]."
+        default=1.732, gt=0, le=100, description="Standard deviation of the first heading [rad]."
     )
     initial_turn_rate: float = Field(
-        1.0, gt=0, le=1e3, description="Standard deviation of the first turn rate [rad/s]."
+        default=1.0, gt=0, le=1e3, description="Standard deviation of the first turn rate [rad/s]."
     )
     initial_acceleration: float = Field(
-        3.0, gt=0, le=1e4, description="Standard deviation of the first acceleration [m/s^2]."
+        default=3.0,
+        gt=0,
+        le=1e4,
+        description="Standard deviation of the first acceleration [m/s^2].",
     )
     gate_probability: float | None = Field(
-        0.9999,
+        default=0.9999,
         gt=0,
         lt=1,
         description="Probability that a measurement of the target is believed (no unit); none: all"
         " are.",
     )
     loss_ratio: float | None = Field(
-        4.0,
+        default=4.0,
         gt=1,
         le=1e6,
         description="The filter starts anew when the NIS per value, averaged over 10 measurements,"
         " is above this (ratio, no unit; 1 is expected); none: never.",
     )
     sensor_noise: Literal["estimated", "configured"] = Field(
-        "estimated",
+        default="estimated",
         description="Noise of LiDAR and radar that filters use for measurements without a"
         " covariance (no unit): estimated from the measurements, starting with `lidar_std` and"
         " `radar_std`; or these as they are. With estimated a measurement beyond the gate also"
         " makes the state less certain where its motion is in doubt rather than the measurement.",
     )
     buffer_time: float = Field(
-        0.5,
+        default=0.5,
         ge=0,
         le=3600,
         description="Time for which measurements are kept: late ones are processed at their"

@@ -27,7 +27,7 @@ class MultiTargetConfig(Config):
         "radar_clutter": "write it as the second value of clutter",
     }
     target: FusionConfig = Field(
-        FusionConfig(
+        default=FusionConfig(
             method="imm",
             imm_models=("cv", "standing"),
             imm_quiet=0.1,
@@ -41,34 +41,34 @@ class MultiTargetConfig(Config):
         " `initial_speed` is the first guess: speeds of tracks teach better.",
     )
     confirm_hits: int = Field(
-        3,
+        default=3,
         ge=1,
         le=64,
         description="Scans of the last `confirm_window` that must have measured a track before it"
         " is confirmed, for associations nearest and joint (count, no unit).",
     )
     confirm_window: int = Field(
-        5,
+        default=5,
         ge=1,
         le=64,
         description="Scans looked back on for that, of scanners that have measured the track"
         " (count, no unit).",
     )
     max_coast: float = Field(
-        2.0,
+        default=2.0,
         gt=0,
         le=3600,
         description="A track ends when it has not been measured for longer, for associations"
         " nearest and joint [s].",
     )
     max_position_std: float = Field(
-        5.0,
+        default=5.0,
         gt=0,
         le=1e4,
         description="A track ends when the standard deviation of its x or y is larger [m].",
     )
     birth_distance: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1000,
         description="Least distance of a new track from a track that the same scan measured:"
@@ -80,7 +80,7 @@ class MultiTargetConfig(Config):
         " to the covariance of its reported position.",
     )
     report_speed: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1e3,
         description="Least mean speed over the last 15 s of a reported track [m/s]: against"
@@ -90,7 +90,7 @@ class MultiTargetConfig(Config):
     )
 
     association: Literal["integrated", "nearest", "joint"] = Field(
-        "integrated",
+        default="integrated",
         description="Assignment of measurements within gates: to all near tracks, each with"
         " its probability, where each track has a probability of existence"
         " (JIPDA); or to the nearest track, over all distances together (global"
@@ -98,7 +98,7 @@ class MultiTargetConfig(Config):
         " unit).",
     )
     detection_probability: float = Field(
-        0.9,
+        default=0.9,
         gt=0,
         lt=1,
         description="Probability that a scan measures a target, for associations joint and"
@@ -107,12 +107,12 @@ class MultiTargetConfig(Config):
     )
 
     clutter: tuple[Density, Density] = Field(
-        (1e-3, 1e-3),
+        default=(1e-3, 1e-3),
         description="Densities of clutter of the LiDAR [1/m^2] and of the radar [1/(m rad m/s)],"
         " for the same.",
     )
     report_existence: float = Field(
-        0.95,
+        default=0.95,
         gt=0,
         lt=1,
         description="A track is reported from this probability of existence on, until it falls"

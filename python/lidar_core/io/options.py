@@ -17,14 +17,14 @@ class ReadOptions(Config):
     """Options of `open_recording`; each reader uses the ones that its format needs."""
 
     no_return: Literal["auto", "zero", "nan", "max", "none"] = Field(
-        "auto",
+        default="auto",
         description="Mark of a ray without return, besides +inf in a 2D scan: zeros, NaN, in"
         " a 2D scan ranges of range_max or more (max), or nothing; auto decides by"
         " the first scan with a mark, and never takes NaN in a 2D scan for one (no"
         " unit).",
     )
     point_time: str = Field(
-        "auto",
+        default="auto",
         pattern=r"^(auto|none|[^:]+:(s|ms|us|ns):(start|end|absolute))$",
         examples=["auto", "none", "t:ns:start", "timestamp:s:absolute"],
         description="3D: time of each point as field:unit:reference, unit s, ms, us or ns,"
@@ -32,54 +32,55 @@ class ReadOptions(Config):
         " none ignores it, in 2D scans too (no unit).",
     )
     metadata: str | None = Field(
-        None, description="JSON file of an Ouster pcap, if not found beside it (no unit)."
+        default=None, description="JSON file of an Ouster pcap, if not found beside it (no unit)."
     )
     destagger: bool = Field(
-        False,
+        default=False,
         description="Ouster: shift rows so that columns share an azimuth, not a time (no unit).",
     )
     returns: Literal["first", "second"] = Field(
-        "first",
+        default="first",
         description="Ouster with two returns per beam: which one is read, in the order that the"
         " sensor sends them. A beam without second return is not a ray without return (no unit).",
     )
     velodyne_model: str | None = Field(
-        None, description="Velodyne model as velodyne-decoder names it; else detected (no unit)."
+        default=None,
+        description="Velodyne model as velodyne-decoder names it; else detected (no unit).",
     )
     scan_rate: float = Field(
-        10.0,
+        default=10.0,
         gt=0,
         le=1e5,
         description="Scans per second of a folder of files that carries no times, and of counted"
         " `stamps` [Hz].",
     )
     stamps: Literal["own", "recorded", "counted"] = Field(
-        "own",
+        default="own",
         description="Times of scans and poses: their own stamps; recorded, the times at which they"
         " were stored, where stamps are zero, repeat or jump; or counted from zero at `scan_rate`"
         " (no unit).",
     )
     recover: bool = Field(
-        False,
+        default=False,
         description="MCAP: read the complete part of a file that was not closed, was cut, or"
         " has broken chunks, and report the lost part (no unit).",
     )
     max_record_bytes: int = Field(
-        64 * 2**20,
+        default=64 * 2**20,
         gt=0,
         le=2**40,
         description="Largest message, decompressed chunk or file of a sequence [bytes]."
         " Source: limits table of SECURITY.md.",
     )
     max_unpacked_bytes: int = Field(
-        64 * 2**30,
+        default=64 * 2**30,
         gt=0,
         le=2**60,
         description="ROS 2 recordings whose files were compressed: their size unpacked, in the"
         " folder for temporary files [bytes]. Source: limits table of SECURITY.md.",
     )
     max_points: int = Field(
-        4_000_000,
+        default=4_000_000,
         gt=0,
         le=10**9,
         description="Most points or rays of one scan (no unit)."
@@ -90,8 +91,12 @@ class ReadOptions(Config):
 class Span(Config):
     """Part of a recording, in seconds from its first stamp."""
 
-    start: float = Field(0.0, ge=0, le=LONGEST, description="Start of the part that is used [s].")
-    end: float | None = Field(None, le=LONGEST, description="End of the part that is used [s].")
+    start: float = Field(
+        default=0.0, ge=0, le=LONGEST, description="Start of the part that is used [s]."
+    )
+    end: float | None = Field(
+        default=None, le=LONGEST, description="End of the part that is used [s]."
+    )
 
     @field_validator("end")
     @classmethod
@@ -125,37 +130,40 @@ class PoseOptions(Span):
     """Options of `posed_scans`: which scans, and where the sensor's poses come from."""
 
     pose: str = Field(
-        "auto",
+        default="auto",
         description="auto: transforms, else odometry of the recording; static: the sensor does not"
         " move; kiss: KISS-ICP finds them from clouds on the way (extra odometry); anything else: a"
         " poses file, KITTI (12 numbers a line, one line per scan) or TUM"
         " (t x y z qx qy qz qw) (no unit).",
     )
     fixed_frame: str | None = Field(
-        None, description="Frame of the map; default: root of the transform tree (no unit)."
+        default=None, description="Frame of the map; default: root of the transform tree (no unit)."
     )
     cloud: str | None = Field(
-        None, description="Topic of the scans; default: the only one (no unit)."
+        default=None, description="Topic of the scans; default: the only one (no unit)."
     )
     odom: str | None = Field(
-        None,
+        default=None,
         description="Topic of the poses, instead of the transforms; mountings still come from"
         " these. Poses without a child frame belong to the frame whose transforms"
         " have the same motion, else to the frame that the sensor is mounted on,"
         " else to the sensor (no unit).",
     )
     mounting: tuple[str, ...] = Field(
-        (),
+        default=(),
         description="Mountings of sensors that the recording does not contain, as texts"
         " PARENT FRAME x y z roll pitch yaw: FRAME is the frame of the scans,"
         " PARENT a frame with known poses; lengths in metres, angles in radians"
         " (no unit).",
     )
     max_gap: float = Field(
-        1.0, gt=0, le=86_400, description="Longest time between two poses to interpolate over [s]."
+        default=1.0,
+        gt=0,
+        le=86_400,
+        description="Longest time between two poses to interpolate over [s].",
     )
     max_extrapolation: float = Field(
-        0.1,
+        default=0.1,
         ge=0,
         le=86_400,
         description="Time for which the first pose holds before, and the last pose after, its"

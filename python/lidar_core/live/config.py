@@ -36,7 +36,7 @@ class LiveConfig(Config):
         "connect_timeout": "the first connection may take 10 s",
     }
     pose_wait: float = Field(
-        0.2,
+        default=0.2,
         ge=0,
         le=60,
         description="Time that a scan waits for the pose of its last point; after it the"
@@ -44,15 +44,20 @@ class LiveConfig(Config):
         " [s].",
     )
     max_waiting: int = Field(
-        8, ge=1, le=10_000, description="Scans of one LiDAR that wait for their poses (no unit)."
+        default=8,
+        ge=1,
+        le=10_000,
+        description="Scans of one LiDAR that wait for their poses (no unit).",
     )
-    domain: int = Field(0, ge=0, le=232, description="Domain of ROS 2 over Zenoh (no unit).")
+    domain: int = Field(
+        default=0, ge=0, le=232, description="Domain of ROS 2 over Zenoh (no unit)."
+    )
     transform_topics: tuple[TopicName, ...] = Field(
-        ("/tf", "/tf_static"),
+        default=("/tf", "/tf_static"),
         description="Topics of transforms; those that end in tf_static never change (no unit).",
     )
     namespace: str = Field(
-        "/lidar_core",
+        default="/lidar_core",
         pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$",
         description="Before the topics that go out over Zenoh (no unit).",
     )

@@ -26,8 +26,8 @@ class Rain(Config):
         "least_share": "a drop is seen from 1 % of the ray's section",
     }
     kind: Literal["rain"] = "rain"
-    density: float = Field(10.0, gt=0, le=1e6, description="Drops of that size [1/m^3].")
-    drop_size: float = Field(0.003, gt=0, le=0.02, description="Diameter of a drop [m].")
+    density: float = Field(default=10.0, gt=0, le=1e6, description="Drops of that size [1/m^3].")
+    drop_size: float = Field(default=0.003, gt=0, le=0.02, description="Diameter of a drop [m].")
 
 
 class Dust(Config):
@@ -35,11 +35,14 @@ class Dust(Config):
 
     kind: Literal["dust"] = "dust"
     center: Vector = Field(description="Middle at time 0 [m].")
-    velocity: Vector = Field((0, 0, 0), description="Drift [m/s].")
+    velocity: Vector = Field(default=(0, 0, 0), description="Drift [m/s].")
     radius: float = Field(gt=0, le=1000, description="Radius at time 0 [m].")
-    growth: float = Field(0.0, ge=0, le=100, description="Growth of the radius [m/s].")
+    growth: float = Field(default=0.0, ge=0, le=100, description="Growth of the radius [m/s].")
     free_path: float = Field(
-        5.0, gt=0, le=1e4, description="Mean length of a ray in the dust before it ends [m]."
+        default=5.0,
+        gt=0,
+        le=1e4,
+        description="Mean length of a ray in the dust before it ends [m].",
     )
 
 
@@ -60,7 +63,10 @@ class Fog(Config):
         description="Distance at which 2 % of the contrast are left (Koschmieder) [m].",
     )
     speckle: float = Field(
-        0.01, ge=0, le=100, description="Returns of droplets per metre of a ray's path [1/m]."
+        default=0.01,
+        ge=0,
+        le=100,
+        description="Returns of droplets per metre of a ray's path [1/m].",
     )
 
     @property

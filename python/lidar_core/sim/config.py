@@ -18,10 +18,13 @@ class Body(Config):
     """A shape at rest. Its place in the list of bodies is its label in the truth."""
 
     shape: Shape = Field(description="Surface (see the kinds for units).")
-    position: Vector = Field((0, 0, 0), description="Origin of the shape's frame [m].")
-    rotation: Quaternion = Field((0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit).")
+    position: Vector = Field(default=(0, 0, 0), description="Origin of the shape's frame [m].")
+    rotation: Quaternion = Field(
+        default=(0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit)."
+    )
     surface: Surface | None = Field(
-        None, description="Reflection of light; none: every ray returns (see there for units)."
+        default=None,
+        description="Reflection of light; none: every ray returns (see there for units).",
     )
 
 
@@ -31,10 +34,11 @@ class Target(Config):
     shape: Solid = Field(description="Surface (see the kinds for units).")
     motion: Motion = Field(description="Motion of the target (see the kinds for units).")
     surface: Surface | None = Field(
-        None, description="Reflection of light; none: every ray returns (see there for units)."
+        default=None,
+        description="Reflection of light; none: every ray returns (see there for units).",
     )
     clutter: bool = Field(
-        False,
+        default=False,
         description="An insect or a bird: it gives returns with its own label, but is not in the"
         " ground truth (no unit).",
     )
@@ -46,13 +50,15 @@ class Scene(Config):
     removed: ClassVar[Mapping[str, str]] = {
         "pose_rate": "there are 100 poses per second",
     }
-    bodies: tuple[Body, ...] = Field((), description="Static bodies (see there for units).")
-    targets: tuple[Target, ...] = Field((), description="Moving targets (see there for units).")
+    bodies: tuple[Body, ...] = Field(default=(), description="Static bodies (see there for units).")
+    targets: tuple[Target, ...] = Field(
+        default=(), description="Moving targets (see there for units)."
+    )
     air: tuple[Particles, ...] = Field(
-        (), max_length=256, description="Rain, dust and fog (see the kinds for units)."
+        default=(), max_length=256, description="Rain, dust and fog (see the kinds for units)."
     )
     own_body: tuple[Body, ...] = Field(
-        (),
+        default=(),
         max_length=64,
         description="Body that carries the sensor, in the sensor's frame (see there for units).",
     )
@@ -61,11 +67,13 @@ class Scene(Config):
         description="The sensor (see there for units).",
     )
     sensor: Scripted = Field(
-        Hover(position=(0.0, 0.0, 3.0)),
+        default=Hover(position=(0.0, 0.0, 3.0)),
         description="Motion of the sensor (see the kinds for units).",
     )
-    scans: int = Field(60, ge=1, le=1_000_000, description="Length of the recording [scans].")
-    start_ns: int = Field(0, ge=0, le=2**62, description="Start of the first scan [ns].")
+    scans: int = Field(
+        default=60, ge=1, le=1_000_000, description="Length of the recording [scans]."
+    )
+    start_ns: int = Field(default=0, ge=0, le=2**62, description="Start of the first scan [ns].")
 
     def idealised(self) -> Self:
         """Return the same scene in clear air, where everything returns and all rays are known.

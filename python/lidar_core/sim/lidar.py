@@ -21,9 +21,9 @@ class Spinning(Config):
     elevations_deg: tuple[Elevation, ...] = Field(
         min_length=1, max_length=4096, description="Elevation of every row [deg], top row first."
     )
-    columns: int = Field(1024, ge=1, le=65536, description="Columns per turn (no unit).")
-    azimuth_start: float = Field(0.0, description="Azimuth of the first column [rad].")
-    azimuth_per_scan: float = Field(0.0, description="Turn of the pattern per scan [rad].")
+    columns: int = Field(default=1024, ge=1, le=65536, description="Columns per turn (no unit).")
+    azimuth_start: float = Field(default=0.0, description="Azimuth of the first column [rad].")
+    azimuth_per_scan: float = Field(default=0.0, description="Turn of the pattern per scan [rad].")
 
 
 class Rosette(Config):
@@ -41,12 +41,15 @@ class Rosette(Config):
         "elevation_max_deg": "write it as the second value of elevation_deg",
     }
     kind: Literal["rosette"] = "rosette"
-    rays: int = Field(20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
+    rays: int = Field(default=20_000, ge=1, le=4_000_000, description="Rays per scan (no unit).")
     elevation_deg: tuple[Elevation, Elevation] = Field(
         description="Lowest and highest elevation [deg]."
     )
     azimuth_half_deg: float | None = Field(
-        None, gt=0, lt=180, description="Azimuth to either side of the x axis; none: turns [deg]."
+        default=None,
+        gt=0,
+        lt=180,
+        description="Azimuth to either side of the x axis; none: turns [deg].",
     )
 
     @model_validator(mode="after")
@@ -61,15 +64,20 @@ class Planar(Config):
     """A 2D LiDAR: one ray after the other in the plane z = 0 of its frame."""
 
     kind: Literal["planar"] = "planar"
-    beams: int = Field(1081, ge=2, le=1_000_000, description="Rays per scan (no unit).")
-    angle_min: float = Field(-2.356194490192345, description="Bearing of the first ray [rad].")
+    beams: int = Field(default=1081, ge=2, le=1_000_000, description="Rays per scan (no unit).")
+    angle_min: float = Field(
+        default=-2.356194490192345, description="Bearing of the first ray [rad]."
+    )
     angle_increment: float = Field(
-        0.004363323129985824,
+        default=0.004363323129985824,
         description="Angle from one ray to the next, < 0 for clockwise; at most one turn in"
         " total [rad].",
     )
     sweep_time: float = Field(
-        0.01875, ge=0, le=10, description="Time from the first ray to the last; 0: all at once [s]."
+        default=0.01875,
+        ge=0,
+        le=10,
+        description="Time from the first ray to the last; 0: all at once [s].",
     )
 
     @property
@@ -83,15 +91,18 @@ class Beam(Config):
 
     half_width: float = Field(gt=0, le=0.1, description="To either side of the ray [rad].")
     lines: int = Field(
-        9, ge=2, le=64, description="Number of lines that represent the beam (no unit)."
+        default=9, ge=2, le=64, description="Number of lines that represent the beam (no unit)."
     )
     returns: Literal["first", "mean", "mixed"] = Field(
-        "first",
+        default="first",
         description="Reported range: of the nearest surface that the beam hits (first), the mean of"
         " all (mean), or of those less than `pulse_length` behind the nearest (mixed) (no unit).",
     )
     pulse_length: float = Field(
-        0.3, gt=0, le=10, description="Echoes nearer to one another than this become one [m]."
+        default=0.3,
+        gt=0,
+        le=10,
+        description="Echoes nearer to one another than this become one [m].",
     )
 
     @property
@@ -114,32 +125,39 @@ class LidarModel(Config):
     pattern: Annotated[Spinning | Rosette | Planar, Field(discriminator="kind")] = Field(
         description="Directions and their order (see the two kinds for units)."
     )
-    scan_rate: float = Field(10.0, gt=0, le=1000, description="Scans per second [Hz].")
-    snapshot: bool = Field(False, description="All rays at the start of the scan (no unit).")
+    scan_rate: float = Field(default=10.0, gt=0, le=1000, description="Scans per second [Hz].")
+    snapshot: bool = Field(
+        default=False, description="All rays at the start of the scan (no unit)."
+    )
     range_min: float = Field(
-        0.3, ge=0, le=100, description="Nearer surfaces give no information [m]."
+        default=0.3, ge=0, le=100, description="Nearer surfaces give no information [m]."
     )
     range_max: float = Field(
-        100.0, gt=0, le=1e4, description="Surfaces from here on: no return [m]."
+        default=100.0, gt=0, le=1e4, description="Surfaces from here on: no return [m]."
     )
-    range_std: float = Field(0.03, ge=0, le=1, description="Standard deviation of the ranges [m].")
-    dropout: float = Field(0.0, ge=0, le=1, description="Probability of a lost return (no unit).")
+    range_std: float = Field(
+        default=0.03, ge=0, le=1, description="Standard deviation of the ranges [m]."
+    )
+    dropout: float = Field(
+        default=0.0, ge=0, le=1, description="Probability of a lost return (no unit)."
+    )
     delivery: Literal["rays", "dropped", "zeros", "organised"] = Field(
-        "rays",
+        default="rays",
         description="Output of the driver of a 3D LiDAR for rays without return: known rays"
         " with directions (rays), missing rows, rows (0, 0, 0), or rows of NaN;"
         " only rays has directions and a mask (no unit).",
     )
     point_times: bool = Field(
-        True, description="True if the driver gives a time per point (no unit)."
+        default=True, description="True if the driver gives a time per point (no unit)."
     )
     ideal: bool = Field(
-        False,
+        default=False,
         description="Deliver all rays with directions and times, instead of the driver's data"
         " (no unit).",
     )
     beam: Beam | None = Field(
-        None, description="Width of the light; without it rays are lines (see there for units)."
+        default=None,
+        description="Width of the light; without it rays are lines (see there for units).",
     )
 
     @classmethod

@@ -13,12 +13,14 @@ from lidar_core.sim.truth import SimulatedScan
 class PoseNoise(Config):
     """Error of a self-localisation: of position and of attitude, alike along every axis."""
 
-    position_std: float = Field(0.05, ge=0, le=100, description="Standard deviation per axis [m].")
+    position_std: float = Field(
+        default=0.05, ge=0, le=100, description="Standard deviation per axis [m]."
+    )
     angle_std_deg: float = Field(
-        0.5, ge=0, le=180, description="Standard deviation per axis [deg]."
+        default=0.5, ge=0, le=180, description="Standard deviation per axis [deg]."
     )
     time_constant: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1e6,
         description="Time in which the error forgets itself: a first-order Gauss-Markov process;"

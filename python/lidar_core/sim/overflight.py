@@ -64,31 +64,41 @@ class Overflight(Config):
         "swivel_std": "`angle_std` has it, and then that of the pitch",
         "pitch_std": "`angle_std` has it after that of the swivel",
     }
-    seconds: float = Field(30.0, gt=0, le=3600, description="Duration [s].")
+    seconds: float = Field(default=30.0, gt=0, le=3600, description="Duration [s].")
     height: float = Field(
-        6.0, gt=0, le=1000, description="Height of the sensors above the target [m]."
+        default=6.0, gt=0, le=1000, description="Height of the sensors above the target [m]."
     )
-    speed: float = Field(1.2, ge=0, le=100, description="Speed of the drone along x [m/s].")
-    yaw_rate: float = Field(0.5, ge=0, le=10, description="Largest yaw rate of the drone [rad/s].")
-    pitch_deg: float = Field(5.0, ge=0, le=45, description="Largest pitch of the drone [deg].")
-    target_speed: float = Field(1.4, ge=0, le=100, description="Speed of the target [m/s].")
+    speed: float = Field(default=1.2, ge=0, le=100, description="Speed of the drone along x [m/s].")
+    yaw_rate: float = Field(
+        default=0.5, ge=0, le=10, description="Largest yaw rate of the drone [rad/s]."
+    )
+    pitch_deg: float = Field(
+        default=5.0, ge=0, le=45, description="Largest pitch of the drone [deg]."
+    )
+    target_speed: float = Field(default=1.4, ge=0, le=100, description="Speed of the target [m/s].")
     target_turn_rate: float = Field(
-        0.3, ge=0, le=10, description="Largest turn rate of the target [rad/s]."
+        default=0.3, ge=0, le=10, description="Largest turn rate of the target [rad/s]."
     )
     lidar_std: float = Field(
-        0.05, ge=0, le=10, description="Standard deviation of x and y in the LiDAR's plane [m]."
+        default=0.05,
+        ge=0,
+        le=10,
+        description="Standard deviation of x and y in the LiDAR's plane [m].",
     )
     radar_std: tuple[Std, Std, Std] = Field(
-        (0.2, 0.02, 0.15),
+        default=(0.2, 0.02, 0.15),
         description="Standard deviations of range [m], bearing [rad] and range rate [m/s] of the"
         " radar.",
     )
     angle_std: tuple[NonNegative, NonNegative] = Field(
-        (0.01, 0.005),
+        default=(0.01, 0.005),
         description="Standard deviations of the measured angles of swivel and pitch [rad].",
     )
     gyro_std: float = Field(
-        0.01, ge=0, le=10, description="Standard deviation of the measured turn rate [rad/s]."
+        default=0.01,
+        ge=0,
+        le=10,
+        description="Standard deviation of the measured turn rate [rad/s].",
     )
 
 

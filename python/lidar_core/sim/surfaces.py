@@ -29,13 +29,16 @@ class Surface(Config):
     """
 
     reflectivity: float = Field(
-        0.3, ge=0, le=100, description="Share scattered back at normal incidence (no unit)."
+        default=0.3, ge=0, le=100, description="Share scattered back at normal incidence (no unit)."
     )
     mirror: float = Field(
-        0.0, ge=0, le=1, description="Share mirrored at normal incidence; 0: never (no unit)."
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Share mirrored at normal incidence; 0: never (no unit).",
     )
     clear: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1,
         description="Share of the light that is not mirrored and passes through (no unit).",

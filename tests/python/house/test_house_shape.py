@@ -1,5 +1,6 @@
 """The shape of the house: floors, circles of imports, one home per default, the public names."""
 
+import ast
 import importlib
 import re
 import sys
@@ -230,6 +231,34 @@ def test_a_default_stands_beside_the_struct_that_it_fills():
     apart = ["pub struct Map { size: f64 }", "impl Default for Map {}"]
     assert defaults_away_from_home(apart) == ["Map"]
     assert defaults_away_from_home(["\n".join(apart)]) == []
+
+
+def positional_defaults(text):
+    """Lines of calls of pydantic's Field whose default has no name."""
+    tree = ast.parse(text)
+    modules = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    if "pydantic" not in modules:
+        return []
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and node.args]
+    return [node.lineno for node in calls if getattr(node.func, "id", "") == "Field"]
+
+
+def test_type_checkers_see_which_parameters_have_defaults():
+    """Without pydantic's plugin they ask for every parameter whose default is positional."""
+    found = {
+        f"{path.relative_to(ROOT)}: {line}"
+        for folder in ("python", "training")
+        for path in (ROOT / folder).rglob("*.py")
+        for line in positional_defaults(path.read_text(encoding="utf-8"))
+    }
+    assert not found
+
+
+def test_a_default_without_a_name_is_seen():
+    made = "from pydantic import Field\nx: int = Field({}1, gt=0)\n"
+    assert positional_defaults(made.format("")) == [2]
+    assert positional_defaults(made.format("default=")) == []
+    assert positional_defaults("from a import Field\nx = Field(1)\n") == []
 
 
 def test_a_copied_configuration_is_seen():

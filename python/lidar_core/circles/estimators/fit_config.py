@@ -19,34 +19,34 @@ class FitConfig(Config):
     """
 
     method: FitMethod = Field(
-        "ml",
+        default="ml",
         description="Fit of a circle (no unit): the expected or the most likely circle under"
         " the likelihood of ranges and misses; or an algebraic fit to the points.",
     )
     range_std: float = Field(
-        0.01,
+        default=0.01,
         gt=0,
         le=0.5,
         description="Standard deviation of a range [m]; the pipeline replaces it in best mode once"
         " its scans show another one. Source: sec. IV-A.",
     )
     beam_half_width: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         lt=0.1,
         description="Half the width of a beam as far as a surface returns it: a circle seems"
         " wider by it on both sides [rad].",
     )
-    min_radius: float = Field(0.02, gt=0, le=20, description="Smallest radius [m].")
+    min_radius: float = Field(default=0.02, gt=0, le=20, description="Smallest radius [m].")
     max_radius: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         le=50,
         description="Largest radius [m]. Where shapes are distinguished, a circle of which a side"
         " is seen may be three times as large.",
     )
     usual_radius: float = Field(
-        0.5,
+        default=0.5,
         gt=0,
         le=20,
         description="Circles up to this radius are all as likely, of larger ones the probability"

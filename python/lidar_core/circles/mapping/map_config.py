@@ -45,28 +45,28 @@ class CircleMapConfig(Config):
         "line_coast": "lines stay for 60 s after they were last seen",
     }
     filter: Literal["paper", "independent"] = Field(
-        "independent",
+        default="independent",
         description="Filter of the elements: one for the robot and all elements, eqs 8-33,"
         " with nearest neighbours, new elements at once and one limit for all"
         " eigenvalues; or one filter per element (no unit). Both remove an element"
         " whose radius is not positive.",
     )
     gate_probability: float = Field(
-        0.9999,
+        default=0.9999,
         gt=0,
         lt=1,
         description="Probability that a circle passes the gate of its element, chi-square with 3"
         " degrees of freedom (no unit); the paper gives no threshold.",
     )
     initial_speed: float = Field(
-        1.5,
+        default=1.5,
         ge=1e-6,
         le=1e6,
         description="Standard deviation of a new element's velocity, per axis, n_gv of eq. 19"
         " [m/s]; the paper gives none.",
     )
     modes: tuple[Mode, ...] = Field(
-        ((0.1, 0.4, 2.0), (0.5, 0.599, 2.0), (200.0, 0.001, 0.1)),
+        default=((0.1, 0.4, 2.0), (0.5, 0.599, 2.0), (200.0, 0.001, 0.1)),
         min_length=1,
         max_length=4,
         description="Modes between which an element switches: density of its white acceleration"
@@ -75,64 +75,64 @@ class CircleMapConfig(Config):
         ' "independent", as all that follows up to `line_std`.',
     )
     standing_share: float = Field(
-        0.5,
+        default=0.5,
         ge=0,
         le=0.999,
         description="Share of new elements at rest, a mode besides those of `modes`; 0"
         " switches it off (no unit).",
     )
     standing_time: float = Field(
-        10.0, ge=1e-3, le=1e6, description="Mean time that an element stays at rest [s]."
+        default=10.0, ge=1e-3, le=1e6, description="Mean time that an element stays at rest [s]."
     )
     moving_time: float = Field(
-        5.0,
+        default=5.0,
         ge=1e-3,
         le=1e6,
         description="Mean time that an element moves before it comes to rest [s].",
     )
     standing_noise: float = Field(
-        1e-4,
+        default=1e-4,
         ge=0,
         le=1e3,
         description="Density of the random walk of the centre of an element at rest [m^2/s]:"
         " other parts of it come into view.",
     )
     start_speed: float = Field(
-        1.0,
+        default=1.0,
         ge=1e-6,
         le=1e6,
         description="Standard deviation of the velocity with which an element starts to move, per"
         " axis [m/s].",
     )
     radius_noise: float = Field(
-        1e-6,
+        default=1e-6,
         ge=0,
         le=1e3,
         description="Density of the random walk of radii [m^2/s]; paper, eq. 15: 0.",
     )
     turn_noise: float = Field(
-        0.01,
+        default=0.01,
         ge=0,
         le=1e3,
         description="Density of the random walk of the headings of ellipses and rectangles"
         " [rad^2/s]; their half lengths wander as radii do.",
     )
     merge_gap: float = Field(
-        0.15,
+        default=0.15,
         ge=0,
         le=5,
         description="Elements with a smaller gap between their surfaces are one object, as arms"
         " and trunk of a person are [m]; 0: only those whose centre lies inside another.",
     )
     report_existence: float = Field(
-        0.9,
+        default=0.9,
         ge=0.05,
         lt=1,
         description="An element is reported from this probability of existence on, until it falls"
         " below half of it (no unit).",
     )
     max_position_std: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         le=50,
         description="Largest standard deviation of the centre of a visible element, in its"
@@ -140,41 +140,41 @@ class CircleMapConfig(Config):
         " of the covariance [m].",
     )
     max_coast: float | None = Field(
-        5.0,
+        default=5.0,
         ge=0,
         le=1e6,
         description="An element is removed after this time hidden or out of view without a"
         " measurement [s]; none: never.",
     )
     buffer_time: float = Field(
-        0.25,
+        default=0.25,
         ge=0,
         le=60,
         description="Largest delay of a late scan: all later scans, of which the last 1000"
         " are kept, are then processed again [s].",
     )
     line_noise: float = Field(
-        1e-6,
+        default=1e-6,
         ge=0,
         le=100,
         description="Density of the random walk of the ends of a line, across it [m^2/s]: it lets"
         " lines follow a pose that drifts; ours, as `line_std`.",
     )
     line_std: float = Field(
-        0.01,
+        default=0.01,
         ge=0,
         le=0.5,
         description="Standard deviation of how far surfaces depart from a straight line [m].",
     )
     velocity_step: float = Field(
-        0.1,
+        default=0.1,
         ge=0,
         le=1e3,
         description="Noise of the velocity per step, n_fv of eq. 14, as a standard deviation [m/s];"
         ' `filter` "paper", which gives no value.',
     )
     max_eigenvalue: float = Field(
-        3.0,
+        default=3.0,
         gt=0,
         le=1e4,
         description="An element is removed if an eigenvalue of its covariance is larger, eq."

@@ -48,14 +48,14 @@ class BagOptions(Config):
     """Topics of a ROS recording that contain measurements, by sensor."""
 
     topics: dict[SensorName, tuple[str, ...]] = Field(
-        {},
+        default={},
         description="Topics of `lidar`, `radar`, `gyro` or `pose` (no unit); of sensors that are"
         " not named, those whose type says so: PointStamped and ObjectsStamped; RadarTracks and"
         " RadarScan; Imu; and Odometry, PoseStamped or PoseWithCovarianceStamped, if it is one"
         " topic.",
     )
     doppler: Literal["receding", "approaching"] = Field(
-        "receding",
+        default="receding",
         description="Targets whose doppler_velocity is positive in a RadarScan, whose definition"
         " does not say (no unit).",
     )

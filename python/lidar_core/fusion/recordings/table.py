@@ -68,27 +68,27 @@ class TableOptions(Config):
     """Options for reading a table of measurements; not used for L/R text files."""
 
     columns: dict[str, str] = Field(
-        {},
+        default={},
         description="Names of columns where they differ: ours to the table's (no unit). Ours are"
         f" {', '.join(NAMES)}.",
     )
     time_unit: Literal["ns", "us", "ms", "s"] = Field(
-        "ns", description="Unit of the column of times (no unit of its own)."
+        default="ns", description="Unit of the column of times (no unit of its own)."
     )
     angle_unit: Literal["rad", "deg"] = Field(
-        "rad",
+        default="rad",
         description="Unit of bearing, elevation, angles of the pose, pose_std_yaw and, per second,"
         " turn_rate (no unit of its own).",
     )
     azimuth: dict[Turned, Azimuth] = Field(
-        {},
+        default={},
         description="Angles that are not counter-clockwise from x (no unit): bearing,"
         " pose_yaw, turn_rate or lidar (x and y of a LiDAR), each clockwise (from"
         " x; y to the right) or compass (clockwise from y, which is north; x and y"
         " exchanged).",
     )
     clock: dict[SensorName, float] = Field(
-        {},
+        default={},
         description="Offset of the clocks of sensors, by sensor, positive if ahead [s]: it is"
         " subtracted from their times.",
     )

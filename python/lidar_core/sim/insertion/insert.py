@@ -50,20 +50,22 @@ class InsertedFlight(Config):
         "tilt_deg": "circles are tilted by up to 20 deg",
         "scan_rate": "there are 10 scans per second",
     }
-    scans: int = Field(200, ge=1, le=1_000_000, description="Length (count, no unit).")
-    radius: float = Field(0.325, gt=0, le=10, description="Radius of the target [m].")
+    scans: int = Field(default=200, ge=1, le=1_000_000, description="Length (count, no unit).")
+    radius: float = Field(default=0.325, gt=0, le=10, description="Radius of the target [m].")
     clearance: float = Field(
-        1.0, ge=0, le=100, description="Least free space around the target [m]."
+        default=1.0, ge=0, le=100, description="Least free space around the target [m]."
     )
     distance: tuple[Reach, Reach] = Field(
-        (4.0, 18.0), description="Distance of the target from the sensor [m]."
+        default=(4.0, 18.0), description="Distance of the target from the sensor [m]."
     )
-    circle: tuple[Reach, Reach] = Field((3.0, 6.0), description="Radius of the flight [m].")
-    speed: tuple[Reach, Reach] = Field((1.0, 4.0), description="Least and greatest [m/s].")
+    circle: tuple[Reach, Reach] = Field(default=(3.0, 6.0), description="Radius of the flight [m].")
+    speed: tuple[Reach, Reach] = Field(default=(1.0, 4.0), description="Least and greatest [m/s].")
     range_std: float = Field(
-        0.03, ge=0, le=1, description="Noise added to every range of a repeated scan [m]."
+        default=0.03, ge=0, le=1, description="Noise added to every range of a repeated scan [m]."
     )
-    range_max: float = Field(100.0, gt=0, le=1e4, description="Largest range of the sensor [m].")
+    range_max: float = Field(
+        default=100.0, gt=0, le=1e4, description="Largest range of the sensor [m]."
+    )
 
 
 @dataclass(frozen=True, slots=True)

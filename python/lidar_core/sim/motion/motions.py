@@ -18,7 +18,9 @@ class Hover(Config):
 
     kind: Literal["hover"] = "hover"
     position: Vector = Field(description="Place [m].")
-    rotation: Quaternion = Field((0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit).")
+    rotation: Quaternion = Field(
+        default=(0, 0, 0, 1), description="Attitude (x, y, z, w) (no unit)."
+    )
 
     def knots(self, seconds: float) -> Knots:
         """One pose."""
@@ -32,7 +34,7 @@ class Waypoints(Config):
     times: tuple[float, ...] = Field(min_length=1, description="Increasing times [s].")
     positions: tuple[Vector, ...] = Field(min_length=1, description="Places [m].")
     rotations: tuple[Quaternion, ...] = Field(
-        (), description="Attitudes (x, y, z, w), none for no turns (no unit)."
+        default=(), description="Attitudes (x, y, z, w), none for no turns (no unit)."
     )
 
     @model_validator(mode="after")
@@ -58,7 +60,7 @@ class Circle(Config):
     center: Vector = Field(description="Middle [m].")
     radius: float = Field(gt=0, description="Radius [m].")
     speed: float = Field(description="Speed [m/s], < 0 for clockwise.")
-    phase: float = Field(0.0, description="Angle at the start [rad].")
+    phase: float = Field(default=0.0, description="Angle at the start [rad].")
 
     def knots(self, seconds: float) -> Knots:
         """Places along the circle."""
@@ -84,9 +86,9 @@ class Loop(Config):
     straight: float = Field(ge=0, le=1e5, description="Length of a straight [m].")
     radius: float = Field(gt=0, le=1e5, description="Radius of the half circles [m].")
     speed: float = Field(gt=0, le=1000, description="Speed [m/s].")
-    start: float = Field(0.0, description="Distance along the loop at the start [m].")
-    yaw_rate: float = Field(0.0, description="Rate of turn [rad/s].")
-    tilt_deg: float = Field(0.0, ge=0, le=30, description="Largest roll and pitch [deg].")
+    start: float = Field(default=0.0, description="Distance along the loop at the start [m].")
+    yaw_rate: float = Field(default=0.0, description="Rate of turn [rad/s].")
+    tilt_deg: float = Field(default=0.0, ge=0, le=30, description="Largest roll and pitch [deg].")
 
     def knots(self, seconds: float) -> Knots:
         """Places along the loop."""
@@ -117,8 +119,10 @@ class TakeOff(Config):
     kind: Literal["take_off"] = "take_off"
     position: Vector = Field(description="Place of the centre before the start [m].")
     height: float = Field(gt=0, le=1e4, description="Climb [m].")
-    start: float = Field(1.0, ge=0, le=3600, description="Time of the start [s].")
-    speed: float = Field(1.0, gt=0, le=1000, description="Largest speed of the climb [m/s].")
+    start: float = Field(default=1.0, ge=0, le=3600, description="Time of the start [s].")
+    speed: float = Field(
+        default=1.0, gt=0, le=1000, description="Largest speed of the climb [m/s]."
+    )
 
     def knots(self, seconds: float) -> Knots:
         """Places of the climb: height (3 s^2 - 2 s^3) over a share s of its time."""
@@ -140,8 +144,10 @@ class Shuttle(Config):
     acceleration: float = Field(
         gt=0, le=1000, description="Acceleration of starting and stopping [m/s2]."
     )
-    pause: float = Field(0.0, ge=0, le=3600, description="Rest at either end [s].")
-    lead: float = Field(0.0, ge=0, le=3600, description="Time in motion before the start [s].")
+    pause: float = Field(default=0.0, ge=0, le=3600, description="Rest at either end [s].")
+    lead: float = Field(
+        default=0.0, ge=0, le=3600, description="Time in motion before the start [s]."
+    )
 
     @model_validator(mode="after")
     def _ends_differ(self) -> Self:
@@ -184,19 +190,22 @@ class RandomMotion(Config):
     kind: Literal["random"] = "random"
     box_min: Vector = Field(description="Smallest coordinates of the centre [m].")
     box_max: Vector = Field(description="Largest coordinates of the centre [m].")
-    speed_max: float = Field(4.0, gt=0, le=1000, description="Largest speed [m/s].")
-    acceleration_max: float = Field(3.0, gt=0, le=1000, description="Largest acceleration [m/s2].")
+    speed_max: float = Field(default=4.0, gt=0, le=1000, description="Largest speed [m/s].")
+    acceleration_max: float = Field(
+        default=3.0, gt=0, le=1000, description="Largest acceleration [m/s2]."
+    )
     clearance: float = Field(
-        1.5,
+        default=1.5,
         ge=0,
         le=1000,
         description="Least distance from surface to surface of anything else [m].",
     )
     sensor_distance: tuple[float, float] | None = Field(
-        None, description="Stay this near to the sensor and, where possible, in its sight [m]."
+        default=None,
+        description="Stay this near to the sensor and, where possible, in its sight [m].",
     )
     sensor_elevation_deg: tuple[float, float] = Field(
-        (-90.0, 90.0), description="Stay at these elevations, with `sensor_distance` [deg]."
+        default=(-90.0, 90.0), description="Stay at these elevations, with `sensor_distance` [deg]."
     )
 
 

@@ -20,7 +20,9 @@ class FigureEight(Config):
 
     kind: Literal["figure_eight"] = "figure_eight"
     center: Vector = Field(description="Middle, where it starts [m].")
-    half_size: tuple[float, float] = Field((1.25, 2.5), description="Reach along x and y [m].")
+    half_size: tuple[float, float] = Field(
+        default=(1.25, 2.5), description="Reach along x and y [m]."
+    )
     speed: float = Field(gt=0, le=1000, description="Largest speed, in the middle [m/s].")
 
     def knots(self, seconds: float) -> Knots:
@@ -101,7 +103,7 @@ class Wandering(Config):
     kind: Literal["wandering"] = "wandering"
     start: Vector = Field(description="Place at the start [m].")
     speed: float = Field(gt=0, le=1000, description="Root mean square of the speed [m/s].")
-    seed: int = Field(0, ge=0, description="Seed of the velocity (no unit).")
+    seed: int = Field(default=0, ge=0, description="Seed of the velocity (no unit).")
 
     @model_validator(mode="after")
     def _starts_inside(self) -> Self:
@@ -159,10 +161,10 @@ class Swinging(Config):
     }
     kind: Literal["swinging"] = "swinging"
     position: Vector = Field(description="Middle [m].")
-    reach: Vector = Field((0.5, 0.0, 0.0), description="Largest distance from it [m].")
-    yaw: float = Field(0.3, description="Largest turn [rad].")
-    pitch_deg: float = Field(15.0, ge=0, lt=90, description="Largest pitch [deg].")
-    roll_deg: float = Field(10.0, ge=0, lt=90, description="Largest roll [deg].")
+    reach: Vector = Field(default=(0.5, 0.0, 0.0), description="Largest distance from it [m].")
+    yaw: float = Field(default=0.3, description="Largest turn [rad].")
+    pitch_deg: float = Field(default=15.0, ge=0, lt=90, description="Largest pitch [deg].")
+    roll_deg: float = Field(default=10.0, ge=0, lt=90, description="Largest roll [deg].")
 
     def knots(self, seconds: float) -> Knots:
         """Rz(yaw) Ry(pitch) Rx(roll), all angles zero at the start."""

@@ -23,8 +23,10 @@ class Steering(Config):
     removed: ClassVar[Mapping[str, str]] = {
         "stiffness": "the controller has 1.5 rad/s",
     }
-    speed_max: float = Field(8.0, gt=0, le=1000, description="Largest speed [m/s].")
-    acceleration_max: float = Field(5.0, gt=0, le=1000, description="Largest acceleration [m/s2].")
+    speed_max: float = Field(default=8.0, gt=0, le=1000, description="Largest speed [m/s].")
+    acceleration_max: float = Field(
+        default=5.0, gt=0, le=1000, description="Largest acceleration [m/s2]."
+    )
 
 
 class SteeredSensor:

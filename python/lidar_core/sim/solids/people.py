@@ -82,8 +82,12 @@ class Person(Config):
         "width": "a trunk is 0.36 m wide",
     }
     kind: Literal["person"] = "person"
-    height: Length = Field(1.75, description="Height of the top of the head above the ground [m].")
-    rate: float = Field(0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz].")
+    height: Length = Field(
+        default=1.75, description="Height of the top of the head above the ground [m]."
+    )
+    rate: float = Field(
+        default=0.9, gt=0, le=10, description="Swings, two steps each, per second [Hz]."
+    )
 
     def surfaces(self) -> Placed:
         """Trunk, neck, head, left and right arm, left and right leg."""
@@ -133,7 +137,7 @@ class Barrel(Config):
         "radius": "a drum has a radius of 0.286 m",
     }
     kind: Literal["barrel"] = "barrel"
-    height: Length = Field(0.88, description="Height [m].")
+    height: Length = Field(default=0.88, description="Height [m].")
 
     @property
     def radius(self) -> float:

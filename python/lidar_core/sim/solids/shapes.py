@@ -21,7 +21,7 @@ class Plane(Config):
 
     kind: Literal["plane"] = "plane"
     size: tuple[Length, Length] | None = Field(
-        None, description="Lengths along x and y [m]; without it the plane has no end."
+        default=None, description="Lengths along x and y [m]; without it the plane has no end."
     )
 
     def surfaces(self) -> Placed:
@@ -46,7 +46,7 @@ class Cylinder(Config):
     kind: Literal["cylinder"] = "cylinder"
     radius: Length = Field(description="Radius [m].")
     height: Length | None = Field(
-        None, description="Length along z [m]; without it the cylinder has no ends."
+        default=None, description="Length along z [m]; without it the cylinder has no ends."
     )
 
     def surfaces(self) -> Placed:
@@ -98,7 +98,7 @@ class Hexacopter(Config):
     """A mesh like a drone with six rotors."""
 
     kind: Literal["hexacopter"] = "hexacopter"
-    radius: Length = Field(0.325, description="Radius of the sphere around it [m].")
+    radius: Length = Field(default=0.325, description="Radius of the sphere around it [m].")
 
     def surfaces(self) -> Placed:
         """One surface."""
@@ -109,7 +109,7 @@ class Quadcopter(Config):
     """A mesh like a drone with four rotors."""
 
     kind: Literal["quadcopter"] = "quadcopter"
-    radius: Length = Field(0.25, description="Radius of the sphere around it [m].")
+    radius: Length = Field(default=0.25, description="Radius of the sphere around it [m].")
 
     def surfaces(self) -> Placed:
         """One surface."""
@@ -138,21 +138,23 @@ class Tree(Config):
     """A trunk from the origin of its frame upwards, and a round crown of small spheres."""
 
     kind: Literal["tree"] = "tree"
-    trunk_radius: Length = Field(0.2, description="Radius of the trunk [m].")
+    trunk_radius: Length = Field(default=0.2, description="Radius of the trunk [m].")
     trunk_height: Length = Field(
-        4.0, description="Height of the trunk's top, the crown's middle [m]."
+        default=4.0, description="Height of the trunk's top, the crown's middle [m]."
     )
-    crown_radius: Length = Field(1.8, description="Radius of the crown [m].")
-    leaf_radius: Length = Field(0.12, description="Radius of a leaf sphere [m].")
-    leaves: int = Field(300, ge=0, le=100_000, description="Leaf spheres (no unit).")
-    seed: int = Field(0, ge=0, description="Seed of their places and of their sway (no unit).")
+    crown_radius: Length = Field(default=1.8, description="Radius of the crown [m].")
+    leaf_radius: Length = Field(default=0.12, description="Radius of a leaf sphere [m].")
+    leaves: int = Field(default=300, ge=0, le=100_000, description="Leaf spheres (no unit).")
+    seed: int = Field(
+        default=0, ge=0, description="Seed of their places and of their sway (no unit)."
+    )
     sway: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=10,
         description="Largest displacement of the outermost leaves to either side in wind [m].",
     )
-    sway_rate: float = Field(0.5, gt=0, le=100, description="Mean swings per second [Hz].")
+    sway_rate: float = Field(default=0.5, gt=0, le=100, description="Mean swings per second [Hz].")
 
     def surfaces(self) -> Placed:
         """Trunk and leaves."""
