@@ -7,12 +7,13 @@ them, and the readings that mean "no return" are those at the limit that the who
 
 import bz2
 import gzip
+import io
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,14 +57,26 @@ MAX_UNPACKED_BYTES = 4 * 2**30
 PACKED = {".bz2": bz2.BZ2File, ".gz": gzip.GzipFile}
 """How packed logs are opened, by the end of their names."""
 LATEST_S = 9.2e9  # what int64 [ns] can hold
+MOST_KEPT_BYTES = 64 * 2**20
+"""Unpacked logs up to this size stay in memory: every pass would unpack them again."""
+
+
+def _place(path: Path, number: int) -> str:
+    return f"{path}, line {number}"
 
 
 class _Line(NamedTuple):
-    """One message: its line number, its name, and the words after it."""
+    """One message: the number of its line, its name, and the words after it."""
 
-    place: str
+    path: Path
+    number: int
     name: str
     words: list[str]
+
+    @property
+    def place(self) -> str:
+        """Where the message stands, for errors."""
+        return _place(self.path, self.number)
 
     def numbers(self, start: int, count: int) -> NDArray[np.float64]:
         """Read numbers `start` to `start + count` after the name."""
@@ -90,10 +103,14 @@ class _Line(NamedTuple):
 
     def stamp_ns(self, end: int) -> int:
         """Read the time [ns] from the words after the `end` values of a message."""
-        (seconds,) = self.numbers(end, 1)
+        text = self.words[end] if end < len(self.words) else ""
+        try:
+            seconds = float(text)
+        except ValueError:
+            (seconds,) = self.numbers(end, 1)  # says what is wrong
         if not abs(seconds) < LATEST_S:
-            raise FormatError(f"{self.place}: {self.name} has no time, got {self.words[end]!r}")
-        return stamp_from_text(self.words[end])
+            raise FormatError(f"{self.place}: {self.name} has no time, got {text!r}")
+        return stamp_from_text(text)
 
 
 @register_reader(
@@ -111,7 +128,8 @@ class CarmenRecording(Recording):
         self._range_max = LARGEST_RANGE
         self._first_ns = 0
         self._lasers: dict[str, LaserDecoder] = {}
-        self._rejected: set[str] = set()
+        self._rejected: set[int] = set()
+        self._unpacked: bytes | None = None
         self._survey()
 
     def topics(self) -> list[Topic]:
@@ -143,9 +161,9 @@ class CarmenRecording(Recording):
 
     def _reject(self, line: _Line, error: FormatError) -> None:
         """Count an unreadable line once, and note the first one of its name."""
-        if line.place in self._rejected:
+        if line.number in self._rejected:
             return
-        self._rejected.add(line.place)
+        self._rejected.add(line.number)
         self.findings.rejected[line.name] += 1
         if self.findings.rejected[line.name] == 1:
             self.findings.note(f"left out: {error}")
@@ -160,8 +178,8 @@ class CarmenRecording(Recording):
     def _messages(self, line: _Line, parts: "_Parts", stamp_ns: int) -> list[Message]:
         messages: list[Message] = []
         if parts.pose_at is not None:
-            x, y, angle = line.numbers(parts.pose_at, 3)
-            if not np.isfinite([x, y, angle]).all():
+            x, y, angle = line.numbers(parts.pose_at, 3).tolist()
+            if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(angle)):
                 raise FormatError(f"{line.place}: pose {x} {y} {angle} is not finite")
             matrix = pose_matrix(np.array([x, y, 0.0]), quaternion_from_angles(0.0, 0.0, angle))
             messages.append(Pose(stamp_ns, ODOM_FRAME, parts.frame, matrix, topic=line.name))
@@ -209,9 +227,7 @@ class CarmenRecording(Recording):
 
     def _count(self, line: _Line, readings: Counter[float], stated: list[float]) -> None:
         """Count a message and its evidence about the largest valid reading."""
-        values = np.empty(0)
-        if line.name in OLD_SCANS:
-            values = line.numbers(1, line.count(0))
+        values = line.numbers(1, line.count(0)) if line.name in OLD_SCANS else np.empty(0)
         if line.name in KINDS:
             stamp_ns = line.stamp_ns(_parts(line).end)
             if not self._counts.keys() & KINDS.keys():
@@ -220,36 +236,47 @@ class CarmenRecording(Recording):
             stated.append(float(line.numbers(1, 1)[0]))
         if line.name in KINDS or line.name in OTHER:
             self._counts[line.name] += 1
-        readings.update(values[values == values.max(initial=0.0)].tolist())
+        greatest = values.max(initial=0.0)
+        if found := np.count_nonzero(values == greatest):
+            readings[float(greatest)] += int(found)
 
     def _lines(self) -> Iterator[_Line]:
         """Messages with the numbers of their lines; comments and empty lines left out."""
-        limit, total = self.options.max_record_bytes, 0
-        is_packed, size = self.path.suffix.lower() in PACKED, self.path.stat().st_size
-        with self._open() as stream:
+        for number, text in enumerate(self._texts(), 1):
+            words = text.decode("ascii", "replace").split()
+            if words and not words[0].startswith("#"):
+                yield _Line(self.path, number, words[0], words[1:])
+
+    def _texts(self) -> Iterator[bytes]:
+        """Lines of the log; what a packed log of moderate size holds is unpacked once."""
+        if self._unpacked is not None:
+            yield from io.BytesIO(self._unpacked)
+            return
+        packed = PACKED.get(self.path.suffix.lower())
+        limit, total, size = self.options.max_record_bytes, 0, self.path.stat().st_size
+        kept = io.BytesIO()
+        with self.path.open("rb") if packed is None else packed(self.path) as stream:
             for number in range(1, 2**62):
-                place = f"{self.path}, line {number}"
+                place = _place(self.path, number)
                 with reading(place):
                     text = stream.readline(limit + 1)
                 if not text:
-                    return
+                    break
                 total += len(text)
-                if len(text) > limit or total > MAX_UNPACKED_BYTES:
+                if len(text) > limit:
                     raise LimitError(
                         f"{place}: a line of more than {limit} bytes; raise it with"
                         " max_record_bytes"
-                        if len(text) > limit
-                        else f"{place}: unpacks to more than {MAX_UNPACKED_BYTES} bytes"
                     )
-                if is_packed:
+                if total > MAX_UNPACKED_BYTES:
+                    raise LimitError(f"{place}: unpacks to more than {MAX_UNPACKED_BYTES} bytes")
+                if packed is not None:
                     check_ratio(total, size, place)
-                words = text.decode("ascii", "replace").split()
-                if words and not words[0].startswith("#"):
-                    yield _Line(place, words[0], words[1:])
-
-    def _open(self) -> IO[bytes] | bz2.BZ2File | gzip.GzipFile:
-        packed = PACKED.get(self.path.suffix.lower())
-        return self.path.open("rb") if packed is None else packed(self.path)
+                    if total <= MOST_KEPT_BYTES:
+                        kept.write(text)
+                yield text
+        if packed is not None and total <= MOST_KEPT_BYTES:
+            self._unpacked = kept.getvalue()
 
 
 class _Parts(NamedTuple):
