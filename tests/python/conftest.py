@@ -1,6 +1,7 @@
 """Settings and fixtures shared by all tests."""
 
 import os
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,16 @@ settings.register_profile(
 settings.register_profile("nightly", settings.get_profile("ci"), max_examples=200)
 settings.register_profile("wide", settings.get_profile("ci"), derandomize=False, max_examples=5000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test with the marker `ci_cases`, the cases that no pattern names are nightly."""
+    for item in items:
+        marker = item.get_closest_marker("ci_cases")
+        case = getattr(item, "callspec", None)
+        if marker and not (case and any(fnmatchcase(case.id, name) for name in marker.args)):
+            item.add_marker(pytest.mark.nightly)
 
 
 def _present(path: Path, what: str) -> Path:

@@ -68,6 +68,7 @@ def tasks(*how):
     return [Task(str(n), told, {"number": n, "how": one}) for n, one in enumerate(how)]
 
 
+@pytest.mark.ci_cases("3")
 @pytest.mark.parametrize("workers", [1, 3])
 def test_a_task_that_fails_leaves_the_others_alone(workers):
     ways = ["result", "error", "result", "death", "strange", "unsendable", "result"]
@@ -202,6 +203,7 @@ numbers = st.none() | st.integers(-9, 9) | st.booleans() | st.text("ab", max_siz
 trees = st.recursive(numbers, lambda inner: st.dictionaries(st.text("xyz", min_size=1), inner))
 
 
+@pytest.mark.nightly
 @given(st.dictionaries(st.text("xyz", min_size=1), trees))
 def test_flat_keeps_every_leaf_at_its_path(tree):
     for path, value in flat(tree).items():

@@ -48,6 +48,7 @@ def seen(*, number):
     return ray.get_runtime_context().get_node_id(), socket.gethostname()
 
 
+@pytest.mark.nightly
 def test_tasks_run_on_both_nodes_and_fail_alone(cluster):
     tasks = [Task(str(number), seen, {"number": number}) for number in range(8)]
     found = dict(completed(tasks, workers=2, executor="ray"))
@@ -59,6 +60,7 @@ def test_tasks_run_on_both_nodes_and_fail_alone(cluster):
     assert len({found[number][0] for number in set(found) - failed}) == 2
 
 
+@pytest.mark.nightly
 def test_without_an_address_a_cluster_that_runs_here_is_left_alone(cluster, monkeypatch):
     monkeypatch.delenv("RAY_ADDRESS")
     tasks = [Task(str(number), seen, {"number": number}) for number in (0, 3)]

@@ -205,6 +205,7 @@ def done_despite_kills(file, out, *, kills, seed, calm_s):
     return passes, kills - left
 
 
+@pytest.mark.nightly
 @needs_s3
 @pytest.mark.skipif(find_spec("psutil") is None, reason="psutil is not installed")
 def test_kills_of_workers_and_of_the_batch_leave_the_same_tables(bucket, tmp_path):

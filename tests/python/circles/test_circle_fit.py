@@ -106,6 +106,7 @@ def cut_circle(rng):
             return ranges.astype(np.float32).astype(float)
 
 
+@pytest.mark.nightly
 def test_the_oracle_agrees_on_circles_cut_by_the_range_limit():
     """Rays may return nothing where the surface lies beyond the limit, also between two hits."""
     rng, config, off, ratio, gaps = np.random.default_rng(712), FitConfig(), [], [], 0

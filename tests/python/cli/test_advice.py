@@ -119,6 +119,14 @@ def with_map(place, folder):
     )
 
 
+@pytest.mark.ci_cases(
+    "*LICENSE",
+    "2d/radish*",
+    "3d/nebula/*",
+    "3d/sequences*",
+    "people/corridor/example1*",
+    "formats/ouster_broken*",
+)
 @pytest.mark.parametrize(
     "place",
     [

@@ -360,6 +360,7 @@ def test_points_of_long_runs_are_thinned(recording, monkeypatch):
     assert len(points[0]) > 0
 
 
+@pytest.mark.nightly
 def test_ctrl_c_leaves_whole_files_and_ends_with_130(recordings, tmp_path):
     folder = tmp_path / "run"
     log = recordings / "2d/radish/mit-csail.clf.bz2"
@@ -401,6 +402,7 @@ REAL = {
 LONG = "radish/mit-csail.clf.bz2"
 
 
+@pytest.mark.ci_cases("datmo*", "leg*")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [

@@ -492,6 +492,7 @@ def lines_of(recordings):
     return (recordings / "fusion/sample-laser-radar-measurement-data-1.txt").read_text().split("\n")
 
 
+@pytest.mark.ci_cases("mirrored")
 @pytest.mark.parametrize(
     ("change", "shown"),
     [

@@ -232,6 +232,7 @@ def test_directions_have_any_length(length):
     assert detection_probability([[0, length, 0]], radius=0.5, distance=5.0) == expected
 
 
+@pytest.mark.ci_cases("rows-view0", "random-view1")
 @pytest.mark.parametrize("view", [(-np.pi / 2, np.pi / 2), (-0.45, 0.3)])
 @pytest.mark.parametrize("kind", ["rows", "random", "clumped"])
 def test_detection_probability_agrees_with_random_targets(kind, view):

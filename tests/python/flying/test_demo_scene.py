@@ -15,8 +15,8 @@ MEAN_ERROR = 0.25  # [m]: the visible side of a sphere of 0.325 m lies about 0.2
 LOWEST_RECALL = 0.98
 
 
-SEEDS = range(2)
-LATER = [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 10)]
+SEEDS = range(1)
+LATER = [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(1, 10)]
 scored = cache(score)
 
 

@@ -122,6 +122,7 @@ def small(config):
 CONFIGS = {"best": FlyingConfig(), "paper": FlyingConfig.paper()}
 
 
+@pytest.mark.ci_cases("best-True", "paper-False")
 @pytest.mark.parametrize("stream", [False, True])
 @pytest.mark.parametrize("mode", CONFIGS)
 def test_the_detector_does_what_the_specification_says(mode, stream):
@@ -175,6 +176,7 @@ def few_points(counts, *, speed, others=()):
         }
 
 
+@pytest.mark.ci_cases("it moves", "it stands")
 @pytest.mark.parametrize(
     ("counts", "speed", "others", "tracks"),
     [

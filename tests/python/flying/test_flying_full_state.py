@@ -69,6 +69,7 @@ def ways(thing, folder, **options):
     yield pickle.loads(pickle.dumps(thing))
 
 
+@pytest.mark.ci_cases("tracks-best")
 @pytest.mark.parametrize("config", [FlyingConfig(), FlyingConfig.paper()], ids=["best", "paper"])
 @pytest.mark.parametrize("saved_after", [7, 36], ids=["burn-in", "tracks"])
 def test_a_detector_goes_on_to_the_same_bits(config, saved_after, tmp_path):

@@ -47,6 +47,7 @@ RUNS = {
 }
 
 
+@pytest.mark.ci_cases("moving sensor, moving targets", "two sensors", "voxels", "no groups")
 @pytest.mark.parametrize("name", RUNS)
 def test_detections_and_tracks_are_the_same(name):
     assert results(RUNS[name], "explained", 2) == results(RUNS[name], "full", 1)

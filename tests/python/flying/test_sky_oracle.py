@@ -102,6 +102,7 @@ def test_a_fixed_field_of_view_that_is_covered_for_two_scans_has_that_sky_too():
     assert shares[17] > 0.02
 
 
+@pytest.mark.nightly
 def test_a_simulated_sensor_on_a_wet_street_has_the_sky_that_the_oracle_finds():
     simulator = sim.Simulator(sim.scenes.dark_street(3, sensor="vlp-16", speed=2.0), seed=3)
     made = [simulator.scan(number) for number in range(SCANS)]
@@ -122,6 +123,7 @@ def fog_scans():
     return [one.scan.points.reshape(-1, 3) for one in made], [one.world_from_lidar for one in made]
 
 
+@pytest.mark.nightly
 def test_in_fog_the_sky_behind_droplets_is_the_one_that_the_oracle_finds():
     shares = compared(*fog_scans(), in_fog=True, has_rows=True, least_rays=15_000)
     assert shares[-1] > 0.1

@@ -30,6 +30,7 @@ def found(model: str, filters: FusionConfig):
     return consistency(some, degrees=degrees_of(model))
 
 
+@pytest.mark.ci_cases("cv-*", "ca-kf", "ct-ekf", "ctra-ekf", "ctrv-ekf", "ctrv-drone-ekf")
 @pytest.mark.parametrize(("model", "method"), [(a, b) for a in METHODS for b in METHODS[a]])
 def test_a_filter_that_knows_everything_is_consistent(model, method):
     one = found(model, config(model, method))
@@ -37,6 +38,7 @@ def test_a_filter_that_knows_everything_is_consistent(model, method):
     assert one.mean / one.degrees == pytest.approx(1, abs=0.03)
 
 
+@pytest.mark.ci_cases("cv-*", "ctrv-drone-*")
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("model", METHODS)
 def test_a_filter_that_is_told_wrong_noise_fails(model, wrong):

@@ -63,6 +63,7 @@ def expected(model, method, states, covariances, told):
         yield oracle.ekf_step(*given) if method == "ekf" else oracle.ukf_step(*given, reach)
 
 
+@pytest.mark.ci_cases("*-c[va]-3d", "ckf-ctrv-3d")
 @pytest.mark.parametrize("model", list(SIZES))
 @pytest.mark.parametrize("method", ["ekf", "ukf", "ckf"])
 def test_filters_agree_with_the_oracle(model, method):

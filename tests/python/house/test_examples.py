@@ -86,6 +86,7 @@ def test_quickstart_prints_two_tracks():
     assert {line.split()[3] for line in lines} == {"0", "1"}
 
 
+@pytest.mark.ci_cases("polar", "disc")
 @pytest.mark.parametrize("rule", ["square", "lattice", "disc", "polar"])
 def test_both_detectors_of_circles_are_honest(rule):
     """Whatever rule draws the circles."""

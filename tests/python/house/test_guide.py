@@ -32,6 +32,8 @@ TOURS = {
     ],
 }
 """Pages whose commands run, too, and what they leave."""
+LONG = {"evaluation.md", "simulation.md", "tour-circles.md", "tour-flying.md", "training.md"}
+"""Pages that run nightly, for they take half a minute of a core or more."""
 CALLS = {"reproduction.md": 24, "circles.md": 6, "recordings.md": 7}
 """How many commands some pages show, so that none is overlooked."""
 HALL = """
@@ -93,7 +95,11 @@ def names_for(page, folder):
     return {"ranges_batch": np.full((1, scanner.n_beams), np.inf), "bearings": scanner.bearings()}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(one, marks=pytest.mark.nightly if one.name in LONG else ()) for one in PAGES],
+    ids=lambda page: page.stem,
+)
 def test_what_a_page_shows_runs(page, files, tmp_path, monkeypatch):
     if page.name not in TOURS:
         shutil.copytree(files, tmp_path, dirs_exist_ok=True)

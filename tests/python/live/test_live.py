@@ -553,6 +553,7 @@ def zenoh_key(robot, topic, type_name, naming):
     return key_of(topic, type_name, type_hash, domain=3)
 
 
+@pytest.mark.ci_cases("rmw")
 @pytest.mark.parametrize("naming", ["rmw", "bridge"])
 def test_a_robot_on_zenoh_gets_tracks_of_its_own_scans(circles, naming):
     robot, port = Robot(circles), free_port()
@@ -782,6 +783,7 @@ def test_a_topic_that_foxglove_does_not_have_is_told_within_three_seconds():
     assert summary["processed"] == 0
 
 
+@pytest.mark.ci_cases("rmw")
 @pytest.mark.parametrize("naming", ["rmw", "bridge", "graph"])
 def test_a_topic_that_zenoh_does_not_have_is_told_within_three_seconds(circles, naming):
     """By the messages that come, or by the tokens of the ROS graph where none come."""
@@ -1212,6 +1214,7 @@ def live_run(path, folder):
     return {**summary, "files": files}
 
 
+@pytest.mark.ci_cases("circles")
 @pytest.mark.parametrize("capability", ["circles", "flying"])
 def test_a_live_run_leaves_the_folder_of_a_run(circles, street, tmp_path, capability):
     recording = circles if capability == "circles" else street

@@ -239,6 +239,7 @@ NIGHTLY = {
 false tracks as `flying-drivers` does."""
 
 
+@pytest.mark.ci_cases("flying-crossings", "circles-table3", "fusion-fig10", "tracking-clutter")
 @pytest.mark.parametrize(
     "name",
     [
@@ -461,6 +462,7 @@ def test_a_part_of_other_arguments_or_cut_short_is_made_again(tmp_path):
     assert made(log) == [0, 1, 1, 2, 2, 9]
 
 
+@pytest.mark.nightly
 def test_a_part_with_a_flipped_byte_is_never_taken_for_another(tmp_path):
     log, folder = tmp_path / "log", tmp_path / "parts"
     request = Request(seed=0, scans=5, threads=1, parts=folder)

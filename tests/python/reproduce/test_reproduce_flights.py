@@ -156,6 +156,7 @@ def test_the_interceptor_attacks_turns_away_and_attacks_again():
     assert (guide(here, None) == here).all()
 
 
+@pytest.mark.nightly
 def test_the_follower_of_a_short_flight_finds_its_target():
     part = fig8.flight(kind="following", mode="best", seed=1000, number=0, scans=45)
     sensor = part["sensor"]

@@ -127,6 +127,7 @@ def test_curves_are_those_of_the_cards():
     assert rows["loss of the shipped weights, validation"].paper_mode == paper
 
 
+@pytest.mark.nightly
 def test_errors_of_groups_add_up_to_those_of_the_test():
     rows = {row.name: row for row in table3.ITEM.run(Request(seed=1064, scans=500, threads=1)).rows}
     by_hits = [row for name, row in rows.items() if name.endswith("hits: MSE") and "ml" not in name]

@@ -90,7 +90,7 @@ def test_every_shape_equals_the_oracle(kind, seed):
     rng = np.random.default_rng(seed)
     shape, oracle = make(kind, rng)
     pose = random_pose(rng)
-    origins, directions = random_rays(rng, 200, pose)
+    origins, directions = random_rays(rng, 80, pose)
     scene = SimScene([(shape, pose, 7)], [], threads=1)
     found, label = scene.cast(origins, directions, 1e6)
     assert_equals_oracle(found, oracle, pose, origins, directions)
@@ -384,6 +384,7 @@ def _bodies_of(scene):
     return bodies
 
 
+@pytest.mark.nightly
 def test_demo_drones_are_seen_most_of_the_time():
     seen = []
     for seed in range(10):
@@ -733,6 +734,7 @@ def test_white_pose_noise_is_one_error_per_scan_of_the_stated_size():
     assert np.abs(np.corrcoef(errors[:-1, 0].T, errors[1:, 0].T)[:6, 6:]).max() < 0.2
 
 
+@pytest.mark.nightly
 def test_coloured_pose_noise_goes_on_between_scans_and_forgets_itself():
     noise = sim.PoseNoise(position_std=0.1, angle_std_deg=0.0, time_constant=0.5)
     errors = pose_errors(noise, scans=2000)

@@ -164,6 +164,7 @@ def test_other_folders_are_refused_in_words(tmp_path):
         Playback(tmp_path)
 
 
+@pytest.mark.ci_cases("circles")
 @pytest.mark.parametrize("kind", ["circles", "flying"])
 def test_pictures_show_points_and_objects(kind, request, tmp_path):
     folder = request.getfixturevalue(kind)
@@ -321,6 +322,7 @@ def test_rerun_clears_what_is_no_longer_there(monkeypatch):
     assert told("boxes") == [1, 1]
 
 
+@pytest.mark.ci_cases("circles")
 @needs_rerun
 @pytest.mark.parametrize("kind", ["circles", "flying"])
 def test_rerun_files_hold_everything_that_is_played(kind, request, tmp_path):

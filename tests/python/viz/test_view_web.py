@@ -208,6 +208,7 @@ def test_view_web_shows_objects_and_asks_nobody_beyond_the_loopback(run, tmp_pat
         assert {f"{address}/recording.rrd", f"{address}/re_viewer_bg.wasm"} <= browser.addresses()
 
 
+@pytest.mark.nightly
 @needs_chromium
 @needs_rerun
 def test_live_web_shows_objects_and_asks_nobody_beyond_the_loopback(run, tmp_path):

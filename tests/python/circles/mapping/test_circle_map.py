@@ -86,6 +86,7 @@ def test_the_joint_filter_equals_the_oracle(seed):
         assert_same_map(circles, reference, stamp + 30_000_000)
 
 
+@pytest.mark.ci_cases("1")
 @pytest.mark.parametrize(
     "seed", [1, 3, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (0, 2))]
 )

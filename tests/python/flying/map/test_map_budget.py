@@ -163,6 +163,7 @@ def test_the_detector_flies_on_and_says_that_it_forgot():
     assert roomy.health().n_voxels_forgotten == 0
 
 
+@pytest.mark.nightly
 def test_the_summary_of_a_run_says_it_with_the_cure(tmp_path):
     def invoke(*arguments):
         done = CliRunner().invoke(app, list(map(str, arguments)))
@@ -187,6 +188,7 @@ def test_a_budget_below_one_block_is_refused(budget):
     assert lc.VoxelMapConfig(max_voxels=512).max_voxels == 512
 
 
+@pytest.mark.nightly
 def test_the_background_stays_known_when_its_place_is_forgotten_and_goes_with_the_map():
     """A fast, sparse sensor surely knows the place of its start, and nothing beside the way."""
     chosen = {"voxel_map": {"max_voxels": 4_000_000}}

@@ -50,6 +50,7 @@ RUNS = {
 }
 
 
+@pytest.mark.ci_cases("moving sensor, moving targets", "two sensors")
 @pytest.mark.parametrize("name", RUNS)
 def test_detections_and_tracks_are_the_same(name):
     assert results(RUNS[name], "saturated", 2) == results(RUNS[name], "none", 1)

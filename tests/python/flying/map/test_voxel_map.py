@@ -451,6 +451,7 @@ def heaps(rng, n):
     }
 
 
+@pytest.mark.ci_cases("0", "4")
 @pytest.mark.parametrize("seed", range(6))
 def test_incremental_removal_equals_removal_from_scratch(seed, tmp_path):
     rng = np.random.default_rng(seed)

@@ -96,6 +96,7 @@ def test_things_on_the_ground_and_at_walls_are_no_hovering_targets():
         assert len(frame.tracks) == 0
 
 
+@pytest.mark.ci_cases("shape0-4")
 @pytest.mark.parametrize(
     ("shape", "kind"), [(Sphere(radius=0.03), TrackKind.CLUTTER), (Sphere(radius=0.15), None)]
 )
@@ -110,6 +111,7 @@ def test_insects_are_clutter_and_small_targets_fly(shape, kind):
         np.testing.assert_allclose(tracks.kind_probability.sum(axis=1), 1, atol=1e-9)
 
 
+@pytest.mark.ci_cases("vlp-16-1001")
 @pytest.mark.parametrize(("sensor", "seed"), [("vlp-16", 1001), ("hdl-32e", 1000)])
 def test_leaves_in_the_wind_do_not_fly(sensor, seed):
     """Trees of 60 leaves of 6 cm that sway by 25 cm, from a sensor that drives past."""
@@ -120,6 +122,7 @@ def test_leaves_in_the_wind_do_not_fly(sensor, seed):
     assert not {number for frame in frames for number in frame.tracks.flying.id.tolist()}
 
 
+@pytest.mark.ci_cases("shape0")
 @pytest.mark.parametrize("shape", [Sphere(radius=0.15), Hexacopter(radius=0.325)])
 def test_a_target_that_begins_beside_structure_and_stays_there_flies(shape):
     """On a circle of 0.4 m, 1.2 m before a wall: it is larger than a leaf."""

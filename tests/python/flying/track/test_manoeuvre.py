@@ -48,6 +48,7 @@ def test_a_target_on_a_tight_circle_is_followed(radius, speed):
     assert np.median(errors) < 0.8 * np.median(calm)
 
 
+@pytest.mark.nightly
 def test_a_target_that_flies_straight_on_is_told_as_surely_as_before():
     motion = Waypoints(times=(0.0, 6.0), positions=((6.0, -4.0, 3.0), (6.0, 5.0, 3.0)))
     of = {noise: flown(motion, noise) for noise in ("adaptive", "continuous")}

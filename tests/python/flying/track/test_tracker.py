@@ -91,6 +91,7 @@ def assert_same_state(tracker, reference, stamp):
         assert tracks.age[row] == pytest.approx((stamp - track.born) * 1e-9)
 
 
+@pytest.mark.ci_cases("0-*", "1-best")
 @pytest.mark.parametrize("config", [PAPER, BEST], ids=["paper", "best"])
 @pytest.mark.parametrize(
     "seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(4, 25))]

@@ -172,6 +172,7 @@ def crowds(name):
     )
 
 
+@pytest.mark.ci_cases("as it is")
 @pytest.mark.parametrize(
     "name",
     ["as it is", "told twice", pytest.param("told half", marks=pytest.mark.nightly)],
@@ -427,6 +428,7 @@ def carried(rate, gap, run, clutter=0.0):
     return found[first - 1] is not None and found[first - 1] == found[-1]
 
 
+@pytest.mark.ci_cases("2.0-*-3.0", "20.0-2.0-3.0", "20.0-0.3-0.0")
 @pytest.mark.parametrize("clutter", [0.0, 3.0])
 @pytest.mark.parametrize("gap", [0.3, 0.5, 1.0, 2.0])
 @pytest.mark.parametrize("rate", [2.0, 10.0, 20.0])
@@ -496,6 +498,7 @@ def test_another_target_in_the_wide_gate_of_a_hidden_one_does_not_end_it():
     assert len(before) == 2
 
 
+@pytest.mark.ci_cases("0")
 @pytest.mark.parametrize("bystanders", [0, 8])
 def test_numbers_of_hidden_targets_are_theirs(bystanders):
     """What stood or moved comes back under its number, and what else appears gets a new one."""

@@ -40,6 +40,7 @@ def followed(way, scans, *, config=None, std=0.1, seed=7000, clutter=0, confirme
     return tracker.tracks_at((scans - 1) * STEP_NS, confirmed=confirmed)
 
 
+@pytest.mark.nightly
 @given(seed=st.integers(8000, 8999))
 def test_kinds_in_space_agree_with_the_oracle(seed):
     rng, tracker, track = np.random.default_rng(seed), MultiTargetTracker(SPACE), {}

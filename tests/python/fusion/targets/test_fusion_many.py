@@ -112,6 +112,7 @@ def test_a_single_target_in_clutter_is_followed_by_its_probabilities(model, meth
     assert tracks.id[np.argmin(away)] == 0
 
 
+@pytest.mark.ci_cases("joint")
 @pytest.mark.parametrize("association", ["nearest", "joint"])
 @given(seed=st.integers(7500, 7999))
 def test_scans_in_any_order_give_what_the_oracle_gets_in_order(association, seed):

@@ -247,6 +247,7 @@ def test_ros_clouds_and_transforms(tmp_path, version, storage):
         assert poses[number].matrix[0, 3] == number
 
 
+@pytest.mark.ci_cases("1-bag", "2-mcap")
 @pytest.mark.parametrize(("version", "storage"), STORAGES)
 def test_truncated_ros_recordings_are_refused_or_read_up_to_the_cut(tmp_path, version, storage):
     path = ros_file(tmp_path, version, storage)
@@ -264,6 +265,7 @@ def test_truncated_ros_recordings_are_refused_or_read_up_to_the_cut(tmp_path, ve
     assert refused > 15
 
 
+@pytest.mark.ci_cases("2-mcap")
 @pytest.mark.parametrize(("version", "storage"), STORAGES)
 def test_flipped_bytes_never_raise_anything_else(tmp_path, version, storage):
     path = ros_file(tmp_path, version, storage, count=2)

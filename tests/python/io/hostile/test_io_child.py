@@ -71,11 +71,13 @@ def both(path, **values):
     return far, near
 
 
+@pytest.mark.ci_cases("[!2]*", "2d/leg*")
 @pytest.mark.parametrize("name", RECORDED)
 def test_a_recording_is_the_same_in_a_child(recordings, name):
     same(*both(recordings / name))
 
 
+@pytest.mark.ci_cases(".bag-own", ".mcap-recorded", "-counted")
 @pytest.mark.parametrize("stamps", ["own", "recorded", "counted"])
 @pytest.mark.parametrize("ending", [".bag", ".mcap", ""])
 def test_what_is_written_is_read_the_same(tmp_path, ending, stamps):

@@ -94,8 +94,8 @@ def test_a_mcap_chunk_that_grows_without_measure_is_refused(tmp_path):
 def test_a_carmen_log_that_grows_without_measure_is_refused(tmp_path):
     """4 GiB of text were unpacked from 3 kB before."""
     path = tmp_path / "a.clf.bz2"
-    path.write_bytes(bz2.compress(b"# nothing\n" * 3_000_000))
-    assert path.stat().st_size < 20_000
+    path.write_bytes(bz2.compress(b"# nothing\n" * 800_000))
+    assert path.stat().st_size < 6_000
     with pytest.raises(LimitError, match=rf"a\.clf\.bz2, line \d+: \d+ {RATIO}"):
         list(lc.io.open_recording(path))
 

@@ -493,6 +493,9 @@ LONG = {"radish/fr079.clf.bz2", "radish/intel.clf.bz2"}
 """Logs that take long to unpack; two others have their format."""
 
 
+@pytest.mark.ci_cases(
+    "datmo/intersection*", "leg_tracker/positive_6.bag*", "obstacle*", "sick*", "radish/mit*"
+)
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

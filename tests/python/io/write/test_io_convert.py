@@ -92,6 +92,7 @@ def test_what_goes_in_comes_out(tmp_path, name):
         assert_same(given_item, item, covariance=name != "a.mcap")
 
 
+@pytest.mark.nightly
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), rows=st.integers(1, 5), columns=st.integers(1, 9))
 def test_clouds_of_any_size_come_out_of_bags(tmp_path_factory, seed, rows, columns):
