@@ -17,7 +17,7 @@ from lidar_core.io.ouster.frames import (
 )
 from lidar_core.io.ouster.osf import OsfFile
 from lidar_core.io.ouster.packets import Frame, FrameCollector, PacketLayout
-from lidar_core.io.ouster.sensor import MOST_METADATA_BYTES, Sensor, parse_sensor
+from lidar_core.io.ouster.sensor import MOST_METADATA_BYTES, Sensor, read_sensor
 from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic, decoded
@@ -36,16 +36,12 @@ def metadata_beside(path: Path) -> Path | None:
     names = [
         file
         for file in path.parent.glob("*.json")
-        if path.stem.startswith(file.stem) and SENSOR_KEY in file.read_bytes()
+        if path.stem.startswith(file.stem)
+        and file.is_file()  # a pipe or a device has no end
+        and file.stat().st_size <= MOST_METADATA_BYTES
+        and SENSOR_KEY in file.read_bytes()
     ]
     return max(names, key=lambda file: len(file.stem), default=None)
-
-
-def read_sensor(path: Path, options: ReadOptions) -> Sensor:
-    """Sensor of a JSON file; errors as of `parse_sensor`."""
-    if path.stat().st_size > MOST_METADATA_BYTES:
-        raise FormatError(f"{path}: not the metadata of an Ouster sensor: the file is too large")
-    return parse_sensor(path.read_bytes(), str(path), max_points=options.max_points)
 
 
 class _OusterFrames(Recording):
@@ -109,7 +105,7 @@ class OusterRecording(_OusterFrames):
         beside = Path(options.metadata) if options.metadata is not None else metadata_beside(path)
         if beside is None:
             raise FormatError(f"{path}: name the sensor's JSON file with metadata=FILE")
-        sensor = read_sensor(beside, options)
+        sensor = read_sensor(beside, max_points=options.max_points)
         self._layout = PacketLayout(sensor, str(beside), is_second=options.returns == "second")
         self._set_sensors([sensor])
         self._sender = self._find_sender(beside)

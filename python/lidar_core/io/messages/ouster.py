@@ -3,13 +3,12 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from lidar_core.io.messages.ros_types import OUSTER_TYPES
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.ouster.frames import NO_RETURN, POINT_TIME, SENSOR_FRAME, scan_of, told_returns
 from lidar_core.io.ouster.packets import Frame, FrameCollector, PacketLayout
-from lidar_core.io.ouster.sensor import Sensor, parse_sensor
+from lidar_core.io.ouster.sensor import Sensor, parse_sensor, read_sensor
 from lidar_core.io.records import Findings, Record, Topic
 from lidar_core.messages import Message
 
@@ -83,8 +82,7 @@ class OusterTopics:
         """Sensors by the namespace of their topics; of one that was named, by none."""
         most = self._options.max_points
         if self._options.metadata is not None:
-            file = Path(self._options.metadata)
-            return {"": parse_sensor(file.read_bytes(), str(file), max_points=most)}
+            return {"": read_sensor(self._options.metadata, max_points=most)}
         found = {}
         for topic in topics:
             if topic.type == METADATA_TYPE and topic.name.rpartition("/")[2] == METADATA_NAME:

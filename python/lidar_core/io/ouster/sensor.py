@@ -7,12 +7,14 @@ import json
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
+from lidar_core.files import check_regular
 from lidar_core.io.files.guard import check_size, reading
 
 FloatArray = NDArray[np.float64]
@@ -103,6 +105,20 @@ class Sensor:
         offsets = origins - run * directions
         rotation, shift = self.sensor_from_lidar[:3, :3], self.sensor_from_lidar[:3, 3]
         return Beams(directions @ rotation.T, (offsets @ rotation.T + shift) * MILLIMETRE)
+
+
+def read_sensor(path: str | Path, *, max_points: int) -> Sensor:
+    """Sensor of a JSON file.
+
+    Raises
+    ------
+    FormatError
+        The file is no regular file or larger than any metadata, or as of `parse_sensor`.
+    """
+    place = check_regular(path)
+    if place.stat().st_size > MOST_METADATA_BYTES:
+        raise FormatError(f"{place}: not the metadata of an Ouster sensor: the file is too large")
+    return parse_sensor(place.read_bytes(), str(path), max_points=max_points)
 
 
 def parse_sensor(text: str | bytes, place: str, *, max_points: int) -> Sensor:

@@ -7,7 +7,7 @@ from lidar_core.errors import FormatError, LinkError
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.ouster.frames import NO_RETURN, POINT_TIME, SENSOR_FRAME, scan_of
 from lidar_core.io.ouster.packets import FrameCollector, PacketLayout
-from lidar_core.io.ouster.sensor import MOST_METADATA_BYTES, Sensor, parse_sensor
+from lidar_core.io.ouster.sensor import MOST_METADATA_BYTES, Sensor, parse_sensor, read_sensor
 from lidar_core.io.records import Findings, Topic
 from lidar_core.messages import Scan
 
@@ -27,7 +27,7 @@ def sensor_at(place: str, options: ReadOptions) -> Sensor:
     """
     most = options.max_points
     if Path(place).is_file():
-        return parse_sensor(Path(place).read_bytes(), place, max_points=most)
+        return read_sensor(place, max_points=most)
     address = f"http://{place}/{METADATA_PATH}"
     try:
         # A sensor is on the robot's own network, never behind a proxy.

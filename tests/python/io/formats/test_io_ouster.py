@@ -1,7 +1,9 @@
 """Ouster recordings: captures, OSF files and bags of packets."""
 
 import json
+import os
 import subprocess
+import sys
 from functools import cache
 
 import numpy as np
@@ -10,6 +12,8 @@ from commands import command_line
 
 import lidar_core.io as lc_io
 from lidar_core.errors import FormatError
+from lidar_core.io.formats.ouster import SENSOR_KEY
+from lidar_core.io.ouster.sensor import MOST_METADATA_BYTES
 from lidar_core.messages import Pose, Scan
 
 SHAPES = {
@@ -162,3 +166,22 @@ def test_the_command_shows_a_capture(recordings):
     )
     (topic,) = json.loads(done.stdout)["topics"]
     assert (topic["rays"], topic["points"]) == (131_072, 119_682)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/dev/zero")
+@pytest.mark.parametrize("kind", ["device", "pipe", "large file"])
+def test_what_has_no_end_beside_a_capture_is_not_read(recordings, tmp_path, kind):
+    """A link to /dev/zero under the name of the metadata took all memory before."""
+    capture = recordings / "3d/velodyne_mrpt/sample_velodyne_vlp16_gps.pcap"
+    expected = len(messages_of(capture))
+    copied, beside = tmp_path / "a_b.pcap", tmp_path / "a.json"
+    copied.symlink_to(capture)
+    if kind == "device":
+        beside.symlink_to("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(beside)
+    else:
+        beside.write_bytes(SENSOR_KEY + bytes(MOST_METADATA_BYTES))
+    assert len(messages_of(copied)) == expected > 0
+    with pytest.raises(FormatError, match=r"a\.json"):
+        list(lc_io.open_recording(copied, metadata=str(beside)))
