@@ -23,13 +23,25 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Of a test with the marker `ci_cases`, the cases that no pattern names are nightly."""
+    met: dict[tuple[str, str], bool] = {}
     for item in items:
         marker = item.get_closest_marker("ci_cases")
+        if marker is None:
+            continue
         case = getattr(item, "callspec", None)
-        if marker and not (case and any(fnmatchcase(case.id, name) for name in marker.args)):
+        name, found = item.nodeid.partition("[")[0], False
+        for pattern in marker.args:
+            fits = case is not None and fnmatchcase(case.id, pattern)
+            met[name, pattern] = met.get((name, pattern), False) or fits
+            found = found or fits
+        if not found:
             item.add_marker(pytest.mark.nightly)
+    whole = config.args_source == pytest.Config.ArgsSource.TESTPATHS
+    if whole and not all(met.values()):
+        wrong = [f"{name}: {pattern!r}" for (name, pattern), fits in met.items() if not fits]
+        raise pytest.UsageError(f"ci_cases names cases that do not exist: {'; '.join(wrong)}")
 
 
 def _present(path: Path, what: str) -> Path:
