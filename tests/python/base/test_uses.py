@@ -81,6 +81,7 @@ def test_no_other_name_is_meant_where_none_is_near():
     assert "did you mean" not in str(refusal.value)
 
 
+@pytest.mark.nightly
 def test_trunks_keep_their_numbers_and_places():
     scene = sim.circle_scenes.trees(SEED, scans=640)
     base = config_of(scene, "")

@@ -68,7 +68,7 @@ def tasks(*how):
     return [Task(str(n), told, {"number": n, "how": one}) for n, one in enumerate(how)]
 
 
-@pytest.mark.ci_cases("3")
+@pytest.mark.nightly
 @pytest.mark.parametrize("workers", [1, 3])
 def test_a_task_that_fails_leaves_the_others_alone(workers):
     ways = ["result", "error", "result", "death", "strange", "unsendable", "result"]
@@ -274,6 +274,7 @@ def records(folder):
     return {path.parent.name: json.loads(path.read_text()) for path in folder.glob("*/job.json")}
 
 
+@pytest.mark.nightly
 def test_what_is_done_is_left_alone_and_failures_are_told(batch):
     folder = batch.parent / "out"
     first = run_batch(batch, "--json", str(batch.parent / "r.json"))

@@ -62,6 +62,7 @@ def many():
     return circles, rows, cache(lambda method: CircleDetector(method).detect(rows, BEARINGS))
 
 
+@pytest.mark.nightly
 def test_the_oracle_agrees():
     _, rows = scans(1, 60)
     found = CircleDetector("ml").detect(rows, BEARINGS)

@@ -95,6 +95,7 @@ def test_accuracy_on_circles_anywhere():
     assert 2.7 < nees(samples, found).mean() < 3.3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "changes",
     [

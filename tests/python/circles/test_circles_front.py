@@ -282,6 +282,7 @@ def test_single_circles_are_not_split():
     assert split <= 0.001 * seen
 
 
+@pytest.mark.nightly
 def test_neighbours_are_kept_apart():
     """A free gap of 0.3 m at 5 m, in any direction."""
     rng = np.random.default_rng(42)

@@ -109,6 +109,7 @@ def test_help_fills_the_width_and_leaves_room_to_read(command, monkeypatch):
     assert len(shown) < 115  # `live`, which has the most options
 
 
+@pytest.mark.nightly
 def test_output_fits_an_encoding_of_few_letters(tmp_path):
     """As that of a pipe on Windows."""
     program = "from lidar_core.cli import main; main()"

@@ -39,6 +39,7 @@ def offered(*words):
     return done.stdout.split()
 
 
+@pytest.mark.nightly
 def test_topics_of_the_kind_that_the_option_takes(recording):
     (cloud,) = (topic.name for topic in lc.io.open_recording(recording).topics())
     assert offered("detect", recording, "--cloud", cloud[:1]) == [cloud]

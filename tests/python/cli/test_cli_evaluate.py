@@ -377,6 +377,7 @@ def whole_files(place):
     return {path.suffix: path.read_bytes() for path in paths}
 
 
+@pytest.mark.nightly
 @given(
     suffix=st.sampled_from([".csv", ".npz", ".parquet", ".mcap", ".txt"]),
     at=st.floats(0, 1),

@@ -492,7 +492,7 @@ def lines_of(recordings):
     return (recordings / "fusion/sample-laser-radar-measurement-data-1.txt").read_text().split("\n")
 
 
-@pytest.mark.ci_cases("mirrored")
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("change", "shown"),
     [
@@ -550,6 +550,7 @@ def test_config_fit_does_not_replace_what_it_reads(tmp_path):
     assert place.read_text() == kept
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_ctrl_c_ends_a_fit_soon(tmp_path):
     place = noisy(tmp_path / "long.csv", 0.5, SEED, count=60_000)

@@ -127,6 +127,7 @@ def is_of_one_run(folder):
     return digest == note["sha256"] and same
 
 
+@pytest.mark.nightly
 @POSIX
 def test_two_simulations_into_one_recording_the_second_is_refused_and_names_the_first(tmp_path):
     path = tmp_path / "same.npz"

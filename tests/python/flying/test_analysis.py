@@ -311,6 +311,7 @@ def test_what_cannot_be_met_is_refused(changes, error, text):
         detection_probability(arguments.pop("directions"), **arguments)
 
 
+@pytest.mark.nightly
 def test_the_simulated_share_of_scans_is_predicted():
     """A ball anywhere at 20 m: in how many scans does the simulator hit it?"""
     from lidar_core import sim

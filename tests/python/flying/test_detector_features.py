@@ -580,6 +580,7 @@ def approach(config):
     return np.array(found)
 
 
+@pytest.mark.nightly
 def test_a_hovering_target_approached_head_on_is_found_in_best_mode_only():
     found = approach(FlyingConfig())
     assert found.max() > 15.0
@@ -815,6 +816,7 @@ def test_eight_threads_may_use_one_detector():
 # Large targets
 
 
+@pytest.mark.nightly
 def test_a_large_sphere_that_comes_straight_at_the_sensor_is_found_all_the_way():
     motion = sim.Shuttle(
         start=(20, 0.4, 3), end=(4, 0, 3), speed=4, acceleration=4, lead=1.0

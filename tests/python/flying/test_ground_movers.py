@@ -104,6 +104,7 @@ def behind_a_screen(*, radius, speed=2.0):
     return kinds, classes
 
 
+@pytest.mark.nightly
 def test_what_manoeuvres_above_hidden_space_flies_and_what_goes_straight_on_does_not():
     for radius, speed in ((0.5, 2.0), (0.35, 1.5)):  # it never leaves what it hides
         kinds, classes = behind_a_screen(radius=radius, speed=speed)

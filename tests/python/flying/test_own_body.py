@@ -136,6 +136,7 @@ def followed(scene, *, since=SETTLED, seed=0):
 # --- what escorts the sensor ------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_drone_that_escorts_five_metres_abeam_stays_a_target():
     scene = escort(9.0, seed=1, preset="vlp-16", distance=5.0)
     recall, seen, ids, others = followed(scene)

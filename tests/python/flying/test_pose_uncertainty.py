@@ -121,6 +121,7 @@ def test_the_paper_takes_poses_for_certain():
     assert FlyingConfig().pose.weighting != "off"
 
 
+@pytest.mark.nightly
 def test_false_detections_fall_and_recall_stays():
     places = [(9.0, y, 3.5 + 0.05 * y) for y in (-3.0, 3.0, -3.0, 3.0)]
     scene = yard(drone(*places, seconds=6.0), lidar=lidar(range_std=0.03), scans=60)

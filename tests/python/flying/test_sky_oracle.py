@@ -84,6 +84,7 @@ def random_scans(rng, *, half_width=None):
         yield (points + rng.normal(0, 0.01, points.shape)).astype(np.float32)
 
 
+@pytest.mark.nightly
 def test_a_turning_sensor_that_drifts_has_the_sky_that_the_oracle_finds():
     rng = np.random.default_rng(1)
     poses = np.broadcast_to(np.eye(4), (SCANS, 4, 4)).copy()

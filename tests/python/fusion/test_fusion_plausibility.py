@@ -281,6 +281,7 @@ def table(path, seen):
     return path
 
 
+@pytest.mark.nightly
 def test_the_command_ends_with_status_2_and_force_goes_on(tmp_path, recordings):
     seen = read_laser_radar(recordings / OBJ_POSE).measurements
     wrong = table(tmp_path / "wrong.csv", WRONG["degrees"][0](seen))

@@ -49,6 +49,7 @@ def test_every_example_has_a_test():
     assert {path.name for path in FOLDER.glob("*.py")} == set(TESTED)
 
 
+@pytest.mark.nightly
 def test_motion_capture_of_a_frame_without_a_name_is_a_truth(tmp_path):
     """As many systems publish it: the truth is the same as with a name."""
     truths = {}
@@ -94,6 +95,7 @@ def test_both_detectors_of_circles_are_honest(rule):
     assert all(2.6 < figure(text, f"NEES of {name}") < 3.4 for name in ("cnn", "ml"))
 
 
+@pytest.mark.nightly
 def test_elements_of_the_map_are_honest():
     text = output_of(sys.executable, "circle_map_consistency.py", 40)
     assert figure(text, "steps in the 95 % band") >= 0.8

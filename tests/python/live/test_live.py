@@ -598,6 +598,7 @@ def test_a_robot_on_zenoh_gets_tracks_of_its_own_scans(circles, naming):
     assert children == expected
 
 
+@pytest.mark.nightly
 def test_the_robot_of_the_examples_is_processed(circles):
     pytest.importorskip("zenoh")
     address = f"tcp/127.0.0.1:{free_port()}"
@@ -678,6 +679,7 @@ def test_what_was_published_once_before_reaches_those_who_come_later(circles):
     assert summary["processed"] > 0
 
 
+@pytest.mark.nightly
 def test_nobody_on_zenoh_is_an_error_with_its_cure(monkeypatch):
     pytest.importorskip("zenoh")
     with live("--in", f"zenoh:tcp/127.0.0.1:{free_port()}") as process:
@@ -687,6 +689,7 @@ def test_nobody_on_zenoh_is_an_error_with_its_cure(monkeypatch):
     assert "start the router of rmw_zenoh (ros2 run rmw_zenoh_cpp rmw_zenohd)" in errors
 
 
+@pytest.mark.nightly
 def test_a_broker_that_comes_back_is_linked_again(circles):
     robot, port = Robot(circles), free_port()
     scans = [item for item in robot.items if isinstance(item, LaserScan)][:10]
@@ -783,7 +786,7 @@ def test_a_topic_that_foxglove_does_not_have_is_told_within_three_seconds():
     assert summary["processed"] == 0
 
 
-@pytest.mark.ci_cases("rmw")
+@pytest.mark.nightly
 @pytest.mark.parametrize("naming", ["rmw", "bridge", "graph"])
 def test_a_topic_that_zenoh_does_not_have_is_told_within_three_seconds(circles, naming):
     """By the messages that come, or by the tokens of the ROS graph where none come."""
@@ -882,6 +885,7 @@ def test_latencies_of_clocks_that_differ_say_so(way_ms, told):
         assert _since_stamp(report) == told
 
 
+@pytest.mark.nightly
 def test_the_console_says_that_clocks_differ(circles):
     """Stamps of 1970, as of a robot without a clock."""
     robot, port = Robot(circles), free_port()

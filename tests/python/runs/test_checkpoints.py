@@ -157,6 +157,7 @@ def cut_short(recording, folder, scans, **options):
 STATIC = PoseOptions(pose="static")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("scans", [1, 2, 149])
 def test_it_goes_on_from_any_scan(sweeps, tmp_path, scans):
     expected = whole("circles", sweeps, tmp_path / "whole")

@@ -100,6 +100,7 @@ def test_a_killed_run_can_be_overwritten(long_recording, tmp_path):
     assert (folder / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.nightly
 def test_the_temporary_mcap_of_a_killed_run_goes(long_recording, tmp_path):
     pytest.importorskip("foxglove")
     folder = tmp_path / "run"
@@ -191,6 +192,7 @@ def test_what_a_link_points_to_stays(tmp_path):
     assert (kept / "file").exists()
 
 
+@pytest.mark.nightly
 def test_the_workers_of_a_killed_batch_end(long_recording, tmp_path):
     jobs = tmp_path / "jobs.toml"
     command = f"circles {long_recording} --pose static --no-mcap -o {{output}}/run"

@@ -79,7 +79,7 @@ def test_neighbours_are_as_far_apart_as_told():
         np.testing.assert_array_equal(truth.visible_share, 1)
 
 
-@pytest.mark.ci_cases("swinging")
+@pytest.mark.nightly
 @pytest.mark.parametrize("sensor", ["hovering", "swinging"])
 def test_occlusions_last_about_two_seconds(sensor):
     for seed in range(8):

@@ -94,6 +94,7 @@ CASES = [
 ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_what_moves_is_in_the_middle_third_and_can_be_seen(drawn, case):
     figure = drawn[case]

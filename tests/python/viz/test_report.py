@@ -160,6 +160,7 @@ def test_places_that_no_shown_scan_measured_take_the_time_of_their_surroundings(
     assert first_seen(np.empty((0, 3)), size, [near]).tolist() == []
 
 
+@pytest.mark.nightly
 def test_the_map_of_a_view_grows_unless_the_run_began_with_it(tmp_path):
     made("simulate", "demo", "-o", tmp_path / "a.npz", "--scans", FEW)
     made("detect", tmp_path / "a.npz", "-o", tmp_path / "run", "--no-picture")
@@ -207,6 +208,7 @@ def test_points_that_are_not_background_are_kept_first():
     assert len(_thinned(moment, 20_000)[0]) == 10_000
 
 
+@pytest.mark.nightly
 def test_a_long_run_is_thinned_to_its_end(tmp_path):
     rows = [f"L {x} {x} {int(1e6 * t)} {x} {x} 1 1" for t, x in _way(2 * MOST_MOMENTS)]
     (tmp_path / "a.txt").write_text("\n".join(rows) + "\n")
@@ -324,6 +326,7 @@ def test_what_is_no_run_is_refused(tmp_path, circles):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_a_next_run_replaces_the_report_of_the_one_before(circles):
     write_report(circles)
     assert (circles / "report.html").is_file()
@@ -331,6 +334,7 @@ def test_a_next_run_replaces_the_report_of_the_one_before(circles):
     assert not (circles / "report.html").exists()
 
 
+@pytest.mark.nightly
 @needs_chromium
 def test_the_view_moves_in_a_browser_that_asks_nobody(demo, tmp_path):
     path = write_report(demo, tmp_path / "demo.html")

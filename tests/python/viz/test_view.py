@@ -73,6 +73,7 @@ def test_circles_are_played_as_the_table_says(circles):
         np.testing.assert_array_equal(moment.objects.covariance[:, 1, 0], table["cov_x_y"][rows])
 
 
+@pytest.mark.nightly
 def test_walls_and_other_shapes_are_played_as_the_table_says(tmp_path):
     """A wall and a box, in a recording of a scanner that stands."""
     scanner = lc.circles.Scanner()
@@ -180,6 +181,7 @@ def test_pictures_show_points_and_objects(kind, request, tmp_path):
         assert (np.abs(early - colour).max(axis=2) < 40).sum() > 100
 
 
+@pytest.mark.nightly
 def test_films_have_a_frame_per_scan_or_fewer(circles, tmp_path):
     path = draw_film(Playback(circles), tmp_path / "a.gif", frames=5)
     with Image.open(path) as film:

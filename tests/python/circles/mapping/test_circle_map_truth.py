@@ -155,6 +155,7 @@ def normalised_errors(config, runs, steps, seed):
     return nees[:, :, 3:]
 
 
+@pytest.mark.nightly
 def test_covariances_are_honest():
     nees, speed = normalised_errors(CircleMapConfig(), runs=60, steps=50, seed=4200)
     assert not np.isnan(nees).any()
@@ -198,6 +199,7 @@ def is_kept_through_an_occlusion(seed, hidden=(60, 100), steps=120):
     return ids[hidden[0] - 1] == ids[-1] and len(ids[-1]) == 1
 
 
+@pytest.mark.nightly
 def test_identities_survive_an_occlusion_of_two_seconds():
     assert sum(is_kept_through_an_occlusion(4300 + case) for case in range(40)) >= 38
 

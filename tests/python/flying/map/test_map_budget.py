@@ -140,6 +140,7 @@ def test_separate_groups_are_found_after_the_map_has_forgotten():
     np.testing.assert_array_equal(full.state_at(near), whole.state_at(near))
 
 
+@pytest.mark.nightly
 def test_the_detector_flies_on_and_says_that_it_forgot():
     flying = lc.flying.FlyingConfig(voxel_map={"max_voxels": 4_000 * BLOCK**3})
     detector = lc.flying.FlyingObjectDetector(flying, threads=1)

@@ -79,6 +79,7 @@ def test_what_hovers_flies_as_soon_as_it_leaves_its_place():
             assert len(frame.tracks.flying) == has_moved
 
 
+@pytest.mark.nightly
 def test_what_begins_to_swing_by_a_hand_does_not_fly():
     times = tuple(HOVER_S + 0.4 * np.arange(6))
     swing = Waypoints(
@@ -111,7 +112,7 @@ def test_insects_are_clutter_and_small_targets_fly(shape, kind):
         np.testing.assert_allclose(tracks.kind_probability.sum(axis=1), 1, atol=1e-9)
 
 
-@pytest.mark.ci_cases("vlp-16-1001")
+@pytest.mark.nightly
 @pytest.mark.parametrize(("sensor", "seed"), [("vlp-16", 1001), ("hdl-32e", 1000)])
 def test_leaves_in_the_wind_do_not_fly(sensor, seed):
     """Trees of 60 leaves of 6 cm that sway by 25 cm, from a sensor that drives past."""
@@ -133,6 +134,7 @@ def test_a_target_that_begins_beside_structure_and_stays_there_flies(shape):
     assert sum(found) >= 0.9 * len(found)
 
 
+@pytest.mark.nightly
 def test_a_person_whose_feet_are_out_of_view_does_not_fly():
     """From a height of 3 m and 22.5 degrees down, the feet of who is 5 m away are not seen."""
     line = ((4.0, -2.0, 0.0), (4.0, 2.0, 0.0))
@@ -142,6 +144,7 @@ def test_a_person_whose_feet_are_out_of_view_does_not_fly():
     assert sum(len(frame.tracks.flying) for frame in frames) == 0
 
 
+@pytest.mark.nightly
 def test_a_drone_as_high_as_a_person_flies():
     line = ((5.5, -2.0, 1.7), (5.5, 2.0, 1.7))
     way = Waypoints(times=(0.0, 3.0), positions=line)

@@ -36,6 +36,7 @@ def errors_of(places, tracks):
 LATER = [pytest.param(*one, marks=pytest.mark.nightly) for one in [(0.7, 3.0), (0.8, 3.5)]]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("radius", "speed"), [(0.6, 3.0), *LATER])
 def test_a_target_on_a_tight_circle_is_followed(radius, speed):
     """At 13 to 15 m/s^2, where the process noise that is told stands for some 4."""

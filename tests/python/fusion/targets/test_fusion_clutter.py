@@ -99,6 +99,7 @@ def test_a_jetty_is_clutter_and_a_boat_that_passes_it_is_none():
     assert all(len(one.id) == 1 for one in told[95:])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("others", [0, 240])
 def test_posts_are_clutter_however_much_else_the_scanner_sees(others):
     """Returns that jump between two posts give their track a speed; only their place tells."""

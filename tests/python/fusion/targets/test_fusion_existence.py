@@ -91,6 +91,7 @@ def test_the_tracker_agrees_with_the_oracle(birth_distance, seed):
         agrees(tracker, oracle, stamp)
 
 
+@pytest.mark.nightly
 @given(seed=st.integers(8800, 8899))
 def test_hidden_targets_agree_with_the_oracle(seed):
     """Also what returns teach; a tracker from a saved state goes on with the same."""

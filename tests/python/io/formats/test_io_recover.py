@@ -75,6 +75,7 @@ def test_a_whole_file_is_read_as_ever(whole, messages):
     assert notes == []
 
 
+@pytest.mark.nightly
 @settings(max_examples=40, deadline=None)
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
 def test_a_cut_file_gives_what_came_before_the_cut(whole, messages, tmp_path_factory, share):

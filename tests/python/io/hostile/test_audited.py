@@ -36,6 +36,7 @@ def test_what_is_not_reading_is_found(tmp_path, deed, found):
         assert any(line.startswith(found) for line in told.splitlines()), told
 
 
+@pytest.mark.nightly
 def test_readers_only_read():
     status, told = hostile("-m", "hostile.audited")
     assert status == 0, told

@@ -111,6 +111,7 @@ for path in sorted(folder.iterdir()):
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of a child process are set by Linux")
 def test_mutated_las_and_laz_files_end_in_typed_errors_or_are_read(tmp_path):
     """No abort of the process (it asked for 54 GB), no hang (40 s), no untyped error."""

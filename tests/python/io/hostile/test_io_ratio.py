@@ -91,6 +91,7 @@ def test_a_mcap_chunk_that_grows_without_measure_is_refused(tmp_path):
         list(recording.records())
 
 
+@pytest.mark.nightly
 def test_a_carmen_log_that_grows_without_measure_is_refused(tmp_path):
     """4 GiB of text were unpacked from 3 kB before."""
     path = tmp_path / "a.clf.bz2"
