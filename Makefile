@@ -79,6 +79,10 @@ coverage: test-env ## Lines that tests reach: of Python by PART, of Rust with ca
 	    cargo llvm-cov --locked -p lidar_core -p lidar_sim --summary-only; \
 	else echo "Rust: no cargo-llvm-cov"; fi
 
+# With EVIDENCE=1 the counts go into docs/evidence, also those of a run that found something.
+KEPT = $(if $(EVIDENCE),--evidence; status=$$?; \
+    PYTHONPATH=tests $(BIN)/python -m hostile.evidence && exit $$status)
+
 # COUNT files, broken by SEED, each read in a child with 2 GiB and 20 s; those that end badly are
 # kept in target/hostile. With MINUTES=n it stops after this time, as `make kills` does.
 FOR_MINUTES = $(if $(filter command%,$(origin MINUTES)),--minutes $(MINUTES))
@@ -86,29 +90,25 @@ COUNT ?= 20000
 SEED ?= 1
 hostile: ## Break files of every format and of LIDAR_CORE_DATA, and read them: COUNT=n, SEED=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile --count $(COUNT) \
-	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile $(FOR_MINUTES) $(if $(EVIDENCE),--evidence)
-	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+	    --seed $(SEED) --keep $(CARGO_TARGET_DIR)/hostile $(FOR_MINUTES) $(KEPT)
 
 # One good file per format, cut at every STEP-th offset and with every byte there damaged.
 STEP ?= 1
 corrupt: ## Cut and damage a file of every format at every offset: STEP=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.exhaustive --step $(STEP) \
-	    $(if $(EVIDENCE),--evidence)
-	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+	    $(KEPT)
 
 # Rust targets under libFuzzer with ten planted bugs, which count as found when they are met; readers
 # in Python; calls of the compiled module. What is found is kept in target/fuzz. C++ is needed.
 MINUTES ?= 10
 fuzz: ## Fuzz every target in turn, guided by coverage: MINUTES=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m fuzz_house --minutes $(MINUTES) \
-	    --folder $(CARGO_TARGET_DIR)/fuzz $(if $(EVIDENCE),--evidence)
-	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+	    --folder $(CARGO_TARGET_DIR)/fuzz $(KEPT)
 
 KILLS ?= 300
 kills: ## Kill commands that write at any time, and look at what they leave: KILLS=n, EVIDENCE=1.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.kills --count $(KILLS) \
-	    --seed $(SEED) $(FOR_MINUTES) $(if $(EVIDENCE),--evidence)
-	$(if $(EVIDENCE),PYTHONPATH=tests $(BIN)/python -m hostile.evidence)
+	    --seed $(SEED) $(FOR_MINUTES) $(KEPT)
 
 signals: ## Press Ctrl-C in calls of two million points.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.signals
