@@ -107,6 +107,7 @@ def test_pose_covariances_are_judged_at_any_scale(scale):
 # Voxels that were hit
 
 
+@pytest.mark.ci_cases("0", "5", "10")
 @pytest.mark.parametrize("seed", range(25))
 def test_hit_probability_agrees_with_scipy(seed):
     rng = np.random.default_rng(seed)

@@ -144,7 +144,7 @@ RULES = {
 }
 
 
-@pytest.mark.ci_cases("2-*")
+@pytest.mark.ci_cases("2-paper", "2-groups", "2-all")
 @pytest.mark.parametrize("name", RULES)
 @pytest.mark.parametrize("threads", [1, 2])
 def test_classes_equal_the_oracle(name, threads):

@@ -57,6 +57,7 @@ def tracked(config, deliver):
     return np.mean(found), frame, detector
 
 
+@pytest.mark.ci_cases("*-auto")
 @pytest.mark.parametrize("beams", ["auto", "learnt", "vlp-16"])
 @pytest.mark.parametrize(
     "deliver",

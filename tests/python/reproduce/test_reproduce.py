@@ -239,7 +239,7 @@ NIGHTLY = {
 false tracks as `flying-drivers` does."""
 
 
-@pytest.mark.ci_cases("flying-crossings", "circles-table3", "fusion-fig10", "tracking-clutter")
+@pytest.mark.ci_cases("flying-crossings", "fusion-fig10")
 @pytest.mark.parametrize(
     "name",
     [

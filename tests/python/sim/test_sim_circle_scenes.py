@@ -29,6 +29,7 @@ def test_there_is_no_sixth_trajectory():
         scenes.single(0.3, 1, sensor="resting")
 
 
+@pytest.mark.ci_cases("False-0", "False-1", "True-0", "True-1")
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("walls", [False, True])
 def test_several_posts_hide_one_another_and_never_touch(seed, walls):

@@ -114,6 +114,7 @@ def legend_of(figure):
     return next(axes.get_legend() for axes in figure.axes if axes.get_legend() is not None)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["circles", "fusion"])
 def test_the_legend_of_a_picture_in_the_plane_lies_beside_it(drawn, name):
     """A map or a way may be everywhere in the panel: the eight of a sample was half covered."""
@@ -126,6 +127,7 @@ def test_the_legend_of_a_picture_in_the_plane_lies_beside_it(drawn, name):
         assert not legend_of(figure).get_window_extent().overlaps(text.get_window_extent())
 
 
+@pytest.mark.nightly
 def test_a_fusion_picture_shows_measurements_in_the_world_and_the_way_of_the_sensor(drawn):
     """The tour's sensor flies 36 m: without its pose, a measurement would be metres off."""
     above = drawn["fusion", "picture"].axes[0]
@@ -140,6 +142,7 @@ def test_a_fusion_picture_shows_measurements_in_the_world_and_the_way_of_the_sen
     assert "measurement" in [t.get_text() for t in legend_of(drawn["fusion", "png"]).get_texts()]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["demo", "flying"])
 def test_the_legend_hides_nothing_of_the_way_of_the_sensor(drawn, name):
     figure = drawn[name, "picture"]
@@ -152,18 +155,21 @@ def test_the_legend_hides_nothing_of_the_way_of_the_sensor(drawn, name):
     assert len(hidden) == 0
 
 
+@pytest.mark.nightly
 def test_time_counts_from_the_first_scan_also_where_none_was_kept(drawn):
     """The drones of the demo are found after 1 s; 40 scans are 3.9 s long."""
     assert drawn["demo", "png"].get_suptitle() == "demo: 3.90 s, 2 objects"
     assert drawn["flying", "png"].get_suptitle() == "flying: 2.90 s, 2 objects"
 
 
+@pytest.mark.nightly
 def test_objects_have_colours_of_their_own(drawn):
     above = drawn["flying", "png"].axes[0]
     colours = [line.get_color() for line in above.lines if line.get_gid() == WAY]
     assert len(set(colours)) == len(colours) == 2
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_pictures_have_a_legend_a_scale_a_time_and_sigmas(drawn, case):
     figure = drawn[case]
@@ -177,6 +183,7 @@ def test_pictures_have_a_legend_a_scale_a_time_and_sigmas(drawn, case):
     assert re.search(r"[\d.]+ s\b", titles), titles
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_numbers_do_not_lie_over_one_another(drawn, case):
     for axes in drawn[case].axes[:2]:
@@ -189,6 +196,7 @@ def test_numbers_do_not_lie_over_one_another(drawn, case):
             assert not any(one.overlaps(other) for other in boxes[:order])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_the_map_fills_its_panel(drawn, case):
     """Half of the canvas empty was the complaint: an aspect must not shrink the panel."""
@@ -285,6 +293,7 @@ def test_a_ring_marks_what_is_small_alone():
     assert len(axes.lines) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_a_map_is_behind_flying_objects(drawn, case):
     for axes in drawn[case].axes[:2]:

@@ -173,7 +173,7 @@ def crowds(name):
     )
 
 
-@pytest.mark.ci_cases("as it is")
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name",
     ["as it is", "told twice", pytest.param("told half", marks=pytest.mark.nightly)],

@@ -220,6 +220,7 @@ def test_a_batch_of_a_million_million_jobs_is_refused(tmp_path, group):
         jobs_of(config, tmp_path)
 
 
+@pytest.mark.ci_cases("command0")
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux")
 @pytest.mark.parametrize(
     "command",

@@ -166,6 +166,7 @@ def broken_pcd(folder, place, work):
     return path
 
 
+@pytest.mark.ci_cases("crash", "killed", "memory", "bug")
 @pytest.mark.parametrize("name", BREAKS)
 def test_a_library_that_breaks_is_an_error_that_names_the_file(tmp_path, fresh, name, capfd):
     work, kind, told = BREAKS[name]

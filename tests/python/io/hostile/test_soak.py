@@ -9,6 +9,7 @@ from hostile import soak
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory as Linux tells it")
 
 
+@pytest.mark.ci_cases("well", "grows")
 @pytest.mark.parametrize(
     ("limits", "status"),
     [((1e9, 1e9), 0), ((-1e9, 1e9), 1), ((1e9, 0.0), 1)],
