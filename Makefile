@@ -117,17 +117,17 @@ signals: ## Press Ctrl-C in calls of two million points.
 KM ?= 50
 METRES ?= 2.5
 flight: ## Fly straight on with a map of 200 MB: KM=n, METRES=n between two scans.
-	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.flight --km $(KM) --step $(METRES)
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m endurance.flight --km $(KM) --step $(METRES)
 
 # An hour of a LiDAR, and several hours of one core.
 SCANS ?= 36000
 POINTS ?= 131072
 soak: ## Fly one loop for hours: memory and time per scan must not grow: SCANS=n, POINTS=n.
-	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.soak --scans $(SCANS) --points $(POINTS)
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m endurance.soak --scans $(SCANS) --points $(POINTS)
 
 SECONDS_OF_SCANS ?= 300
 deadline: ## Ten scans per second beside a busy core and a churning page cache: SECONDS_OF_SCANS=n.
-	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.deadline --seconds $(SECONDS_OF_SCANS)
+	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m endurance.deadline --seconds $(SECONDS_OF_SCANS)
 
 memory: ## Work under limits of memory that are too small for it.
 	PYTHONPATH=tests:tests/python/helpers:$$PYTHONPATH $(BIN)/python -m hostile.memory

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import lidar_core as lc
-from hostile import flight
+from endurance import flight
 from lidar_core.cli import app
 from lidar_core.errors import LimitError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector

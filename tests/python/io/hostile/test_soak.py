@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from hostile import soak
+from endurance import soak
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory as Linux tells it")
 

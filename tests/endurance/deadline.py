@@ -1,4 +1,4 @@
-"""`python -m hostile.deadline`: scans at a steady rate, with a busy core and a churning page cache.
+"""`python -m endurance.deadline`: scans at a steady rate beside a busy core and a churning cache.
 
 Each scan has to be done before the next one comes. Latency counts from the time at which a scan is
 due to the end of its call, so that a late call makes those after it late, too.
@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from hostile.flight import HEIGHT, scan, sights
+from endurance.flight import HEIGHT, scan, sights
 
 MOST_P999_MS, MOST_MS = 100.0, 250.0
 """Source: goal G16 of the reliability notes, for 10 scans per second."""
@@ -59,7 +59,7 @@ def latencies(scans: int, rate: float, columns: int) -> np.ndarray:
 
 def main() -> int:
     """Print the latencies; 1 if a bound is broken."""
-    parser = argparse.ArgumentParser(prog="python -m hostile.deadline", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m endurance.deadline", description=__doc__)
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--rate", type=float, default=10.0, help="scans per second")
     parser.add_argument("--columns", type=int, default=450, help="rays of one of 16 rows")

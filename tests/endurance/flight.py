@@ -1,4 +1,4 @@
-"""`python -m hostile.flight`: a long straight flight through a street, with a small map.
+"""`python -m endurance.flight`: a long straight flight through a street, with a small map.
 
 A LiDAR with 16 rows flies along an endless street of houses; a ball flies in front of it, always.
 The map reaches its budget after the first kilometre or two. No scan may be refused after that, the
@@ -79,7 +79,7 @@ def main() -> int:
     from lidar_core.errors import LidarCoreError
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 
-    parser = argparse.ArgumentParser(prog="python -m hostile.flight", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m endurance.flight", description=__doc__)
     parser.add_argument("--km", type=float, default=50.0)
     parser.add_argument("--budget", type=float, default=200.0, help="of the map [MB]")
     parser.add_argument("--step", type=float, default=2.5, help="way between two scans [m]")

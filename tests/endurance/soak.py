@@ -1,4 +1,4 @@
-"""`python -m hostile.soak`: the same loop for hours; memory and time per scan must not grow.
+"""`python -m endurance.soak`: the same loop for hours; memory and time per scan must not grow.
 
 A LiDAR goes round a yard with houses, again and again, while a ball flies before it. An hour at
 10 Hz are 36,000 scans. Time is that of the processor, so that other work beside it does not count.
@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from hostile.flight import BALL, resident
+from endurance.flight import BALL, resident
 
 ROUND = 60
 """Scans of one round; their surroundings are made once."""
@@ -68,7 +68,7 @@ def main() -> int:
     """Print a line for every tenth; 1 if memory or time grew, or scans were lost."""
     from lidar_core.flying import FlyingObjectDetector
 
-    parser = argparse.ArgumentParser(prog="python -m hostile.soak", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m endurance.soak", description=__doc__)
     parser.add_argument("--scans", type=int, default=36_000)
     parser.add_argument("--points", type=int, default=131_072)
     parser.add_argument("--growth", type=float, default=16.0, help="of the process [MiB]")
