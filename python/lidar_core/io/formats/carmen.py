@@ -26,7 +26,7 @@ from lidar_core.io.options import ReadOptions
 from lidar_core.io.poses.pose_files import stamp_from_text
 from lidar_core.io.readers import register_reader
 from lidar_core.io.recording import Recording
-from lidar_core.io.records import Kind, Record, Topic, decoded
+from lidar_core.io.records import POSE_KINDS, Kind, Record, Topic, decoded
 from lidar_core.io.rotations import pose_matrix, quaternion_from_angles
 from lidar_core.messages import LaserScan, Message, Pose
 
@@ -141,6 +141,29 @@ class CarmenRecording(Recording):
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
         """Messages in the order of the log; one without a time has that of the one before."""
+        for topic, line, parts, stamp_ns in self._timed(kinds):
+            decode: Callable[[], list[Message]] = decoded()
+            if parts is not None:
+                decode = partial(self._decode, line, parts, stamp_ns)
+            yield Record(topic, stamp_ns, decode)
+
+    def poses(self) -> Iterator[tuple[Topic, Pose]]:
+        """Poses alone; the readings of their lines are not decoded."""
+        for topic, line, parts, stamp_ns in self._timed(POSE_KINDS):
+            if parts is None or line.number in self._rejected:
+                continue
+            try:
+                pose = _pose(line, parts, stamp_ns)
+            except FormatError as error:
+                self._reject(line, error)
+                continue
+            if pose is not None:
+                yield topic, pose
+
+    def _timed(
+        self, kinds: frozenset[str] | None
+    ) -> Iterator[tuple[Topic, _Line, "_Parts | None", int]]:
+        """Messages with their topics, parts and times [ns]; no parts of kinds that are not read."""
         topics = {
             topic.name: topic for topic in self.topics() if kinds is None or topic.kind in kinds
         }
@@ -149,15 +172,14 @@ class CarmenRecording(Recording):
             topic = topics.get(line.name)
             if topic is None:
                 continue
-            decode: Callable[[], list[Message]] = decoded()
+            parts = None
             if topic.kind != "other":
                 try:
                     parts = _parts(line)
                     last_ns = line.stamp_ns(parts.end)
                 except FormatError:  # counted by the survey
                     continue
-                decode = partial(self._decode, line, parts, last_ns)
-            yield Record(topic, last_ns, decode)
+            yield topic, line, parts, last_ns
 
     def _reject(self, line: _Line, error: FormatError) -> None:
         """Count an unreadable line once, and note the first one of its name."""
@@ -176,13 +198,8 @@ class CarmenRecording(Recording):
             return []
 
     def _messages(self, line: _Line, parts: "_Parts", stamp_ns: int) -> list[Message]:
-        messages: list[Message] = []
-        if parts.pose_at is not None:
-            x, y, angle = line.numbers(parts.pose_at, 3).tolist()
-            if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(angle)):
-                raise FormatError(f"{line.place}: pose {x} {y} {angle} is not finite")
-            matrix = pose_matrix(np.array([x, y, 0.0]), quaternion_from_angles(0.0, 0.0, angle))
-            messages.append(Pose(stamp_ns, ODOM_FRAME, parts.frame, matrix, topic=line.name))
+        pose = _pose(line, parts, stamp_ns)
+        messages: list[Message] = [] if pose is None else [pose]
         if parts.readings_at is not None:
             if line.name not in self._lasers:
                 self._lasers[line.name] = LaserDecoder(line.name, self.options, self.findings)
@@ -287,6 +304,17 @@ class _Parts(NamedTuple):
     readings: int
     pose_at: int | None
     end: int
+
+
+def _pose(line: _Line, parts: _Parts, stamp_ns: int) -> Pose | None:
+    """Pose of a message; None if it holds none."""
+    if parts.pose_at is None:
+        return None
+    x, y, angle = line.numbers(parts.pose_at, 3).tolist()
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(angle)):
+        raise FormatError(f"{line.place}: pose {x} {y} {angle} is not finite")
+    matrix = pose_matrix(np.array([x, y, 0.0]), quaternion_from_angles(0.0, 0.0, angle))
+    return Pose(stamp_ns, ODOM_FRAME, parts.frame, matrix, topic=line.name)
 
 
 def _parts(line: _Line) -> _Parts:

@@ -290,6 +290,20 @@ def read(path, **options):
         return list(recording)
 
 
+def assert_same_poses(alone, messages):
+    """Poses that were read without the readings beside them are those among all messages."""
+    among = [item for item in messages if isinstance(item, Pose)]
+    assert len(alone) == len(among) > 0
+    for one, other in zip(alone, among, strict=True):
+        assert (one.stamp_ns, one.frame_id, one.child_frame_id, one.topic) == (
+            other.stamp_ns,
+            other.frame_id,
+            other.child_frame_id,
+            other.topic,
+        )
+        np.testing.assert_array_equal(one.matrix, other.matrix)
+
+
 @pytest.mark.parametrize("name", ["a.clf", "a.clf.bz2", "a.log", "a.gfs.log", "a.log.gz"])
 def test_a_log_gives_scans_and_the_odometry_they_belong_to(tmp_path, name):
     text = HEADER + "ODOM 1 2 0.5 0 0 0 99.5 host 0\n" + flaser([2.0] * 180)
@@ -329,7 +343,10 @@ def test_newer_scans_state_their_scanner(tmp_path):
         f"RAWLASER1 {scanner} 7.5 host 7.5\n"
         f"ROBOTLASER1 {scanner} 1 2 0.5 1 2 0.5 0 0 0.1 0.1 0 7.75 host 7.75\n"
     )
-    raw, pose, scan = read(log(tmp_path, text))
+    path = log(tmp_path, text)
+    raw, pose, scan = read(path)
+    with lc.io.open_recording(path) as recording:
+        assert_same_poses([one for _, one in recording.poses()], [pose])
     assert (raw.stamp_ns, scan.stamp_ns) == (7_500_000_000, 7_750_000_000)
     for item in (raw, scan):
         assert (item.angle_min, item.angle_increment, item.range_max) == (-1.0, 0.5, 20.0)
@@ -355,6 +372,8 @@ def test_broken_lines_are_counted_and_named(tmp_path, line, text):
     good = flaser([2.0] * 180)
     path = log(tmp_path, HEADER + good + line + good.replace("100.0", "101.0"))
     with lc.io.open_recording(path) as recording:
+        alone = [pose for _, pose in recording.poses()]
+        assert_same_poses(alone, recording)
         for _ in range(2):  # told once, however often it is read
             scans = [item for item in recording if isinstance(item, LaserScan)]
             assert [scan.stamp_ns for scan in scans] == [100_000_000_001, 101_000_000_001]
