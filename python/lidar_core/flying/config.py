@@ -400,6 +400,14 @@ class FlyingConfig(Config):
         le=1e5,
         description="The map forgets blocks that are further from the sensor [m].",
     )
+    few_returns_distance: float | None = Field(
+        default=100.0,
+        gt=0,
+        le=1e5,
+        description="Largest distance in which targets are tracked before a scan detects them:"
+        " those of one or two returns per scan, and those beyond `classify.max_distance` [m]; none:"
+        " no target is.",
+    )
     on_bad_scan: Literal["raise", "count"] = Field(
         default="raise", description="Reaction to a scan that cannot be used (no unit)."
     )
@@ -438,4 +446,5 @@ class FlyingConfig(Config):
             pose=PoseConfig.paper(),
             range_margin=0.0,
             mismatch_share=None,
+            few_returns_distance=None,
         )

@@ -219,6 +219,7 @@ pub fn detector(bytes: &[u8]) {
     }
     parameters.map = any_map_parameters(&mut input);
     parameters.forget_distance = input.maybe(Input::positive);
+    parameters.few_returns_distance = input.maybe(Input::positive);
     parameters.cluster_voxels = input.is_set();
     parameters.mismatch_share = input.maybe(Input::share);
     let Ok(mut detector) = FlyingObjectDetector::new(parameters.clone(), 1) else { return };

@@ -11,7 +11,7 @@ use super::classify::pockets::free_pockets;
 use super::classify::scan_classifier::{ScanClassifier, ScanToClassify};
 use super::detect::detection::Teammate;
 use super::detect::detections::{ScanDetections, ScanToDetect, detect};
-use super::detect::follow_up::{add_followed, update_tracks, watch};
+use super::detect::follow_up::{Hints, add_followed, update_tracks, watch};
 use super::detect::visibility::ScanView;
 use super::frame::{Frame, Timing};
 use super::full_state::{DetectorState, KIND, SavedDetector};
@@ -28,6 +28,7 @@ use super::reporting_gate::ReportingGate;
 use super::scan::prepared::{Prepared, RawScan};
 use super::scan::sensors::Sensors;
 use super::track::{PointCloudTracker, Track};
+use super::track_before_detect::{ScanOfFew, TrackBeforeDetect};
 use crate::Error;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::Transform;
@@ -58,6 +59,7 @@ pub struct FlyingObjectDetector {
     static_points: StaticPoints,
     tracker: PointCloudTracker,
     movers: GroundMovers,
+    before_detect: TrackBeforeDetect,
     /// Where a map of all that stands is asked for.
     static_map: Option<StaticMapper>,
     makes_static_map: bool,
@@ -85,6 +87,7 @@ impl FlyingObjectDetector {
             static_points: StaticPoints::default(),
             tracker: PointCloudTracker::new(parameters.tracker, threads)?,
             movers: GroundMovers::default(),
+            before_detect: TrackBeforeDetect::default(),
             static_map: None,
             makes_static_map: false,
             workers,
@@ -322,6 +325,7 @@ impl FlyingObjectDetector {
         stamp_ns: i64,
         standing: &[usize],
     ) -> Result<ScanDetections, Error> {
+        // Longer than other functions: the inputs of all stages, which borrow from the same fields.
         let Self {
             parameters,
             workers,
@@ -332,6 +336,7 @@ impl FlyingObjectDetector {
             tracker,
             burn_in,
             movers,
+            before_detect,
             ..
         } = self;
         let FlyingParameters { target_radius, range_std, .. } = *parameters;
@@ -345,7 +350,24 @@ impl FlyingObjectDetector {
         let (expected, in_air) = (&[], &[]); // the classes are known
         let classified =
             ScanToClassify { scan, local, background_extent, parameters, expected, in_air, pool };
-        let followed = update_tracks(tracker, &classified, classifier, &view, &found, stamp_ns)?;
+        let few = parameters.few_returns().map(|max_distance| ScanOfFew {
+            scan,
+            map: &local.map,
+            clusters: classifier.clusters(),
+            parameters: &parameters.classify,
+            max_distance,
+            stamp_ns,
+        });
+        if let Some(few) = &few {
+            before_detect.look(few);
+        }
+        let hints = Hints { classifier, before_detect };
+        let followed = update_tracks(tracker, &classified, &hints, &view, &found, stamp_ns)?;
+        if let Some(few) = few.filter(|_| self.is_reporting) {
+            let mut tracked = tracker.confirmed_places();
+            tracked.extend(teammates.iter().map(|mate| map_from_world.apply(mate.position)));
+            tracker.adopt(&before_detect.weigh(&few, &tracked), stamp_ns);
+        }
         add_followed(&input, &local.map, classifier, &mut found, &followed.rows);
         movers.leave_flying(classifier.class());
         for index in followed.on_ground.iter().filter_map(|&row| classifier.cluster_of(row)) {
@@ -525,6 +547,7 @@ impl FlyingObjectDetector {
             static_points: self.static_points.saved(),
             tracker: self.tracker.state(),
             movers: self.movers.saved(),
+            before_detect: self.before_detect.saved(),
             static_map: self.static_map.as_ref().or(begun.as_ref()).map(StaticMapper::state),
         };
         sealed(KIND, &self.parameters, &state)
@@ -551,6 +574,7 @@ impl FlyingObjectDetector {
         detector.static_points = StaticPoints::restored(saved.static_points)?;
         detector.tracker.restore(saved.tracker)?;
         detector.movers = GroundMovers::restored(saved.movers)?;
+        detector.before_detect = TrackBeforeDetect::restored(saved.before_detect)?;
         detector.static_map = saved.static_map.map(StaticMapper::restored).transpose()?;
         detector.makes_static_map = detector.static_map.is_some();
         Ok(detector)
@@ -585,6 +609,7 @@ impl FlyingObjectDetector {
         (self.is_reporting, self.pose_check.held) = (false, None);
         self.static_points.clear();
         self.movers.clear();
+        self.before_detect.clear();
         self.static_map = None;
         self.sensors.forget_places();
     }

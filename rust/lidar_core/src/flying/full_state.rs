@@ -10,6 +10,7 @@ use super::moving::ground_movers::Stay;
 use super::moving::static_map::{SavedStaticMapper, StaticMapperState};
 use super::scan::sensors::SavedSensors;
 use super::track::{SavedTracker, TrackerState};
+use super::track_before_detect::SavedTrackBeforeDetect;
 use serde::{Deserialize, Serialize};
 
 /// Kind of a detector's state.
@@ -28,6 +29,7 @@ pub(super) struct DetectorState<'a> {
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
     pub(super) tracker: TrackerState<'a>,
     pub(super) movers: Vec<(Place, Stay)>,
+    pub(super) before_detect: SavedTrackBeforeDetect,
     pub(super) static_map: Option<StaticMapperState<'a>>,
 }
 
@@ -44,5 +46,6 @@ pub(super) struct SavedDetector {
     pub(super) static_points: Vec<(Place, PointsOfVoxel)>,
     pub(super) tracker: SavedTracker,
     pub(super) movers: Vec<(Place, Stay)>,
+    pub(super) before_detect: SavedTrackBeforeDetect,
     pub(super) static_map: Option<SavedStaticMapper>,
 }

@@ -46,3 +46,4 @@ pub mod reporting_gate;
 pub mod scan;
 pub mod sky;
 pub mod track;
+pub(crate) mod track_before_detect;

@@ -55,6 +55,9 @@ pub struct FlyingParameters {
     pub mismatch_share: Option<f64>,
     /// Distance from the sensor beyond which the map forgets voxels [m].
     pub forget_distance: Option<f64>,
+    /// Largest distance in which targets of one or two returns per scan, and targets beyond the map, are sought
+    /// [m]; None: none are.
+    pub few_returns_distance: Option<f64>,
 }
 
 /// Best mode.
@@ -79,6 +82,7 @@ impl Default for FlyingParameters {
             target_radius: 0.325,
             mismatch_share: Some(0.5),
             forget_distance: None,
+            few_returns_distance: Some(100.0),
         }
     }
 }
@@ -97,6 +101,7 @@ impl FlyingParameters {
             centers: false,
             pose: PoseParameters::paper(),
             mismatch_share: None,
+            few_returns_distance: None,
             ..Self::default()
         }
     }
@@ -108,6 +113,12 @@ impl FlyingParameters {
     pub(super) fn tells_movers(&self) -> bool {
         let has_kinds = matches!(self.tracker.confirmation, Confirmation::Existence { .. });
         has_kinds && !self.classify.after_update
+    }
+
+    /// Largest distance of targets that no single scan detects [m]; None where tracks have no probabilities.
+    pub(super) fn few_returns(&self) -> Option<f64> {
+        let has_kinds = matches!(self.tracker.confirmation, Confirmation::Existence { .. });
+        self.few_returns_distance.filter(|_| has_kinds)
     }
 
     /// # Errors

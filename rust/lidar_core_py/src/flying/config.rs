@@ -32,6 +32,7 @@ pub(crate) struct FlyingConfig {
     range_std: f64,
     mismatch_share: Option<f64>,
     forget_distance: Option<f64>,
+    few_returns_distance: Option<f64>,
 }
 
 #[derive(FromPyObject)]
@@ -129,6 +130,7 @@ impl FlyingConfig {
             range_std: self.range_std,
             mismatch_share: self.mismatch_share,
             forget_distance: self.forget_distance,
+            few_returns_distance: self.few_returns_distance,
             ..FlyingParameters::default()
         })
     }

@@ -29,7 +29,7 @@ pub(super) fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
 
 /// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if there
 /// is no background yet to tell it from.
-pub(super) fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+pub(crate) fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let is_own = |row: &&u32| scan.maybe_own.get(**row as usize).copied().unwrap_or(false);
     let may_be_own = || 2 * cluster.members.iter().filter(is_own).count() > cluster.members.len();
     let is_flat = cluster.extent()[2] < FLAT && cluster.low[2] < scan.low;

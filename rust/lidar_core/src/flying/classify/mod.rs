@@ -6,7 +6,7 @@ pub(crate) mod expected;
 pub(crate) mod explained;
 pub(crate) mod flood;
 pub(crate) mod grouping;
-mod may_fly;
+pub(crate) mod may_fly;
 pub(crate) mod occupied_nearby;
 pub mod parameters;
 pub(crate) mod pockets;

@@ -9,6 +9,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::track::{Detections, Occupancy, PointCloudTracker};
+use crate::flying::track_before_detect::TrackBeforeDetect;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
 use crate::tracking::kind::TrackKind;
@@ -21,6 +22,12 @@ const ROUNDING: f64 = 1e-3;
 pub(crate) struct Followed {
     pub(crate) rows: Vec<u32>,
     pub(crate) on_ground: Vec<u32>,
+}
+
+/// What tells that clusters of too few points for a detection are in free space.
+pub(crate) struct Hints<'a> {
+    pub(crate) classifier: &'a ScanClassifier,
+    pub(crate) before_detect: &'a TrackBeforeDetect,
 }
 
 /// Occupied space, without what tracks have claimed in it.
@@ -54,11 +61,12 @@ impl Occupancy for BesideClaimed<'_> {
 pub(crate) fn update_tracks(
     tracker: &mut PointCloudTracker,
     input: &ScanToClassify<'_>,
-    classifier: &ScanClassifier,
+    hints: &Hints<'_>,
     view: &ScanView<'_>,
     found: &ScanDetections,
     stamp_ns: i64,
 ) -> Result<Followed, Error> {
+    let Hints { classifier, before_detect } = hints;
     let (map, scan) = (&input.local.map, input.scan);
     let delays = scan.delays.as_deref();
     let claimed = classifier.claimed().iter().map(|&index| classifier.clusters().get(index));
@@ -67,7 +75,8 @@ pub(crate) fn update_tracks(
     let points = points_of_targets(scan, classifier, &beside, &found.hidden, distance);
     let seen = tracker.new_point_cloud(&points, delays, &beside, Some(view), stamp_ns)?;
     for (&id, &row) in seen.corrected.iter().zip(&seen.rows) {
-        if !tracker.is_confirmed(id) && classifier.is_hint(input, row)? {
+        let is_new_hint = !tracker.is_confirmed(id) && classifier.is_hint(input, row)?;
+        if is_new_hint || before_detect.is_lone(row) {
             tracker.hint(id);
         }
     }

@@ -1,4 +1,5 @@
-//! Point cloud multi-target tracker: Kalman tracks, scan buffer, life cycle.
+//! Point cloud multi-target tracker: Kalman tracks, scan buffer, life cycle. Longer than other files: what uses the
+//! private state of the tracker.
 //!
 //! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III-F and
 //! Algorithm 2, and what goes beyond it: see [`TrackerParameters`].
@@ -27,7 +28,7 @@ mod tests;
 pub use belief::kinds::TargetShape;
 pub use detections::Detections;
 pub(crate) use full_state::{SavedTracker, TrackerState};
-pub(crate) use output::ExpectedTarget;
+pub(crate) use output::{ExpectedTarget, FoundTarget};
 pub use output::{Stats, Track};
 pub use parameters::{
     Ageing, Association, Confirmation, Hiding, MAX_TRACKS, MAX_WINDOW, MeasurementForm, Merging,
@@ -294,6 +295,25 @@ impl PointCloudTracker {
         };
         let standing = standing::expected_at(&self.standing, stamp_ns);
         self.tracks.iter().filter(is_known).map(target).chain(standing).collect()
+    }
+
+    /// Begin certain tracks with targets that several scans together show, as many as there is room for.
+    pub(crate) fn adopt(&mut self, found: &[FoundTarget], stamp_ns: i64) {
+        for target in found.iter().take(MAX_TRACKS.saturating_sub(self.tracks.len())) {
+            let mut track = PointTrack::of_found(target, stamp_ns, &self.updater.parameters);
+            track.id = self.next_id;
+            self.next_id += 1;
+            self.tracks.push(track);
+        }
+    }
+
+    /// Positions of all confirmed tracks [m].
+    pub(crate) fn confirmed_places(&self) -> Vec<[f64; 3]> {
+        self.tracks
+            .iter()
+            .filter(|track| track.confirmed)
+            .map(|track| track.position().into())
+            .collect()
     }
 
     /// The cluster of track `id` in the newest cloud is in free space, though it has too few points

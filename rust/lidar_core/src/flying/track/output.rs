@@ -69,6 +69,23 @@ pub(crate) struct ExpectedTarget {
     pub(crate) has_stood: bool,
 }
 
+/// A target that several scans together show, at the stamp of the newest one.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FoundTarget {
+    /// Position of the target [m].
+    pub(crate) position: [f64; 3],
+    /// Velocity of the target [m/s].
+    pub(crate) velocity: [f64; 3],
+    /// On every axis the variance of the position [m^2], the covariance of position and velocity [m^2/s], and the
+    /// variance of the velocity [m^2/s^2].
+    pub(crate) covariance: [f64; 3],
+    /// Where and when it was seen first [m], [ns].
+    pub(crate) first: [f64; 3],
+    pub(crate) first_ns: i64,
+    /// Scans that showed it.
+    pub(crate) n_returns: u32,
+}
+
 /// Changes of the tracks by one call, by their numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {

@@ -1,5 +1,6 @@
 //! One track, or one hypothesis that may become a track.
 
+use super::FoundTarget;
 use super::belief::existence::{FalseBirths, Sight, TrackBelief};
 use super::manoeuvre::Manoeuvre;
 use super::measurement::{Evidence, Measurement};
@@ -10,7 +11,7 @@ use crate::Error;
 use crate::estimation::kalman::{self, Gaussian, Linearised, update};
 use crate::flying::large_targets::shape_weight;
 use crate::tracking::kind::TrackKind;
-use nalgebra::{SVector, Vector3};
+use nalgebra::{Matrix3, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Weight that the points of a track and around it keep from one scan to the next.
@@ -144,6 +145,39 @@ impl PointTrack {
             usual_points: 0.0,
             left: false,
         }
+    }
+
+    /// A certain track of a target that several scans together show.
+    pub(super) fn of_found(
+        target: &FoundTarget,
+        stamp_ns: i64,
+        parameters: &TrackerParameters,
+    ) -> Self {
+        let [position, both, velocity] = target.covariance;
+        let measured = Measurement {
+            position: target.position.into(),
+            covariance: Matrix3::identity() * position,
+            delay: 0.0,
+            extent: [0.0; 3],
+            n_points: 0,
+            is_cut: false,
+            row: None,
+        };
+        let mut track = Self::new(&measured, stamp_ns, parameters);
+        for axis in 0..3 {
+            track.estimate.mean[axis + 3] = target.velocity[axis];
+            let covariance = &mut track.estimate.covariance;
+            covariance[(axis, axis + 3)] = both;
+            covariance[(axis + 3, axis)] = both;
+            covariance[(axis + 3, axis + 3)] = velocity;
+        }
+        (track.aged, track.seen_speed) = (track.estimate.covariance, track.velocity().norm());
+        (track.born_ns, track.born_at) = (target.first_ns, target.first.into());
+        track.n_detections = target.n_returns;
+        track.usual_points = 1.0;
+        track.belief = TrackBelief::of_mover(stamp_ns);
+        (track.confirmed, track.was_confirmed) = (true, true);
+        track
     }
 
     /// Whether its numbers are those of some track: a saved state may hold anything.

@@ -28,6 +28,9 @@ pub(in crate::flying::track) const CLEARED: f64 = 0.3;
 /// Rays through the place of a target that hardly ever miss it.
 pub(in crate::flying::track) const MANY_RAYS: usize = 12;
 
+/// Probability that the target exists of a track that begins with many scans.
+const OF_MOVER: f64 = 0.98;
+
 /// Mean times for which a target stays, gives returns, and gives none although it is in view [s].
 const MEAN: Sojourn = Sojourn { lifetime: 30.0, visible: 5.0, hidden: 0.3 };
 
@@ -131,6 +134,13 @@ impl TrackBelief {
         let presence = Presence::measured(0.5);
         let kinds = Kinds::new();
         Self { presence, standing: 0.5, stamp_ns, has_moved: false, kinds }
+    }
+
+    /// Of a target that many scans together show to move.
+    pub(in crate::flying::track) fn of_mover(stamp_ns: i64) -> Self {
+        let presence = Presence::measured(OF_MOVER);
+        let kinds = Kinds::of_mover();
+        Self { presence, standing: 0.0, stamp_ns, has_moved: true, kinds }
     }
 
     /// At another time, without anything seen.

@@ -17,6 +17,9 @@ const MOST: f64 = 20.0;
 /// Of the logarithm of a value in one detection: its standard deviation around that of the target.
 const NOISE: f64 = 0.4;
 
+/// Share of the tracks that seem to have moved though their targets stand.
+const STILL_THOUGH_MOVED: f64 = 0.03;
+
 /// Of what rays pass below, and of what none do: that stands on the ground, or is cut off by the edge
 /// of the field of view, as people near a scanner are.
 const FREE_BELOW: [f64; KINDS] = [0.8, 1.0, 0.15, 0.4, 1.0];
@@ -164,6 +167,13 @@ impl Kinds {
             was_over_unseen: false,
             agility: 0.0,
         }
+    }
+
+    /// Belief about something that has moved through the air.
+    pub(super) fn of_mover() -> Self {
+        let mut kinds = Self::new();
+        kinds.see(1.0, STILL_THOUGH_MOVED);
+        kinds
     }
 
     /// Enter how likely something that moves, and something that stands, makes what was seen.
