@@ -30,7 +30,8 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
     part : dict
         Values of every scan and target, (S, T): `hits`, `track` and `any_track` (number of the
         flying track on it, and of a track of any kind), `error` [m], `nees`, `is_detected`; `place`
-        (S, T, 3) [m]; values of every scan: `seconds`; `false`: numbers of false flying tracks.
+        (S, T, 3) [m]; values of every scan: `seconds`, `n_flying` (flying tracks);
+        `false`: numbers of false flying tracks.
     """
     simulator = Simulator(scene(name, seed, number, scans), seed=simulator_seed(seed, number))
     detector = FlyingObjectDetector(FlyingConfig())
@@ -38,7 +39,7 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
     reported: set[int] = set()
     for step in range(scans):
         made = simulator.scan(step)
-        frame = detector.process(made, sensor="os1-128")
+        frame = detector.process(made)
         place = made.truth.position.reshape(-1, 3)
         flying = frame.tracks.flying
         reported |= set(flying.id.tolist())
@@ -52,6 +53,7 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
             "error": error,
             "nees": nees,
             "is_detected": _near(frame.detections.position, place),
+            "n_flying": np.array(len(flying)),
             "seconds": np.array((made.scan.stamp_ns - simulator.scene.start_ns) * 1e-9),
         }
         for key, value in found.items():

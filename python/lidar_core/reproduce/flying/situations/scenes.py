@@ -32,6 +32,10 @@ HOVERS, MOVES = 4.0, 3.0
 FALSE = ("people", "cars", "insects", "dust", "rain", "leaves", "lamp")
 """Scenes in which nothing flies."""
 SWARM = 50
+FEW = {25.0: 0.5, 60.0: 1.2}
+"""Spans of balls that give about one return per scan of a Mid-360, by their distance [m]."""
+FEW_REACH = 90.0
+"""Range of the Mid-360 in bright targets, rounded [m]."""
 
 _Place = tuple[float, float, float]
 
@@ -40,17 +44,31 @@ def scene(name: str, seed: int, number: int, scans: int) -> Scene:
     """Make the scene of a situation."""
     rng = scene_rng(seed, number, sum(map(ord, name)))
     targets, more, air = _contents(name, rng, scans)
-    ways = [_between(way) for target in targets for way in _way(target, scans * 0.1)]
-    clear = np.concatenate([np.zeros((1, 2)), *ways])
+    ways = [way for target in targets for way in _way(target, scans * 0.1)]
+    is_few = name.startswith("few")
+    clear = np.concatenate(
+        [np.zeros((1, 2)), *((_sight if is_few else _between)(way) for way in ways)]
+    )
     street = sim.scenes.street(int(rng.integers(2**31)), keep_clear=clear, clearance=2.5)
     return Scene(
         bodies=(*street, *more),
         targets=targets,
         air=air,
-        lidar=sim.LidarModel.preset("os1-128"),
+        lidar=_sparse() if is_few else sim.LidarModel.preset("os1-128"),
         sensor=sim.Hover(position=(0.0, 0.0, HEIGHT)),
         scans=scans,
     )
+
+
+def _sparse() -> sim.LidarModel:
+    """Mid-360."""
+    return sim.LidarModel.preset("livox-mid360").model_copy(update={"range_max": FEW_REACH})
+
+
+def _sight(way: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places between the sensor and a way, so that nothing hides it."""
+    some = way[:: max(1, len(way) // 24)]
+    return (np.linspace(0.0, 1.0, 30)[:, None, None] * some).reshape(-1, 2)
 
 
 def _way(target: Target, seconds: float) -> list[NDArray[np.float64]]:
@@ -77,6 +95,8 @@ def _contents(
     kind, value = (*name.split(), "")[:2]
     if kind == "wall":
         return _wall(rng, float(value), scans)
+    if kind == "few":
+        return (_few(rng, float(value)),), (), ()
     if name in SIZES:
         return (_sized(name, rng),), (), ()
     if name in FALSE:
@@ -93,6 +113,21 @@ def _contents(
 
 def _drone(motion: Scripted) -> Target:
     return Target(shape=sim.Hexacopter(radius=DRONE), motion=motion)
+
+
+def _few(rng: np.random.Generator, distance: float) -> Target:
+    """A ball far away that flies to and fro across the line of sight."""
+    elevation, speed = np.deg2rad(rng.uniform(8.0, 25.0)), rng.uniform(2.0, 8.0)
+    level, height = distance * np.cos(elevation), HEIGHT + distance * np.sin(elevation)
+    half, rise = rng.uniform(4.0, 8.0), rng.uniform(-1.0, 1.0)
+    ends = _turned(
+        [(level, -half, height - rise), (level + rise, half, height + rise)],
+        rng.uniform(0, 2 * np.pi),
+    )
+    return Target(
+        shape=sim.Sphere(radius=FEW[distance] / 2),
+        motion=sim.Shuttle(start=ends[0], end=ends[1], speed=float(speed), acceleration=4.0),
+    )
 
 
 def _turned(places: Sequence[_Place], angle: float) -> tuple[_Place, ...]:

@@ -13,6 +13,7 @@ from lidar_core.reproduce.flying.situations.flown import NOBODY, counts, flight,
 from lidar_core.reproduce.flying.situations.scenes import (
     DRONE,
     FALSE,
+    FEW,
     GAPS,
     HEAD_ON,
     HEIGHT,
@@ -32,11 +33,14 @@ Line: TypeAlias = tuple[str, str, float | None, Goal | None]
 PASSES = tuple(f"pass {speed:g} m/s" for speed in PASS_SPEEDS)
 AHEAD = f"head-on {HEAD_ON:g} m/s"
 WALLS = tuple(f"wall {gap:g} m" for gap in GAPS)
-SITUATIONS = (*PASSES, AHEAD, *WALLS, "edge", "hovering", "swarm", *SIZES, *FALSE)
+FAR = tuple(f"few {distance:g} m" for distance in FEW)
+SITUATIONS = (*PASSES, AHEAD, *WALLS, "edge", "hovering", "swarm", *FAR, *SIZES, *FALSE)
 SHORT, LONG = 100, 200
 """Scans of a flight."""
 MOVED, UNKNOWN_S, FLYING_S = 0.1, 2.0, 0.3
 """What hovers has moved from this way on [m]; when it must be known, and as flying after it [s]."""
+FEW_FROM_S, FEW_SCANS = 2.1, 5
+"""Targets of few returns count a second after the burn-in [s], if one of so many scans met them."""
 EDGE_DEG = 21.0
 """Elevation from which on a target is at the edge of the field of view [deg]."""
 
@@ -97,6 +101,7 @@ def _lines(name: str, parts: Sequence[Part]) -> list[Line]:
         "head-on": _of_passes,
         "hovering": _of_hovering,
         "swarm": _of_swarm,
+        "few": lambda parts: _of_few(name, parts),
         "edge": lambda parts: _of_some(parts, _at_edge, 0.9),
         "wall": lambda parts: _of_some(parts, _at_wall, 0.95 if name == WALLS[0] else 0.8),
     }
@@ -175,6 +180,29 @@ def _of_swarm(parts: Sequence[Part]) -> list[Line]:
         (f"number changes in {LONG} scans", "1", changes, ("<=", 2.0)),
         ("false tracks", "1", float(found.false), ("<=", 0.0)),
     ]
+
+
+def _of_few(name: str, parts: Sequence[Part]) -> list[Line]:
+    """Of targets of about one return per scan; precision counts tracks in all scans."""
+    due = [_was_met(part) & (part["seconds"][:, None] >= FEW_FROM_S) for part in parts]
+    found = counts(parts, due)
+    tracked = sum(int((part["track"] != NOBODY).sum()) for part in parts)
+    reported = sum(int(part["n_flying"].sum()) for part in parts)
+    span = FEW[float(name.split()[1])]
+    hits = float(np.mean([part["hits"].mean() for part in parts]))
+    return [
+        ("returns per scan", "1", hits, None),
+        ("recall", "1", found.recall, (">=", 0.9)),
+        ("precision", "1", tracked / reported if reported else None, (">=", 0.95)),
+        ("error", "m", found.error, ("<=", max(0.15, span / 2))),
+    ]
+
+
+def _was_met(part: Part) -> NDArray[np.bool_]:
+    """Whether one of the last scans met each target, (S, T)."""
+    met = np.cumsum(part["hits"] > 0, axis=0)
+    before = np.concatenate([np.zeros((FEW_SCANS, met.shape[1])), met[:-FEW_SCANS]])
+    return np.asarray(met[: len(before)] > before[: len(met)], np.bool_)
 
 
 def _of_size(name: str, parts: Sequence[Part]) -> list[Line]:
