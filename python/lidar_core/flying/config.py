@@ -403,7 +403,7 @@ class FlyingConfig(Config):
     few_returns_distance: float | None = Field(
         default=100.0,
         gt=0,
-        le=1e5,
+        le=1000,
         description="Largest distance in which targets are tracked before a scan detects them:"
         " those of one or two returns per scan, and those beyond `classify.max_distance` [m]; none:"
         " no target is.",
