@@ -31,7 +31,7 @@ use super::track::{PointCloudTracker, Track};
 use super::track_before_detect::{ScanOfFew, TrackBeforeDetect};
 use crate::Error;
 use crate::geometry::lattice::wide;
-use crate::geometry::transform::Transform;
+use crate::geometry::transform::{Transform, minus, norm};
 use crate::util::budget::check_scan_memory;
 use crate::util::cancel;
 use crate::util::full_state::{opened, sealed};
@@ -370,6 +370,14 @@ impl FlyingObjectDetector {
         }
         add_followed(&input, &local.map, classifier, &mut found, &followed.rows);
         movers.leave_flying(classifier.class());
+        let far = parameters.classify.max_distance;
+        let is_near = |place: [f64; 3]| {
+            far.is_none_or(|far| norm(minus(place, scan.pose.translation)) <= far)
+        };
+        let unknown = scan.points.iter().zip(classifier.class());
+        let unknown = unknown
+            .filter(|(point, class)| **class == PointClass::Unknown && is_near(wide(**point)));
+        tracker.remember(stamp_ns, unknown.map(|(point, _)| *point));
         for index in followed.on_ground.iter().filter_map(|&row| classifier.cluster_of(row)) {
             movers.add(classifier.clusters().get(index).members);
         }

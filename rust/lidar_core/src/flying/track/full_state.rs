@@ -3,6 +3,7 @@
 use super::PointCloudTracker;
 use super::belief::existence::FalseBirths;
 use super::belief::standing::UnmovedTarget;
+use super::belief::stood::{EarlierReturns, SavedReturns};
 use super::belief::visits::Visits;
 use super::buffer::Cloud;
 use super::parameters::{MAX_TRACKS, TrackerParameters};
@@ -24,6 +25,7 @@ pub(crate) struct TrackerState<'a> {
     next_id: i64,
     births: FalseBirths,
     visits: &'a Visits,
+    earlier: SavedReturns,
 }
 
 /// [`TrackerState`] as it is read back.
@@ -36,6 +38,7 @@ pub(crate) struct SavedTracker {
     next_id: i64,
     births: FalseBirths,
     visits: Visits,
+    earlier: SavedReturns,
 }
 
 impl PointCloudTracker {
@@ -70,16 +73,17 @@ impl PointCloudTracker {
 
     pub(crate) fn state(&self) -> TrackerState<'_> {
         let Self { buffer, keeps_points, tracks, standing, next_id, births, visits, .. } = self;
+        let earlier = self.earlier.saved();
         let (clouds, keeps_points) = (buffer.clouds(), *keeps_points);
         let (next_id, births) = (*next_id, *births);
-        TrackerState { clouds, keeps_points, tracks, standing, next_id, births, visits }
+        TrackerState { clouds, keeps_points, tracks, standing, next_id, births, visits, earlier }
     }
 
     /// # Errors
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {
-        let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births, visits } =
-            saved;
+        let SavedTracker { clouds, keeps_points, tracks, standing, next_id, births, .. } = saved;
+        let (visits, earlier) = (saved.visits, EarlierReturns::restored(saved.earlier));
         let next_id = next_number(next_id)?;
         let mut numbers = tracks.iter().map(|track| track.id);
         let mut more = standing.iter().map(|target| target.id);
@@ -94,11 +98,15 @@ impl PointCloudTracker {
         if !visits.is_possible(next_id) || !tracks.iter().all(is_made) {
             return Err(impossible("detections of tracks that were never numbered"));
         }
+        let Some(earlier) = earlier else {
+            return Err(impossible("other returns than scans leave"));
+        };
         if !tracks.iter().all(PointTrack::is_possible) {
             return Err(impossible("tracks without a finite estimate"));
         }
         self.buffer.restore(clouds)?;
-        (self.keeps_points, self.births, self.visits) = (keeps_points, births, visits);
+        (self.keeps_points, self.births) = (keeps_points, births);
+        (self.visits, self.earlier) = (visits, earlier);
         (self.tracks, self.standing, self.next_id) = (tracks, standing, next_id);
         Ok(())
     }

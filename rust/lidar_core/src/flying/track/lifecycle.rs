@@ -2,6 +2,7 @@
 
 use super::association::pairs::AlongX;
 use super::belief::existence::{DELETED, ExpectedClutter, FalseBirths, KEPT};
+use super::belief::stood::EarlierReturns;
 use super::belief::visits::Visits;
 use super::belief::weighing::{born, weigh};
 use super::measurement::Evidence;
@@ -52,6 +53,8 @@ pub(super) struct SetOfDetections<'a> {
     pub(super) around: ExpectedClutter,
     /// What was detected before, and where.
     pub(super) visits: &'a Visits,
+    /// Returns of the last seconds that belong to nothing known.
+    pub(super) earlier: &'a EarlierReturns,
     pub(super) occupied: &'a dyn Occupancy,
 }
 
@@ -87,11 +90,24 @@ pub(super) fn confirm(
                 } else {
                     track.belief = born(set.around, track, set.stamp_ns);
                 }
+                if !track.stood.is_known() {
+                    let born = index >= set.known;
+                    let (at, when) = if born {
+                        (track.born_at, track.born_ns)
+                    } else {
+                        (track.position(), set.stamp_ns)
+                    };
+                    track.stood = set.earlier.around(at.into(), when);
+                }
                 if evidence.is_some() || index >= set.known {
                     let place = track.position().into();
                     let share = set.visits.share(place, track.id, track.born_ns);
-                    let hangs = !track.is_away() && is_beside(set.occupied, place);
+                    let is_beside = track.stood.is_beside() || is_beside(set.occupied, place);
+                    let hangs = !track.is_away() && is_beside;
                     track.belief.visit(share, hangs);
+                    // What surely has a speed comes past.
+                    let stood = if track.has_speed() { 0.0 } else { track.stood.at(place) };
+                    track.belief.stand(stood);
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
                 track.existence() >= limit

@@ -38,10 +38,12 @@ pub use visibility::occupancy::{ENOUGH_RAYS, Occupancy, OccupiedPoints, Visibili
 pub use visibility::view::CloudView;
 
 use crate::Error;
+use crate::geometry::lattice::wide;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::util::budget::{check_memory, check_points};
 use belief::existence::{FalseBirths, Sight};
 use belief::standing::{self, UnmovedTarget};
+use belief::stood::EarlierReturns;
 use belief::visits::{Visits, renamed};
 use buffer::Buffer;
 use lifecycle::SetOfDetections;
@@ -57,6 +59,8 @@ const EXPECTED: f64 = 0.5;
 /// this from its box [m].
 const EXPECTED_STDS: f64 = 2.5;
 const FARTHEST: f64 = 0.5;
+/// Returns this near to the box of a track may be its own [m].
+const OF_TRACK: f64 = 0.5;
 /// Memory that a point of a cloud may take beside its copy [bytes].
 const ROOM_OF_POINT: usize = 64;
 
@@ -73,6 +77,7 @@ pub struct PointCloudTracker {
     next_id: i64,
     births: FalseBirths,
     visits: Visits,
+    earlier: EarlierReturns,
 }
 
 impl PointCloudTracker {
@@ -90,6 +95,7 @@ impl PointCloudTracker {
             next_id: 0,
             births: FalseBirths::default(),
             visits: Visits::default(),
+            earlier: EarlierReturns::default(),
         })
     }
 
@@ -162,9 +168,9 @@ impl PointCloudTracker {
         let mut births = self.births;
         births.count_set();
         let around = births.expected(state::without_target(&tracks[..known]));
-        let visits = &self.visits;
+        let (visits, earlier) = (&self.visits, &self.earlier);
         let fed = &matches.fed;
-        let set = SetOfDetections { stamp_ns, fed, known, around, visits, occupied };
+        let set = SetOfDetections { stamp_ns, fed, known, around, visits, earlier, occupied };
         let born = lifecycle::number(&mut tracks, &mut next_id);
         let mut confirmed = lifecycle::confirm(&mut tracks, &set, self.parameters());
         let fed: Vec<i64> = matches.fed.iter().map(|&(index, _)| tracks[index].id).collect();
@@ -235,6 +241,27 @@ impl PointCloudTracker {
             self.standing.push(UnmovedTarget::new(self.next_id, found, index));
             self.next_id += 1;
         }
+    }
+
+    /// Remember the places of returns that are neither background nor of a flying object [m]. Those on a
+    /// confirmed track of kind Flying are its own.
+    pub(crate) fn remember(&mut self, stamp_ns: i64, places: impl Iterator<Item = [f32; 3]>) {
+        if !matches!(self.parameters().confirmation, Confirmation::Existence { .. }) {
+            return;
+        }
+        let flies = |track: &&PointTrack| {
+            track.confirmed && track.belief.kinds().kind() == TrackKind::Flying
+        };
+        let of_track = |track: &PointTrack| {
+            let half = 0.5 * Vector3::from(track.extent).norm();
+            (track.position(), half + OF_TRACK)
+        };
+        let own: Vec<_> = self.tracks.iter().filter(flies).map(of_track).collect();
+        let is_free = |place: &[f32; 3]| {
+            let place = Vector3::from(wide(*place));
+            own.iter().all(|(center, reach)| (place - center).norm() > *reach)
+        };
+        self.earlier.add(stamp_ns, places.filter(is_free));
     }
 
     /// Whether to keep the points of coming clouds, as detections need that are older than a cloud.
@@ -361,6 +388,7 @@ impl PointCloudTracker {
         self.buffer.clear();
         self.births = FalseBirths::default();
         self.visits.clear();
+        self.earlier.clear();
     }
 
     /// Parameters of the tracker.

@@ -2,6 +2,7 @@
 
 use super::FoundTarget;
 use super::belief::existence::{FalseBirths, Sight, TrackBelief};
+use super::belief::stood::StoodPlaces;
 use super::manoeuvre::Manoeuvre;
 use super::measurement::{Evidence, Measurement};
 use super::motion::{self, Matrix9, seconds};
@@ -86,6 +87,8 @@ pub(super) struct PointTrack {
     pub(super) usual_points: f64,
     /// True if the newest cloud shows that nothing is left where it began.
     pub(super) left: bool,
+    /// Where something stood around its start.
+    pub(super) stood: StoodPlaces,
 }
 
 impl PointTrack {
@@ -144,6 +147,7 @@ impl PointTrack {
             stray_points: 0.0,
             usual_points: 0.0,
             left: false,
+            stood: StoodPlaces::default(),
         }
     }
 
@@ -190,6 +194,7 @@ impl PointTrack {
         let sides = self.extent.iter().chain(&self.size);
         let counts = [&self.own_points, &self.stray_points, &self.usual_points];
         self.manoeuvre.is_possible()
+            && self.stood.is_possible()
             && places.chain([&self.delay]).all(|value| value.abs() <= MOST_POSSIBLE)
             && sides
                 .chain([&self.seen_speed])

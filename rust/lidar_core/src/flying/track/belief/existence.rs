@@ -194,6 +194,11 @@ impl TrackBelief {
         self.kinds.visit(share, hangs);
     }
 
+    /// Enter whether something stood where it was detected before it began, 0 to 1.
+    pub(in crate::flying::track) fn stand(&mut self, stood: f64) {
+        self.kinds.stand(stood);
+    }
+
     /// Enter the acceleration of the track along every axis [m/s^2] and its variance, `seconds` after the
     /// last one; `expected` is the standard deviation that a new track has.
     pub(super) fn take_acceleration(

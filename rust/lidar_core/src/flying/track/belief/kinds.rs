@@ -54,6 +54,12 @@ const RECURS: [f64; KINDS] = [0.2, 0.02, 1.0, 1.0, 1.0];
 /// something and sway; few targets begin beside structure, stay there, and hardly accelerate.
 const HANGS: [f64; KINDS] = [0.3, 0.1, 0.3, 1.0, 1.0];
 
+/// Of what is where something stood before it began, in its last detections: few targets come just there. What
+/// hovered before it was noticed does, too, and is not known before it moves. What manoeuvres does not stand.
+const STOOD: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
+/// So many last detections.
+const LAST: f64 = 5.0;
+
 /// Properties of a target itself in one detection.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetShape {
@@ -139,6 +145,8 @@ pub(in crate::flying::track) struct Kinds {
     recurs: Mean,
     /// Share of its detections in which it was beside structure and near where it began.
     hangs: Mean,
+    /// Whether something stood where its last detections are, 0 to 1.
+    stood: Mean,
     /// Whether rays passed below it in the first look that told; None if none has told yet.
     was_free_at_first: Option<bool>,
     /// Whether the newest look that told anything found it above space that was never seen.
@@ -154,7 +162,7 @@ impl Kinds {
     pub(in crate::flying::track) fn new() -> Self {
         let [radius, least_radius, filled] = [Mean::default(); 3];
         let seen = KindBelief::prior(SHARES);
-        let (recurs, hangs) = (Mean::default(), Mean::default());
+        let [recurs, hangs, stood] = [Mean::default(); 3];
         Self {
             seen,
             radius,
@@ -162,6 +170,7 @@ impl Kinds {
             filled,
             recurs,
             hangs,
+            stood,
             was_free_at_first: None,
             is_over_unseen: false,
             was_over_unseen: false,
@@ -227,6 +236,12 @@ impl Kinds {
         self.hangs.add(f64::from(u8::from(hangs)));
     }
 
+    /// Enter whether something stood at the place of a detection before the track began, 0 to 1.
+    pub(super) fn stand(&mut self, stood: f64) {
+        self.stood.count = self.stood.count.min(LAST - 1.0);
+        self.stood.add(stood);
+    }
+
     /// Enter the acceleration of a track along every axis and its variance, `seconds` after the last one.
     ///
     /// What a new track expects of it, with the standard deviation `expected`, is taken off first: only
@@ -273,6 +288,7 @@ impl Kinds {
             .weighed(moves)
             .weighed(power(RECURS, self.recurs.mean))
             .weighed(power(HANGS, hangs / (1.0 + times)))
+            .weighed(power(STOOD, self.stood.mean * (2.0 / (1.0 + times)).min(1.0)))
     }
 }
 

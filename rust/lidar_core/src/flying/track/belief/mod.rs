@@ -3,5 +3,6 @@
 pub(super) mod existence;
 pub(super) mod kinds;
 pub(super) mod standing;
+pub(super) mod stood;
 pub(super) mod visits;
 pub(super) mod weighing;
