@@ -125,6 +125,11 @@ class Detector:
         more = self.followed(cloud, labels, verdicts, origin)
         found += self.detections(cloud, labels, more, origin, delays, np.flatnonzero(more))
         point_class[np.isin(labels, np.flatnonzero(np.array(more) == FLYING))] = FLYING
+        if self.c.tracker.report_existence is not None:
+            is_near = np.linalg.norm(cloud - origin, axis=1) <= (
+                self.c.classify.max_distance or np.inf
+            )
+            self.tracker.look(stamp, cloud[(point_class == UNKNOWN) & is_near].astype(float))
         point_class[np.isin(labels, self.on_ground(cloud, labels))] = MOVING
         return self.frame(point_class, found, stamp, gate)
 

@@ -17,6 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from scipy.stats import chi2, norm
 
+from reference.stood import LAST, EarlierReturns, Stood, has_speed
+
 EYE = np.eye(3)
 H = np.hstack([EYE, np.zeros((3, 6))])
 # Of the rules that are no parameters, as the text of `Doubt`, `Hiding`, `Merging` in Rust has them.
@@ -58,6 +60,8 @@ MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
 # targets: their share, and mean and standard deviation of ln(radius) and ln(filled share).
 RECURS = np.array([0.2, 0.02, 1, 1, 1])  # where things came and went before
 HANGS = np.array([0.3, 0.1, 0.3, 1, 1])  # beside structure, where it began
+STOOD = np.array([6, 0.02, 1, 2, 1])  # where something stood before it began
+OF_TRACK = 0.5  # m
 VISIT_REACH, VISITS_HALF = 0.5, 2  # m; visits
 VISIT_BEFORE, VISIT, VISITS_KEPT = 10**9, 2 * 10**9, 60 * 10**9  # ns
 BESIDE, RAISED, AWAY = 2.0, 1.0, 1.0  # m
@@ -196,6 +200,8 @@ class Track:
     least_radius: MeanLog = field(default_factory=MeanLog)
     recurs: Mean = field(default_factory=Mean)
     hangs: Mean = field(default_factory=Mean)
+    stood: Mean = field(default_factory=Mean)
+    places: Stood = None
     filled: MeanLog = field(default_factory=MeanLog)
     # of its first detection: radius, radius by its points, filled share, whether free below,
     # whether over unseen space
@@ -224,7 +230,9 @@ class Track:
         after = weighed(self.seen_kinds, (other, flying, other, other, clutter))
         after = weighed(after, 1 - AGILE_SHARES + AGILE_SHARES * np.exp(self.agility))
         sways = hangs / (1 + np.exp(self.agility))
-        return weighed(weighed(after, RECURS**self.recurs.mean), HANGS**sways)
+        stands = self.stood.mean * min(2 / (1 + np.exp(self.agility)), 1)
+        after = weighed(weighed(after, RECURS**self.recurs.mean), HANGS**sways)
+        return weighed(after, STOOD**stands)
 
     def feel(self, expected, seconds):
         """Enter its acceleration: likelihood of the measured part if it manoeuvres, over if not."""
@@ -313,6 +321,7 @@ class Tracker:
         self.next_id = 0
         self.births = Births()
         self.visits = []  # time, number of the track, place
+        self.earlier = EarlierReturns()
         self.gate = chi2.ppf(config.gate_probability, 3)
         self.alone = -2 * np.log(config.clutter_density) - 3 * np.log(2 * np.pi)
 
@@ -710,7 +719,7 @@ class Tracker:
             "made_of": [other.id],
         }
         changes |= {"radius": MeanLog(), "least_radius": MeanLog(), "filled": MeanLog()}
-        changes |= {"recurs": Mean(), "hangs": Mean()}
+        changes |= {"recurs": Mean(), "hangs": Mean(), "stood": Mean()}
         x = np.r_[r, velocity, np.zeros(3)]
         return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
@@ -774,11 +783,20 @@ class Tracker:
                 track.history.append(index in shown)
             showed, shape = shown.get(index, (None, None))
             self.believe(track, index >= known, showed, shape, stamp, *around)
+            if track.places is None:
+                is_new = index >= known
+                at = (track.place, track.born) if is_new else (track.r, stamp)
+                track.places = self.earlier.around(*at)
             if showed or index >= known:
                 std = np.sqrt(np.trace(track.P[:3, :3]) / 3)
                 stays = np.linalg.norm(track.r - track.place) <= AWAY + 2 * std
                 track.recurs.add(self.visited(track))
-                track.hangs.add(float(stays and is_beside(track.r, occupied)))
+                is_at = track.places is not None and track.places.is_beside
+                is_at = is_at or is_beside(track.r, occupied)
+                track.hangs.add(float(stays and is_at))
+                stands = track.places is not None and not has_speed(track)
+                track.stood.count = min(track.stood.count, LAST - 1)
+                track.stood.add(track.places.at(track.r) if stands else 0.0)
             report = self.c.report_existence
             if report is None:
                 hits = sum(track.history[-self.c.confirm_window :])
@@ -797,6 +815,13 @@ class Tracker:
         for number in sorted({renamed(n, events.merged) for n in (*numbers, *events.born)}):
             self.remember(number, stamp)
         return events
+
+    def look(self, stamp, places):
+        """Remember returns of unknown class that are not on a flying track."""
+        for track in [one for one in self.tracks if one.confirmed and one.kind == 1]:
+            reach = np.linalg.norm(track.extent) / 2 + OF_TRACK
+            places = [at for at in places if np.linalg.norm(at - track.r) > reach]
+        self.earlier.add(stamp, places)
 
     def visited(self, track):
         """How often something else was at the place of a track, long before it began."""
