@@ -1,8 +1,12 @@
 //! Inputs of a track: a scan, its measurements, and the region of a track's search.
 
+#![allow(non_snake_case)] // textbook letters
+
 use super::belief::kinds::TargetShape;
+use super::motion::{self, position_matrix};
 use super::parameters::Hiding;
 use super::visibility::occupancy::{Occupancy, Visibility};
+use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -60,15 +64,30 @@ pub(super) struct Evidence {
 
 /// Search region of a track.
 pub(super) struct SearchRegion {
-    pub(super) position: Vector3<f64>,
-    pub(super) velocity: Vector3<f64>,
-    pub(super) covariance: Matrix3<f64>,
+    /// State of the track at the stamp of the scan.
+    pub(super) estimate: Gaussian<9>,
     pub(super) radius: f64,
     pub(super) size: [f64; 3],
     pub(super) confirmed: bool,
 }
 
 impl SearchRegion {
+    pub(super) fn position(&self) -> Vector3<f64> {
+        motion::position(&self.estimate)
+    }
+
+    pub(super) fn velocity(&self) -> Vector3<f64> {
+        self.estimate.mean.fixed_rows::<3>(3).into_owned()
+    }
+
+    /// Expected place `delay` seconds after the stamp, and its covariance. A track that has just begun knows where
+    /// its target was, but not how fast it is: a moment after that it may be half a metre away.
+    pub(super) fn place_at(&self, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
+        let H = position_matrix(delay);
+        let Gaussian { mean, covariance } = &self.estimate;
+        (H * mean, symmetrised(H * covariance * H.transpose()))
+    }
+
     /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side
     /// may be missing on one end.
     pub(super) fn covariance_of(

@@ -31,8 +31,8 @@ impl<'a> Confirmed<'a> {
     fn of(regions: &'a [SearchRegion]) -> Self {
         let regions: Vec<&SearchRegion> =
             regions.iter().filter(|region| region.confirmed).collect();
-        let along_x = AlongX::of(regions.iter().map(|region| region.position));
-        let fastest = regions.iter().map(|region| region.velocity.norm()).fold(0.0, f64::max);
+        let along_x = AlongX::of(regions.iter().map(|region| region.position()));
+        let fastest = regions.iter().map(|region| region.velocity().norm()).fold(0.0, f64::max);
         Self { regions, along_x, fastest }
     }
 }
@@ -45,7 +45,7 @@ struct TimedPoint {
 
 impl TimedPoint {
     fn distance(&self, region: &SearchRegion) -> f64 {
-        (self.at - region.position - region.velocity * self.delay).norm()
+        (self.at - region.position() - region.velocity() * self.delay).norm()
     }
 }
 
@@ -113,25 +113,27 @@ impl Division {
             (low, high) = (low.inf(&place.at), high.sup(&place.at));
             latest = latest.max(place.delay.abs());
         }
+        let delay = places.iter().map(|place| place.delay).sum::<f64>() / places.len() as f64;
         let reach = self.distance + latest * confirmed.fastest;
         let mut near: Vec<usize> = confirmed.along_x.near(low.x, high.x, reach).collect();
         near.sort_unstable();
         let mut owners: Vec<&SearchRegion> = Vec::new();
         for region in near.into_iter().map(|index| confirmed.regions[index]) {
-            let reach = self.distance + latest * region.velocity.norm();
-            let outside = (low - region.position).sup(&(region.position - high));
+            let reach = self.distance + latest * region.velocity().norm();
+            let outside = (low - region.position()).sup(&(region.position() - high));
             let is_near = outside.max() <= reach
                 && places.iter().any(|place| place.distance(region) <= self.distance);
-            if is_near && owners.iter().all(|owner| self.are_apart(owner, region)) {
+            if is_near && owners.iter().all(|owner| self.are_apart(owner, region, delay)) {
                 owners.push(region);
             }
         }
         owners
     }
 
-    fn are_apart(&self, one: &SearchRegion, other: &SearchRegion) -> bool {
-        let y = one.position - other.position;
-        let covariance = one.covariance + other.covariance;
+    /// Whether two tracks are surely apart `delay` seconds after the stamp.
+    fn are_apart(&self, one: &SearchRegion, other: &SearchRegion, delay: f64) -> bool {
+        let [(one, spread), (other, more)] = [one, other].map(|region| region.place_at(delay));
+        let (y, covariance) = (one - other, spread + more);
         y.norm() > self.distance
             && kalman::mahalanobis(&y, &covariance).is_ok_and(|far| far.squared > self.gate)
     }
@@ -154,7 +156,9 @@ pub(super) fn unite(
         let count = labels.iter().max().map_or(0, |&last| last + 1);
         let offset = |row: usize| {
             let delay = delays.get(row).copied().map_or(0.0, f64::from);
-            Vector3::from(points[row].map(f64::from)) - region.position - region.velocity * delay
+            Vector3::from(points[row].map(f64::from))
+                - region.position()
+                - region.velocity() * delay
         };
         let is_own = |rows: &[usize]| {
             let holds = |&row: &usize| {
@@ -164,7 +168,7 @@ pub(super) fn unite(
             let mean =
                 rows.iter().map(|&row| offset(row)).sum::<Vector3<f64>>() / rows.len() as f64;
             let is_nearest = |other: &&SearchRegion| {
-                mean.norm() <= (mean + region.position - other.position).norm()
+                mean.norm() <= (mean + region.position() - other.position()).norm()
             };
             !rows.is_empty() && rows.iter().all(holds) && confirmed.iter().all(is_nearest)
         };
@@ -198,19 +202,24 @@ fn rows_of(labels: &[i32], count: i32) -> Vec<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Matrix3;
+    use crate::estimation::kalman::Gaussian;
+    use crate::flying::track::motion::Matrix9;
+    use nalgebra::SVector;
 
     const DIVISION: Division = Division { distance: 0.8, gate: 14.0, min_points: 1 };
 
     fn region(x: f64, std: f64, confirmed: bool) -> SearchRegion {
-        SearchRegion {
-            position: Vector3::new(x, 0.0, 0.0),
-            velocity: Vector3::zeros(),
-            covariance: Matrix3::identity() * (std * std),
-            radius: 1.5,
-            size: [0.0; 3],
-            confirmed,
-        }
+        let mut mean = SVector::<f64, 9>::zeros();
+        mean[0] = x;
+        let mut covariance = Matrix9::zeros();
+        (0..3).for_each(|axis| covariance[(axis, axis)] = std * std);
+        let estimate = Gaussian { mean, covariance };
+        SearchRegion { estimate, radius: 1.5, size: [0.0; 3], confirmed }
+    }
+
+    fn with_speed(mut region: SearchRegion, speed: f64) -> SearchRegion {
+        region.estimate.mean[3] = speed;
+        region
     }
 
     fn divided(regions: &[SearchRegion], division: Division) -> Vec<i32> {
@@ -261,8 +270,8 @@ mod tests {
 
     #[test]
     fn what_a_fast_target_is_drawn_out_to_by_the_scan_stays_parts() {
-        let velocity = Vector3::new(10.0, 0.0, 0.0);
-        let wing = SearchRegion { size: [2.0, 0.5, 0.3], velocity, ..region(0.0, 0.1, true) };
+        let fast = with_speed(region(0.0, 0.1, true), 10.0);
+        let wing = SearchRegion { size: [2.0, 0.5, 0.3], ..fast };
         let united = |longest: f64| {
             let mut labels = vec![0, 0, 1];
             let points = [[-1.0, 0.0, 0.0], [-0.6, 0.0, 0.0], [1.9, 0.0, 0.0]];
@@ -275,8 +284,7 @@ mod tests {
 
     #[test]
     fn tracks_are_moved_to_the_time_of_every_point() {
-        let fast =
-            SearchRegion { velocity: Vector3::new(10.0, 0.0, 0.0), ..region(0.1, 0.1, true) };
+        let fast = with_speed(region(0.1, 0.1, true), 10.0);
         let regions = [fast, region(1.6, 0.1, true)];
         let points = [[1.1, 0.0, 0.0], [1.15, 0.0, 0.0]];
         let mut labels = vec![0, 0];

@@ -6,7 +6,7 @@ use super::buffer::Buffer;
 use super::candidates::candidates;
 use super::cluster_assignment::ClusterAssignment;
 use super::measurement::{CloudScan, Measurement, SearchRegion};
-use super::motion::{position_block, seconds};
+use super::motion::seconds;
 use super::parameters::{Ageing, Association, Motion, TrackerParameters};
 use super::split::{Division, unite};
 use super::state::PointTrack;
@@ -183,9 +183,7 @@ impl Updater {
 
     fn search_region(&self, track: &PointTrack) -> SearchRegion {
         SearchRegion {
-            position: track.position(),
-            velocity: track.velocity(),
-            covariance: position_block(&track.estimate.covariance),
+            estimate: track.estimate.clone(),
             radius: self.search_radius(track),
             size: track.size,
             confirmed: track.confirmed,
@@ -202,7 +200,7 @@ impl Updater {
     ) -> usize {
         match (self.parameters.ageing, visibility) {
             (Ageing::Visible { .. }, Some(visibility)) if !is_found => {
-                visibility.rays(region.position.into(), region.radius, MANY_RAYS)
+                visibility.rays(region.position().into(), region.radius, MANY_RAYS)
             }
             _ => MANY_RAYS,
         }
@@ -226,7 +224,7 @@ impl Updater {
                     let mut labeller = self.labellers.acquire();
                     let points = scan.points_of(rows);
                     let labels = labeller.label(&points, &self.parameters.clustering)?;
-                    let distance = |one: &Measurement| (one.position - region.position).norm();
+                    let distance = |one: &Measurement| (one.position - region.position()).norm();
                     Ok(candidates(rows, labels, scan, &self.parameters)
                         .into_iter()
                         .min_by(|one, other| distance(one).total_cmp(&distance(other))))
@@ -263,14 +261,15 @@ impl Updater {
         }
         let clusters = candidates(&chosen, &labels, scan, &self.parameters);
         let hiding = self.parameters.hiding;
-        let rows = regions.iter().map(|region| region.position);
+        let rows = regions.iter().map(|region| region.position());
         let columns = clusters.iter().map(|cluster| cluster.position);
         let cluster_of =
             self.assign(rows, columns, reach(regions, &clusters), |track, cluster| {
                 let (region, cluster) = (&regions[track], &clusters[cluster]);
-                let y = cluster.position - (region.position + region.velocity * cluster.delay);
+                let (place, covariance) = region.place_at(cluster.delay);
+                let y = cluster.position - place;
                 (y.norm() <= region.radius)
-                    .then(|| (y, region.covariance + region.covariance_of(cluster, hiding)))
+                    .then(|| (y, covariance + region.covariance_of(cluster, hiding)))
             })?;
         Ok(ClusterAssignment { clusters, cluster_of })
     }
@@ -291,7 +290,7 @@ fn has_left(track: &PointTrack, scan: &CloudScan<'_>) -> bool {
 /// Largest distance of a cluster from the track's position at the stamp of the scan [m].
 fn reach(regions: &[SearchRegion], clusters: &[Measurement]) -> f64 {
     let latest = clusters.iter().map(|cluster| cluster.delay.abs()).fold(0.0, f64::max);
-    let reach = |region: &SearchRegion| region.radius + latest * region.velocity.norm();
+    let reach = |region: &SearchRegion| region.radius + latest * region.velocity().norm();
     regions.iter().map(reach).fold(0.0, f64::max)
 }
 
@@ -312,6 +311,6 @@ fn predicted<'a>(
 fn balls(regions: &[SearchRegion], margin: f64) -> Vec<Ball> {
     regions
         .iter()
-        .map(|region| Ball { center: region.position.into(), radius: region.radius + margin })
+        .map(|region| Ball { center: region.position().into(), radius: region.radius + margin })
         .collect()
 }
