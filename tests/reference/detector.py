@@ -246,7 +246,7 @@ class Detector:
                     "n_points": len(own),
                     "confidence": clear * sure * (label not in only_tracked),
                     "delay": delays[labels == label].astype(float).mean(),
-                    "shape": (radius, least, *self.outline, False),
+                    "shape": (len(own), radius, least, *self.outline, False),
                 }
             )
         return found

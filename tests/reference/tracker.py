@@ -73,7 +73,7 @@ FITS, MOST_SURPRISE, GAIN, MOST_MANOEUVRE = 1.2, 5.0, 0.2, 5.0
 FLYING = 1
 STEADY, AGILE, KNOWN_SHARE = 1.0, 4.0, 0.95  # [m/s^2], [m/s^2], no unit
 AGILE_SHARES, APART, MOST_AGILITY = np.array([0.5, 0.5, 0.02, 0.5, 0.5]), 0.5, 8.0
-MOST_SHAPES, SHAPE_NOISE = 20, 0.4
+MOST_SHAPES, SHAPE_NOISE, HALF_WEIGHT = 20, 0.4, 10
 SORTS = {
     "flying": [(0.5, (-1.6, 0.35), (-0.65, 0.4)), (0.5, (-0.7, 0.6), (-0.65, 0.4))],
     "clutter": [
@@ -97,19 +97,21 @@ class Mean:
     """Mean of values, of the last ones more than of the first."""
 
     def __init__(self):
-        self.count, self.mean = 0, 0.0
+        self.count, self.weight, self.mean = 0, 0.0, 0.0
 
-    def add(self, value):
-        self.count = min(self.count + 1, MOST_SHAPES)
-        self.mean += (value - self.mean) / self.count
+    def add(self, value, weight=1.0):
+        is_full = self.count == MOST_SHAPES
+        self.count += not is_full
+        self.weight = self.weight * (1 - is_full / MOST_SHAPES) + weight
+        self.mean += (value - self.mean) * weight / self.weight
 
 
 class MeanLog(Mean):
-    """Mean of logarithms."""
+    """Mean of logarithms; what many points tell has a larger weight."""
 
-    def add(self, value):
+    def add(self, value, points):
         if value > 0:
-            super().add(np.log(value))
+            super().add(np.log(value), points / (points + HALF_WEIGHT))
 
     def density(self, mean, std):
         if not self.count:
@@ -203,7 +205,7 @@ class Track:
     stood: Mean = field(default_factory=Mean)
     places: Stood = None
     filled: MeanLog = field(default_factory=MeanLog)
-    # of its first detection: radius, radius by its points, filled share, whether free below,
+    # of its first detection: number of points, radius, radius by its points, filled share, whether free below,
     # whether over unseen space
     shape: tuple = None
     shape_before: tuple = None
@@ -250,10 +252,10 @@ class Track:
         """Enter the shape of a detection."""
         if shape is None:
             return
-        radius, least, filled, is_free_below, is_over_unseen = shape
-        self.radius.add(radius)
-        self.least_radius.add(least)
-        self.filled.add(filled)
+        points, radius, least, filled, is_free_below, is_over_unseen = shape
+        self.radius.add(radius, points)
+        self.least_radius.add(least, points)
+        self.filled.add(filled, points)
         if is_over_unseen and is_free_below is False:
             if not self.was_over_unseen:
                 told = NOT_FREE_AT_FIRST if self.free_at_first is False else np.ones(5)
@@ -376,8 +378,13 @@ class Tracker:
         r = self.radius(track.P)
         return r if self.c.ageing == "paper" else min(r, self.c.radius_limits[1])
 
+    @staticmethod
+    def place_after(delay):
+        """Matrix of the place `delay` seconds after the state."""
+        return np.hstack([EYE, delay * EYE, delay**2 / 2 * EYE])
+
     def correct(self, track, z, R, extent, delay=0.0):
-        H = np.hstack([EYE, delay * EYE, delay**2 / 2 * EYE])
+        H = self.place_after(delay)
         S = H @ track.P @ H.T + R
         K = track.P @ H.T @ np.linalg.inv(S)
         y = z - H @ track.x
@@ -440,8 +447,9 @@ class Tracker:
         for track in tracks:
             if not track.confirmed or from_track(track).min() > limit:
                 continue
-            y = [track.r - other.r for other in owners]
-            S = [(track.P + other.P)[:3, :3] for other in owners]
+            K = self.place_after(delays[rows].mean())
+            y = [K @ (track.x - other.x) for other in owners]
+            S = [K @ (track.P + other.P) @ K.T for other in owners]
             if all(
                 np.linalg.norm(a) > limit and a @ np.linalg.solve(b, a) > self.gate
                 for a, b in zip(y, S, strict=True)
@@ -554,10 +562,11 @@ class Tracker:
 
         def offset(row, column):
             z, R, extent, delay, is_cut, _ = found[column]
-            y = z - (tracks[row].r + delay * tracks[row].x[3:6])
+            K = self.place_after(delay)
+            y = z - K @ tracks[row].x
             if np.linalg.norm(y) > self.reach(tracks[row]):
                 return None
-            return y, tracks[row].P[:3, :3] + self.widened(R, extent, is_cut, tracks[row])
+            return y, K @ tracks[row].P @ K.T + self.widened(R, extent, is_cut, tracks[row])
 
         columns = self.assign(len(tracks), len(found), offset)
         stray = [row for row in range(len(found)) if row not in columns]
@@ -795,7 +804,7 @@ class Tracker:
                 is_at = is_at or is_beside(track.r, occupied)
                 track.hangs.add(float(stays and is_at))
                 stands = track.places is not None and not has_speed(track)
-                track.stood.count = min(track.stood.count, LAST - 1)
+                track.stood.count = track.stood.weight = min(track.stood.count, LAST - 1)
                 track.stood.add(track.places.at(track.r) if stands else 0.0)
             report = self.c.report_existence
             if report is None:
@@ -878,6 +887,9 @@ class Tracker:
                 track.take(IS_FAST)
             return
         track.there, track.hidden = track.later(stamp)
+        is_found_again = shown and track.was_confirmed and not track.confirmed
+        if is_found_again and track.there + track.hidden < prior:
+            track.there, track.hidden = prior, 0.0
         since = (stamp - track.believed) * 1e-9
         track.believed = max(stamp, track.believed)
         sight, nis = shown or track.sight, track.nis

@@ -496,6 +496,58 @@ def test_detections_half_a_second_late_end_with_the_same_track(config):
     assert np.linalg.norm(tracks.position[0] - 3.9 * velocity) < 0.2
 
 
+@pytest.mark.parametrize("late_ms", [0, 50, 99])
+def test_a_new_track_finds_its_target_wherever_in_the_scan_it_is_met(late_ms):
+    """A track that has just begun knows the place of its target, but hardly how fast it flies."""
+    tracker, velocity = PointCloudTracker(TrackerConfig()), np.array([2.5, -2.0, 0.5])
+    for k in range(12):
+        stamp = k * STEP_NS
+        at = stamp + late_ms * 1_000_000
+        body = velocity * at * 1e-9 + BODY
+        point_time = np.full(len(body), at)
+        events = tracker.new_point_cloud(body, EMPTY, stamp, point_time_ns=point_time)
+        assert events.corrected.tolist() == ([0] if k else []), k
+        found, spread = body.mean(axis=0, keepdims=True), 1e-4 * np.eye(3)[None]
+        tracker.new_detections(found, stamp, covariance=spread, time_ns=np.array([at]))
+    tracks = tracker.tracks_at(stamp)
+    assert tracks.id.tolist() == [0]
+    np.testing.assert_allclose(tracks.position[0], velocity * stamp * 1e-9, atol=0.1)
+    np.testing.assert_allclose(tracks.velocity[0], velocity, atol=0.5)
+
+
+def test_a_new_track_does_not_take_what_is_out_of_reach_of_its_target():
+    tracker = PointCloudTracker(TrackerConfig())
+    tracker.new_point_cloud(BODY, EMPTY, 0)
+    tracker.new_detections(np.zeros((1, 3)), 0, covariance=1e-4 * np.eye(3)[None])
+    events = tracker.new_point_cloud(BODY + [3.0, 0.0, 0.0], EMPTY, STEP_NS)
+    assert events.corrected.tolist() == []
+
+
+def existences(is_seen):
+    """Of the only track after every scan, of a target at 2 m/s that some of them see; 0 for none."""
+    tracker, known = PointCloudTracker(TrackerConfig()), []
+    beside = np.full((1, 3), 50.0)  # a scan without any point tells nothing
+    for k, seen in enumerate(is_seen):
+        place = np.array([[0.2 * k, 0.0, 0.0]])[: int(seen)]
+        body = [place + point for point in BODY]
+        tracker.new_point_cloud(np.concatenate([beside, *body]), EMPTY, k * STEP_NS)
+        tracker.new_detections(place, k * STEP_NS, covariance=1e-3 * np.eye(3)[None][: int(seen)])
+        existence = tracker.tracks_at(k * STEP_NS, confirmed=False).existence
+        assert len(existence) <= 1
+        known.append(existence.sum())
+    return known
+
+
+def test_a_lost_track_that_finds_its_target_is_as_probable_as_a_new_one():
+    lost = existences([1] * 12 + [0] * 7 + [1])
+    assert lost[11] > 0.9 and lost[18] < 0.45  # it was reported, and is not any more
+    new = existences([0] * 19 + [1])
+    assert lost[19] >= new[19]
+    # What was never reported was probably nothing, and one more detection changes little.
+    never = existences([1, 0, 0, 1])
+    assert never[3] < 0.5 * new[19]
+
+
 def test_a_late_cloud_serves_late_detections_and_moves_no_track():
     tracker = PointCloudTracker(TrackerConfig(**AT_ONCE))
     target = np.zeros((1, 3))

@@ -109,8 +109,9 @@ impl Detection {
     /// Size and filling; a radius is that of a centre, which knows what the rays beside it did not
     /// meet.
     pub(crate) fn shape(&self) -> TargetShape {
-        let Self { radius, least_radius, filled_share, is_free_below, is_over_unseen, .. } = *self;
-        TargetShape { radius, least_radius, filled_share, is_free_below, is_over_unseen }
+        let Self { n_points, radius, least_radius, filled_share, is_free_below, .. } = *self;
+        let is_over_unseen = self.is_over_unseen;
+        TargetShape { n_points, radius, least_radius, filled_share, is_free_below, is_over_unseen }
     }
 
     /// Detection in another frame.

@@ -5,7 +5,9 @@ use super::detection::{Detection, Teammate};
 use super::filled::share_of_expected;
 use super::hole::is_joined;
 use super::parts::UnitedClusters;
-use super::surroundings::{are_rays_lost_below, is_among_surfaces, is_free_below_rest};
+use super::surroundings::{
+    are_rays_lost_below, is_among_surfaces, is_free_below_rest, is_hidden_below,
+};
 use super::visibility::ScanView;
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -99,6 +101,8 @@ fn centered(
             detection.is_free_below = Some(true);
         } else if are_rays_lost_below(scan, cluster) {
             detection.is_free_below = None;
+        } else if is_hidden_below(scan, cluster) {
+            detection.is_over_unseen = true;
         }
     }
     // The rays into a sky that is known by its density are made up: those that passed are not known.

@@ -28,6 +28,11 @@ const JUST_BELOW: f64 = 0.1;
 /// One ray may pass between the legs of a person.
 const FEWEST_PASSING: usize = 2;
 
+/// What hides the space below a cluster is so much nearer than it [m] ...
+const IN_FRONT: f64 = 1.0;
+/// ... and upright: no ground that the cluster could stand on. Its returns lie this far above each other [m].
+const UPRIGHT: f64 = 0.1;
+
 /// True if more returns of surfaces lie around a cluster than it has itself. `is_flying` tells of every
 /// row of the scan whether it is of something that seems to fly: that is no surface.
 pub(crate) fn is_among_surfaces(
@@ -77,6 +82,36 @@ pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool
         further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&up)
     };
     end < low && below.iter().filter(passes).count() >= FEWEST_PASSING
+}
+
+/// True if something in front of a cluster hides what is below it: a table, a screen, a car. Such a thing is upright,
+/// or rays rise towards it; what a cluster stands on is neither, and lies in front of it in the scan, too.
+pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+    let Some(view) = View::of(scan, cluster) else { return false };
+    let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
+    let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
+    for ([aside, up], _) in own {
+        (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
+    }
+    let is_below = |[aside, up]: [f64; 2]| {
+        (left - BESIDE..right + BESIDE).contains(&aside) && (low - NEXT_ROW..low).contains(&up)
+    };
+    let below = scan.points.iter().filter_map(|&point| {
+        let (place, further) = view.seen(wide(point)).filter(|(place, _)| is_below(*place))?;
+        Some((place[1], further, minus(wide(point), scan.pose.translation)))
+    });
+    let below: Vec<(f64, f64, [f64; 3])> = below.collect();
+    let in_front = below.iter().filter(|(_, further, _)| *further < -IN_FRONT);
+    let highest = in_front.clone().max_by(|one, other| one.0.total_cmp(&other.0));
+    let Some(&(_, _, top)) = highest.filter(|_| 2 * in_front.clone().count() > below.len()) else {
+        return false;
+    };
+    let level = |span: [f64; 3]| libm::hypot(span[0], span[1]);
+    let is_upright = |span: [f64; 3]| {
+        let height = top[2] - span[2];
+        height >= UPRIGHT && height >= (level(top) - level(span)).abs()
+    };
+    top[2] > 0.0 || in_front.clone().any(|&(_, _, span)| is_upright(span))
 }
 
 /// True if rays are lost below a cluster, where `density` rays per steradian are cast in a direction.
@@ -171,6 +206,37 @@ mod tests {
         assert!(!free_below_rest(&[(-0.35, 10.1), (-0.7, 10.0), (-1.05, 9.0), (-1.4, 7.0)]));
         assert!(!free_below_rest(&[(-0.35, 10.1)]));
         assert!(!free_below_rest(&[(-0.7, 10.1), (-1.05, 16.0)]));
+    }
+
+    /// Whether something hides the space below a target 6 m away, `height` above the sensor, given heights above the
+    /// sensor and distances of returns below it in the scan.
+    fn hidden_below(height: f32, returns: &[(f32, f32)]) -> bool {
+        let row =
+            |up: f32, away: f32| (0..5).map(move |step| [away, 0.02 * step as f32 * away, up]);
+        let mut scan = Prepared::default();
+        scan.points = row(height, 6.0).collect();
+        scan.points.extend(returns.iter().flat_map(|&(up, away)| row(up, away)));
+        let labels: Vec<i32> =
+            (0..scan.points.len() as i32).map(|row| if row < 5 { 0 } else { -1 }).collect();
+        let mut clusters = Clusters::default();
+        clusters.fill(&scan.points, &labels);
+        is_hidden_below(&scan, &clusters.get(0))
+    }
+
+    #[test]
+    fn what_stands_in_front_hides_the_space_below_and_ground_does_not() {
+        // A screen 2 m away, towards which rays rise, or, lower, which they meet one above the other.
+        assert!(hidden_below(0.7, &[(0.15, 2.0), (0.1, 2.0)]));
+        assert!(hidden_below(-0.2, &[(-0.09, 2.0), (-0.14, 2.0), (-0.2, 2.0)]));
+        // The ground in front of a person: as high in all rows, nearer in each.
+        assert!(!hidden_below(-1.2, &[(-1.3, 5.5), (-1.3, 5.2), (-1.3, 4.9)]));
+        assert!(!hidden_below(-1.2, &[(-1.3, 4.8)]));
+        // The surface behind, or parts of the target itself, hide nothing; nor does nothing.
+        assert!(!hidden_below(0.7, &[(0.8, 9.0), (0.7, 9.0)]));
+        assert!(!hidden_below(0.7, &[(0.5, 6.0), (0.4, 6.1)]));
+        assert!(!hidden_below(0.7, &[]));
+        // What is far below the target in the scan does not, either.
+        assert!(!hidden_below(2.0, &[(0.1, 2.0), (0.0, 2.0)]));
     }
 
     #[test]

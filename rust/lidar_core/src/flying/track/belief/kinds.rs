@@ -17,6 +17,10 @@ const MOST: f64 = 20.0;
 /// Of the logarithm of a value in one detection: its standard deviation around that of the target.
 const NOISE: f64 = 0.4;
 
+/// Returns of a detection that has half the weight of one with very many: rows that lie far apart often meet only a
+/// part of a target, with few returns, whose size says little about that of the whole.
+const HALF_WEIGHT: f64 = 10.0;
+
 /// Share of the tracks that seem to have moved though their targets stand.
 const STILL_THOUGH_MOVED: f64 = 0.03;
 
@@ -63,6 +67,8 @@ const LAST: f64 = 5.0;
 /// Properties of a target itself in one detection.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetShape {
+    /// Its returns.
+    pub n_points: usize,
     /// Radius of the sphere around it [m].
     pub radius: f64,
     /// The radius if rays pass it as near to each other as its points are [m].
@@ -104,19 +110,28 @@ const CLUTTER: [Sort; 3] = [
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Mean {
     count: f64,
+    /// Sum of the weights of these.
+    weight: f64,
     mean: f64,
 }
 
 impl Mean {
     fn add(&mut self, value: f64) {
-        self.count = (self.count + 1.0).min(MOST);
-        self.mean += (value - self.mean) / self.count;
+        self.add_weighted(value, 1.0);
     }
 
-    /// Add the logarithm of a value. Values that are not positive say nothing.
-    fn add_log(&mut self, value: f64) {
+    fn add_weighted(&mut self, value: f64, weight: f64) {
+        let forgotten = (self.count + 1.0 - MOST).max(0.0) / MOST;
+        self.count = (self.count + 1.0).min(MOST);
+        self.weight = (1.0 - forgotten) * self.weight + weight;
+        self.mean += (value - self.mean) * weight / self.weight;
+    }
+
+    /// Add the logarithm of a value that `returns` returns tell. Values that are not positive say nothing.
+    fn add_log(&mut self, value: f64, returns: usize) {
         if value > 0.0 && value.is_finite() {
-            self.add(libm::log(value));
+            let count = returns as f64;
+            self.add_weighted(libm::log(value), count / (count + HALF_WEIGHT));
         }
     }
 
@@ -198,9 +213,9 @@ impl Kinds {
     /// Enter the shape of a detection. That no ray passes below one that only the track leads, over space that
     /// was never seen, says nothing more.
     pub(super) fn measure(&mut self, shape: TargetShape, is_led: bool) {
-        self.radius.add_log(shape.radius);
-        self.least_radius.add_log(shape.least_radius);
-        self.filled.add_log(shape.filled_share);
+        self.radius.add_log(shape.radius, shape.n_points);
+        self.least_radius.add_log(shape.least_radius, shape.n_points);
+        self.filled.add_log(shape.filled_share, shape.n_points);
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
             if !self.was_over_unseen {
                 self.seen = self.seen.weighed(self.over_unseen());
@@ -239,6 +254,7 @@ impl Kinds {
     /// Enter whether something stood at the place of a detection before the track began, 0 to 1.
     pub(super) fn stand(&mut self, stood: f64) {
         self.stood.count = self.stood.count.min(LAST - 1.0);
+        self.stood.weight = self.stood.count;
         self.stood.add(stood);
     }
 
@@ -301,6 +317,7 @@ mod tests {
         let mut kinds = Kinds::new();
         for &(radius, filled_share) in shapes {
             let shape = TargetShape {
+                n_points: 10,
                 radius,
                 least_radius: radius,
                 filled_share,
@@ -330,9 +347,37 @@ mod tests {
         assert_eq!(kind(&[(0.05, 0.5), (0.16, 0.5), (0.05, 0.5), (0.05, 0.5)]), TrackKind::Clutter);
     }
 
+    /// Kind after detections of so many points and such a radius.
+    fn kind_of_parts(parts: &[(usize, f64)]) -> TrackKind {
+        let mut kinds = Kinds::new();
+        for &(n_points, radius) in parts.iter().cycle().take(12) {
+            let shape = TargetShape {
+                n_points,
+                radius,
+                least_radius: radius,
+                filled_share: 0.75,
+                is_free_below: None,
+                is_over_unseen: false,
+            };
+            kinds.measure(shape, false);
+        }
+        kinds.belief().kind()
+    }
+
+    #[test]
+    fn a_row_that_meets_a_part_of_a_target_says_less_than_several() {
+        assert_eq!(kind_of_parts(&[(20, 0.3), (5, 0.07), (4, 0.06), (5, 0.07)]), TrackKind::Flying);
+        // The opposites: what is small however many rays meet it, and a single large detection.
+        assert_eq!(kind_of_parts(&[(20, 0.07), (5, 0.07), (4, 0.06)]), TrackKind::Clutter);
+        let mut insect = [(5, 0.06); 12];
+        insect[6] = (20, 0.3);
+        assert_eq!(kind_of_parts(&insect), TrackKind::Clutter);
+    }
+
     #[test]
     fn what_touches_the_ground_does_not_fly() {
         let person = TargetShape {
+            n_points: 10,
             radius: 0.4,
             least_radius: 0.4,
             filled_share: 0.7,
@@ -361,6 +406,7 @@ mod tests {
     /// Kinds of what moves above space that was never seen, with an acceleration, for so many scans.
     fn over_unseen(acceleration: [f64; 3], scans: usize) -> Kinds {
         let shape = TargetShape {
+            n_points: 10,
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
@@ -389,6 +435,7 @@ mod tests {
         assert_eq!(over_unseen([5.0, 4.0, 0.5], 10).belief().kind(), TrackKind::Flying);
         // Over a road that returns nothing it needs not, since nothing hides what is below it.
         let shape = TargetShape {
+            n_points: 10,
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
@@ -401,6 +448,7 @@ mod tests {
         // Once rays pass below it, it needs not manoeuvre; what stands on the ground may, for a while.
         let mut kinds = over_unseen([0.0; 3], 5);
         let seen = |is_free| TargetShape {
+            n_points: 10,
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
@@ -417,6 +465,7 @@ mod tests {
     #[test]
     fn what_was_free_below_for_a_moment_does_not_fly_above_unseen_space() {
         let person = TargetShape {
+            n_points: 10,
             radius: 0.6,
             least_radius: 0.6,
             filled_share: 0.6,
@@ -439,6 +488,7 @@ mod tests {
     #[test]
     fn what_hides_the_space_below_counts_once() {
         let over_unseen = TargetShape {
+            n_points: 10,
             radius: 0.35,
             least_radius: 0.35,
             filled_share: 0.8,
@@ -479,6 +529,7 @@ mod tests {
     /// Kind after ten detections with a radius, and what is told of the place, at an acceleration.
     fn at_place(radius: f64, share: f64, hangs: bool, acceleration: f64) -> TrackKind {
         let shape = TargetShape {
+            n_points: 10,
             radius: 0.25,
             least_radius: radius,
             filled_share: 0.5,
