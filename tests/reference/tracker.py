@@ -205,8 +205,8 @@ class Track:
     stood: Mean = field(default_factory=Mean)
     places: Stood = None
     filled: MeanLog = field(default_factory=MeanLog)
-    # of its first detection: number of points, radius, radius by its points, filled share, whether free below,
-    # whether over unseen space
+    # of its first detection: number of points, radius, radius by its points, filled share,
+    # whether free below, whether over unseen space
     shape: tuple = None
     shape_before: tuple = None
 

@@ -519,12 +519,12 @@ def test_a_new_track_does_not_take_what_is_out_of_reach_of_its_target():
     tracker = PointCloudTracker(TrackerConfig())
     tracker.new_point_cloud(BODY, EMPTY, 0)
     tracker.new_detections(np.zeros((1, 3)), 0, covariance=1e-4 * np.eye(3)[None])
-    events = tracker.new_point_cloud(BODY + [3.0, 0.0, 0.0], EMPTY, STEP_NS)
+    events = tracker.new_point_cloud(BODY + np.array([3.0, 0.0, 0.0]), EMPTY, STEP_NS)
     assert events.corrected.tolist() == []
 
 
 def existences(is_seen):
-    """Of the only track after every scan, of a target at 2 m/s that some of them see; 0 for none."""
+    """Of the only track after every scan; some scans see a target at 2 m/s. 0 without a track."""
     tracker, known = PointCloudTracker(TrackerConfig()), []
     beside = np.full((1, 3), 50.0)  # a scan without any point tells nothing
     for k, seen in enumerate(is_seen):
@@ -540,7 +540,8 @@ def existences(is_seen):
 
 def test_a_lost_track_that_finds_its_target_is_as_probable_as_a_new_one():
     lost = existences([1] * 12 + [0] * 7 + [1])
-    assert lost[11] > 0.9 and lost[18] < 0.45  # it was reported, and is not any more
+    assert lost[11] > 0.9
+    assert lost[18] < 0.45  # it was reported, and is not any more
     new = existences([0] * 19 + [1])
     assert lost[19] >= new[19]
     # What was never reported was probably nothing, and one more detection changes little.
