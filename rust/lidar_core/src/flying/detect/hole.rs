@@ -226,6 +226,11 @@ impl View {
         })
     }
 
+    /// Way from the sensor to a point [m].
+    pub(super) fn way(&self, point: [f64; 3]) -> [f64; 3] {
+        minus(point, self.origin)
+    }
+
     /// Where a point is seen in the plane through the cluster across the line of sight [m], and how
     /// much further away than the cluster it is [m].
     pub(super) fn seen(&self, point: [f64; 3]) -> Option<([f64; 2], f64)> {

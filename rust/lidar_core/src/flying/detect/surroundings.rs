@@ -61,57 +61,36 @@ pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> boo
 /// True if something goes on below a cluster, at its range, and rays pass below the end of that: the next row of a
 /// sparse sensor has met the same target. What stands on the ground goes on to where the ground is.
 pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
-    let Some(view) = View::of(scan, cluster) else { return false };
-    let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
-    let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
-    for ([aside, up], _) in own {
-        (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
-    }
-    let in_line = |aside: f64| (left - BESIDE..right + BESIDE).contains(&aside);
-    let all = scan.points.iter().filter_map(|&point| view.seen(wide(point)));
-    let mut below: Vec<([f64; 2], f64)> =
-        all.filter(|&([aside, up], _)| in_line(aside) && up < low).collect();
-    below.sort_unstable_by(|one, other| other.0[1].total_cmp(&one.0[1]));
-    let mut end = low;
-    for &([_, up], further) in &below {
-        if further.abs() < SAME_RANGE && end - up <= NEXT_ROW {
-            end = up;
+    let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
+    let mut below: Vec<Below> = edge.below(scan).collect();
+    below.sort_unstable_by(|one, other| other.up.total_cmp(&one.up));
+    let mut end = edge.low;
+    for one in &below {
+        if one.further.abs() < SAME_RANGE && end - one.up <= NEXT_ROW {
+            end = one.up;
         }
     }
-    let passes = |&&([_, up], further): &&([f64; 2], f64)| {
-        further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&up)
-    };
-    end < low && below.iter().filter(passes).count() >= FEWEST_PASSING
+    let passes =
+        |one: &&Below| one.further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&one.up);
+    end < edge.low && below.iter().filter(passes).count() >= FEWEST_PASSING
 }
 
-/// True if something in front of a cluster hides what is below it: a table, a screen, a car. Such a thing is upright,
-/// or rays rise towards it; what a cluster stands on is neither, and lies in front of it in the scan, too.
+/// True if something in front of a cluster hides what is below it: a screen, a table, a car. Such a thing is upright,
+/// or rays rise towards it. The ground in front of what stands on it is neither.
 pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
-    let Some(view) = View::of(scan, cluster) else { return false };
-    let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
-    let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
-    for ([aside, up], _) in own {
-        (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
-    }
-    let is_below = |[aside, up]: [f64; 2]| {
-        (left - BESIDE..right + BESIDE).contains(&aside) && (low - NEXT_ROW..low).contains(&up)
-    };
-    let below = scan.points.iter().filter_map(|&point| {
-        let (place, further) = view.seen(wide(point)).filter(|(place, _)| is_below(*place))?;
-        Some((place[1], further, minus(wide(point), scan.pose.translation)))
-    });
-    let below: Vec<(f64, f64, [f64; 3])> = below.collect();
-    let in_front = below.iter().filter(|(_, further, _)| *further < -IN_FRONT);
-    let highest = in_front.clone().max_by(|one, other| one.0.total_cmp(&other.0));
-    let Some(&(_, _, top)) = highest.filter(|_| 2 * in_front.clone().count() > below.len()) else {
+    let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
+    let below: Vec<Below> = edge.below(scan).filter(|one| one.up >= edge.low - NEXT_ROW).collect();
+    let in_front = || below.iter().filter(|one| one.further < -IN_FRONT);
+    let highest = in_front().max_by(|one, other| one.up.total_cmp(&other.up));
+    let Some(top) = highest.filter(|_| 2 * in_front().count() > below.len()) else {
         return false;
     };
-    let level = |span: [f64; 3]| libm::hypot(span[0], span[1]);
-    let is_upright = |span: [f64; 3]| {
-        let height = top[2] - span[2];
-        height >= UPRIGHT && height >= (level(top) - level(span)).abs()
+    let level = |one: &Below| libm::hypot(one.way[0], one.way[1]);
+    let is_upright = |one: &Below| {
+        let height = top.way[2] - one.way[2];
+        height >= UPRIGHT && height >= (level(top) - level(one)).abs()
     };
-    top[2] > 0.0 || in_front.clone().any(|&(_, _, span)| is_upright(span))
+    top.way[2] > 0.0 || in_front().any(is_upright)
 }
 
 /// True if rays are lost below a cluster, where `density` rays per steradian are cast in a direction.
@@ -120,13 +99,8 @@ fn are_lost_below(
     cluster: &Cluster<'_>,
     density: impl Fn([f64; 3]) -> f64,
 ) -> bool {
-    let Some(view) = View::of(scan, cluster) else { return false };
-    let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
-    let own = cluster.members.iter().filter_map(|&row| view.seen(wide(scan.points[row as usize])));
-    for ([aside, up], _) in own {
-        (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
-    }
-    let (left, right) = (left - BESIDE, right + BESIDE);
+    let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
+    let LowerEdge { view, left, right, low } = &edge;
     let density_below =
         |down: f64| density(view.direction([0.5 * (left + right), low - 0.5 * BELOW - down]));
     let cast = density_below(0.0) * BELOW * (right - left) / (view.range * view.range);
@@ -134,14 +108,48 @@ fn are_lost_below(
     if cast < FEWEST_CAST || !further_down.any(|down| density_below(down) > 0.0) {
         return false;
     }
-    let is_below = |&point: &[f32; 3]| {
-        let seen = view.seen(wide(point));
-        seen.is_some_and(|([aside, up], _)| {
-            (left..right).contains(&aside) && (low - BELOW..low).contains(&up)
-        })
-    };
-    let returns = scan.points.iter().filter(|point| is_below(point)).count();
+    let returns = edge.below(scan).filter(|one| one.up >= low - BELOW).count();
     (returns as f64) < LOST * cast
+}
+
+/// The lower edge of a cluster in the view from the sensor: places in the plane through it [m].
+struct LowerEdge {
+    view: View,
+    /// Ends of what is below it, somewhat wider than the cluster.
+    left: f64,
+    right: f64,
+    low: f64,
+}
+
+/// A return below a cluster.
+struct Below {
+    /// Height in the plane through the cluster [m].
+    up: f64,
+    /// How much further away than the cluster it is [m].
+    further: f64,
+    /// Way from the sensor [m].
+    way: [f64; 3],
+}
+
+impl LowerEdge {
+    fn of(scan: &Prepared, cluster: &Cluster<'_>) -> Option<Self> {
+        let view = View::of(scan, cluster)?;
+        let (mut left, mut right, mut low) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
+        let place = |&row: &u32| view.seen(wide(scan.points[row as usize]));
+        for ([aside, up], _) in cluster.members.iter().filter_map(place) {
+            (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
+        }
+        Some(Self { view, left: left - BESIDE, right: right + BESIDE, low })
+    }
+
+    /// Returns in line with the cluster and below it.
+    fn below<'a>(&'a self, scan: &'a Prepared) -> impl Iterator<Item = Below> + 'a {
+        scan.points.iter().filter_map(|&point| {
+            let ([aside, up], further) = self.view.seen(wide(point))?;
+            let is_below = (self.left..self.right).contains(&aside) && up < self.low;
+            is_below.then(|| Below { up, further, way: self.view.way(wide(point)) })
+        })
+    }
 }
 
 #[cfg(test)]
