@@ -887,7 +887,8 @@ class Tracker:
                 track.take(IS_FAST)
             return
         track.there, track.hidden = track.later(stamp)
-        is_found_again = shown and track.was_confirmed and not track.confirmed
+        is_clear = shown in ("weak", "sure")
+        is_found_again = is_clear and track.was_confirmed and not track.confirmed
         if is_found_again and track.there + track.hidden < prior:
             track.there, track.hidden = prior, 0.0
         since = (stamp - track.believed) * 1e-9

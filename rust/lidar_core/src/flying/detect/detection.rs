@@ -39,7 +39,8 @@ pub struct Detection {
     pub filled_share: f64,
     /// True if rays pass below it; None if unknown.
     pub is_free_below: Option<bool>,
-    /// True if it has moved over space that was never seen: it may stand on something.
+    /// True if it has moved over space that was never seen, or something in front of it hides what is below it: it
+    /// may stand on something.
     pub is_over_unseen: bool,
 }
 

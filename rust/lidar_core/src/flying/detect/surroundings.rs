@@ -28,10 +28,13 @@ const JUST_BELOW: f64 = 0.1;
 /// One ray may pass between the legs of a person.
 const FEWEST_PASSING: usize = 2;
 
-/// What hides the space below a cluster is so much nearer than it [m] ...
+/// What hides the space below a cluster is so much nearer than it [m].
 const IN_FRONT: f64 = 1.0;
-/// ... and upright: no ground that the cluster could stand on. Its returns lie this far above each other [m].
-const UPRIGHT: f64 = 0.1;
+/// It is seen up to so far below the cluster [m]: at 10 m, that are two rows of a sensor with rows 2 degrees apart.
+const SEEN_BELOW: f64 = 0.8;
+/// It is upright: some of its returns lie so far above each other [m], and further than in front of each other. The
+/// ground that a cluster stands on is not, even if it rises towards the cluster.
+const UPRIGHT: f64 = 0.05;
 
 /// True if more returns of surfaces lie around a cluster than it has itself. `is_flying` tells of every
 /// row of the scan whether it is of something that seems to fly: that is no surface.
@@ -75,11 +78,11 @@ pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool
     end < edge.low && below.iter().filter(passes).count() >= FEWEST_PASSING
 }
 
-/// True if something in front of a cluster hides what is below it: a screen, a table, a car. Such a thing is upright,
-/// or rays rise towards it. The ground in front of what stands on it is neither.
+/// True if something upright in front of a cluster hides what is below it: a screen, the side of a table or a car.
 pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
-    let below: Vec<Below> = edge.below(scan).filter(|one| one.up >= edge.low - NEXT_ROW).collect();
+    let below: Vec<Below> =
+        edge.below(scan).filter(|one| one.up >= edge.low - SEEN_BELOW).collect();
     let in_front = || below.iter().filter(|one| one.further < -IN_FRONT);
     let highest = in_front().max_by(|one, other| one.up.total_cmp(&other.up));
     let Some(top) = highest.filter(|_| 2 * in_front().count() > below.len()) else {
@@ -90,7 +93,7 @@ pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
         let height = top.way[2] - one.way[2];
         height >= UPRIGHT && height >= (level(top) - level(one)).abs()
     };
-    top.way[2] > 0.0 || in_front().any(is_upright)
+    in_front().any(is_upright)
 }
 
 /// True if rays are lost below a cluster, where `density` rays per steradian are cast in a direction.
@@ -233,9 +236,14 @@ mod tests {
 
     #[test]
     fn what_stands_in_front_hides_the_space_below_and_ground_does_not() {
-        // A screen 2 m away, towards which rays rise, or, lower, which they meet one above the other.
-        assert!(hidden_below(0.7, &[(0.15, 2.0), (0.1, 2.0)]));
+        // A screen 2 m away, above the sensor and below it.
+        assert!(hidden_below(0.7, &[(0.15, 2.0), (0.08, 2.0)]));
         assert!(hidden_below(-0.2, &[(-0.09, 2.0), (-0.14, 2.0), (-0.2, 2.0)]));
+        // More than half of what is below must be in front, by more than 1 m.
+        assert!(!hidden_below(0.7, &[(0.15, 2.0), (0.08, 2.0), (0.6, 9.0), (0.5, 9.0)]));
+        assert!(!hidden_below(0.7, &[(0.5, 5.1), (0.4, 5.1)]));
+        // Ground that rises by 10 degrees towards a person above the sensor.
+        assert!(!hidden_below(0.6, &[(0.42, 5.0), (0.25, 4.0), (0.07, 3.0)]));
         // The ground in front of a person: as high in all rows, nearer in each.
         assert!(!hidden_below(-1.2, &[(-1.3, 5.5), (-1.3, 5.2), (-1.3, 4.9)]));
         assert!(!hidden_below(-1.2, &[(-1.3, 4.8)]));

@@ -80,8 +80,12 @@ impl SearchRegion {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
     }
 
+    pub(super) fn acceleration(&self) -> Vector3<f64> {
+        self.estimate.mean.fixed_rows::<3>(6).into_owned()
+    }
+
     /// Expected place `delay` seconds after the stamp, and its covariance. A track that has just begun knows where
-    /// its target was, but not how fast it is: a moment after that it may be half a metre away.
+    /// its target was, but hardly how fast it is: 0.1 s after that, its place is uncertain by 0.4 m.
     pub(super) fn place_at(&self, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
         let H = position_matrix(delay);
         let Gaussian { mean, covariance } = &self.estimate;

@@ -290,7 +290,10 @@ fn has_left(track: &PointTrack, scan: &CloudScan<'_>) -> bool {
 /// Largest distance of a cluster from the track's position at the stamp of the scan [m].
 fn reach(regions: &[SearchRegion], clusters: &[Measurement]) -> f64 {
     let latest = clusters.iter().map(|cluster| cluster.delay.abs()).fold(0.0, f64::max);
-    let reach = |region: &SearchRegion| region.radius + latest * region.velocity().norm();
+    let flown = |region: &SearchRegion| {
+        latest * region.velocity().norm() + 0.5 * latest * latest * region.acceleration().norm()
+    };
+    let reach = |region: &SearchRegion| region.radius + flown(region);
     regions.iter().map(reach).fold(0.0, f64::max)
 }
 

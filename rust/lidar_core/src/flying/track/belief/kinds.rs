@@ -18,7 +18,8 @@ const MOST: f64 = 20.0;
 const NOISE: f64 = 0.4;
 
 /// Returns of a detection that has half the weight of one with very many: rows that lie far apart often meet only a
-/// part of a target, with few returns, whose size says little about that of the whole.
+/// part of a target, with few returns, whose size says little about that of the whole. What all detections together
+/// tell is as certain as before.
 const HALF_WEIGHT: f64 = 10.0;
 
 /// Share of the tracks that seem to have moved though their targets stand.
@@ -31,7 +32,7 @@ const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
 /// The same of the first look at it: what comes into view like this nearly always walks or drives in over
 /// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
 const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.35, 0.08, 1.5, 1.0, 0.08];
-/// Of what has moved to where nothing below it was ever seen: behind a table, a car or a wall most things that
+/// Of what has moved to where nothing below it was ever seen, or is hidden by something in front of it: behind a table, a car or a wall most things that
 /// move are people. What hides the space below hides it in every scan, so it counts once, also of what seemed to
 /// be free below before: the track of a person may begin with an arm. Where rays below it are lost, as over a wet
 /// road, nothing hides anything.
@@ -77,7 +78,7 @@ pub struct TargetShape {
     pub filled_share: f64,
     /// True if rays pass below it; None if unknown.
     pub is_free_below: Option<bool>,
-    /// True if it has moved over space that was never seen.
+    /// True if it has moved over space that was never seen, or something in front of it hides what is below it.
     pub is_over_unseen: bool,
 }
 
@@ -121,6 +122,9 @@ impl Mean {
     }
 
     fn add_weighted(&mut self, value: f64, weight: f64) {
+        if weight <= 0.0 {
+            return;
+        }
         let forgotten = (self.count + 1.0 - MOST).max(0.0) / MOST;
         self.count = (self.count + 1.0).min(MOST);
         self.weight = (1.0 - forgotten) * self.weight + weight;

@@ -56,8 +56,9 @@ pub(in crate::flying::track) fn weigh(
     let seen = std::mem::replace(&mut track.sight, Sight::Unseen);
     let sight = evidence.map_or(seen, Sight::of_detection);
     let mut belief = track.belief.at(stamp_ns.max(track.belief.stamp_ns));
-    if evidence.is_some() && track.was_confirmed && !track.confirmed {
-        belief.exists(around.prior); // it was lost: this is no less probable than a new target
+    let is_clear = evidence.is_some_and(|evidence| !evidence.is_led && !evidence.is_among_surfaces);
+    if is_clear && track.was_confirmed && !track.confirmed {
+        belief.exists(around.prior); // it was lost: what it has found may as well be a new target
     }
     let near = track.nis.take().map(|nis| NEAREST * libm::exp(-0.5 * nis));
     if sight.is_in_free_space() && !belief.has_moved && has_moved(track) {
