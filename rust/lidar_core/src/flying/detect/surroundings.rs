@@ -65,7 +65,7 @@ pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> boo
 /// sparse sensor has met the same target. What stands on the ground goes on to where the ground is.
 pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
-    let mut below: Vec<Below> = edge.below(scan).collect();
+    let mut below: Vec<ReturnBelow> = edge.below(scan).collect();
     below.sort_unstable_by(|one, other| other.up.total_cmp(&one.up));
     let mut end = edge.low;
     for one in &below {
@@ -73,23 +73,24 @@ pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool
             end = one.up;
         }
     }
-    let passes =
-        |one: &&Below| one.further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&one.up);
+    let passes = |one: &&ReturnBelow| {
+        one.further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&one.up)
+    };
     end < edge.low && below.iter().filter(passes).count() >= FEWEST_PASSING
 }
 
 /// True if something upright in front of a cluster hides what is below it: a screen, the side of a table or a car.
 pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
-    let below: Vec<Below> =
+    let below: Vec<ReturnBelow> =
         edge.below(scan).filter(|one| one.up >= edge.low - SEEN_BELOW).collect();
     let in_front = || below.iter().filter(|one| one.further < -IN_FRONT);
     let highest = in_front().max_by(|one, other| one.up.total_cmp(&other.up));
     let Some(top) = highest.filter(|_| 2 * in_front().count() > below.len()) else {
         return false;
     };
-    let level = |one: &Below| libm::hypot(one.way[0], one.way[1]);
-    let is_upright = |one: &Below| {
+    let level = |one: &ReturnBelow| libm::hypot(one.way[0], one.way[1]);
+    let is_upright = |one: &ReturnBelow| {
         let height = top.way[2] - one.way[2];
         height >= UPRIGHT && height >= (level(top) - level(one)).abs()
     };
@@ -125,7 +126,7 @@ struct LowerEdge {
 }
 
 /// A return below a cluster.
-struct Below {
+struct ReturnBelow {
     /// Height in the plane through the cluster [m].
     up: f64,
     /// How much further away than the cluster it is [m].
@@ -146,11 +147,11 @@ impl LowerEdge {
     }
 
     /// Returns in line with the cluster and below it.
-    fn below<'a>(&'a self, scan: &'a Prepared) -> impl Iterator<Item = Below> + 'a {
+    fn below<'a>(&'a self, scan: &'a Prepared) -> impl Iterator<Item = ReturnBelow> + 'a {
         scan.points.iter().filter_map(|&point| {
             let ([aside, up], further) = self.view.seen(wide(point))?;
             let is_below = (self.left..self.right).contains(&aside) && up < self.low;
-            is_below.then(|| Below { up, further, way: self.view.way(wide(point)) })
+            is_below.then(|| ReturnBelow { up, further, way: self.view.way(wide(point)) })
         })
     }
 }
