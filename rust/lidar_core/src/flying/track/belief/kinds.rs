@@ -490,6 +490,26 @@ mod tests {
     }
 
     #[test]
+    fn what_passes_behind_something_for_a_moment_flies_again() {
+        let looks = |is_free: bool| TargetShape {
+            n_points: 30,
+            radius: 0.3,
+            least_radius: 0.3,
+            filled_share: 0.8,
+            is_free_below: Some(is_free),
+            is_over_unseen: !is_free,
+        };
+        let kind_of = |looks_free: &[bool]| {
+            let mut kinds = Kinds::new();
+            looks_free.iter().for_each(|&is_free| kinds.measure(looks(is_free), false));
+            kinds.belief().kind()
+        };
+        assert_eq!(kind_of(&[true, true, true, false, true, true]), TrackKind::Flying);
+        // The opposite: what stays behind it, such as a person behind a desk.
+        assert_ne!(kind_of(&[true, false, false, false, false, false]), TrackKind::Flying);
+    }
+
+    #[test]
     fn what_hides_the_space_below_counts_once() {
         let over_unseen = TargetShape {
             n_points: 10,
