@@ -12,8 +12,11 @@ use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::turn;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Step of the parameters for numerical derivatives.
-const STEP: f64 = 1e-6;
+/// Number of hits by which starts are compared.
+const SAMPLES: usize = 16;
+/// Least distance from a tangent, in units of that of the centre, that a derivative is divided by: what
+/// it is multiplied with vanishes there.
+const LEAST_DISTANCE: f64 = 1e-9;
 /// Smallest semi-axis [m].
 const LEAST_AXIS: f64 = 0.01;
 /// Start values: ratios of the distances, and inverse hyperbolic tangents of k relative to a
@@ -59,7 +62,7 @@ impl Ellipse<'_> {
             angle_of(low, low.bearing - (bearing - half)),
             angle_of(high, bearing + half - high.bearing),
         ];
-        gain(self, self.arc, std, &[angles[0], angles[1], size, size, squeeze], STEP)
+        gain(self, self.arc, std, &[angles[0], angles[1], size, size, squeeze])
     }
 
     /// Centre x, y, semi-axes [m], bearing of the first one [rad], not the shorter one.
@@ -86,19 +89,42 @@ impl Ellipse<'_> {
 }
 
 impl FittedShape<5> for Ellipse<'_> {
-    fn ranges(&self, parameters: &[f64; 5], ranges: &mut Vec<f64>) {
+    fn range(&self, parameters: &[f64; 5]) -> impl Fn(&Hit) -> (f64, [f64; 5]) {
         let [low, high] = self.tangents(parameters);
         let low = [libm::cos(low), libm::sin(low)];
         let high = [libm::cos(high), libm::sin(high)];
         let inverse = [parameters[2], parameters[3]].map(|log| libm::exp(-log));
         let k = libm::tanh(parameters[4]);
-        ranges.extend(self.arc.hits.iter().map(|hit: &Hit| {
+        // By how much the tangents turn away from the hits with the first two parameters.
+        let turns =
+            [0, 1].map(|side| 0.5 * self.arc.edges[side].reach * libm::sin(parameters[side]));
+        move |hit| {
+            // Distances from the tangents, and their derivatives by the bearings of these.
             let first = inverse[0] * (hit.sine * low[0] - hit.cosine * low[1]).max(0.0);
             let second = inverse[1] * (hit.cosine * high[1] - hit.sine * high[0]).max(0.0);
+            let first_turned = inverse[0] * (hit.cosine * low[0] + hit.sine * low[1]);
+            let second_turned = inverse[1] * (hit.cosine * high[0] + hit.sine * high[1]);
             let root = (2.0 * (1.0 + k) * first * second).sqrt();
+            let above = first + second - root;
             let square = first * first + second * second - 2.0 * k * first * second;
-            (1.0 - k) * (first + second - root) / square
-        }));
+            let share = 1.0 / square;
+            let range = (1.0 - k) * above * share;
+            let half = 0.5 * root;
+            let by_first = (1.0 - k) * share * (1.0 - half / first.max(LEAST_DISTANCE))
+                - range * share * 2.0 * (first - k * second);
+            let by_second = (1.0 - k) * share * (1.0 - half / second.max(LEAST_DISTANCE))
+                - range * share * 2.0 * (second - k * first);
+            let by_k = -share * (above + (1.0 - k) * half / (1.0 + k))
+                + 2.0 * range * share * first * second;
+            let derivatives = [
+                by_first * first_turned * turns[0],
+                by_second * second_turned * turns[1],
+                -by_first * first,
+                -by_second * second,
+                by_k * (1.0 - k * k),
+            ];
+            (range, derivatives)
+        }
     }
 }
 
@@ -107,8 +133,14 @@ fn angle_of(edge: &Edge, beyond: f64) -> f64 {
     libm::acos((1.0 - 2.0 * beyond / edge.reach).clamp(-INNER, INNER))
 }
 
-/// Ellipse with least misfit to the arc, from several starts, with semi-axes up to `largest`.
-pub(super) fn fit_ellipse(ellipse: &Ellipse<'_>, std: f64, largest: f64) -> Option<Solved<5>> {
+/// Ellipse with least misfit to the arc, from several starts, with semi-axes up to `largest`; None if
+/// its misfit is not below `most`.
+pub(super) fn fit_ellipse(
+    ellipse: &Ellipse<'_>,
+    std: f64,
+    largest: f64,
+    most: f64,
+) -> Option<Solved<5>> {
     let arc = ellipse.arc;
     let span = arc.edges[1].bearing - arc.edges[0].bearing;
     let reach = arc.edges[0].reach + arc.edges[1].reach;
@@ -116,33 +148,33 @@ pub(super) fn fit_ellipse(ellipse: &Ellipse<'_>, std: f64, largest: f64) -> Opti
         return None; // tangents that do not meet before the sensor
     }
     let mut starts: Vec<(f64, [f64; 5])> = Vec::with_capacity(RATIOS.len() * TURNS.len());
-    let mut ranges = Vec::new();
     let round = libm::atanh(-libm::cos((span + 0.4 * reach).clamp(0.05, FRAC_PI_2)));
     for ratio in RATIOS {
         for turn in TURNS {
-            let mut start = [START, START, 0.0, libm::log(ratio), round + turn];
-            let misfit = scaled(ellipse, &mut start, &mut ranges);
-            starts.push((misfit, start));
+            starts.push(scaled(ellipse, [START, START, 0.0, libm::log(ratio), round + turn]));
         }
     }
     starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let solved = starts.iter().take(FOLLOWED).map(|&(_, at)| solve(ellipse, arc, std, at, STEP));
+    let solved =
+        starts.iter().take(FOLLOWED).filter_map(|&(_, at)| solve(ellipse, arc, std, at, most));
     let best = solved.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
     let [_, _, long, short, _] = ellipse.reported(&best.parameters);
     (long <= largest && short >= LEAST_AXIS).then_some(best)
 }
 
-/// Scale `start` to the size that fits the ranges best, which grow with it; returns the misfit.
-fn scaled(ellipse: &Ellipse<'_>, start: &mut [f64; 5], ranges: &mut Vec<f64>) -> f64 {
-    ranges.clear();
-    ellipse.ranges(start, ranges);
-    let (mut gg, mut gz) = (0.0, 0.0);
-    for (hit, g) in ellipse.arc.hits.iter().zip(ranges.iter()) {
+/// `start` in the size that fits best the ranges of some hits, which grow with it, after its misfit.
+fn scaled(ellipse: &Ellipse<'_>, start: [f64; 5]) -> (f64, [f64; 5]) {
+    let range = ellipse.range(&start);
+    let (mut gg, mut gz, mut zz) = (0.0, 0.0, 0.0);
+    let hits = &ellipse.arc.hits;
+    for hit in hits.iter().step_by(hits.len().div_ceil(SAMPLES)) {
+        let (g, _) = range(hit);
         gg += hit.weight * g * g;
         gz += hit.weight * g * hit.range;
+        zz += hit.weight * hit.range * hit.range;
     }
     let scale = gz / gg;
-    start[2] += libm::log(scale);
-    start[3] += libm::log(scale);
-    ellipse.arc.square - scale * gz
+    let [low, high, first, second, k] = start;
+    let larger = libm::log(scale);
+    (zz - scale * gz, [low, high, first + larger, second + larger, k])
 }

@@ -6,36 +6,45 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Largest range that counts [m].
 const FAR: f64 = 1e3;
-/// Steps of the parameters for numerical derivatives [m], [rad].
-const STEP: f64 = 1e-6;
 
-/// Range along every ray to the line with normal at bearing `angle`, `distance` from the sensor.
-fn range_to(angle: f64, distance: f64) -> impl Fn(&Hit) -> f64 {
+/// Range along a ray to the line with normal at bearing `angle`, `distance` from the sensor, and its
+/// derivatives by both.
+fn range_to(angle: f64, distance: f64) -> impl Fn(&Hit) -> (f64, [f64; 2]) {
     let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
     move |hit| {
         let along = hit.cosine * cosine + hit.sine * sine;
-        if along > distance / FAR { distance / along } else { FAR }
+        if along > distance / FAR {
+            let (range, across) = (distance / along, hit.sine * cosine - hit.cosine * sine);
+            (range, [-range * across / along, 1.0 / along])
+        } else {
+            (FAR, [0.0; 2])
+        }
     }
 }
 
 /// One line: bearing of its normal [rad], distance [m].
-struct LineShape<'a>(&'a Arc);
+struct LineShape;
 
-impl FittedShape<2> for LineShape<'_> {
-    fn ranges(&self, &[angle, distance]: &[f64; 2], ranges: &mut Vec<f64>) {
-        ranges.extend(self.0.hits.iter().map(range_to(angle, distance)));
+impl FittedShape<2> for LineShape {
+    fn range(&self, &[angle, distance]: &[f64; 2]) -> impl Fn(&Hit) -> (f64, [f64; 2]) {
+        range_to(angle, distance)
     }
 }
 
 /// Two faces of a box: bearing of the normal of the one with smaller bearings [rad], distances of
 /// that one and of the other [m].
-struct Corner<'a>(&'a Arc);
+struct Corner;
 
-impl FittedShape<3> for Corner<'_> {
-    fn ranges(&self, &[angle, first, second]: &[f64; 3], ranges: &mut Vec<f64>) {
+impl FittedShape<3> for Corner {
+    fn range(&self, &[angle, first, second]: &[f64; 3]) -> impl Fn(&Hit) -> (f64, [f64; 3]) {
         let (first, second) = (range_to(angle, first), range_to(angle - FRAC_PI_2, second));
         // A ray is inside once it has passed both faces.
-        ranges.extend(self.0.hits.iter().map(|hit| first(hit).max(second(hit))));
+        move |hit| match (first(hit), second(hit)) {
+            ((one, [by_angle, by_distance]), (other, _)) if one >= other => {
+                (one, [by_angle, by_distance, 0.0])
+            }
+            (_, (other, [by_angle, by_distance])) => (other, [by_angle, 0.0, by_distance]),
+        }
     }
 }
 
@@ -96,7 +105,7 @@ fn least([xx, xy, yy]: [f64; 3]) -> (f64, f64) {
     (angle, 0.5 * (xx + yy) - spread)
 }
 
-/// Line with least misfit to the arc; None if the misfit is more than `most`. The scatter across
+/// Line with least misfit to the arc; None if the misfit is not below `most`. The scatter across
 /// the line shows that before any fit: no hit is farther off across the line than along its ray.
 pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     let sums = arc.hits.iter().fold(Sums::default(), Sums::with);
@@ -107,11 +116,11 @@ pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     let [x, y] = sums.mean();
     let distance = x * libm::cos(angle) + y * libm::sin(angle);
     let turned = if distance < 0.0 { PI } else { 0.0 };
-    Some(solve(&LineShape(arc), arc, std, [angle + turned, distance.abs()], STEP))
+    solve(&LineShape, arc, std, [angle + turned, distance.abs()], most)
 }
 
 /// Corner with least misfit to the arc; None if it does not have two faces towards the sensor, or
-/// if the misfit is more than `most`.
+/// if the misfit is not below `most`.
 pub(super) fn fit_corner(arc: &Arc, std: f64, most: f64) -> Option<Solved<3>> {
     let all = arc.hits.iter().fold(Sums::default(), Sums::with);
     let mut before = Sums::default();
@@ -138,7 +147,8 @@ pub(super) fn fit_corner(arc: &Arc, std: f64, most: f64) -> Option<Solved<3>> {
         [angle + turn, along(first, a), along(second, b)]
     });
     let start = starts.into_iter().find(|start| start[1] > 0.0 && start[2] > 0.0)?;
-    let solved = solve(&Corner(arc), arc, std, start, STEP);
+    // Rays change from face to face on the way, so that the fall of the misfit is not foreseen.
+    let solved = solve(&Corner, arc, std, start, f64::INFINITY)?;
     let [_, first, second] = solved.parameters;
-    (first > 0.0 && second > 0.0).then_some(solved)
+    (first > 0.0 && second > 0.0 && solved.misfit < most).then_some(solved)
 }

@@ -199,13 +199,10 @@ impl ShapeFitter {
         }
         let price = libm::log(arc.n_hits as f64);
         let mut best = (misfit + 3.0 * price, None);
-        if let Some(line) = line::fit_line(arc, std, best.0 - 4.0 * price)
-            && line.misfit + 4.0 * price < best.0
-        {
+        if let Some(line) = line::fit_line(arc, std, best.0 - 4.0 * price) {
             best = (line.misfit + 4.0 * price, Some(place::line(arc, &line)));
         }
         if let Some(corner) = line::fit_corner(arc, std, best.0 - 5.0 * price)
-            && corner.misfit + 5.0 * price < best.0
             && let Some(found) = place::rectangle(arc, &corner)
         {
             best = (corner.misfit + 5.0 * price, Some(found));
@@ -213,8 +210,8 @@ impl ShapeFitter {
         let ellipse = Ellipse { arc };
         if width(arc) <= 2.0 * self.parameters.radius[1]
             && (best.1.is_some() || ellipse.gain(&circle.circle, std) > LEAST_GAIN * price)
-            && let Some(found) = ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1])
-            && found.misfit + 5.0 * price < best.0
+            && let Some(found) =
+                ellipse::fit_ellipse(&ellipse, std, self.parameters.radius[1], best.0 - 5.0 * price)
         {
             best = (found.misfit + 5.0 * price, Some(place::ellipse(&ellipse, &found)));
         }

@@ -1,6 +1,6 @@
 //! Least squares of ranges for any shape.
 
-use crate::circles::fit::arc::Arc;
+use crate::circles::fit::arc::{Arc, Hit};
 use nalgebra::{SMatrix, SVector};
 
 /// Largest residual of a range [m]: a ray that passes a shape has no range.
@@ -10,11 +10,14 @@ const MOST_STEPS: usize = 30;
 const ENOUGH: f64 = 1e-4;
 /// Standard deviation of unmeasured parameters [m], [rad].
 const UNKNOWN: f64 = 1.0;
+/// The search ends, too, where this many times the fall that the second derivatives promise does not
+/// lead to the misfit that is asked: near a minimum the promise is nearly kept, far from it, it is large.
+const PROMISES: f64 = 3.0;
 
 /// A shape of K parameters.
 pub(super) trait FittedShape<const K: usize> {
-    /// Append the expected ranges of the hits of the arc [m].
-    fn ranges(&self, parameters: &[f64; K], ranges: &mut Vec<f64>);
+    /// Expected range of a hit [m], and its derivatives by the parameters.
+    fn range(&self, parameters: &[f64; K]) -> impl Fn(&Hit) -> (f64, [f64; K]);
 }
 
 /// Parameters with least misfit to an arc.
@@ -26,61 +29,90 @@ pub(super) struct Solved<const K: usize> {
     pub(super) misfit: f64,
 }
 
-struct Problem<'a, S> {
-    shape: &'a S,
-    arc: &'a Arc,
-    std: f64,
+/// Misfit of a shape, half its second derivatives and half its gradient.
+#[derive(Clone, Copy)]
+struct NormalEquations<const K: usize> {
+    misfit: f64,
+    hessian: SMatrix<f64, K, K>,
+    gradient: SVector<f64, K>,
 }
 
-impl<S> Problem<'_, S> {
-    fn residuals<const K: usize>(&self, parameters: &[f64; K], into: &mut Vec<f64>)
-    where
-        S: FittedShape<K>,
-    {
-        into.clear();
-        self.shape.ranges(parameters, into);
-        for (value, hit) in into.iter_mut().zip(&self.arc.hits) {
-            let apart = hit.range - *value;
-            // A hit that the shape misses has to cost something, but an infinite residual would
-            // leave no direction to improve.
-            let apart = if apart.is_finite() { apart.clamp(-LARGEST, LARGEST) } else { LARGEST };
-            *value = hit.weight.sqrt() * apart / self.std;
+impl<const K: usize> NormalEquations<K> {
+    fn of(shape: &impl FittedShape<K>, arc: &Arc, std: f64, at: &[f64; K]) -> Self {
+        let range = shape.range(at);
+        let mut sums = Self { misfit: 0.0, hessian: SMatrix::zeros(), gradient: SVector::zeros() };
+        for hit in &arc.hits {
+            let (expected, by) = range(hit);
+            let apart = hit.range - expected;
+            let weight = hit.weight / (std * std);
+            if apart.abs() < LARGEST {
+                sums.misfit += weight * apart * apart;
+                for i in 0..K {
+                    sums.gradient[i] -= weight * by[i] * apart;
+                    for j in 0..=i {
+                        sums.hessian[(i, j)] += weight * by[i] * by[j];
+                    }
+                }
+            } else {
+                // A hit that the shape misses has to cost something, but an infinite residual would
+                // leave no direction to improve.
+                sums.misfit += weight * LARGEST * LARGEST;
+            }
         }
+        sums.hessian.fill_upper_triangle_with_lower_triangle();
+        sums
+    }
+
+    /// Step to the minimum that the second derivatives predict, with a diagonal larger by the share
+    /// `damping`; None without curvature.
+    fn step(&self, damping: f64) -> Option<SVector<f64, K>> {
+        let mut damped = self.hessian;
+        for k in 0..K {
+            // The constant keeps a parameter that no range depends on solvable.
+            damped[(k, k)] += damping * self.hessian[(k, k)] + 1e-9;
+        }
+        Some(-damped.cholesky()?.solve(&self.gradient))
+    }
+
+    /// Fall of the misfit that the second derivatives promise.
+    fn promise(&self) -> f64 {
+        let known = self.hessian + SMatrix::identity();
+        let factor = known.cholesky();
+        factor.map_or(f64::INFINITY, |factor| self.gradient.dot(&factor.solve(&self.gradient)))
+    }
+
+    /// Covariance of the parameters.
+    fn covariance(&self) -> SMatrix<f64, K, K> {
+        // A parameter that no range depends on gets the variance UNKNOWN^2, not a singular matrix.
+        let known = self.hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
+        known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse())
     }
 }
 
-fn square(residuals: &[f64]) -> f64 {
-    residuals.iter().map(|residual| residual * residual).sum()
-}
-
-/// Minimise from `start` (Levenberg-Marquardt, numerical derivatives with `step`).
+/// Minimise from `start` (Levenberg-Marquardt); None where no misfit below `most` is in reach.
 pub(super) fn solve<const K: usize>(
     shape: &impl FittedShape<K>,
     arc: &Arc,
     std: f64,
     start: [f64; K],
-    step: f64,
-) -> Solved<K> {
-    let problem = Problem { shape, arc, std };
-    let (mut residuals, mut moved) = (Vec::new(), Vec::new());
-    problem.residuals(&start, &mut residuals);
-    let (mut at, mut misfit, mut damping) = (start, square(&residuals), 1e-2);
-    let mut normal = normal_equations(&problem, &at, &residuals, step, &mut moved);
+    most: f64,
+) -> Option<Solved<K>> {
+    let (mut at, mut damping) = (start, 1e-2);
+    let mut normal = NormalEquations::of(shape, arc, std, &at);
     for _ in 0..MOST_STEPS {
-        let (hessian, gradient) = normal;
-        let factor = damped(&hessian, damping).cholesky();
-        let Some(by) = factor.map(|factor| factor.solve(&gradient)) else { break };
-        let next: [f64; K] = std::array::from_fn(|k| at[k] - by[k]);
-        problem.residuals(&next, &mut moved);
-        let fall = misfit - square(&moved);
+        let Some(by) = normal.step(damping) else { break };
+        let next: [f64; K] = std::array::from_fn(|k| at[k] + by[k]);
+        let there = NormalEquations::of(shape, arc, std, &next);
+        let fall = normal.misfit - there.misfit;
         if fall > 0.0 {
-            (at, misfit) = (next, misfit - fall);
-            std::mem::swap(&mut residuals, &mut moved);
+            (at, normal) = (next, there);
             if fall < ENOUGH {
                 break;
             }
+            if normal.misfit - PROMISES * normal.promise() > most {
+                return None;
+            }
             damping = (damping * 0.2).max(1e-9);
-            normal = normal_equations(&problem, &at, &residuals, step, &mut moved);
         } else {
             damping *= 8.0;
             if damping > 1e7 {
@@ -88,25 +120,11 @@ pub(super) fn solve<const K: usize>(
             }
         }
     }
-    let (hessian, _) = normal_equations(&problem, &at, &residuals, step, &mut moved);
-    Solved { parameters: at, covariance: spread(hessian), misfit }
-}
-
-/// Covariance of parameters with these second derivatives.
-fn spread<const K: usize>(hessian: SMatrix<f64, K, K>) -> SMatrix<f64, K, K> {
-    // A parameter that no range depends on gets the variance UNKNOWN^2, not a singular matrix.
-    let known = hessian + SMatrix::identity() / (UNKNOWN * UNKNOWN);
-    known.cholesky().map_or_else(SMatrix::identity, |factor| factor.inverse())
-}
-
-/// `hessian` with a diagonal larger by the share `damping`.
-fn damped<const K: usize>(hessian: &SMatrix<f64, K, K>, damping: f64) -> SMatrix<f64, K, K> {
-    let mut damped = *hessian;
-    for k in 0..K {
-        // The constant keeps a parameter that no range depends on solvable.
-        damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
-    }
-    damped
+    (normal.misfit < most).then(|| Solved {
+        parameters: at,
+        covariance: normal.covariance(),
+        misfit: normal.misfit,
+    })
 }
 
 /// Decrease of the misfit from `at` to its minimum, to first order.
@@ -115,36 +133,6 @@ pub(super) fn gain<const K: usize>(
     arc: &Arc,
     std: f64,
     at: &[f64; K],
-    step: f64,
 ) -> f64 {
-    let problem = Problem { shape, arc, std };
-    let (mut residuals, mut moved) = (Vec::new(), Vec::new());
-    problem.residuals(at, &mut residuals);
-    let (hessian, gradient) = normal_equations(&problem, at, &residuals, step, &mut moved);
-    let known = hessian + SMatrix::identity();
-    known.cholesky().map_or(f64::INFINITY, |factor| gradient.dot(&factor.solve(&gradient)))
-}
-
-type NormalEquations<const K: usize> = (SMatrix<f64, K, K>, SVector<f64, K>);
-
-/// Half the second derivatives and half the gradient of the misfit.
-fn normal_equations<const K: usize, S: FittedShape<K>>(
-    problem: &Problem<'_, S>,
-    at: &[f64; K],
-    residuals: &[f64],
-    step: f64,
-    moved: &mut Vec<f64>,
-) -> NormalEquations<K> {
-    let mut columns: [Vec<f64>; K] = std::array::from_fn(|_| Vec::new());
-    for (k, column) in columns.iter_mut().enumerate() {
-        let mut there = *at;
-        there[k] += step;
-        problem.residuals(&there, moved);
-        column.extend(moved.iter().zip(residuals).map(|(there, here)| (there - here) / step));
-    }
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    (
-        SMatrix::from_fn(|i, j| dot(&columns[i], &columns[j])),
-        SVector::from_fn(|i, _| dot(&columns[i], residuals)),
-    )
+    NormalEquations::of(shape, arc, std, at).promise()
 }
