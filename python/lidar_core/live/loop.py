@@ -1,7 +1,7 @@
 """Loop of a live run: scans wait for a pose, pass the pipeline, and go to the outputs."""
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
@@ -52,6 +52,8 @@ class LiveLoop(Generic[ScanT]):
     on_silence : callable
         Called once if no wanted scan comes in the first seconds, with the topics that the source
         has.
+    on_reason : callable
+        Called with every reason why scans are not processed, when it first occurs.
 
     Attributes
     ----------
@@ -73,6 +75,7 @@ class LiveLoop(Generic[ScanT]):
         tape: Tape | None = None,
         on_report: Callable[[Report], None] = lambda report: None,
         on_silence: Callable[[list[str]], None] = lambda advertised: None,
+        on_reason: Callable[[str], None] = lambda reason: None,
     ) -> None:
         self.stats = LiveStats()
         self.inbox = Inbox(max_poses=MAX_POSES, tape=tape)
@@ -84,7 +87,7 @@ class LiveLoop(Generic[ScanT]):
         self._waiting: dict[str, deque[_Waiting[ScanT]]] = {}
         self._frame, self._is_ready = "", False
         self._objects = 0
-        self._on_report, self._on_silence = on_report, on_silence
+        self._on_report, self._on_silence, self._on_reason = on_report, on_silence, on_reason
         self._is_silence_told = False
         self._wanted = frozenset(topics)
         self._began = self._reported = self._linked_at = time.monotonic()
@@ -224,7 +227,8 @@ class LiveLoop(Generic[ScanT]):
             waiting = queue[place]
             is_late = now_ns - waiting.arrival_ns > self._config.pose_wait * 1e9
             if is_late and place < len(queue) - 1:
-                self._drop(topic, place + 1)
+                self._drop(topic, place)
+                self._give_up(topic)
                 return None
             if not is_late and not self._poses.is_complete(waiting.scan):
                 continue
@@ -233,10 +237,19 @@ class LiveLoop(Generic[ScanT]):
             try:
                 return waiting, self._poses.posed(waiting.scan)
             except NoTransformError as error:
-                reasons = self.stats.without_pose
-                reasons[within_limit(reasons, str(error))] += 1
+                self._count(self.stats.without_pose, str(error))
                 return None
         return None
+
+    def _give_up(self, topic: str) -> None:
+        """Count the oldest scan of a topic, whose pose did not come in time."""
+        waiting = self._waiting[topic].popleft()
+        try:
+            self._poses.posed(waiting.scan)
+        except NoTransformError as error:
+            self._count(self.stats.without_pose, str(error))
+        else:
+            self.stats.dropped[topic] += 1
 
     def _drop(self, topic: str, count: int) -> None:
         """Drop the oldest scans of a topic that wait."""
@@ -265,7 +278,14 @@ class LiveLoop(Generic[ScanT]):
         self.stats.from_stamp.add(now_ns - stamp_ns - self._source.lead_ns(stamp_ns))
 
     def _reject(self, reason: str) -> None:
-        self.stats.rejected[within_limit(self.stats.rejected, reason)] += 1
+        self._count(self.stats.rejected, reason)
+
+    def _count(self, reasons: Counter[str], reason: str) -> None:
+        """Count a scan that is not processed, and tell a reason when it first occurs."""
+        reason = within_limit(reasons, reason)
+        if reason not in reasons:
+            self._on_reason(reason)
+        reasons[reason] += 1
 
     def _report_if_due(self) -> None:
         now = time.monotonic()

@@ -22,7 +22,8 @@ RECOVERED = "recovered.npz"
 TRIED_S = 20.0
 """How much of a recording is looked at for a scan with a pose [s]."""
 AT_ORIGIN = "0 0 0 0 0 0"
-STANDS = "if the sensor moved: --pose FILE"
+STANDS = {"detect": "--pose kiss, or --pose FILE", "circles": "--pose FILE"}
+"""Poses of a sensor that moved, where the recording has none."""
 MOUNTED = "zeros: the sensor sits at the origin of {}; else put x y z roll pitch yaw, in m and rad"
 
 UNCLEAR = "if the poses are those of {}: the recording does not say"
@@ -108,7 +109,8 @@ def _poses(
             ]
         elif found:
             return one.words(), f"  ({one.remark})" if one.remark else ""
-    return ["--pose", "static"], f"  ({STANDS})"
+    command = "circles" if topic.kind.startswith("planar") else "detect"
+    return ["--pose", "static"], f"  (if the sensor moved: {STANDS[command]})"
 
 
 class _Remembered(Recording):

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tarfile
 import time
 import tomllib
 from dataclasses import replace
@@ -135,6 +136,39 @@ def test_a_short_recording_says_which_gate_stayed_closed(recording, tmp_path):
     assert out.exit_code == 0, out.output
     assert "closed" in out.output
     assert "burn-in: scan" in out.output
+
+
+def scaled(recording, path, factor):
+    """The scans of a recording with other lengths, from one place."""
+    with open_recording(recording) as opened:
+        scans = [item.scan for item in posed_scans(opened)]
+    return write_npz(path, [replace(one, points=one.points * factor) for one in scans])
+
+
+def test_points_in_millimetres_are_named(recording, run, tmp_path):
+    for factor, expected in ((1000.0, 1), (1.0, 0)):
+        path = tmp_path / f"{factor}.npz"
+        scaled(recording, path, np.float32(factor))
+        result = result_of(path, "-o", tmp_path / f"run{factor}", "--pose", "static")
+        named = [one for one in result["notes"] if "if the points are in millimetres" in one]
+        assert len(named) == expected
+        assert (tmp_path / f"run{factor}/picture.png").stat().st_size > 10_000
+    assert not run[1]["notes"]
+
+
+def test_a_sensor_that_moves_and_is_said_to_stand_is_named(recordings, tmp_path):
+    """A car that drives through a street, and a sensor that stands."""
+    sequences = recordings / "3d/sequences"
+    for packed, name, expected in (
+        ("street_128_labelled/lidar_rounded_000000-000029.tar.xz", "lidar", 1),
+        ("livox_hap_outdoor/scans.tar.xz", "hap", 0),
+    ):
+        path, folder = tmp_path / name, tmp_path / f"run_{name}"
+        with tarfile.open(sequences / packed) as opened:
+            opened.extractall(tmp_path if name == "lidar" else path, filter="data")
+        result = result_of(path, "-o", folder, "--pose", "static", "--end", 2.0, "--no-picture")
+        named = [one for one in result["notes"] if "the poses never change: if the" in one]
+        assert len(named) == expected, result["class_shares"]
 
 
 def test_repeating_opens_the_gate(recording, tmp_path):

@@ -54,6 +54,8 @@ def test_scans_without_poses_are_taken_to_stand(tmp_path):
     assert remark == "if the sensor moved: --pose FILE)"
     (step,) = next_of(tmp_path / "b.npz", pose(0, is_static=True), sweep(0), sweep(1))
     assert "--pose static" in step
+    (step,) = next_of(tmp_path / "c.npz", cloud(0), cloud(1))
+    assert step.endswith("--pose static  (if the sensor moved: --pose kiss, or --pose FILE)")
 
 
 def test_several_topics_ask_for_one(tmp_path):

@@ -60,8 +60,8 @@ def test_packets_of_a_velodyne_become_scans(recordings):
 
     with closing(UdpSource(0, make)) as source:
         inbox = Inbox(max_poses=1)
-        with pytest.raises(LinkError, match=f"port {source.port} cannot be opened"):
-            UdpSource(source.port, make)
+        with pytest.raises(LinkError, match=f"port {source.port} cannot be opened.*livox:PORT$"):
+            UdpSource(source.port, make, kind="livox")
         source.start(inbox)
         send(source, [b"no packet"])
         found = received(
@@ -86,6 +86,7 @@ def test_packets_of_an_ouster_give_the_scans_of_their_capture(recordings):
         rate=None,
         read=ReadOptions(),
         live=None,
+        pose="static",
         topics=None,
     )
     with closing(source):

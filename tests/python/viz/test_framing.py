@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from commands import invoke
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 from repository import ROOT
 
 from lidar_core.viz import Playback, circles_picture, flying_picture, fusion_picture
 from lidar_core.viz import playback_picture as playback
-from lidar_core.viz.drawing.frame import window_around, window_over
+from lidar_core.viz.drawing.frame import Window, window_around, window_over
 from lidar_core.viz.drawing.labels import NUMBER, place_boxes
 from lidar_core.viz.drawing.marks import RING, WAY, round_length
+from lidar_core.viz.drawing.voxels import MOST_CELLS, draw_voxels
 from lidar_core.viz.figure import write_figure
 
 LEAST = 20
@@ -341,3 +343,20 @@ def test_legends_take_the_emptiest_corner():
     assert window.corner_away_from([100 * upper_left]) == "upper right"
     crowd = np.repeat(upper_left, 3, axis=0)
     assert window.corner_away_from([crowd, upper_right, -upper_left, -upper_left]) == "upper right"
+
+
+@pytest.mark.parametrize(("span", "voxel"), [(40.0, 0.2), (50_000.0, 25.0)])
+def test_the_image_of_voxels_has_a_bound_and_shows_all(span, voxel):
+    """Points in millimetres span kilometres: an image of every voxel would take gigabytes."""
+    centres = np.array([[0.1, 0.1, 1.0], [0.5, 0.5, 2.0], [1.0, 1.0, 3.0]]) * [
+        0.9 * span,
+        0.9 * span,
+        1.0,
+    ]
+    axes = Figure().add_subplot()
+    draw_voxels(axes, centres, 0.2, (0, 1), Window(np.zeros(2), np.full(2, span)), (0.0, 4.0))
+    (image,) = axes.images
+    shown = image.get_array().filled(np.nan)
+    assert max(shown.shape) <= MOST_CELLS + 1
+    assert shown.shape[0] == pytest.approx(span / voxel + 1, abs=1)
+    assert sorted(shown[np.isfinite(shown)].tolist()) == [1.0, 2.0, 3.0]

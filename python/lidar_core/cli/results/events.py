@@ -17,7 +17,10 @@ from lidar_core.cli.shared.common import (
 if TYPE_CHECKING:
     from lidar_core.io.tables.columns import Columns
 
-SHOWN = ("recording", "track_id", "event", "time", "x", "y", "z", "speed", "distance", "duration")
+SHOWN = (
+    *("recording", "track_id", "kind", "event", "time"),
+    *("x", "y", "z", "speed", "distance", "duration"),
+)
 """Columns on the console, as far as the table has them; files get all."""
 MOST_ROWS = 40
 QUERY = "Such as \"distance < 20 and event == 'lost'\"; columns: see `lidar-core events all TABLE`."

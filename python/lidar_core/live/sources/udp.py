@@ -69,7 +69,8 @@ class UdpSource(Source):
             self._socket.close()
             raise LinkError(
                 f"{kind}: port {port} cannot be opened ({error.strerror}); stop the program that"
-                " uses it, or let the sensor send to another port and give it here: udp:PORT"
+                " uses it, or let the sensor send to another port and give it here:"
+                f" {kind}:{'HOST@' if kind == 'ouster' else ''}PORT"
             ) from error
         self.port = int(self._socket.getsockname()[1])
         self.name = f"{kind}, port {self.port}"

@@ -22,16 +22,20 @@ OBJECTS: Final[dict[str, type]] = {
     "t_ns": int,
     "time": float,
     "track_id": int,
+    "kind": str,
+    "existence": float,
     **dict.fromkeys(_MEASURED, float),
 }
 """Columns of the table of objects: SI units, world frame; NaN where a run does not know a value.
 
-time is since the first scan of the run, distance from the sensor at that time.
+time is since the first scan of the run. distance from the sensor and kind, such as flying, are
+those at that time; kind is empty where a run has no kinds.
 """
 EVENTS: Final[dict[str, type]] = {
     "recording": str,
     "run": str,
     "track_id": int,
+    "kind": str,
     "event": str,
     "t_ns": int,
     "time": float,
@@ -96,6 +100,8 @@ def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "
         "t_ns": stamps,
         "time": (stamps - first) * 1e-9,
         "track_id": np.asarray(columns["track_id"], np.int64),
+        "kind": np.asarray(columns.get("kind", np.full(count, "")), np.str_),
+        "existence": of("existence"),
         **state,
         "speed": np.sqrt(np.square(velocity).sum(axis=0)),
         "distance": _distances(place, stamps, position),

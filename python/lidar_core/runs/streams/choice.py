@@ -10,6 +10,7 @@ from lidar_core.circles import CirclesConfig
 from lidar_core.errors import ConfigError
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
 from lidar_core.io import ReadOptions
+from lidar_core.io.poses.posed import KISS
 from lidar_core.io.write.mcap import partial_path
 from lidar_core.live import LiveConfig, Output, Source
 from lidar_core.live.metrics import MetricsServer
@@ -112,13 +113,14 @@ def open_source(
     read: ReadOptions,
     live: LiveConfig,
     topics: StreamTopics,
+    pose: str,
 ) -> Source:
     """Source of a live run: a stream, or a recording to `replay`.
 
     Raises
     ------
     ConfigError
-        None or both, or no such source.
+        None or both, or no such source; it cannot bring poses, and `pose` asks for some.
     """
     if (text is None) == (replay is None):
         raise ConfigError(f"source, replay: expected one of them; a source is {SOURCES}")
@@ -139,6 +141,11 @@ def open_source(
 
         return FoxgloveSource(place or DEFAULT_ADDRESS, topics, read, live)
     if kind in ("udp", "velodyne", "ouster", "livox"):
+        if pose == "auto":
+            raise ConfigError(
+                f'source: {text}: packets of a sensor carry no poses; add pose="static" for a'
+                f' sensor that does not move, or pose="{KISS}" for poses from the scans'
+            )
         return _open_packets(kind, place, read)
     drivers = (
         '; of this sensor run the driver, and listen to its topic: source="zenoh" clouds=TOPIC'

@@ -157,7 +157,7 @@ def live(
     with ExitStack() as stack:
         topics = chosen.topics(poses.odom)
         listening = open_source(
-            source, place, rate=rate, read=reading, live=settings, topics=topics
+            source, place, rate=rate, read=reading, live=settings, topics=topics, pose=poses.pose
         )
         stack.callback(listening.close)
         where.on_note = listening.findings.note
@@ -189,6 +189,7 @@ def live(
             tape=tape,
             on_report=reported,
             on_silence=lambda there: on_message(chosen.silence(listening.name, there)),
+            on_reason=lambda reason: on_message(f"not processed: {reason}"),
         )
         address = None if server is None else server.address
         _announce(listening.name, [item.name for item in opened], address, on_message)

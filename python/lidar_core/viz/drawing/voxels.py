@@ -11,6 +11,8 @@ from lidar_core.viz.figure import PURPOSE
 
 COLOURS = ("#efeae0", "#d8cfbd", "#a89f8d")
 """From far to near."""
+MOST_CELLS = 2000
+"""Cells of the image along a side: more than the picture has pixels, and its memory has a bound."""
 
 
 def visible_rows(
@@ -31,10 +33,14 @@ def draw_voxels(
     window: Window,
     depth: tuple[float, float],
 ) -> None:
-    """Occupied voxels of edge `size`: the nearer to the viewer, the darker."""
+    """Occupied voxels of edge `size`: the nearer to the viewer, the darker.
+
+    In a window of more than `MOST_CELLS` voxels along a side, several share a cell of the image.
+    """
     colours = require("matplotlib.colors", extra="plot", purpose=PURPOSE)
     towards = 1 if plane[1] == 1 else -1  # seen from above, and from the side of negative y
     rows = visible_rows(centres, plane, window, depth)
+    size = max(size, float((window.high - window.low).max()) / MOST_CELLS)
     cells = np.floor((rows[:, list(plane)] - window.low) / size).astype(np.intp)
     shape = np.ceil((window.high - window.low) / size).astype(np.intp) + 1
     image = np.full(shape, np.nan)

@@ -58,6 +58,11 @@ def test_every_track_has_its_first_sight_and_its_closest_approach(runs):
     events = events_of(folder)
     assert list(events) == list(EVENTS)
     assert len(rows) == 2
+    for row, number in enumerate(events["track_id"].tolist()):
+        (same,) = np.flatnonzero(
+            (table["track_id"] == number) & (table["t_ns"] == events["t_ns"][row])
+        )
+        assert events["kind"][row] == table["kind"][same]
     for number, mine in rows.items():
         places = np.stack([table[axis][mine] for axis in "xyz"], axis=1)
         stamps = [int(table["t_ns"][row]) for row in mine]
