@@ -122,7 +122,10 @@ class RunFolder:
             lock(path)  # refuses where the run is still being written
             unlock(path)
         if resume and not is_cut and not (path / CHECKPOINT).exists():
-            raise FileExistsError(f"{path}: holds a complete run; nothing to resume")
+            raise FileExistsError(
+                f"{path}: holds a complete run; nothing to resume; a new run needs another folder,"
+                " or overwrite=True"
+            )
         if not overwrite and not resume:
             told = "a run that did not come to its end" if is_cut else "an earlier run"
             goes_on = ", resume=True goes on" if (path / CHECKPOINT).exists() else ""

@@ -91,6 +91,7 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
         Row("poses", "", summary["poses"]),
         Row("circles", str(summary["circles"]), _left_out(summary["too_near"])),
         Row("elements", str(summary["elements"]), f"{summary['elements_at_end']} at the end"),
+        Row("persons", str(summary["persons"]), "elements that were probably persons for 1 s"),
         Row(
             "walls and other shapes",
             str(summary["shapes"]),

@@ -55,9 +55,10 @@ def read_prediction(path: str | Path) -> Prediction:
     Parameters
     ----------
     path : str or Path
-        Folder that `lidar-core detect`, `circles` or `demo` wrote (for flying objects, the tracks
-        of kind flying count), or a file for `lidar_core.io.read_columns` with columns t_ns,
-        track_id, x, y, z and, if known, vx, vy, vz and the upper triangle of the covariance,
+        Folder that `lidar-core detect`, `circles` or `demo` wrote, or its table of tracks (for
+        flying objects, the tracks of kind flying count), or another file for
+        `lidar_core.io.read_columns` with columns t_ns, track_id, x, y, z and, if known, vx, vy, vz
+        and the upper triangle of the covariance,
         cov_x_x to cov_vz_vz. Without z and vz and with radius it is the table of a circle map.
 
     Raises
@@ -66,9 +67,11 @@ def read_prediction(path: str | Path) -> Prediction:
         Something is missing or cannot be read; the text names the file and the column.
     """
     place = Path(path)
+    if place in _tables_of_tracks(place.parent):
+        place = place.parent  # what is known of the run counts, too: its burn-in, its kinds
     if not (place / RUN_FILE).is_file():
         return _of_table(place)
-    table = table_in(place, "tracks") or table_in(place, "circles")
+    table = next(iter(_tables_of_tracks(place)), None)
     detections, timing = table_in(place, "detections"), table_in(place, "timing")
     if table is None:
         raise FormatError(f"{place}: the run folder holds no table of tracks; run it again")
@@ -81,6 +84,14 @@ def read_prediction(path: str | Path) -> Prediction:
         latency=None if timing is None else _latency(timing),
         burn_in_scans=0 if found.is_planar else _burn_in(place),
     )
+
+
+def _tables_of_tracks(folder: Path) -> list[Path]:
+    """Tables of tracks in the folder of a run; none in another folder."""
+    if not (folder / RUN_FILE).is_file():
+        return []
+    found = (table_in(folder, name) for name in ("tracks", "circles"))
+    return [table for table in found if table is not None]
 
 
 def _of_table(place: Path, kind: str | None = None) -> Prediction:

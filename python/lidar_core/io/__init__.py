@@ -23,12 +23,14 @@ from lidar_core.io.write.recording import write_recording
 from lidar_core.io.write.ros import RosWriter, write_ros
 from lidar_core.io.write.ros_obstacles import write_ros_objects
 from lidar_core.io.writers import register_writer
-from lidar_core.messages import PosedScan
+from lidar_core.messages import LaserScan, Pose, PosedScan, Scan
 
 __all__ = [
     "Cloud",
+    "LaserScan",
     "McapWriter",
     "NoTransformError",
+    "Pose",
     "PoseOptions",
     "PosedScan",
     "PosedScans",
@@ -38,6 +40,7 @@ __all__ = [
     "RecordingInfo",
     "RosWriter",
     "RunObjects",
+    "Scan",
     "Span",
     "Topic",
     "TopicInfo",

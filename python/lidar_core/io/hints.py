@@ -4,14 +4,18 @@ import shlex
 from pathlib import Path
 
 _PACKED = "compressed; unpack it first: "
+_TABLE = (
+    "a table holds no scans; measurements are for `lidar-core fuse`, and own arrays of scans become"
+    " a recording with `lidar_core.io.write_recording`"
+)
 _HINTS = {
     ".bt": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
-    ".csv": "a table holds no scans; measurements are for `lidar-core fuse`",
+    ".csv": _TABLE,
     ".json": "JSON holds no scans; tables of measurements are for `lidar-core fuse`, the metadata"
     " of an Ouster capture is found beside its .pcap or named with metadata=FILE",
     ".lcvm": "a map, not a recording: `lidar-core detect --map`, `lidar_core.io.read_cloud`",
     ".mat": "MATLAB files are not read; save its tables as CSV for `lidar-core fuse`",
-    ".parquet": "a table holds no scans; measurements are for `lidar-core fuse`",
+    ".parquet": _TABLE,
     ".txt": "text holds no scans; poses are for pose=FILE, measurements of LiDAR and radar (L/R)"
     " for `lidar-core fuse`",
     ".yaml": "not a recording; of a ROS 2 recording open the folder",

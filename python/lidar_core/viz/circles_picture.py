@@ -1,8 +1,8 @@
 """Pictures of a run of the circle pipeline, with matplotlib: one PNG, or an animation."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidar_core.extras import require
 from lidar_core.io.tables.shapes import outline
 from lidar_core.io.write.circle_scene import ellipse, label_of
-from lidar_core.objects import ShapeElements
+from lidar_core.objects import CircleElements, ShapeElements
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, scale_bar, sensor_mark
@@ -28,7 +28,10 @@ from lidar_core.viz.views import CirclesView
 
 SIZE, DPI = (12.0, 7.0), 90
 FILM_SIZE, FILM_DPI = (7.0, 7.0), 70
-COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
+COLOURS = (
+    *("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f"),
+    *("#4338ca", "#a16207", "#0891b2", "#86198f", "#57534e"),
+)  # as many as there are curves
 POINT, EARLIER, WALL = "#475569", "#dbe1e8", "#c2410c"
 MOVED = 1.0  # elements that moved this far are in the middle [m]
 SMALLEST = 4.0  # least width and height of what is shown [m]
@@ -38,6 +41,11 @@ MOST_POINTS = 30_000  # of earlier scans
 SIGMAS, CORNERS = 2.0, 36
 SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
 MOST_CURVES = 12  # radii over time: the elements seen longest
+GONE = 0.45  # opacity of what is no longer in the map at the end
+
+MOST_LABELS = 40  # of elements that are no longer in the map
+
+StateT = TypeVar("StateT", CircleElements, ShapeElements)
 
 
 def draw_circles(view: CirclesView, path: str | Path) -> Path:
@@ -111,8 +119,10 @@ def _compose(figure: Any, view: CirclesView) -> None:
     _earlier(above, view)
     window = _window(view, panel_tallness(above))
     _above(above, view, len(view.maps) - 1, window)
+    _gone(above, view)
+    window.apply(above)
     time = _seconds(view)
-    above.set_title(f"from above, at {time[-1]:.1f} s" if len(time) else "from above")
+    above.set_title(f"from above, 0 to {time[-1]:.1f} s" if len(time) else "from above")
     if view.maps:
         ways = [line[:, :2] for line in view.truth.values()]
         places = [view.maps[-1].center, view.sensor[-1:], *_ways(view, len(view.maps) - 1).values()]
@@ -205,6 +215,49 @@ def _elements(axes: Any, view: CirclesView, scan: int) -> None:
         edgecolor=COLOURS[0],
         label="element, its way, 2σ ellipse, velocity",
     )
+
+
+def _gone(axes: Any, view: CirclesView) -> None:
+    """Elements and shapes that are no longer in the map at the end, pale, where they were last."""
+    patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
+    last = _last_rows(view.maps)
+    there = set(view.maps[-1].id.tolist()) if view.maps else set()
+    ways, labels = _ways(view, len(view.maps) - 1), []
+    for number, (state, row) in last.items():
+        if number in there:
+            continue
+        colour, center = colour_of(number), state.center[row]
+        disc = patches.Circle(center, state.radius[row], fill=False, ec=colour, lw=1.0, ls=":")
+        disc.set(alpha=GONE, zorder=4.6)
+        axes.add_patch(disc)
+        axes.plot(*ways[number].T, color=colour, lw=0.8, alpha=GONE, zorder=4.4, gid=WAY)
+        labels.append(Label(label_of(state, row), center, colour))
+    draw_labels(axes, labels[:MOST_LABELS], [])
+    if labels:
+        axes.scatter(
+            [],
+            [],
+            s=60,
+            facecolor="none",
+            edgecolor=COLOURS[0],
+            alpha=GONE,
+            ls=":",
+            label="no longer in the map",
+        )
+    walls = _last_rows(view.shapes)
+    there = set(view.shapes[-1].id.tolist()) if view.shapes else set()
+    for number, (shapes, row) in walls.items():
+        if number not in there:
+            around = outline(shapes, row, CORNERS)
+            closed = around if len(around) == 2 else np.vstack([around, around[:1]])
+            axes.plot(*closed.T, color=WALL, lw=1.2, ls=":", alpha=GONE, zorder=2.5)
+
+
+def _last_rows(states: Sequence[StateT]) -> dict[int, tuple[StateT, int]]:
+    """For every number, the last state that has it, and its row there."""
+    return {
+        number: (state, row) for state in states for row, number in enumerate(state.id.tolist())
+    }
 
 
 def _shapes(axes: Any, shapes: ShapeElements) -> None:

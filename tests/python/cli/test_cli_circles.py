@@ -423,6 +423,20 @@ def test_real_recordings_are_mapped(recordings, tmp_path, name, arguments):
     assert (table["radius"] > 0).all()
 
 
+@pytest.mark.parametrize(
+    ("name", "arguments", "persons"),
+    [
+        ("people/corridor/example4/example4.db3", ["--pose", "static"], 1),
+        ("2d/radish/aces.clf.bz2", ["--end", 60.0], 0),
+    ],
+)
+def test_people_are_counted_and_things_are_not(recordings, tmp_path, name, arguments, persons):
+    few = (*arguments, "--no-mcap", "--no-picture")
+    result = result_of(recordings / name, "-o", tmp_path / "run", *few)
+    assert result["elements"] > persons
+    assert result["persons"] == persons
+
+
 ERROR_OF_THE_VEHICLE = 0.25
 """Of the circle from the body of the motion capture, root mean square [m]."""
 

@@ -170,6 +170,20 @@ def test_detections_keep_when_and_how_large_they_were(place):
     assert moved.mean_error < start.mean_error
 
 
+def test_the_table_of_a_run_counts_as_its_run(place, tmp_path):
+    """Its burn-in and its kinds are known; those of a copy elsewhere are not."""
+    run = place / "run"
+    whole, table = (
+        evaluation.read_prediction(run),
+        evaluation.read_prediction(run / "tracks.parquet"),
+    )
+    assert whole.burn_in_scans == table.burn_in_scans == 10
+    np.testing.assert_array_equal(whole.tracks.position, table.tracks.position)
+    copy = tmp_path / "tracks.parquet"
+    copy.write_bytes((run / "tracks.parquet").read_bytes())
+    assert evaluation.read_prediction(copy).burn_in_scans is None
+
+
 def test_a_table_of_tracks_keeps_everything(tracks, tmp_path):
     path = write_tracks_table(tmp_path / "tracks.csv", states(tracks))
     prediction = evaluation.read_prediction(path)

@@ -18,6 +18,8 @@ COLOUR_STEP = 0.6 / 255
 """Less than one step of an 8-bit channel."""
 FIRST = np.array([0x15, 0x80, 0x3D]) / 255
 """Of element 1."""
+FOURTH = np.array([0xBE, 0x18, 0x5D]) / 255
+"""Of element 4."""
 SCANS = 20
 
 
@@ -67,6 +69,21 @@ def empty(view):
 def share_of(path, colour):
     image = imread(path)[:, :, :3]
     return (np.abs(image - colour) < COLOUR_STEP).all(axis=2).mean()
+
+
+def test_what_left_the_map_stays_in_the_picture(view, tmp_path):
+    """People who passed are gone at the end."""
+    first = replace(view, maps=[map_at(SCANS)] * 3 + [map_at(0)] * (SCANS - 3))
+    with_way = draw_circles(first, tmp_path / "a.png")
+    without = draw_circles(replace(view, maps=[map_at(0)] * SCANS), tmp_path / "b.png")
+    above = np.s_[60:, :600]  # left of the curves over time
+
+    def purple(path):
+        image = imread(path)[above][:, :, :3]
+        return (np.abs(image - FOURTH) < COLOUR_STEP).all(axis=2).sum()
+
+    assert purple(with_way) > 100  # its label
+    assert purple(without) == 0
 
 
 def test_elements_are_drawn_in_their_colour(view, tmp_path):

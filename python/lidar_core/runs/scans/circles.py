@@ -1,9 +1,11 @@
 """Circles in 2D scans: data that a run keeps for its tables, trajectories and pictures."""
 
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Self
@@ -34,6 +36,7 @@ FILM_FRAMES, FILM_RATE = 120, 10.0
 NOTED_OFFSET_S = 0.01  # of poses that a run is told about
 NOTED_STUCK = 5  # scans whose pose stayed the same while the scanner moved
 NOTED_RATIO = 1.5  # of the noise of ranges to the configured one
+PERSON, PERSON_S = 0.5, 1.0  # probability of a person, and time in all for which it is exceeded [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +133,16 @@ class CirclesRun:
         """Numbers of the elements that were reported."""
         return sorted({number for state in self.maps for number in state.id.tolist()})
 
+    @property
+    def person_ids(self) -> list[int]:
+        """Numbers of the elements that were probably persons for a second in all."""
+        seconds = Counter[int]()
+        for state, later in pairwise(self.maps):
+            passed = (later.stamp_ns - state.stamp_ns) * 1e-9
+            for number in state.id[state.person_probability > PERSON].tolist():
+                seconds[number] += min(passed, PERSON_S)
+        return sorted(number for number, time in seconds.items() if time >= PERSON_S)
+
     def take(self, item: PosedScan[LaserScan]) -> None:
         """Process one scan."""
         start = perf_counter()
@@ -166,6 +179,7 @@ class CirclesRun:
             "too_near": self._too_near,
             "elements": len(self.element_ids),
             "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
+            "persons": len(self.person_ids),
             "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
             "shapes_at_end": len(self.shapes[-1].id) if self.shapes else 0,
             "ms_per_scan": self._times.ms_per_scan,

@@ -1,4 +1,7 @@
 //! Straight surfaces: one, or two at a right angle.
+//!
+//! Their misfit may be far above any bound before it falls: rays pass a line that is turned wrongly, and
+//! change from face to face of a corner on the way. So both are fitted to the end.
 
 use super::solve::{FittedShape, Solved, solve};
 use crate::circles::fit::arc::{Arc, Hit};
@@ -116,7 +119,8 @@ pub(super) fn fit_line(arc: &Arc, std: f64, most: f64) -> Option<Solved<2>> {
     let [x, y] = sums.mean();
     let distance = x * libm::cos(angle) + y * libm::sin(angle);
     let turned = if distance < 0.0 { PI } else { 0.0 };
-    solve(&LineShape, arc, std, [angle + turned, distance.abs()], most)
+    let solved = solve(&LineShape, arc, std, [angle + turned, distance.abs()], f64::INFINITY)?;
+    (solved.misfit < most).then_some(solved)
 }
 
 /// Corner with least misfit to the arc; None if it does not have two faces towards the sensor, or
@@ -147,7 +151,6 @@ pub(super) fn fit_corner(arc: &Arc, std: f64, most: f64) -> Option<Solved<3>> {
         [angle + turn, along(first, a), along(second, b)]
     });
     let start = starts.into_iter().find(|start| start[1] > 0.0 && start[2] > 0.0)?;
-    // Rays change from face to face on the way, so that the fall of the misfit is not foreseen.
     let solved = solve(&Corner, arc, std, start, f64::INFINITY)?;
     let [_, first, second] = solved.parameters;
     (first > 0.0 && second > 0.0 && solved.misfit < most).then_some(solved)
