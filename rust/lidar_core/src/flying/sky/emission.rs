@@ -262,6 +262,15 @@ const STRAY_SHARE: f64 = 0.05;
 const OFF_ROW: f64 = 0.3 * PI / 180.0;
 /// Rows nearer than this to each other cannot be told from returns between them [rad].
 const LEAST_GAP: f64 = 0.8 * PI / 180.0;
+/// Shares of returns off the rows that contradict these: where returns show rows, and where they show
+/// none, and all lie in a part of the turn, as those of sensors that do not turn. Recordings of Velodyne
+/// and Hesai sensors have none off their own rows, and 0.32 or more off the rows of another one.
+const OFF_SHARE: f64 = 0.25;
+const OFF_SHARE_WITHOUT_ROWS: f64 = 0.5;
+/// Largest part of the turn that a sensor which does not turn is taken to see [rad].
+const PART_OF_TURN: f64 = PI;
+/// Share of the rows between those that return something, below which they are of another sensor.
+const USED_SHARE: f64 = 0.6;
 /// Width of a bin in which rows show [rad]: 0.1 degrees.
 const BIN: f64 = PI / 1800.0;
 
@@ -314,8 +323,16 @@ impl Elevations {
 
     /// True if `rays` cannot have given the scan; false if it has too few returns to decide.
     pub(super) fn contradict(&self, rays: &RayPattern) -> bool {
-        let beyond = self.against(rays).is_some_and(|share| share > STRAY_SHARE);
-        beyond || (self.values.len() >= ENOUGH_RETURNS && self.are_rows() && self.miss_rows(rays))
+        let Some(share) = self.against(rays) else { return false };
+        let RayPattern::Rows { elevations, .. } = rays else { return share > STRAY_SHARE };
+        let off = self.off_rows(elevations);
+        share > STRAY_SHARE
+            || if self.are_rows() {
+                off > OFF_SHARE || self.skip_rows(elevations)
+            } else {
+                // The motion of a sensor that turns smears its rows: it is told by what it sees.
+                off > OFF_SHARE_WITHOUT_ROWS && self.lie_in_a_part()
+            }
     }
 
     fn is_stray(&self, index: usize, rays: &RayPattern) -> bool {
@@ -332,27 +349,39 @@ impl Elevations {
             || self.azimuths[index].abs() > azimuth + BEYOND
     }
 
-    /// True if most returns lie between the rows, or many rows between those that return anything.
-    fn miss_rows(&self, rays: &RayPattern) -> bool {
-        let RayPattern::Rows { elevations, .. } = rays else { return false };
-        let gap = |pair: &[f64]| pair[1] - pair[0];
-        let mut gaps: Vec<f64> = elevations.windows(2).map(gap).collect();
+    /// Share of the returns between the rows; 0 for rows too near to each other to tell.
+    fn off_rows(&self, rows: &[f64]) -> f64 {
+        let mut gaps: Vec<f64> = rows.windows(2).map(|pair| pair[1] - pair[0]).collect();
         gaps.sort_unstable_by(f64::total_cmp);
         if gaps.get(gaps.len() / 2).is_none_or(|&middle| middle < LEAST_GAP) {
-            return false;
+            return 0.0;
         }
         let is_off = |value: &&f64| {
-            let above = elevations.partition_point(|row| row < value);
+            let above = rows.partition_point(|row| row < value);
             let near = |row: Option<&f64>| row.is_some_and(|row| (row - **value).abs() <= OFF_ROW);
-            !near(elevations.get(above))
-                && !near(above.checked_sub(1).and_then(|at| elevations.get(at)))
+            !near(rows.get(above)) && !near(above.checked_sub(1).and_then(|at| rows.get(at)))
         };
+        self.values.iter().filter(is_off).count() as f64 / self.values.len() as f64
+    }
+
+    /// True if many rows return nothing between those that do.
+    fn skip_rows(&self, rows: &[f64]) -> bool {
         let is_used =
-            |row: usize| self.values.iter().any(|value| (value - elevations[row]).abs() <= OFF_ROW);
-        let used: Vec<usize> = (0..elevations.len()).filter(|&row| is_used(row)).collect();
+            |row: &usize| self.values.iter().any(|value| (value - rows[*row]).abs() <= OFF_ROW);
+        let used: Vec<usize> = (0..rows.len()).filter(is_used).collect();
         let (Some(first), Some(last)) = (used.first(), used.last()) else { return true };
-        let is_between = 5 * used.len() < 3 * (last - first + 1);
-        is_between || 2 * self.values.iter().filter(is_off).count() > self.values.len()
+        (used.len() as f64) < USED_SHARE * (last - first + 1) as f64
+    }
+
+    /// True if all returns lie in one part of the turn: the largest gap between their azimuths is the
+    /// rest of it.
+    fn lie_in_a_part(&self) -> bool {
+        let mut azimuths = self.azimuths.clone();
+        azimuths.sort_unstable_by(f64::total_cmp);
+        let around =
+            azimuths.last().zip(azimuths.first()).map_or(0.0, |(last, first)| TAU - (last - first));
+        let gap = azimuths.windows(2).map(|pair| pair[1] - pair[0]).fold(around, f64::max);
+        TAU - gap <= PART_OF_TURN
     }
 }
 
@@ -423,5 +452,34 @@ mod tests {
         };
         assert!(seen.contradict(&mid360));
         assert!(!Elevations::of(&points[..100]).contradict(&mid360)); // too few to tell
+        // Rows that are too near to each other to be missed are missed in number.
+        let os1 = degrees((0..128).map(|row| 0.35 * f64::from(row) - 22.5).collect());
+        assert!(seen.contradict(&RayPattern::Rows { elevations: os1.clone(), columns: 1024 }));
+        let points: Vec<[f32; 3]> = os1.iter().flat_map(|&elevation| row(elevation)).collect();
+        let seen = Elevations::of(&points);
+        assert!(!seen.contradict(&RayPattern::Rows { elevations: os1, columns: 1024 }));
+    }
+
+    #[test]
+    fn a_part_of_the_turn_without_rows_is_of_no_sensor_with_wide_rows() {
+        let vlp16: Vec<f64> =
+            (0..16).map(|row| (2.0 * f64::from(row) - 15.0) * PI / 180.0).collect();
+        let rows = RayPattern::Rows { elevations: vlp16, columns: 1800 };
+        let rosette = |width: f64| -> Vec<[f32; 3]> {
+            (0..4000)
+                .map(|ray| {
+                    let (azimuth, elevation) = (
+                        width * (libm::fmod(0.618 * f64::from(ray), 1.0) - 0.5),
+                        0.4 * (libm::fmod(0.755 * f64::from(ray), 1.0) - 0.5),
+                    );
+                    let run = 9.0 * libm::cos(elevation);
+                    [run * libm::cos(azimuth), run * libm::sin(azimuth), 9.0 * libm::sin(elevation)]
+                        .map(|value| value as f32)
+                })
+                .collect()
+        };
+        assert!(Elevations::of(&rosette(2.1)).contradict(&rows));
+        // All around, it may be a sensor with rows that its own motion smeared.
+        assert!(!Elevations::of(&rosette(TAU)).contradict(&rows));
     }
 }
