@@ -117,6 +117,9 @@ class Playback:
         self.capability: Capability = (
             "circles" if name == "circles" else "fusion" if is_fusion else "flying"
         )
+        if self.capability == "flying" and "kind" in self._columns:
+            flies = self._columns["kind"] == "flying"  # as pictures and summaries
+            self._columns = {name: values[flies] for name, values in self._columns.items()}
         self._rows = _rows_by_time(self._columns)
         shapes = self._tables("shapes") if name == "circles" else []
         self._shapes = read_columns(shapes[0]) if shapes else None

@@ -1,6 +1,8 @@
 """A run looked at: what playback gives, pictures, films, rerun's file, Foxglove's stream."""
 
+import csv
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -126,6 +128,23 @@ def test_points_lie_in_the_world_and_carry_their_class(flying):
     assert np.quantile(ground, 0.05) == pytest.approx(0.0, abs=0.15)
     assert set(np.unique(moments[-1].point_class)) <= {1, 2, 3}
     assert np.isfinite(moments[-1].points).all()
+
+
+def test_tracks_that_do_not_fly_are_not_played(flying, tmp_path):
+    """The table has tracks of all kinds; pictures, films and viewers show those that fly."""
+    columns = columns_of(flying, "tracks")
+    ids = np.unique(columns["track_id"]).tolist()
+    assert set(columns["kind"]) == {"flying"}
+    columns["kind"] = np.where(columns["track_id"] == ids[0], "clutter", "flying")
+    shutil.copytree(flying, tmp_path / "run")
+    next((tmp_path / "run").glob("tracks.*")).unlink()
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    with (tmp_path / "run/tracks.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([list(columns), *rows])
+    played = [objects.id.tolist() for _, objects in Playback(tmp_path / "run").steps()]
+    assert {number for step in played for number in step} == set(ids[1:])
+    played = [objects.id.tolist() for _, objects in Playback(flying).steps()]
+    assert {number for step in played for number in step} == set(ids)
 
 
 def test_a_run_without_a_recording_still_plays(circles, tmp_path):
