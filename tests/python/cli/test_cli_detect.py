@@ -39,6 +39,7 @@ from lidar_core.io import (
     write_npz,
 )
 from lidar_core.messages import Pose, Scan
+from lidar_core.sim import Waypoints
 
 SCANS = 20
 FLIGHT = drone((6.0, 4.0, 3.5), (5.0, 6.0, 4.0))
@@ -179,7 +180,18 @@ def test_repeating_opens_the_gate(recording, tmp_path):
     result = result_of(path, "-o", tmp_path / "run", "--pose", "static", "--repeat", 4)
     assert result["scans"]["processed"] == 16
     assert result["gate"]["opened_at_scan"] == 10
+    assert not result["notes"]
     assert result["poses"] == "static: the sensor does not move"
+
+
+def test_a_repeated_recording_of_a_sensor_that_moves_is_named(tmp_path):
+    way = Waypoints(times=(0.0, 0.4), positions=((-1.0, 0.0, 3.0), (1.0, 0.0, 3.0)))
+    path = tmp_path / "way.npz"
+    sim.record(yard(FLIGHT, scans=4, sensor=way), path, seed=0)
+    for times, expected in ((4, 1), (1, 0)):
+        result = result_of(path, "-o", tmp_path / f"{times}", "--repeat", times, "--no-picture")
+        named = [one for one in result["notes"] if "the sensor jumps back by 1.5 m" in one]
+        assert len(named) == expected, result["notes"]
 
 
 def test_a_part_of_a_recording_is_the_same_as_a_recording_of_that_part(recording, tmp_path):
