@@ -12,8 +12,6 @@ use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::turn;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Number of hits by which starts are compared.
-const SAMPLES: usize = 16;
 /// Least distance from a tangent, in units of that of the centre, that a derivative is divided by: what
 /// it is multiplied with vanishes there.
 const LEAST_DISTANCE: f64 = 1e-9;
@@ -162,19 +160,17 @@ pub(super) fn fit_ellipse(
     (long <= largest && short >= LEAST_AXIS).then_some(best)
 }
 
-/// `start` in the size that fits best the ranges of some hits, which grow with it, after its misfit.
+/// `start` in the size that fits the ranges best, which grow with it, after its misfit.
 fn scaled(ellipse: &Ellipse<'_>, start: [f64; 5]) -> (f64, [f64; 5]) {
     let range = ellipse.range(&start);
-    let (mut gg, mut gz, mut zz) = (0.0, 0.0, 0.0);
-    let hits = &ellipse.arc.hits;
-    for hit in hits.iter().step_by(hits.len().div_ceil(SAMPLES)) {
+    let (mut gg, mut gz) = (0.0, 0.0);
+    for hit in &ellipse.arc.hits {
         let (g, _) = range(hit);
         gg += hit.weight * g * g;
         gz += hit.weight * g * hit.range;
-        zz += hit.weight * hit.range * hit.range;
     }
     let scale = gz / gg;
     let [low, high, first, second, k] = start;
     let larger = libm::log(scale);
-    (zz - scale * gz, [low, high, first + larger, second + larger, k])
+    (ellipse.arc.square - scale * gz, [low, high, first + larger, second + larger, k])
 }
