@@ -170,6 +170,7 @@ def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
         ),
         Row("time", f"{summary['duration']:.1f} s", ""),
         Row("what became of them", "", outcomes),
+        *(Row("invalid", str(count), reason) for reason, count in summary["invalid"].items()),
     ]
     rows += _nis_rows(summary)
     rmse = summary["rmse"]

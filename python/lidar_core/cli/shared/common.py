@@ -101,6 +101,7 @@ OPTIONS = {
             "gate",
             "mcap",
             "metadata",
+            "model",
             "mounting",
             "odom",
             "overwrite",

@@ -21,6 +21,7 @@ from lidar_core.fusion.plausibility import implausible
 from lidar_core.fusion.recordings.lists import list_reader
 from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import is_table
+from lidar_core.fusion.unusable import lacks_heights
 from lidar_core.io import Span
 from lidar_core.io.options import NS
 from lidar_core.runs.checkpoints import Checkpoints
@@ -128,6 +129,8 @@ class FuseJob:
                 f"{self.recording}: model ctrv-drone does not use poses of the platform, which"
                 " this recording holds; use model ctrv"
             )
+        if flat := lacks_heights(kept.measurements, chosen):
+            raise InputError(f"{self.recording}: {flat}")
         if self.fit_noise:
             told = names_told(self.config, self.ways)
             chosen = fitted([(self.recording, kept)], chosen, told=told, force=self.force)

@@ -24,6 +24,7 @@ from lidar_core.fusion import (
 from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.plausibility import geographic_poses
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
+from lidar_core.fusion.unusable import reasons
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
@@ -156,6 +157,7 @@ class TargetRun:
             "lag": self.lag,
             "measurements": dict(Counter(sensors.tolist())),
             "outcomes": dict(Counter(self.result.outcomes.tolist())),
+            "invalid": reasons(self.log.measurements, self.result.outcomes, self.config),
             "duration": duration,
             "states": list(state_names(self.config)),
             "nis": nis_summary(self.nis()),
