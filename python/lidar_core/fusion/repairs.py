@@ -101,17 +101,23 @@ REPAIRS: tuple[tuple[str, str, Change], ...] = (
     ),
     (
         "radar",
-        "range rates are positive when the range shrinks: they fit with the other sign",
+        "range rates are positive when the range shrinks: they fit with the other sign"
+        ' (scale={"range_rate": -1})',
         _of("range_rate", lambda rate: -rate),
     ),
     *(
-        ("radar", f"ranges are {unit}: they fit times {factor:g}", _of("range", factor.__mul__))
+        (
+            "radar",
+            f'ranges are {unit}: they fit times {factor:g} (scale={{"range": {factor:g}}})',
+            _of("range", factor.__mul__),
+        )
         for unit, factor in _LENGTHS.items()
     ),
     *(
         (
             "lidar",
-            f"places of the LiDAR are {unit}: they fit times {factor:g}",
+            f"places of the LiDAR are {unit}: they fit times {factor:g}"
+            f' (scale={{"x": {factor:g}, "y": {factor:g}}}; a column z likewise)',
             _scaled(factor),
         )
         for unit, factor in _LENGTHS.items()

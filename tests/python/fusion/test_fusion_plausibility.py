@@ -95,7 +95,7 @@ WRONG = {
     "exchanged": (lambda seen: changed(seen, "lidar", lambda v: v[::-1]), "exchanged"),
     "feet": (
         lambda seen: changed(seen, "radar", lambda v: [v[0] / 0.3048, v[1], v[2]]),
-        "ranges are feet: they fit times 0.3048",
+        'ranges are feet: they fit times 0.3048 (scale={"range": 0.3048})',
     ),
     "millimetres": (
         lambda seen: changed(seen, "lidar", lambda v: 1000 * v),
@@ -103,7 +103,8 @@ WRONG = {
     ),
     "kilometres": (
         lambda seen: changed(seen, "lidar", lambda v: v / 1000),
-        "places of the LiDAR are kilometres: they fit times 1000",
+        "places of the LiDAR are kilometres: they fit times 1000"
+        ' (scale={"x": 1000, "y": 1000}; a column z likewise)',
     ),
     "late radar": (
         lambda seen: late(seen, "radar", 1.0),
@@ -228,6 +229,12 @@ def test_wrong_recordings_are_refused_with_the_cause_that_the_data_shows(right, 
     assert cause in str(found)
     if name != "several":
         assert not any("several" in text for text in found.shown)  # angles explain the jumps
+
+
+def test_range_rates_of_the_other_sign_are_named_with_the_option(recordings):
+    right = read_laser_radar(recordings / SAMPLE_1).measurements  # it moves fast enough to tell
+    found = doubt(changed(right, "radar", lambda v: [v[0], v[1], -v[2]]))
+    assert '(scale={"range_rate": -1})' in str(found)
 
 
 def test_noise_far_too_small_is_refused_and_all_likely_causes_are_named(right):

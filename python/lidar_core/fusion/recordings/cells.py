@@ -1,11 +1,12 @@
 """Columns of tables as numbers and times."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import FormatError
+from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.recordings.conventions import stamps_of_texts
 from lidar_core.io.tables.columns import Columns, at_row
 
@@ -27,6 +28,22 @@ def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
                 f"{at_row(place, row)}: column {name}: expected a number, got {text!r}"
             ) from error
     return numbers
+
+
+def scaled(place: Path, columns: Columns, factors: Mapping[str, float]) -> Columns:
+    """Columns with the numbers of some multiplied; the others as they are.
+
+    Raises
+    ------
+    InputError
+        There is no such column.
+    """
+    for name in factors:
+        if name not in columns:
+            raise InputError(f"{place}: scale: no column {name} among {', '.join(columns)}")
+    return columns | {
+        name: factor * numbers_in(place, columns, name) for name, factor in factors.items()
+    }
 
 
 def stamps_in(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:

@@ -7,12 +7,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
-from lidar_core.fusion.recordings.cells import numbers_in, stamps_in
+from lidar_core.fusion.recordings.cells import numbers_in, scaled, stamps_in
 from lidar_core.fusion.recordings.conventions import (
     Azimuth,
     Turned,
@@ -47,6 +47,8 @@ NAMES = (
     TRUE_ID,
 )
 """Columns that a table may have."""
+SCALABLE = tuple(name for name in NAMES if name not in ("t_ns", "sensor", TRUE_ID))
+"""Columns whose numbers a factor may change; times have a unit of their own."""
 WORDS: dict[str, SensorName] = {
     "lidar": "lidar",
     "laser": "lidar",
@@ -92,6 +94,21 @@ class TableOptions(Config):
         description="Offset of the clocks of sensors, by sensor, positive if ahead [s]: it is"
         " subtracted from their times.",
     )
+    scale: dict[str, float] = Field(
+        default={},
+        description="Factors of columns as they are in the table, by our names (no unit): range"
+        " 0.001 reads millimetres, range_rate -1 the other sign.",
+    )
+
+    @field_validator("scale")
+    @classmethod
+    def _scales_numbers(cls, factors: dict[str, float]) -> dict[str, float]:
+        for name, factor in factors.items():
+            if name not in SCALABLE:
+                raise ValueError(f"expected columns among {', '.join(SCALABLE)}; got {name!r}")
+            if factor == 0:
+                raise ValueError(f"expected factors other than 0 (column {name})")
+        return factors
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +176,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         recording = read_laser_radar(place)
         return MeasurementLog(recording.measurements, recording.truth, "L/R text")
     columns = _renamed(place, read_columns(place), options.columns)
+    columns = scaled(place, columns, options.scale)
     if not any(len(column) for column in columns.values()):
         raise FormatError(f"{place}: no rows below the names of columns")
     columns, origin = _in_metres(place, columns)

@@ -94,7 +94,7 @@ class FuseJob:
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
-        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
+        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock", "scale")
         tabular = is_table(recording)
         self._check_read(*(("a table", of_tables) if tabular else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
