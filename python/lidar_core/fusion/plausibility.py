@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.config import as_config
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, SensorName
-from lidar_core.fusion.repairs import LATE, LENGTH_TEXTS, LENGTHS, REPAIRS, Change, later
+from lidar_core.fusion.recordings.table import TableOptions
+from lidar_core.fusion.repairs import LATE, Change, later, lengths, repairs
 from lidar_core.fusion.run import Run, run
 
 LEAST = 20
@@ -84,7 +86,11 @@ class Implausible:
         return text
 
 
-def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Implausible | None:
+def implausible(
+    measurements: Sequence[Measurement],
+    config: FusionConfig,
+    options: TableOptions | None = None,
+) -> Implausible | None:
     """Check whether measurements can belong to one target in the expected units.
 
     Parameters
@@ -93,6 +99,9 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     config : FusionConfig
         Configuration of the filter. The configured noise is used: estimated noise would explain
         every mistake.
+    options : TableOptions, optional
+        Options with which a table was read: other conventions than these are tried, and the causes
+        name options that replace them.
 
     Returns
     -------
@@ -114,6 +123,7 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     if config.model == "paper":
         return None
     config = config.model_copy(update={"sensor_noise": "configured"})
+    told = as_config(options, TableOptions)
     found = _ratio(run(measurements, config))
     if found is None:
         return None
@@ -123,11 +133,11 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     if ratio > limit:
         head = measurements[:HEAD]
         # Wrong angles make places jump, too: jumps say something where nothing else explains them.
-        shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
+        shown = _repairs(head, config, told, ratio, limit) + geographic or _several(head)
         likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
         return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
     if ratio > SUSPICIOUS and not geographic:
-        shown = _repairs(measurements[:HEAD], config, ratio, limit)
+        shown = _repairs(measurements[:HEAD], config, told, ratio, limit)
         if shown:
             return Implausible(count, ratio, limit, tuple(shown), ())
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
@@ -137,7 +147,10 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
 
 
 def mistaken_for_noise(
-    measurements: Sequence[Measurement], told: FusionConfig, fitted: FusionConfig
+    measurements: Sequence[Measurement],
+    told: FusionConfig,
+    fitted: FusionConfig,
+    options: TableOptions,
 ) -> str | None:
     """Return the mistake that the noise of a fit hides; None if it seems to be real noise.
 
@@ -151,14 +164,16 @@ def mistaken_for_noise(
         In the order of their times.
     told, fitted : FusionConfig
         Configuration before and after the fit.
+    options : TableOptions
+        Options with which the measurements were read.
     """
-    before = implausible(measurements, told)
+    before = implausible(measurements, told, options)
     shown = before.shown if before is not None else ()
     if not shown:
         config = fitted.model_copy(update={"sensor_noise": "configured"})
         found = _ratio(run(measurements, config))
         head = measurements[:HEAD]
-        shown = () if found is None else tuple(_repairs(head, config, found[0], found[0]))
+        shown = () if found is None else tuple(_repairs(head, config, options, found[0], found[0]))
     bearing = fitted.radar_std[1]
     if not shown and bearing > WIDEST_BEARING and bearing > told.radar_std[1]:
         likely = "; ".join(CAUSES[word] for word in ("degrees", "clockwise", "platform"))
@@ -207,14 +222,18 @@ def _changed(
 
 
 def _repairs(
-    measurements: Sequence[Measurement], config: FusionConfig, ratio: float, limit: float
+    measurements: Sequence[Measurement],
+    config: FusionConfig,
+    options: TableOptions,
+    ratio: float,
+    limit: float,
 ) -> list[str]:
     """Mistakes without which the NIS is within reason, and a tenth of what it was: the best."""
     known = {m.sensor for m in measurements}
     found = []
     # Of a sensor alone a smaller unit makes every error smaller: it would explain all mistakes.
-    repairs = REPAIRS if {"lidar", "radar"} <= known else REPAIRS[:-LENGTHS]
-    for sensor, text, change in repairs:
+    of_lengths = lengths(options) if {"lidar", "radar"} <= known else []
+    for sensor, text, change in [*repairs(options), *of_lengths]:
         if sensor in known:
             again = _ratio(run(_changed(measurements, sensor, change), config))
             if again is not None and again[0] <= min(limit, ratio / 10):
@@ -224,16 +243,15 @@ def _repairs(
         again = _ratio(run(_changed(measurements, late[0], later(-late[1])), config))
         less = 3 if ratio > limit else 10
         if again is not None and again[0] <= min(limit, ratio / less):
-            what = "ahead of" if late[1] > 0 else "behind"
-            text = f"the clock of the {late[0]} is {abs(late[1]):g} s {what} the others"
-            found.append((again[0], f'{text} (clock={{"{late[0]}": {late[1]:g}}})'))
+            found.append((again[0], _clock_text(*late, options.clock.get(late[0], 0.0))))
     # Those about as good as the best one cannot be told apart from it.
     least = min(found, default=(0.0, ""))[0]
     shown = [text for value, text in sorted(found) if value <= 2 * least]
-    if any(text in LENGTH_TEXTS for text in shown):
+    length_texts = {text for _, text, _ in of_lengths}
+    if not length_texts.isdisjoint(shown):
         # A smaller unit makes errors smaller, too: that a fit is better than expected says nothing,
         # and one sensor in kilometres looks like the other in millimetres. The likeliest is first.
-        units = [one for one in found if one[1] in LENGTH_TEXTS and one[0] <= max(2 * least, 2.0)]
+        units = [one for one in found if one[1] in length_texts and one[0] <= max(2 * least, 2.0)]
         shown = [text for _, text in sorted(units, key=lambda one: abs(np.log(one[0])))]
     bearings = [
         abs(float(m.values[m.measures.index("bearing")]))
@@ -241,12 +259,22 @@ def _repairs(
         if m.measures is not None and "bearing" in m.measures
     ]
     largest = max((value for value in bearings if np.isfinite(value)), default=0.0)
-    if ratio > limit and largest > TURN and not any("degrees" in text for text in shown):
+    in_degrees = options.angle_unit == "deg" or any("degrees" in text for text in shown)
+    if ratio > limit and largest > TURN and not in_degrees:
         shown.append(
             f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
             ' (angle_unit="deg")'
         )
     return shown
+
+
+def _clock_text(sensor: SensorName, further: float, told: float) -> str:
+    ahead = round(told + further, 3)
+    if ahead == 0:
+        return f'the clocks of the sensors agree (leave out clock={{"{sensor}": {told:g}}})'
+    what = "ahead of" if ahead > 0 else "behind"
+    text = f"the clock of the {sensor} is {abs(ahead):g} s {what} the others"
+    return f'{text} (clock={{"{sensor}": {ahead:g}}})'
 
 
 def _clock(

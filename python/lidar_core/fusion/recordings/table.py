@@ -1,7 +1,7 @@
 """Measurements of one target from files: L/R text, or any table by a map of its columns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -128,6 +128,8 @@ class MeasurementLog:
         the north, where the file has places on the Earth (WGS84).
     targets : ndarray, shape (K,), int64, or None
         Number of the target of each measurement, -1 for none, if the file states it.
+    options : TableOptions
+        Options with which a table was read; the defaults for other files.
     """
 
     measurements: list[Measurement]
@@ -135,6 +137,7 @@ class MeasurementLog:
     format: str
     origin: tuple[float, float, float] | None = None
     targets: NDArray[np.int64] | None = None
+    options: TableOptions = field(default_factory=TableOptions)
 
     def rows(self, chosen: list[int]) -> "MeasurementLog":
         """Return the measurements with these indices, in this order."""
@@ -199,7 +202,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     if TRUE_ID in columns:
         numbers = numbers_in(place, columns, TRUE_ID)[kept]
         targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
-    return MeasurementLog([m for _, m in made], truth, kind, origin, targets)
+    return MeasurementLog([m for _, m in made], truth, kind, origin, targets, options)
 
 
 def is_table(place: Path) -> bool:

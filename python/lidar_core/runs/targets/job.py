@@ -135,7 +135,7 @@ class FuseJob:
             told = names_told(self.config, self.ways)
             chosen = fitted([(self.recording, kept)], chosen, told=told, force=self.force)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
-        doubt = implausible(made.log.measurements, chosen)
+        doubt = implausible(made.log.measurements, chosen, log.options)
         if doubt is not None and not self.force:
             raise InputError(f"{self.recording}: {doubt}. force=True continues anyway")
         return made if doubt is None else replace(made, implausible=str(doubt))
