@@ -184,6 +184,7 @@ def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
             *(
                 Row(f"RMSE {axis}", number(rmse[axis], 4, " m" if axis in "xy" else " m/s"), "")
                 for axis in ("x", "y", "vx", "vy")
+                if rmse[axis] is not None
             ),
             Row("NEES of the position", number(rmse["position_nees"], 2), "2 is expected"),
         ]

@@ -279,6 +279,40 @@ def test_columns_of_other_units_and_signs_are_scaled_as_they_were_read(table, tm
     assert note["config"]["fusion_table"]["scale"] == factors
 
 
+def test_a_truth_of_positions_alone_gives_their_errors(table, tmp_path):
+    whole = result_of(table, "-o", tmp_path / "whole", "--no-picture")["rmse"]
+    assert whole["vx"] > 0
+    content = [
+        {name: value for name, value in row.items() if name not in ("true_vx", "true_vy")}
+        for row in rows()
+    ]
+    path, folder = write(tmp_path / "places.csv", content), tmp_path / "places"
+    known = result_of(path, "-o", folder)["rmse"]
+    assert known == whole | {"vx": None, "vy": None}
+    printed = command(path, "-o", tmp_path / "printed", "--no-picture").output
+    assert "RMSE x" in printed
+    assert "RMSE vx" not in printed
+    assert {"true_x", "true_y"} <= set(states := read_columns(folder / "states.parquet"))
+    assert not {"true_vx", "true_vy"} & set(states)
+    scores = json_of("evaluate", folder, folder)["track_scores"]
+    assert scores["n_found"] == scores["n_eligible"] == 60
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"true_x": 1.0}, "true_x without true_y; "),
+        ({"true_x": 1.0, "true_y": 2.0, "true_vy": 0.0}, "true_x, true_y, true_vy without true_vx"),
+        ({"true_vx": 1.0, "true_vy": 2.0}, "true_vx, true_vy without true_x, true_y"),
+    ],
+)
+def test_a_truth_that_lacks_a_column_is_refused_with_its_name(tmp_path, given, told):
+    path = write(tmp_path / "part.csv", [{"t_ns": 0, "x": 1.0, "y": 2.0, **given}])
+    with pytest.raises(InputError, match=told) as refused:
+        read_measurements(path)
+    assert 'columns={"true_' in str(refused.value)
+
+
 def test_poses_bring_their_deviations(tmp_path):
     known = {"pose_std_x": 0.1, "pose_std_y": 0.2, "pose_std_yaw": 3.0}
     content = [

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from lidar_core import runs
+import lidar_core as lc
 from lidar_core.errors import InputError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion import (
@@ -368,7 +368,7 @@ def test_runs_name_the_option_that_replaces_a_told_one(recordings, tmp_path, fun
     path = table(tmp_path / "told.csv", WRONG["compass bearings"][0](right))
     arguments = (None, tmp_path / "run") if function == "fuse" else ()
     with pytest.raises(InputError, match=r'"bearing": "compass"'):
-        getattr(runs, function)(path, *arguments, azimuth={"bearing": "clockwise"})
+        getattr(lc.runs, function)(path, *arguments, azimuth={"bearing": "clockwise"})
 
 
 @pytest.mark.nightly

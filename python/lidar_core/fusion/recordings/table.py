@@ -12,7 +12,16 @@ from pydantic import Field, field_validator
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
-from lidar_core.fusion.recordings.cells import numbers_in, scaled, stamps_in
+from lidar_core.fusion.recordings.cells import (
+    POSITION,
+    TRUE_ID,
+    VELOCITY,
+    numbers_in,
+    scaled,
+    stamps_in,
+    targets_in,
+    truth_in,
+)
 from lidar_core.fusion.recordings.conventions import (
     Azimuth,
     Turned,
@@ -34,8 +43,6 @@ POSE_IN_SPACE = ("pose_x", "pose_y", "pose_z", "pose_roll", "pose_pitch", "pose_
 ON_EARTH = {"": ("x", "y", "z"), "pose_": ("pose_x", "pose_y", "pose_z")}
 """What latitude, longitude and altitude are turned into, by the start of their names."""
 POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
-TRUTH = ("true_x", "true_y", "true_vx", "true_vy")
-TRUE_ID = "true_id"
 NAMES = (
     "t_ns",
     "sensor",
@@ -43,7 +50,8 @@ NAMES = (
     *(name for names in IN_SPACE.values() for name in names),
     *(start + name for start in ON_EARTH for name in ("lat", "lon", "alt")),
     *POSE_STD,
-    *TRUTH,
+    *POSITION,
+    *VELOCITY,
     TRUE_ID,
 )
 """Columns that a table may have."""
@@ -157,11 +165,11 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         Columns are t_ns (numbers, or ISO 8601); x, y, and z if there is one, of a LiDAR; any of
         range, bearing, elevation, range_rate of a radar; turn_rate of a gyro; pose_x, pose_y,
         pose_yaw of the platform, or these with pose_z, pose_roll, pose_pitch; their standard
-        deviations pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y,
-        true_vx, true_vy, and true_id of the target in tables of several. lat, lon and alt stand
-        for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84
-        become metres to the east, north and up of the first one. Without a column `sensor`, a row
-        gives a measurement of every sensor whose values are there.
+        deviations pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x and true_y,
+        if known with true_vx and true_vy, and true_id of the target in tables of several. lat,
+        lon and alt stand for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform:
+        places on WGS84 become metres to the east, north and up of the first one. Without a column
+        `sensor`, a row gives a measurement of every sensor whose values are there.
     options : TableOptions, optional
 
     Raises
@@ -170,7 +178,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         A column is missing or holds something else; the text names file, column and row, which
         count from 1 below the names of columns.
     InputError
-        `columns` names something that is not read.
+        `columns` names something that is not read, or the truth lacks a column.
     LimitError
         More than 256 MiB.
     """
@@ -196,12 +204,9 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     if not made:
         raise FormatError(f"{place}: no row holds all values of a sensor")
     kept = np.array([row for row, _ in made])
-    truth = _truth(place, columns, stamps, kept)
+    truth = truth_in(place, columns, stamps, kept)
     kind = f"table ({place.suffix[1:].lower()})"
-    targets = None
-    if TRUE_ID in columns:
-        numbers = numbers_in(place, columns, TRUE_ID)[kept]
-        targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
+    targets = targets_in(place, columns, kept)
     return MeasurementLog([m for _, m in made], truth, kind, origin, targets, options)
 
 
@@ -382,14 +387,3 @@ def _sensor(
             f" {', '.join(known for known, name in WORDS.items() if name in values)}, got {word!r}"
         )
     return sensor
-
-
-def _truth(
-    place: Path, columns: Columns, stamps: NDArray[np.int64], rows: NDArray[np.int64]
-) -> TargetTruth | None:
-    if not set(TRUTH) <= set(columns):
-        return None
-    values = np.stack([numbers_in(place, columns, name) for name in TRUTH], axis=1)[rows]
-    if not np.isfinite(values).all():
-        raise FormatError(f"{place}: a true value is not finite; leave the columns true_* out")
-    return TargetTruth(stamps[rows], values[:, :2], values[:, 2:], None, None)

@@ -36,9 +36,16 @@ from lidar_core.runs.targets.one import (
     nis_by_sensor,
     nis_ratios,
     nis_summary,
-    planar_table,
 )
-from lidar_core.runs.targets.planar import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
+from lidar_core.runs.targets.planar import (
+    PlanarStep,
+    in_plane,
+    in_world,
+    planar_table,
+    planar_truth,
+    sensor_at,
+    write_run_mcap,
+)
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 REACH, GAP, CUTOFF = 15.0, 3.0, 30.0
@@ -219,12 +226,9 @@ class ManyRun:
         if not rows:
             return {}
         stamps, numbers, places = zip(*rows, strict=True)
-        place = np.array(places)
-        table = planar_table(
-            "target_id", np.array(stamps, np.int64), place, place, np.array(numbers, np.int64)
+        return planar_truth(
+            np.array(stamps, np.int64), np.array(places), numbers=np.array(numbers, np.int64)
         )
-        # The truth states no velocity: the columns of the places stand in for it.
-        return {name: column for name, column in table.items() if name[0] != "v"}
 
     def _last_kinds(self) -> dict[str, int]:
         """Number of tracks of each kind, as they were reported last."""

@@ -34,6 +34,8 @@ from lidar_core.runs.targets.planar import (
     PlanarStep,
     in_plane,
     in_world,
+    planar_table,
+    planar_truth,
     sensor_at,
     write_run_mcap,
 )
@@ -128,7 +130,10 @@ class TargetRun:
 
     @property
     def errors(self) -> NDArray[np.float64] | None:
-        """Estimate minus truth, (K, 4) of x, y, vx, vy, rows with a state; None without truth."""
+        """Estimate minus truth, (K, 4) of x, y, vx, vy, rows with a state; None without truth.
+
+        NaN for velocities that are not known.
+        """
         truth, rows = self.log.truth, self.seen
         if truth is None:
             return None
@@ -186,7 +191,10 @@ class TargetRun:
         except (InputError, NumericalError):  # the published filter's are no covariances
             consistency = None
         return {
-            **dict(zip(COORDINATES, rmse.tolist(), strict=True)),
+            **{
+                name: value if np.isfinite(value) else None
+                for name, value in zip(COORDINATES, rmse.tolist(), strict=True)
+            },
             "position_2d": float(np.hypot(*rmse[:2])),
             "position_nees": consistency,
         }
@@ -208,7 +216,11 @@ class TargetRun:
         truth = self.log.truth
         if truth is not None:
             values = np.hstack([truth.position, truth.velocity])
-            table |= {f"true_{name}": values[:, n] for n, name in enumerate(COORDINATES)}
+            table |= {
+                f"true_{name}": column
+                for name, column in zip(COORDINATES, values.T, strict=True)
+                if np.isfinite(column).all()
+            }
         return table
 
     @property
@@ -234,9 +246,7 @@ class TargetRun:
             files.append(
                 folder.write_table(
                     "truth",
-                    planar_table(
-                        "target_id", stamps[last], truth.position[last], truth.velocity[last]
-                    ),
+                    planar_truth(stamps[last], truth.position[last], truth.velocity[last]),
                 )
             )
         steps = zip(stamps[rows].tolist(), place, strict=True)
@@ -341,28 +351,6 @@ def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
 def nis_ratios(found: NisBySensor) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
     """Times and NIS over the limit, as pictures show it."""
     return {sensor: (times, values / limit) for sensor, (times, values, limit) in found.items()}
-
-
-def planar_table(
-    number_name: str,
-    stamps: NDArray[np.int64],
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    numbers: NDArray[np.int64] | None = None,
-) -> dict[str, Any]:
-    """Places as columns that `lidar-core evaluate` reads; heights are zero in the plane."""
-    zero = np.zeros((len(stamps), 1))
-    (_, _, z), (_, _, vz) = (np.hstack([part, zero])[:, :3].T for part in (position, velocity))
-    return {
-        "t_ns": stamps,
-        number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
-        "x": position[:, 0],
-        "y": position[:, 1],
-        "z": z,
-        "vx": velocity[:, 0],
-        "vy": velocity[:, 1],
-        "vz": vz,
-    }
 
 
 def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray[np.float64]]:
