@@ -160,7 +160,7 @@ def _checkpoints(
 
 def _notes(job: FuseJob, run: TargetRun | ManyRun, *, wants_checkpoint: bool) -> list[str]:
     """Return what the user has to know about a finished run."""
-    notes = [f"note: {run.doubt}"] if run.doubt else []
+    notes = [f"note: {doubt}" for doubt in run.doubts]
     if isinstance(run, TargetRun):
         if job.fit_noise:
             notes.append(f"note: {text_of_fit(run.config, names_told(job.config, job.ways))}")

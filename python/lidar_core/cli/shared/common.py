@@ -95,6 +95,7 @@ OPTIONS = {
         for name in (
             "allow_origin",
             "angle_unit",
+            "association",
             "checkpoint",
             "fixed_frame",
             "force",
@@ -110,6 +111,7 @@ OPTIONS = {
             "resume",
             "scan_rate",
             "stamps",
+            "time_unit",
             "trusted",
         )
     },

@@ -72,6 +72,7 @@ WORDS: dict[str, SensorName] = {
 UNITS_NS = {"ns": 1, "us": 1000, "ms": 1_000_000, "s": 1_000_000_000}
 TABLES = (".csv", ".npz", ".parquet", ".tsv")
 """Endings of tables, in lower case."""
+_FORMAT = "table ("
 
 
 class TableOptions(Config):
@@ -205,9 +206,14 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         raise FormatError(f"{place}: no row holds all values of a sensor")
     kept = np.array([row for row, _ in made])
     truth = truth_in(place, columns, stamps, kept)
-    kind = f"table ({place.suffix[1:].lower()})"
+    kind = f"{_FORMAT}{place.suffix[1:].lower()})"
     targets = targets_in(place, columns, kept)
     return MeasurementLog([m for _, m in made], truth, kind, origin, targets, options)
+
+
+def is_of_table(log_format: str) -> bool:
+    """Whether a format is that of a `MeasurementLog` from a table."""
+    return log_format.startswith(_FORMAT)
 
 
 def is_table(place: Path) -> bool:

@@ -137,7 +137,9 @@ class FuseJob:
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
         doubt = implausible(made.log.measurements, chosen, log.options)
         if doubt is not None and not self.force:
-            raise InputError(f"{self.recording}: {doubt}. force=True continues anyway")
+            found = [made.doubtful_times, str(doubt)]
+            text = "; ".join(one for one in found if one)
+            raise InputError(f"{self.recording}: {text}. force=True continues anyway")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
     def _many(self, found: TargetScans) -> tuple[list[DetectionScan], MultiTargetConfig]:

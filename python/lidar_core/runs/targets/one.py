@@ -23,6 +23,7 @@ from lidar_core.fusion import (
 )
 from lidar_core.fusion.measurement import measured_place
 from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
 from lidar_core.fusion.unusable import reasons
 from lidar_core.io.tables.covariance import covariance_columns
@@ -39,6 +40,7 @@ from lidar_core.runs.targets.planar import (
     sensor_at,
     write_run_mcap,
 )
+from lidar_core.runs.targets.times import doubtful_times
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 LIMIT = 0.95
@@ -95,9 +97,17 @@ class TargetRun:
         return cls(ordered, result, config, reading, lag, perf_counter() - start)
 
     @property
-    def doubt(self) -> str | None:
-        """Return a warning about suspicious measurements, which may be right."""
-        return self.implausible or geographic_poses(self.log.measurements)
+    def doubts(self) -> list[str]:
+        """Return warnings about suspicious measurements, which may be right."""
+        found = [self.implausible or geographic_poses(self.log.measurements), self.doubtful_times]
+        return [text for text in found if text]
+
+    @property
+    def doubtful_times(self) -> str | None:
+        """Return what is wrong with the times of a table."""
+        sensors, stamps = self.sensors, self.stamps
+        seen = {one: stamps[sensors == one] for one in TARGET_SENSORS if one in sensors}
+        return doubtful_times(seen) if is_of_table(self.log.format) else None
 
     @property
     def configs(self) -> dict[str, Config]:
