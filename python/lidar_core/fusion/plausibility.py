@@ -1,26 +1,25 @@
 """Checks whether measurements fit the assumptions of a filter, with probable causes if not."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_core.config import as_config
+from lidar_core.errors import InputError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
-from lidar_core.fusion.measurement import Measurement, SensorName
+from lidar_core.fusion.measurement import Measurement, Measurements, SensorName, as_measurements
+from lidar_core.fusion.places import HEAD, LEAST, MAY_BE_FALSE, geographic, several
 from lidar_core.fusion.recordings.table import TableOptions
 from lidar_core.fusion.repairs import LATE, Change, later, lengths, repairs
 from lidar_core.fusion.run import Run, run
 
-LEAST = 20
-"""Measurements that have to be compared before anything is said (count)."""
 PROBABILITY = 1e-6
 """Of a right recording being refused, noise being Gaussian and `FACTOR` times what is told."""
 FACTOR = 3.0
 """Standard deviations may be so many times larger than told, or ten times that smaller."""
-KEPT = 0.8
+KEPT = 1 - MAY_BE_FALSE
 """Share of the measurements whose NIS counts, the least ones: a fifth may be false, or follow a
 dropout or a turn that the model does not expect."""
 KEPT_SUM = 0.56
@@ -30,17 +29,13 @@ KEPT_SPREAD = 1.6
 """Relative variance of that part over that of the whole sum: 1.57, 1.38 and 1.31 for one, two and
 three values, by the variance of values that are cut at their 80 % quantile."""
 TURN = 2 * np.pi
-HEAD = 5000
-"""Measurements among which causes are looked for (count)."""
 SUSPICIOUS = 2.0
 """Ratio above which a mistake is named that makes it ten times less: noise does not explain both,
 the measurements as they are and as they would be."""
 CLOCK_HEAD = 1000
-"""The same for clocks."""
+"""Measurements among which the offset of a clock is looked for (count)."""
 WIDEST_BEARING = 0.5
 """Noise of bearings above which they hardly tell a direction [rad]."""
-FAR = 3.0
-"""Places so many times further apart than usual belong to different targets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,27 +82,38 @@ class Implausible:
 
 
 def implausible(
-    measurements: Sequence[Measurement],
-    config: FusionConfig,
+    measurements: Iterable[Measurement],
+    config: FusionConfig | None = None,
     options: TableOptions | None = None,
 ) -> Implausible | None:
     """Check whether measurements can belong to one target in the expected units.
 
+    `lidar-core fuse` refuses measurements for which this is not None.
+
     Parameters
     ----------
-    measurements : sequence of Measurement
-    config : FusionConfig
+    measurements : iterable of Measurement
+        In any order.
+    config : FusionConfig, optional
         Configuration of the filter. The configured noise is used: estimated noise would explain
         every mistake.
     options : TableOptions, optional
-        Options with which a table was read: other conventions than these are tried, and the causes
-        name options that replace them.
+        Options with which a table was read (`MeasurementLog.options`): other conventions than these
+        are tried, and the causes name options that replace them.
 
     Returns
     -------
     Implausible or None
-        None if nothing is wrong, if fewer than 20 measurements were compared, and for the model as
-        published: its matrices are no covariances, so its NIS has no meaning.
+        What is wrong, with causes as text. None if nothing is wrong, if fewer than 20 measurements
+        were compared, and for the model as published: its matrices are no covariances, so its NIS
+        has no meaning.
+
+    Raises
+    ------
+    ConfigError
+        A configuration of another class.
+    InputError
+        Something else than an iterable of `Measurement`.
 
     Notes
     -----
@@ -119,31 +125,53 @@ def implausible(
     scatter of LiDAR positions, below the quantile of 1e-6 with noise 30 times smaller than
     configured is refused only if positions look like geographic coordinates: simulated measurements
     without noise are correct.
+
+    Examples
+    --------
+    >>> seen = [Measurement(k * 50_000_000, "lidar", [0.1 * k, 2.0]) for k in range(40)]
+    >>> implausible(seen) is None
+    True
+    >>> polar = [(np.hypot(*m.values), np.arctan2(*m.values[::-1])) for m in seen]
+    >>> degrees = [
+    ...     Measurement(m.stamp_ns, "radar", [far, np.degrees(bearing), 0.0])
+    ...     for m, (far, bearing) in zip(seen, polar)
+    ... ]
+    >>> implausible([*seen, *degrees]).shown
+    ('bearings are degrees: they fit times pi/180 (angle_unit="deg")',)
     """
+    config, told = as_config(config, FusionConfig), as_config(options, TableOptions)
+    measurements = _by_time(measurements)
     if config.model == "paper":
         return None
     config = config.model_copy(update={"sensor_noise": "configured"})
-    told = as_config(options, TableOptions)
     found = _ratio(run(measurements, config))
     if found is None:
         return None
     ratio, degrees, count = found
     limit = FACTOR**2 * _quantile(1 - PROBABILITY, degrees)
-    geographic = _geographic(measurements[:HEAD], "lidar", "x and y of the LiDAR")
+    on_earth = geographic(measurements[:HEAD], "lidar", "x and y of the LiDAR")
     if ratio > limit:
         head = measurements[:HEAD]
         # Wrong angles make places jump, too: jumps say something where nothing else explains them.
-        shown = _repairs(head, config, told, ratio, limit) + geographic or _several(head)
+        shown = _repairs(head, config, told, ratio, limit) + on_earth or several(head)
         likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
         return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
-    if ratio > SUSPICIOUS and not geographic:
+    if ratio > SUSPICIOUS and not on_earth:
         shown = _repairs(measurements[:HEAD], config, told, ratio, limit)
         if shown:
             return Implausible(count, ratio, limit, tuple(shown), ())
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
-    if geographic and min(ratio, _scatter(measurements, config)) < least:
-        return Implausible(count, ratio, least, tuple(geographic), ())
+    if on_earth and min(ratio, _scatter(measurements, config)) < least:
+        return Implausible(count, ratio, least, tuple(on_earth), ())
     return None
+
+
+def _by_time(measurements: Iterable[Measurement]) -> list[Measurement]:
+    if isinstance(measurements, Measurements):
+        raise InputError("measurements: expected Measurement objects, got Measurements")
+    listed = list(measurements)
+    as_measurements(listed)  # refuses anything else
+    return sorted(listed, key=lambda m: m.stamp_ns)
 
 
 def mistaken_for_noise(
@@ -297,69 +325,6 @@ def _clock(
     # The grid is coarse: a golden section would not help where the cost has several minima.
     finer = {best + step: cost(sensor, best + step) for step in 0.1 * best * np.arange(-4, 5)}
     return sensor, round(float(min(finer, key=lambda ahead: finer[ahead])), 3)
-
-
-def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
-    """Return a warning about poses of the platform that may be latitude and longitude.
-
-    A target seen from a platform that seems to stand still also moves smoothly, so the NIS does not
-    reveal the mistake. A platform that really stands still has such poses too, so they are not
-    refused.
-    """
-    found = _geographic(measurements[:HEAD], "pose", "poses of the platform")
-    return found[0] if found else None
-
-
-def _geographic(measurements: Sequence[Measurement], sensor: str, what: str) -> list[str]:
-    """Places within the range of latitude and longitude that keep their first three digits."""
-    places = _places(measurements, sensor)
-    if len(places) < LEAST:
-        return []
-    middle, spread = np.median(places, axis=0), np.ptp(places, axis=0)
-    inside = np.sort(np.abs(places).max(axis=0)) <= (90.0, 180.0)
-    # 0.05 degrees are 5 km; what stands still exactly is no recording of a position
-    if inside.all() and 0 < spread.max() < 0.05 and spread.max() < 1e-3 * np.abs(middle).max():
-        return [
-            f"{what} stay within {spread.max():.2g} of {middle[0]:.6g}, {middle[1]:.6g}:"
-            " latitude and longitude in degrees, which have to be metres"
-        ]
-    return []
-
-
-def _several(measurements: Sequence[Measurement]) -> list[str]:
-    """Places that jump to and fro, or measurements of one sensor and time that lie apart."""
-    for sensor in ("lidar", "radar"):
-        places = _places(measurements, sensor)
-        if len(places) < LEAST:
-            continue
-        last = np.linalg.norm(places[1:] - places[:-1], axis=1)
-        nearest = np.array(
-            [
-                np.linalg.norm(places[max(0, row - 9) : row] - places[row], axis=1).min()
-                for row in range(1, len(places))
-            ]
-        )
-        usual = float(np.median(nearest))
-        jumps = (last > FAR * usual) & (nearest < last / FAR)
-        # A false measurement makes one such jump, back; a fifth of them is more than may be false.
-        if jumps.mean() > 1 - KEPT:
-            return [
-                f"{100 * jumps.mean():.0f} % of the places of the {sensor} are far from the one"
-                " before and near to an earlier one: several targets in one table"
-            ]
-    return []
-
-
-def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
-    """Places (K, 2) that a sensor measured, finite ones."""
-    rows = [m for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()]
-    if sensor == "radar":
-        rows = [m for m in rows if (m.measures or ())[:2] == ("range", "bearing")]
-    values = np.array([m.values[:2] for m in rows], np.float64).reshape(-1, 2)
-    if sensor == "radar":
-        c, s = np.cos(values[:, 1]), np.sin(values[:, 1])
-        values = values[:, :1] * np.stack([c, s], axis=1)
-    return values
 
 
 CAUSES: Mapping[str, str] = {

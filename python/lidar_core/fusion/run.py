@@ -82,6 +82,10 @@ def run(
     InputError
         Something else than a `Measurement`.
 
+    See Also
+    --------
+    implausible : whether the measurements are in the expected units and of one target.
+
     Examples
     --------
     >>> seen = [Measurement(k * 50_000_000, "lidar", [0.1 * k, 2.0]) for k in range(20)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lidar_core as lc
-from lidar_core.errors import InputError
+from lidar_core.errors import ConfigError, InputError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion import (
     FusionConfig,
@@ -19,13 +19,13 @@ from lidar_core.fusion import (
     read_measurements,
     write_overflight,
 )
+from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.plausibility import (
     FACTOR,
     KEPT,
     KEPT_SPREAD,
     KEPT_SUM,
     PROBABILITY,
-    geographic_poses,
     implausible,
 )
 from lidar_core.fusion.repairs import lengths, repairs
@@ -336,6 +336,19 @@ def test_geographic_poses_are_told_and_not_refused(tmp_path):
     wrong = changed(seen, "pose", lambda v: [*geographic(v), *v[2:]])
     assert "poses of the platform stay within" in geographic_poses(wrong)
     assert geographic_poses(seen) is None
+
+
+def test_the_public_check_takes_any_order_and_refuses_other_things(right):
+    assert lc.fusion.implausible(iter(right[::-1])) is None
+    wrong = WRONG["degrees"][0](right)
+    found = lc.fusion.implausible(wrong[::-1])
+    assert isinstance(found, lc.fusion.Implausible)
+    assert found.shown == lc.fusion.implausible(wrong, FusionConfig(), TableOptions()).shown
+    for things in ([*right, 5], lc.fusion.Measurements(right)):
+        with pytest.raises(InputError, match="measurements"):
+            lc.fusion.implausible(things)
+    with pytest.raises(ConfigError, match="expected a FusionConfig, got TableOptions"):
+        lc.fusion.implausible(right, TableOptions())
 
 
 # The command

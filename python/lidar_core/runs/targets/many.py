@@ -22,7 +22,7 @@ from lidar_core.fusion import (
     target_coverage,
 )
 from lidar_core.fusion.measurement import measured_place
-from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import state_names
 from lidar_core.io.tables.covariance import covariance_columns

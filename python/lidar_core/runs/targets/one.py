@@ -22,7 +22,7 @@ from lidar_core.fusion import (
     smooth,
 )
 from lidar_core.fusion.measurement import measured_place
-from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
 from lidar_core.fusion.unusable import reasons
