@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, InputError
-from lidar_core.fusion.recordings.conventions import stamps_of_texts
+from lidar_core.fusion.recordings.conventions import A_TIME, stamps_of_texts
 from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.io.tables.columns import Columns, at_row
 
@@ -27,10 +27,15 @@ def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
         try:
             numbers[row] = float(text) if text not in ("", None) else np.nan
         except (TypeError, ValueError) as error:
-            raise FormatError(
-                f"{at_row(place, row)}: column {name}: expected a number, got {text!r}"
-            ) from error
+            raise _refused(place, row, name, text) from error
     return numbers
+
+
+def _refused(place: Path, row: int, name: str, value: object) -> FormatError:
+    """Return the error of a cell that holds no number, or no time."""
+    what = f"column {name}: expected {A_TIME if name == 't_ns' else 'a number'}, got {value!r}"
+    cure = "" if name == "t_ns" else "; leave cells of unknown values empty"
+    return FormatError(f"{at_row(place, row)}: {what}{cure}")
 
 
 def scaled(place: Path, columns: Columns, factors: Mapping[str, float]) -> Columns:
@@ -71,9 +76,7 @@ def stamps_in(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
     bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
     if bad.any():
         row = int(np.argmax(bad))
-        raise FormatError(
-            f"{at_row(place, row)}: column t_ns: expected a time, got {column[row]!r}"
-        )
+        raise _refused(place, row, "t_ns", column[row])
     if column.dtype.kind in "iu":
         return column.astype(np.int64) * unit_ns
     stamps: NDArray[np.int64] = np.round(numbers * unit_ns).astype(np.int64)
