@@ -193,11 +193,50 @@ def _may_be_none(model: type[BaseModel], name: str) -> bool:
 
 
 def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError:
-    problems = (
-        f"{'.'.join(map(str, problem['loc'])) or model.__name__}: {_problem_text(problem, model)}"
-        for problem in error.errors()
-    )
-    return ConfigError("\n".join(problems))
+    lists = _lists_of_numbers(error)
+    texts: dict[str, None] = {}  # in order; all problems of one list have the same text
+    for problem in error.errors():
+        place = problem["loc"]
+        within = [outer for outer in lists if place[: len(outer)] == outer]
+        if within:
+            place, text = within[0], _list_text(within[0], lists[within[0]], model)
+        elif place[-1:] == ("[key]",) and problem["type"] == "literal_error":
+            # A name that its table must not contain, not the value beside it.
+            place = place[:-2]
+            text = f"expected the name {problem['ctx']['expected']}, got {problem['input']!r}"
+        else:
+            text = _problem_text(problem, model)
+        texts[f"{'.'.join(map(str, place)) or model.__name__}: {text}"] = None
+    return ConfigError("\n".join(texts))
+
+
+_NUMBERS = re.compile(r"tuple\[float(, float)*\]")
+"""How pydantic names one of several lists of numbers that a parameter may be."""
+
+
+def _lists_of_numbers(error: ValidationError) -> dict[tuple[int | str, ...], list[Any]]:
+    """Problems of parameters that are lists of one of several lengths, by the parameter."""
+    found: dict[tuple[int | str, ...], list[Any]] = {}
+    for problem in error.errors():
+        for depth, part in enumerate(problem["loc"]):
+            if _NUMBERS.fullmatch(str(part)):
+                found.setdefault(problem["loc"][:depth], []).append(problem)
+    return found
+
+
+def _list_text(
+    place: tuple[int | str, ...], problems: Sequence[Any], model: type[BaseModel]
+) -> str:
+    """What such a parameter takes, with its default, and what it was."""
+    depth = len(place)
+    lengths = sorted({str(problem["loc"][depth]).count("float") for problem in problems})
+    # Some problem is one of the whole list: at most one of the lengths can be right.
+    whole = (one for one in problems if len(one["loc"]) == depth + 1 or one["type"] == "missing")
+    field = _fields(model).get(".".join(map(str, place)))
+    default = field.default if field is not None else None
+    such_as = f" such as {list(default)}" if isinstance(default, tuple) else ""
+    counts = " or ".join(map(str, lengths))
+    return f"expected a list of {counts} numbers{such_as}, got {_short(next(whole)['input'])}"
 
 
 def in_file(error: ConfigError, path: str | Path) -> ConfigError:

@@ -14,11 +14,13 @@ from lidar_core.cli.shared.measurement_options import (
     ColumnNames,
     Method,
     Model,
+    Scales,
     TimeUnit,
     Topics,
     azimuths_of,
     clocks_of,
     columns_of,
+    scales_of,
     topics_of,
 )
 from lidar_core.cli.shared.run_options import (
@@ -66,6 +68,7 @@ def command(
     angle_unit: AngleUnit = None,
     azimuth: Azimuths = [],  # noqa: B006
     clock: Clocks = [],  # noqa: B006
+    scale: Scales = [],  # noqa: B006
     start: Start = 0.0,
     end: End = None,
     mode: ChosenMode = "best",
@@ -103,6 +106,7 @@ def command(
         angle_unit=angle_unit,
         azimuth=azimuths_of(azimuth),
         clock=clocks_of(clock),
+        scale=scales_of(scale),
         span=Span.load(given_options({"start": start, "end": end})),
         fit_noise=fit_noise,
         force=force,
@@ -170,6 +174,7 @@ def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
         ),
         Row("time", f"{summary['duration']:.1f} s", ""),
         Row("what became of them", "", outcomes),
+        *(Row("invalid", str(count), reason) for reason, count in summary["invalid"].items()),
     ]
     rows += _nis_rows(summary)
     rmse = summary["rmse"]
@@ -179,6 +184,7 @@ def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
             *(
                 Row(f"RMSE {axis}", number(rmse[axis], 4, " m" if axis in "xy" else " m/s"), "")
                 for axis in ("x", "y", "vx", "vy")
+                if rmse[axis] is not None
             ),
             Row("NEES of the position", number(rmse["position_nees"], 2), "2 is expected"),
         ]

@@ -6,6 +6,7 @@ from lidar_core.fusion.filter import FilterHealth, TargetFilter
 from lidar_core.fusion.many import MultiTargetTracker, ScanResult, TrackerHealth
 from lidar_core.fusion.many_config import MultiTargetConfig
 from lidar_core.fusion.measurement import Measurement, Measurements
+from lidar_core.fusion.plausibility import Implausible, implausible
 from lidar_core.fusion.recordings.autoferry import DetectionScan, read_autoferry
 from lidar_core.fusion.recordings.bags import BagOptions, read_bag
 from lidar_core.fusion.recordings.continental import read_continental
@@ -24,6 +25,7 @@ __all__ = [
     "DetectionScan",
     "FilterHealth",
     "FusionConfig",
+    "Implausible",
     "LevelSight",
     "Measurement",
     "MeasurementLog",
@@ -43,6 +45,7 @@ __all__ = [
     "TrackerHealth",
     "empty_gospa",
     "fit_noise",
+    "implausible",
     "in_space",
     "level_overflight",
     "level_sight",

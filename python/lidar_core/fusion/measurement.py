@@ -161,7 +161,7 @@ class Measurements:
     1
     """
 
-    __slots__ = ("_core",)
+    __slots__ = ("_core", "_stamps_ns")
 
     def __init__(self, measurements: Iterable[Measurement]) -> None:
         listed = list(measurements)
@@ -172,6 +172,7 @@ class Measurements:
                     f" got {type(measurement).__name__}"
                 )
         self._core = _core.Measurements([m._core for m in listed])
+        self._stamps_ns = np.array([m.stamp_ns for m in listed], np.int64)
 
     @classmethod
     def from_arrays(
@@ -227,6 +228,7 @@ class Measurements:
                 dtype=np.float64,
             ).reshape(len(stamps), -1)
         made = cls.__new__(cls)
+        made._stamps_ns = stamps.copy()
         made._core = _core.Measurements.from_arrays(
             stamps, codes, np.ascontiguousarray(rows), counts=counts, covariances=noise
         )

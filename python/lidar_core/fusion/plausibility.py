@@ -1,24 +1,25 @@
 """Checks whether measurements fit the assumptions of a filter, with probable causes if not."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidar_core.config import as_config
+from lidar_core.errors import InputError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
-from lidar_core.fusion.measurement import Measurement, SensorName
-from lidar_core.fusion.repairs import LATE, LENGTH_TEXTS, LENGTHS, REPAIRS, Change, later
+from lidar_core.fusion.measurement import Measurement, Measurements, SensorName, as_measurements
+from lidar_core.fusion.places import HEAD, LEAST, MAY_BE_FALSE, geographic, several
+from lidar_core.fusion.recordings.table import TableOptions
+from lidar_core.fusion.repairs import LATE, Change, later, lengths, repairs
 from lidar_core.fusion.run import Run, run
 
-LEAST = 20
-"""Measurements that have to be compared before anything is said (count)."""
 PROBABILITY = 1e-6
 """Of a right recording being refused, noise being Gaussian and `FACTOR` times what is told."""
 FACTOR = 3.0
 """Standard deviations may be so many times larger than told, or ten times that smaller."""
-KEPT = 0.8
+KEPT = 1 - MAY_BE_FALSE
 """Share of the measurements whose NIS counts, the least ones: a fifth may be false, or follow a
 dropout or a turn that the model does not expect."""
 KEPT_SUM = 0.56
@@ -28,17 +29,13 @@ KEPT_SPREAD = 1.6
 """Relative variance of that part over that of the whole sum: 1.57, 1.38 and 1.31 for one, two and
 three values, by the variance of values that are cut at their 80 % quantile."""
 TURN = 2 * np.pi
-HEAD = 5000
-"""Measurements among which causes are looked for (count)."""
 SUSPICIOUS = 2.0
 """Ratio above which a mistake is named that makes it ten times less: noise does not explain both,
 the measurements as they are and as they would be."""
 CLOCK_HEAD = 1000
-"""The same for clocks."""
+"""Measurements among which the offset of a clock is looked for (count)."""
 WIDEST_BEARING = 0.5
 """Noise of bearings above which they hardly tell a direction [rad]."""
-FAR = 3.0
-"""Places so many times further apart than usual belong to different targets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,21 +81,39 @@ class Implausible:
         return text
 
 
-def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Implausible | None:
+def implausible(
+    measurements: Iterable[Measurement],
+    config: FusionConfig | None = None,
+    options: TableOptions | None = None,
+) -> Implausible | None:
     """Check whether measurements can belong to one target in the expected units.
+
+    `lidar-core fuse` refuses measurements for which this is not None.
 
     Parameters
     ----------
-    measurements : sequence of Measurement
-    config : FusionConfig
+    measurements : iterable of Measurement
+        In any order.
+    config : FusionConfig, optional
         Configuration of the filter. The configured noise is used: estimated noise would explain
         every mistake.
+    options : TableOptions, optional
+        Options with which a table was read (`MeasurementLog.options`): other conventions than these
+        are tried, and the causes name options that replace them.
 
     Returns
     -------
     Implausible or None
-        None if nothing is wrong, if fewer than 20 measurements were compared, and for the model as
-        published: its matrices are no covariances, so its NIS has no meaning.
+        What is wrong, with causes as text. None if nothing is wrong, if fewer than 20 measurements
+        were compared, and for the model as published: its matrices are no covariances, so its NIS
+        has no meaning.
+
+    Raises
+    ------
+    ConfigError
+        A configuration of another class.
+    InputError
+        Something else than an iterable of `Measurement`.
 
     Notes
     -----
@@ -110,7 +125,22 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
     scatter of LiDAR positions, below the quantile of 1e-6 with noise 30 times smaller than
     configured is refused only if positions look like geographic coordinates: simulated measurements
     without noise are correct.
+
+    Examples
+    --------
+    >>> seen = [Measurement(k * 50_000_000, "lidar", [0.1 * k, 2.0]) for k in range(40)]
+    >>> implausible(seen) is None
+    True
+    >>> polar = [(np.hypot(*m.values), np.arctan2(*m.values[::-1])) for m in seen]
+    >>> degrees = [
+    ...     Measurement(m.stamp_ns, "radar", [far, np.degrees(bearing), 0.0])
+    ...     for m, (far, bearing) in zip(seen, polar)
+    ... ]
+    >>> implausible([*seen, *degrees]).shown
+    ('bearings are degrees: they fit times pi/180 (angle_unit="deg")',)
     """
+    config, told = as_config(config, FusionConfig), as_config(options, TableOptions)
+    measurements = _by_time(measurements)
     if config.model == "paper":
         return None
     config = config.model_copy(update={"sensor_noise": "configured"})
@@ -119,25 +149,36 @@ def implausible(measurements: Sequence[Measurement], config: FusionConfig) -> Im
         return None
     ratio, degrees, count = found
     limit = FACTOR**2 * _quantile(1 - PROBABILITY, degrees)
-    geographic = _geographic(measurements[:HEAD], "lidar", "x and y of the LiDAR")
+    on_earth = geographic(measurements[:HEAD], "lidar", "x and y of the LiDAR")
     if ratio > limit:
         head = measurements[:HEAD]
         # Wrong angles make places jump, too: jumps say something where nothing else explains them.
-        shown = _repairs(head, config, ratio, limit) + geographic or _several(head)
+        shown = _repairs(head, config, told, ratio, limit) + on_earth or several(head)
         likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
         return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
-    if ratio > SUSPICIOUS and not geographic:
-        shown = _repairs(measurements[:HEAD], config, ratio, limit)
+    if ratio > SUSPICIOUS and not on_earth:
+        shown = _repairs(measurements[:HEAD], config, told, ratio, limit)
         if shown:
             return Implausible(count, ratio, limit, tuple(shown), ())
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
-    if geographic and min(ratio, _scatter(measurements, config)) < least:
-        return Implausible(count, ratio, least, tuple(geographic), ())
+    if on_earth and min(ratio, _scatter(measurements, config)) < least:
+        return Implausible(count, ratio, least, tuple(on_earth), ())
     return None
 
 
+def _by_time(measurements: Iterable[Measurement]) -> list[Measurement]:
+    if isinstance(measurements, Measurements):
+        raise InputError("measurements: expected Measurement objects, got Measurements")
+    listed = list(measurements)
+    as_measurements(listed)  # refuses anything else
+    return sorted(listed, key=lambda m: m.stamp_ns)
+
+
 def mistaken_for_noise(
-    measurements: Sequence[Measurement], told: FusionConfig, fitted: FusionConfig
+    measurements: Sequence[Measurement],
+    told: FusionConfig,
+    fitted: FusionConfig,
+    options: TableOptions,
 ) -> str | None:
     """Return the mistake that the noise of a fit hides; None if it seems to be real noise.
 
@@ -151,14 +192,16 @@ def mistaken_for_noise(
         In the order of their times.
     told, fitted : FusionConfig
         Configuration before and after the fit.
+    options : TableOptions
+        Options with which the measurements were read.
     """
-    before = implausible(measurements, told)
+    before = implausible(measurements, told, options)
     shown = before.shown if before is not None else ()
     if not shown:
         config = fitted.model_copy(update={"sensor_noise": "configured"})
         found = _ratio(run(measurements, config))
         head = measurements[:HEAD]
-        shown = () if found is None else tuple(_repairs(head, config, found[0], found[0]))
+        shown = () if found is None else tuple(_repairs(head, config, options, found[0], found[0]))
     bearing = fitted.radar_std[1]
     if not shown and bearing > WIDEST_BEARING and bearing > told.radar_std[1]:
         likely = "; ".join(CAUSES[word] for word in ("degrees", "clockwise", "platform"))
@@ -207,14 +250,18 @@ def _changed(
 
 
 def _repairs(
-    measurements: Sequence[Measurement], config: FusionConfig, ratio: float, limit: float
+    measurements: Sequence[Measurement],
+    config: FusionConfig,
+    options: TableOptions,
+    ratio: float,
+    limit: float,
 ) -> list[str]:
     """Mistakes without which the NIS is within reason, and a tenth of what it was: the best."""
     known = {m.sensor for m in measurements}
     found = []
     # Of a sensor alone a smaller unit makes every error smaller: it would explain all mistakes.
-    repairs = REPAIRS if {"lidar", "radar"} <= known else REPAIRS[:-LENGTHS]
-    for sensor, text, change in repairs:
+    of_lengths = lengths(options) if {"lidar", "radar"} <= known else []
+    for sensor, text, change in [*repairs(options), *of_lengths]:
         if sensor in known:
             again = _ratio(run(_changed(measurements, sensor, change), config))
             if again is not None and again[0] <= min(limit, ratio / 10):
@@ -224,16 +271,15 @@ def _repairs(
         again = _ratio(run(_changed(measurements, late[0], later(-late[1])), config))
         less = 3 if ratio > limit else 10
         if again is not None and again[0] <= min(limit, ratio / less):
-            what = "ahead of" if late[1] > 0 else "behind"
-            text = f"the clock of the {late[0]} is {abs(late[1]):g} s {what} the others"
-            found.append((again[0], f'{text} (clock={{"{late[0]}": {late[1]:g}}})'))
+            found.append((again[0], _clock_text(*late, options.clock.get(late[0], 0.0))))
     # Those about as good as the best one cannot be told apart from it.
     least = min(found, default=(0.0, ""))[0]
     shown = [text for value, text in sorted(found) if value <= 2 * least]
-    if any(text in LENGTH_TEXTS for text in shown):
+    length_texts = {text for _, text, _ in of_lengths}
+    if not length_texts.isdisjoint(shown):
         # A smaller unit makes errors smaller, too: that a fit is better than expected says nothing,
         # and one sensor in kilometres looks like the other in millimetres. The likeliest is first.
-        units = [one for one in found if one[1] in LENGTH_TEXTS and one[0] <= max(2 * least, 2.0)]
+        units = [one for one in found if one[1] in length_texts and one[0] <= max(2 * least, 2.0)]
         shown = [text for _, text in sorted(units, key=lambda one: abs(np.log(one[0])))]
     bearings = [
         abs(float(m.values[m.measures.index("bearing")]))
@@ -241,12 +287,22 @@ def _repairs(
         if m.measures is not None and "bearing" in m.measures
     ]
     largest = max((value for value in bearings if np.isfinite(value)), default=0.0)
-    if ratio > limit and largest > TURN and not any("degrees" in text for text in shown):
+    in_degrees = options.angle_unit == "deg" or any("degrees" in text for text in shown)
+    if ratio > limit and largest > TURN and not in_degrees:
         shown.append(
             f"bearings up to {largest:.4g} are more than a turn of radians: degrees"
             ' (angle_unit="deg")'
         )
     return shown
+
+
+def _clock_text(sensor: SensorName, further: float, told: float) -> str:
+    ahead = round(told + further, 3)
+    if ahead == 0:
+        return f'the clocks of the sensors agree (leave out clock={{"{sensor}": {told:g}}})'
+    what = "ahead of" if ahead > 0 else "behind"
+    text = f"the clock of the {sensor} is {abs(ahead):g} s {what} the others"
+    return f'{text} (clock={{"{sensor}": {ahead:g}}})'
 
 
 def _clock(
@@ -269,69 +325,6 @@ def _clock(
     # The grid is coarse: a golden section would not help where the cost has several minima.
     finer = {best + step: cost(sensor, best + step) for step in 0.1 * best * np.arange(-4, 5)}
     return sensor, round(float(min(finer, key=lambda ahead: finer[ahead])), 3)
-
-
-def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
-    """Return a warning about poses of the platform that may be latitude and longitude.
-
-    A target seen from a platform that seems to stand still also moves smoothly, so the NIS does not
-    reveal the mistake. A platform that really stands still has such poses too, so they are not
-    refused.
-    """
-    found = _geographic(measurements[:HEAD], "pose", "poses of the platform")
-    return found[0] if found else None
-
-
-def _geographic(measurements: Sequence[Measurement], sensor: str, what: str) -> list[str]:
-    """Places within the range of latitude and longitude that keep their first three digits."""
-    places = _places(measurements, sensor)
-    if len(places) < LEAST:
-        return []
-    middle, spread = np.median(places, axis=0), np.ptp(places, axis=0)
-    inside = np.sort(np.abs(places).max(axis=0)) <= (90.0, 180.0)
-    # 0.05 degrees are 5 km; what stands still exactly is no recording of a position
-    if inside.all() and 0 < spread.max() < 0.05 and spread.max() < 1e-3 * np.abs(middle).max():
-        return [
-            f"{what} stay within {spread.max():.2g} of {middle[0]:.6g}, {middle[1]:.6g}:"
-            " latitude and longitude in degrees, which have to be metres"
-        ]
-    return []
-
-
-def _several(measurements: Sequence[Measurement]) -> list[str]:
-    """Places that jump to and fro, or measurements of one sensor and time that lie apart."""
-    for sensor in ("lidar", "radar"):
-        places = _places(measurements, sensor)
-        if len(places) < LEAST:
-            continue
-        last = np.linalg.norm(places[1:] - places[:-1], axis=1)
-        nearest = np.array(
-            [
-                np.linalg.norm(places[max(0, row - 9) : row] - places[row], axis=1).min()
-                for row in range(1, len(places))
-            ]
-        )
-        usual = float(np.median(nearest))
-        jumps = (last > FAR * usual) & (nearest < last / FAR)
-        # A false measurement makes one such jump, back; a fifth of them is more than may be false.
-        if jumps.mean() > 1 - KEPT:
-            return [
-                f"{100 * jumps.mean():.0f} % of the places of the {sensor} are far from the one"
-                " before and near to an earlier one: several targets in one table"
-            ]
-    return []
-
-
-def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
-    """Places (K, 2) that a sensor measured, finite ones."""
-    rows = [m for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()]
-    if sensor == "radar":
-        rows = [m for m in rows if (m.measures or ())[:2] == ("range", "bearing")]
-    values = np.array([m.values[:2] for m in rows], np.float64).reshape(-1, 2)
-    if sensor == "radar":
-        c, s = np.cos(values[:, 1]), np.sin(values[:, 1])
-        values = values[:, :1] * np.stack([c, s], axis=1)
-    return values
 
 
 CAUSES: Mapping[str, str] = {

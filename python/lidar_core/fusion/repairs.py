@@ -1,14 +1,20 @@
 """Mistakes in measurements: how to undo each, and the option that corrects it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.recordings.conventions import Azimuth, Turned, turned
+from lidar_core.fusion.recordings.table import TableOptions
 
 DEGREES = np.pi / 180
-Change = Callable[[Measurement], Measurement]
+Change: TypeAlias = Callable[[Measurement], Measurement]
+Repair: TypeAlias = tuple[str, str, Change]
+"""The sensor that makes a mistake, the mistake with its option, and what undoes it."""
+_AngleChange: TypeAlias = Callable[[float], float]
 _PLACES = {"pose": {"yaw": 2}, "pose-3d": {"yaw": 5}, "gyro": {"rate": 0}}
 
 
@@ -45,79 +51,141 @@ def later(seconds: float) -> Change:
     return changed
 
 
-def _angles(what: str) -> tuple[tuple[str, Callable[[float], float]], ...]:
-    """What angles may be, the option that says so, and what undoes it."""
-    deg = 'angle_unit="deg"'
-    clockwise, compass = (f'azimuth={{"{what}": "{way}"}}' for way in ("clockwise", "compass"))
-    return (
-        (f"clockwise: they fit with the other sign ({clockwise})", lambda a: -a),
-        (
-            f"compass angles, clockwise from y: they fit as pi/2 minus the angle ({compass})",
-            lambda a: np.pi / 2 - a,
-        ),
-        (f"degrees: they fit times pi/180 ({deg})", lambda a: a * DEGREES),
-        (
-            f"degrees, clockwise: they fit times -pi/180 ({deg}, {clockwise})",
-            lambda a: -a * DEGREES,
-        ),
-        (
-            "compass angles in degrees: they fit as pi/2 minus the angle times pi/180"
-            f" ({deg}, {compass})",
-            lambda a: np.pi / 2 - a * DEGREES,
-        ),
-        ('radians that were taken as degrees (angle_unit="rad")', lambda a: a / DEGREES),
+def _way(what: str, told: Azimuth | None, right: Azimuth | None) -> list[str]:
+    """The option that corrects a direction in which something counts, if it is not told so."""
+    if right == told:
+        return []
+    option = f'azimuth={{"{what}": "{right or told}"}}'
+    return [option if right else f"leave out {option}"]
+
+
+_ANGLES: Mapping[tuple[str, Azimuth | None], str] = {
+    ("rad", None): "counter-clockwise from x, in radians: they fit as they are",
+    ("rad", "clockwise"): "clockwise: they fit with the other sign",
+    ("rad", "compass"): "compass angles, clockwise from y: they fit as pi/2 minus the angle",
+    ("deg", None): "degrees: they fit times pi/180",
+    ("deg", "clockwise"): "degrees, clockwise: they fit times -pi/180",
+    ("deg", "compass"): "compass angles in degrees: they fit as pi/2 minus the angle times pi/180",
+}
+"""What angles of a table may be, by unit and direction, and what makes radians of them."""
+
+
+def _angle(told: TableOptions, what: Turned, unit: str, way: Azimuth | None) -> _AngleChange:
+    """What a column would have given with another unit and direction than those told."""
+    before = told.azimuth.get(what)
+    scale = (DEGREES if unit == "deg" else 1.0) / (DEGREES if told.angle_unit == "deg" else 1.0)
+
+    def changed(angle: float) -> float:
+        # Both directions are their own inverse: the first call undoes what was told.
+        column = turned(np.array([angle]), before)
+        return float(turned(scale * column, way)[0])
+
+    return changed
+
+
+def _angles(told: TableOptions, what: Turned) -> Iterator[tuple[str, _AngleChange]]:
+    """What angles may be other than told, the options that say so, and what undoes it."""
+    for (unit, way), text in _ANGLES.items():
+        options = [] if unit == told.angle_unit else [f'angle_unit="{unit}"']
+        options += _way(what, told.azimuth.get(what), way)
+        if options:
+            yield f"{text} ({', '.join(options)})", _angle(told, what, unit, way)
+    if told.angle_unit == "rad":
+        yield "radians that were taken as degrees", lambda angle: angle / DEGREES
+
+
+_LIDAR: Mapping[Azimuth | None, str] = {
+    None: "x and y of the LiDAR are ahead and to the left: they fit as they are",
+    "clockwise": "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign",
+    "compass": "x and y of the LiDAR are exchanged",
+}
+"""What x and y of a LiDAR may be."""
+
+
+def _turned_place(values: NDArray[np.float64], way: Azimuth | None) -> NDArray[np.float64]:
+    """The place of a LiDAR whose x and y count otherwise; twice, the place itself."""
+    x, y = values[:2]
+    flat = {None: (x, y), "clockwise": (x, -y), "compass": (y, x)}[way]
+    return np.array([*flat, *values[2:]])
+
+
+def _places_turned(told: TableOptions) -> Iterator[tuple[str, Change]]:
+    before = told.azimuth.get("lidar")
+    for way, text in _LIDAR.items():
+        if options := _way("lidar", before, way):
+
+            def changed(
+                values: NDArray[np.float64], way: Azimuth | None = way
+            ) -> NDArray[np.float64]:
+                return _turned_place(_turned_place(values, before), way)
+
+            yield f"{text} ({options[0]})", _with(changed)
+
+
+def _rates(told: TableOptions) -> tuple[str, Change]:
+    """Turn rates of the other sign than told."""
+    before = told.azimuth.get("turn_rate")
+    text = (
+        "turn rates are counter-clockwise: they fit as they are"
+        if before
+        else "turn rates are clockwise: they fit with the other sign"
     )
+    (option,) = _way("turn_rate", before, None if before else "clockwise")
+    return f"{text} ({option})", _of("rate", lambda rate: -rate)
+
+
+def _scales(told: TableOptions, factor: float, *names: str) -> str:
+    """The option that multiplies columns, together with the factors that they have already."""
+    factors = [f'"{name}": {told.scale.get(name, 1.0) * factor:g}' for name in names]
+    return f"scale={{{', '.join(factors)}}}"
 
 
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "feet": 0.3048, "kilometres": 1e3}
 LATE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
 """How far a clock is tried to be off [s], both ways."""
-REPAIRS: tuple[tuple[str, str, Change], ...] = (
-    *(
-        ("radar", f"bearings are {what}", _of("bearing", change))
-        for what, change in _angles("bearing")
-    ),
-    *(
-        (sensor, f"yaws of the platform are {what}", _of("yaw", change))
-        for sensor in ("pose", "pose-3d")
-        for what, change in _angles("pose_yaw")
-    ),
-    (
-        "gyro",
-        'turn rates are clockwise: they fit with the other sign (azimuth={"turn_rate":'
-        ' "clockwise"})',
-        _of("rate", lambda w: -w),
-    ),
-    (
-        "lidar",
-        "y of the LiDAR is mirrored (a clockwise azimuth): it fits with the other sign"
-        ' (azimuth={"lidar": "clockwise"})',
-        _with(lambda values: values * np.where(np.arange(len(values)) == 1, -1.0, 1.0)),
-    ),
-    (
-        "lidar",
-        'x and y of the LiDAR are exchanged (azimuth={"lidar": "compass"})',
-        _with(lambda values: values[[1, 0, *range(2, len(values))]]),
-    ),
-    (
-        "radar",
-        "range rates are positive when the range shrinks: they fit with the other sign",
-        _of("range_rate", lambda rate: -rate),
-    ),
-    *(
-        ("radar", f"ranges are {unit}: they fit times {factor:g}", _of("range", factor.__mul__))
-        for unit, factor in _LENGTHS.items()
-    ),
-    *(
+
+
+def repairs(told: TableOptions) -> list[Repair]:
+    """Return the mistakes in measurements that were read with these options, but for lengths."""
+    return [
+        *(
+            ("radar", f"bearings are {what}", _of("bearing", change))
+            for what, change in _angles(told, "bearing")
+        ),
+        *(
+            (sensor, f"yaws of the platform are {what}", _of("yaw", change))
+            for sensor in ("pose", "pose-3d")
+            for what, change in _angles(told, "pose_yaw")
+        ),
+        ("gyro", *_rates(told)),
+        *(("lidar", text, change) for text, change in _places_turned(told)),
         (
-            "lidar",
-            f"places of the LiDAR are {unit}: they fit times {factor:g}",
-            _scaled(factor),
-        )
-        for unit, factor in _LENGTHS.items()
-    ),
-)
-"""Mistakes, by the sensor that makes them, and what undoes them."""
-LENGTHS = 2 * len(_LENGTHS)
-"""Number of those about units of lengths, the last ones."""
-LENGTH_TEXTS = frozenset(text for _, text, _ in REPAIRS[-LENGTHS:])
+            "radar",
+            "range rates are positive when the range shrinks: they fit with the other sign"
+            f" ({_scales(told, -1, 'range_rate')})",
+            _of("range_rate", lambda rate: -rate),
+        ),
+    ]
+
+
+def lengths(told: TableOptions) -> list[Repair]:
+    """Return the mistakes about units of lengths."""
+    return [
+        *(
+            (
+                "radar",
+                f"ranges are {unit}: they fit times {factor:g} ({_scales(told, factor, 'range')})",
+                _of("range", factor.__mul__),
+            )
+            for unit, factor in _LENGTHS.items()
+        ),
+        *(
+            (
+                "lidar",
+                f"places of the LiDAR are {unit}: they fit times {factor:g}"
+                f" ({_scales(told, factor, 'x', 'y')}; a column z likewise)",
+                _scaled(factor),
+            )
+            for unit, factor in _LENGTHS.items()
+        ),
+    ]

@@ -14,6 +14,8 @@ from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, Measurements, as_measurements
 
 _OUTCOMES = np.array(_core.fusion_outcomes())
+NO_TIME = np.iinfo(np.int64).min
+"""Time of a filter that has not started [ns]."""
 MAX_LAG = 1e6
 """Longest lag of a smoother [s]."""
 
@@ -25,7 +27,7 @@ class Run:
     Attributes
     ----------
     stamps_ns : ndarray, shape (K,), int64
-        Times of the states [ns].
+        Times of the states [ns]; of the measurement before the first state.
     states : ndarray, shape (K, n)
         Means after the measurement; NaN before the target has been seen.
     covariances : ndarray, shape (K, n, n)
@@ -80,6 +82,10 @@ def run(
     InputError
         Something else than a `Measurement`.
 
+    See Also
+    --------
+    implausible : whether the measurements are in the expected units and of one target.
+
     Examples
     --------
     >>> seen = [Measurement(k * 50_000_000, "lidar", [0.1 * k, 2.0]) for k in range(20)]
@@ -87,8 +93,8 @@ def run(
     >>> result.states.shape, bool(result.accepted.all())
     ((20, 4), True)
     """
-    settings = as_config(config, FusionConfig)
-    return _run_of(_core.fusion_run(settings, as_measurements(measurements)._core))
+    settings, known = as_config(config, FusionConfig), as_measurements(measurements)
+    return _run_of(_core.fusion_run(settings, known._core), known)
 
 
 def run_batch(
@@ -120,8 +126,9 @@ def run_batch(
         Something else than a `Measurement`.
     """
     settings = as_config(config, FusionConfig)
-    cores = [as_measurements(target)._core for target in targets]
-    return [_run_of(arrays) for arrays in _core.fusion_run_batch(settings, cores, threads=threads)]
+    known = [as_measurements(target) for target in targets]
+    runs = _core.fusion_run_batch(settings, [one._core for one in known], threads=threads)
+    return [_run_of(arrays, one) for arrays, one in zip(runs, known, strict=True)]
 
 
 def smooth(
@@ -163,12 +170,15 @@ def smooth(
         raise InputError(f"lag: expected 0 to {MAX_LAG} s, got {lag}")
     settings = as_config(config, FusionConfig)
     lag_ns = None if lag is None else round(lag * 1e9)
-    core = as_measurements(measurements)._core
-    return _run_of(_core.fusion_smooth(settings, core, lag_ns=lag_ns))
+    known = as_measurements(measurements)
+    return _run_of(_core.fusion_smooth(settings, known._core, lag_ns=lag_ns), known)
 
 
-def _run_of(arrays: tuple[NDArray[Any], ...]) -> Run:
+def _run_of(arrays: tuple[NDArray[Any], ...], measurements: Measurements) -> Run:
     stamps, outcomes, states, covariances, innovations, nis, lidar_std, radar_std = arrays
+    # A filter has no time before its first state: the core gives the smallest integer, which
+    # would be shown as a date or make the run centuries long.
+    stamps = np.where(stamps == NO_TIME, np.sort(measurements._stamps_ns), stamps)
     return Run(
         stamps,
         states,

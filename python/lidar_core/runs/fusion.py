@@ -39,6 +39,7 @@ def fuse(
     angle_unit: str | None = None,
     azimuth: Mapping[str, str] | None = None,
     clock: Mapping[str, float] | None = None,
+    scale: Mapping[str, float] | None = None,
     span: Span | None = None,
     fit_noise: bool = False,
     force: bool = False,
@@ -77,6 +78,8 @@ def fuse(
     clock : mapping of str to float, optional
         Offset of the clock of a sensor in a table, positive if it is ahead [s], such as {"radar":
         0.5}.
+    scale : mapping of str to float, optional
+        Factors of a table's columns, by our names, such as {"range": 0.001}.
     span : Span, optional
         Part of the recording to use, from its first measurement [s].
     fit_noise : bool
@@ -124,6 +127,7 @@ def fuse(
             angle_unit=angle_unit,
             azimuth=azimuth,
             clock=clock,
+            scale=scale,
         ),
         span or Span(),
         lag,
@@ -156,7 +160,7 @@ def _checkpoints(
 
 def _notes(job: FuseJob, run: TargetRun | ManyRun, *, wants_checkpoint: bool) -> list[str]:
     """Return what the user has to know about a finished run."""
-    notes = [f"note: {run.doubt}"] if run.doubt else []
+    notes = [f"note: {doubt}" for doubt in run.doubts]
     if isinstance(run, TargetRun):
         if job.fit_noise:
             notes.append(f"note: {text_of_fit(run.config, names_told(job.config, job.ways))}")
@@ -204,6 +208,7 @@ def fit_config(
     angle_unit: str | None = None,
     azimuth: Mapping[str, str] | None = None,
     clock: Mapping[str, float] | None = None,
+    scale: Mapping[str, float] | None = None,
     span: Span | None = None,
     force: bool = False,
 ) -> FusionConfig:
@@ -217,7 +222,7 @@ def fit_config(
         Model and method, and where the search begins; None is best mode.
     model, method : str, optional
         These values of the configuration instead of its own.
-    columns, topics, time_unit, angle_unit, azimuth, clock, span
+    columns, topics, time_unit, angle_unit, azimuth, clock, scale, span
         See `fuse`; they apply to every recording.
     force : bool
         Fit the noise even if mistakes in the measurements, such as exchanged axes, are likely.
@@ -252,6 +257,7 @@ def fit_config(
         angle_unit=angle_unit,
         azimuth=azimuth,
         clock=clock,
+        scale=scale,
     )
     jobs = [FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]

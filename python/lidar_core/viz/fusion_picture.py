@@ -1,5 +1,6 @@
 """Picture of targets fused from LiDAR and radar, with matplotlib: one PNG."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,8 @@ OTHER = "#94a3b8"
 SIGMAS, CORNERS = 2.0, 36
 ELLIPSES = 20  # along a track, at most
 SMALLEST = 4.0  # least width and height of what is shown [m]
-NAMED = 24  # tracks with a number beside them, the longest
+NAMED = 24  # tracks with a number beside them, the longest of those that last to the end
+TRAIL = "trail"  # mark of ways of tracks that ended, by which tests find them
 BAND = 5.0  # standard deviations that a panel of errors shows, at the median
 
 
@@ -85,17 +87,17 @@ def _above(axes: Any, view: FusionView) -> None:
         axes.plot(*view.sensor.T, color=INK, lw=1.2, zorder=3, label="sensor")
         sensor_mark(axes, window, view.sensor[-1])
     draw_truth(axes, (line.position for line in view.truth.values()))
-    longest = sorted(view.tracks, key=lambda number: -len(view.tracks[number].stamp_ns))[:NAMED]
-    for order, (number, line) in enumerate(view.tracks.items()):
+    lasting = _lasting(view.tracks)
+    _trails(axes, {number: line for number, line in view.tracks.items() if number not in lasting})
+    for order, (number, line) in enumerate(lasting.items()):
         _track(axes, line, colour_of(number), None if order else "track, 2σ ellipses")
-        if len(line.position):
-            ring(axes, line.position[-1], colour_of(number))
+        ring(axes, line.position[-1], colour_of(number))
+    longest = sorted(lasting, key=lambda number: -len(lasting[number].stamp_ns))[:NAMED]
     labels = [
-        Label(str(number), line.position[-1], colour_of(number))
-        for number, line in ((number, view.tracks[number]) for number in longest)
-        if len(line.position)
+        Label(str(number), lasting[number].position[-1], colour_of(number)) for number in longest
     ]
-    draw_labels(axes, labels, ways)
+    shown = [line.position for line in (*lasting.values(), *view.truth.values())]
+    draw_labels(axes, labels, shown)
     scale_bar(axes, window)
     window.apply(axes)
     axes.set(title=_above_title(view), xlabel="x [m]", ylabel="y [m]")
@@ -111,7 +113,28 @@ def _above_title(view: FusionView) -> str:
     if not stamps:
         return "from above"
     seconds = (max(times[-1] for times in stamps) - min(times[0] for times in stamps)) * 1e-9
-    return f"from above, {seconds:.1f} s; ring: last place"
+    return f"from above, {seconds:.1f} s; ring: place at the end"
+
+
+def _lasting(tracks: Mapping[int, PlanarLine]) -> dict[int, PlanarLine]:
+    """Tracks that are reported at the end of the time that the picture shows."""
+    known = {number: line for number, line in tracks.items() if len(line.stamp_ns)}
+    end = max((line.stamp_ns[-1] for line in known.values()), default=0)
+    return {number: line for number, line in known.items() if line.stamp_ns[-1] == end}
+
+
+def _trails(axes: Any, tracks: Mapping[int, PlanarLine]) -> None:
+    """The ways of tracks that ended before: a long run has hundreds of them."""
+    for order, (number, line) in enumerate(tracks.items()):
+        axes.plot(
+            *line.position.T,
+            color=colour_of(number),
+            lw=0.6,
+            alpha=0.6,
+            zorder=3,
+            label=None if order else "track that ended before",
+            gid=TRAIL,
+        )
 
 
 def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:

@@ -13,7 +13,7 @@ from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
 from lidar_core.circles import CirclesConfig
 from lidar_core.config import Config, _fields
 from lidar_core.flying import FlyingConfig
-from lidar_core.fusion import FusionConfig, MultiTargetConfig
+from lidar_core.fusion import FusionConfig, MultiTargetConfig, TableOptions
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.parameters import MODELS, model_named, models_within
 
@@ -105,6 +105,36 @@ def test_what_is_no_table_or_no_such_text_is_told_in_plain_words():
     assert str(refusal.value) == (
         "mounting: expected texts PARENT FRAME x y z roll pitch yaw, got ('a b 1 2',)"
     )
+
+
+@pytest.mark.parametrize(
+    "value", [-1, "0.1", None, [], [0.1], [0.1, "a"], ["a", 0.1, 0.1], [0.1] * 4, {"x": 1}]
+)
+def test_a_list_of_one_of_several_lengths_is_told_once_in_plain_words(value):
+    with pytest.raises(ConfigError) as refused:
+        FusionConfig(lidar_std=value)
+    told = f"lidar_std: expected a list of 2 or 3 numbers such as [0.15, 0.15], got {value!r}"
+    assert str(refused.value) == told
+    with pytest.raises(ConfigError) as refused:
+        MultiTargetConfig(target={"radar_std": 1}, birth_distance=-1)
+    first, *others = str(refused.value).splitlines()
+    told = "expected a list of 3 or 4 numbers such as [0.3, 0.03, 0.3], got 1"
+    assert first == f"target.radar_std: {told}"
+    assert [text.split(":")[0] for text in others] == ["birth_distance"]
+
+
+def test_a_name_that_a_table_must_not_contain_is_told_in_plain_words():
+    with pytest.raises(ConfigError) as refused:
+        TableOptions(azimuth={"radar": "clockwise", "bearing": "left"})
+    assert str(refused.value).splitlines() == [
+        "azimuth: expected the name 'bearing', 'pose_yaw', 'turn_rate' or 'lidar', got 'radar'",
+        "azimuth.bearing: Input should be 'clockwise' or 'compass', got 'left'",
+    ]
+
+
+@pytest.mark.parametrize("value", [[0.1, 0.2], [0.1, 0.2, 0.3], (1, 1)])
+def test_lists_of_each_length_are_taken(value):
+    assert FusionConfig(lidar_std=value).lidar_std == tuple(value)
 
 
 def test_a_parameter_of_another_table_is_told_with_its_path():

@@ -251,6 +251,68 @@ def test_columns_and_units_are_mapped(tmp_path):
     assert result["measurements"] == {"radar": 30, "lidar": 30}
 
 
+def test_columns_of_other_units_and_signs_are_scaled_as_they_were_read(table, tmp_path):
+    content = [
+        {
+            "t_ns": row["t_ns"],
+            "R [mm]": row["range"] and 1000 * row["range"],
+            "bearing": row["bearing"],
+            "closing": row["range_rate"] and -row["range_rate"],
+            "x": row["x"],
+            "y": row["y"],
+        }
+        for row in rows()
+    ]
+    path = write(tmp_path / "scaled.csv", content)
+    names = {"range": "R [mm]", "range_rate": "closing"}
+    options = [f"--column={ours}={theirs}" for ours, theirs in names.items()]
+    factors = {"range": 0.001, "range_rate": -1}
+    log = read_measurements(path, TableOptions(columns=names, scale=factors))
+    for m, expected in zip(log.measurements, read_measurements(table).measurements, strict=True):
+        np.testing.assert_allclose(m.values, expected.values, rtol=EXACT)
+    refused = command(path, "-o", tmp_path / "run", *options, "--scale=range_rate=-1")
+    assert "--scale range=0.001" in str(refused.exception)
+    out = ["-o", tmp_path / "run", "--no-picture", *options]
+    told = result_of(path, *out, "--scale", "range=0.001", "--scale", "range_rate=-1")
+    assert told["nis"]["radar"]["mean"] < 4
+    note = tomllib.loads((tmp_path / "run/run.toml").read_text())
+    assert note["config"]["fusion_table"]["scale"] == factors
+
+
+def test_a_truth_of_positions_alone_gives_their_errors(table, tmp_path):
+    whole = result_of(table, "-o", tmp_path / "whole", "--no-picture")["rmse"]
+    assert whole["vx"] > 0
+    content = [
+        {name: value for name, value in row.items() if name not in ("true_vx", "true_vy")}
+        for row in rows()
+    ]
+    path, folder = write(tmp_path / "places.csv", content), tmp_path / "places"
+    known = result_of(path, "-o", folder)["rmse"]
+    assert known == whole | {"vx": None, "vy": None}
+    printed = command(path, "-o", tmp_path / "printed", "--no-picture").output
+    assert "RMSE x" in printed
+    assert "RMSE vx" not in printed
+    assert {"true_x", "true_y"} <= set(states := read_columns(folder / "states.parquet"))
+    assert not {"true_vx", "true_vy"} & set(states)
+    scores = json_of("evaluate", folder, folder)["track_scores"]
+    assert scores["n_found"] == scores["n_eligible"] == 60
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"true_x": 1.0}, "true_x without true_y; "),
+        ({"true_x": 1.0, "true_y": 2.0, "true_vy": 0.0}, "true_x, true_y, true_vy without true_vx"),
+        ({"true_vx": 1.0, "true_vy": 2.0}, "true_vx, true_vy without true_x, true_y"),
+    ],
+)
+def test_a_truth_that_lacks_a_column_is_refused_with_its_name(tmp_path, given, told):
+    path = write(tmp_path / "part.csv", [{"t_ns": 0, "x": 1.0, "y": 2.0, **given}])
+    with pytest.raises(InputError, match=told) as refused:
+        read_measurements(path)
+    assert 'columns={"true_' in str(refused.value)
+
+
 def test_poses_bring_their_deviations(tmp_path):
     known = {"pose_std_x": 0.1, "pose_std_y": 0.2, "pose_std_yaw": 3.0}
     content = [
@@ -301,6 +363,12 @@ def test_broken_tables_are_told(tmp_path, change, text):
         (("--method", "kf"), ConfigError, "expected model cv, ca, cv-3d"),
         (("--azimuth", "bearing=left"), ConfigError, "azimuth"),
         (("--clock", "radar=late"), ConfigError, "expected seconds"),
+        (("--scale", "range"), ConfigError, "such as range=0.001"),
+        (("--scale", "range=mm"), ConfigError, "--scale range=mm: expected a number"),
+        (("--scale", "range=0"), ConfigError, "factors other than 0"),
+        (("--scale", "range=nan"), ConfigError, "scale"),
+        (("--scale", "t_ns=1000"), ConfigError, "expected columns among x, y"),
+        (("--scale", "z=2"), InputError, "scale: no column z among t_ns"),
         (("--lag", "-1"), InputError, "lag"),
         (("--association", "any"), ConfigError, "association"),
         (("--topic", "radar=/front"), ConfigError, "--topic does not apply to a table"),
@@ -340,6 +408,7 @@ def test_a_part_of_a_table_is_fused(table, tmp_path):
         ("a.json", "--angle-unit", "deg"),
         ("a.txt", "--column", "x=y"),
         ("a.txt", "--time-unit", "s"),
+        ("a.txt", "--scale", "range=2"),
     ],
 )
 def test_options_of_other_recordings_are_refused(tmp_path, name, option, value):

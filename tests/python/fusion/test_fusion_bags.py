@@ -237,8 +237,10 @@ def test_wrong_topics_are_told(topics, text, tmp_path):
 def test_a_recording_without_measurements_is_refused(tmp_path):
     ros = Radar(2)
     path = stored(tmp_path, 2, "mcap", [("/tf", 1, ros.transforms([]))])
-    with pytest.raises(FormatError, match=r"no measurements in it; topics: /tf"):
+    with pytest.raises(FormatError, match=r"no measurements in it; topics: /tf") as refused:
         read_bag(path)
+    for readable in ("lidar: geometry_msgs/PointStamped", "radar_msgs/RadarTracks", "nav_msgs/Od"):
+        assert readable in str(refused.value)
 
 
 def test_info_shows_what_can_be_fused(tmp_path):

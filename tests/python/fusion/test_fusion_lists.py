@@ -217,7 +217,7 @@ def test_tables_are_read_whatever_their_ending_and_separator(tmp_path, name, tex
         ("t_ns;x;y\n0;1;2\n1,2,3\n", "got 1 with commas: use one of both"),
         ("t_ns,x,y\n0,1,2\n1,2\n", "row 2: expected 3 values with commas between them"),
         ("t_ns,x,y\n0,1,2\n1,2,left\n", "row 2: column y: expected a number, got 'left'"),
-        ("t_ns,x,y\n0,1,2\nnoon,2,3\n", "row 2: column t_ns: expected a number, got 'noon'"),
+        ("t_ns,x,y\n0,1,2\nnoon,2,3\n", "row 2: column t_ns: expected a time"),
     ],
 )
 def test_tables_that_cannot_be_read_say_where_and_why(tmp_path, text, told):

@@ -7,30 +7,35 @@ import sys
 import numpy as np
 import pytest
 
+import lidar_core as lc
+from lidar_core.errors import ConfigError, InputError
 from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion import (
     FusionConfig,
     Measurement,
+    TableOptions,
     read_autoferry,
     read_laser_radar,
     read_measurements,
     write_overflight,
 )
+from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.plausibility import (
     FACTOR,
     KEPT,
     KEPT_SPREAD,
     KEPT_SUM,
     PROBABILITY,
-    geographic_poses,
     implausible,
 )
+from lidar_core.fusion.repairs import lengths, repairs
 from lidar_core.sim import Overflight, overfly
 
 OBJ_POSE = "fusion/obj_pose-laser-radar-synthetic-input.txt"
 SAMPLE_1 = "fusion/sample-laser-radar-measurement-data-1.txt"
 SCENARIOS = (2, 3, 4, 5, 13, 17)
 SEED = 6300
+WAYS = (None, "clockwise", "compass")
 
 
 def changed(seen, sensor, new):
@@ -95,7 +100,7 @@ WRONG = {
     "exchanged": (lambda seen: changed(seen, "lidar", lambda v: v[::-1]), "exchanged"),
     "feet": (
         lambda seen: changed(seen, "radar", lambda v: [v[0] / 0.3048, v[1], v[2]]),
-        "ranges are feet: they fit times 0.3048",
+        'ranges are feet: they fit times 0.3048 (scale={"range": 0.3048})',
     ),
     "millimetres": (
         lambda seen: changed(seen, "lidar", lambda v: 1000 * v),
@@ -103,7 +108,8 @@ WRONG = {
     ),
     "kilometres": (
         lambda seen: changed(seen, "lidar", lambda v: v / 1000),
-        "places of the LiDAR are kilometres: they fit times 1000",
+        "places of the LiDAR are kilometres: they fit times 1000"
+        ' (scale={"x": 1000, "y": 1000}; a column z likewise)',
     ),
     "late radar": (
         lambda seen: late(seen, "radar", 1.0),
@@ -230,6 +236,81 @@ def test_wrong_recordings_are_refused_with_the_cause_that_the_data_shows(right, 
         assert not any("several" in text for text in found.shown)  # angles explain the jumps
 
 
+def test_range_rates_of_the_other_sign_are_named_with_the_option(recordings):
+    right = read_laser_radar(recordings / SAMPLE_1).measurements  # it moves fast enough to tell
+    found = doubt(changed(right, "radar", lambda v: [v[0], v[1], -v[2]]))
+    assert '(scale={"range_rate": -1})' in str(found)
+
+
+AS_TOLD = [(unit, way) for unit in ("rad", "deg") for way in WAYS]
+
+
+@pytest.mark.parametrize("told", AS_TOLD)
+@pytest.mark.parametrize("right", AS_TOLD)
+def test_a_convention_that_is_told_wrongly_does_not_hide_the_right_one(
+    recordings, tmp_path, right, told
+):
+    """Every unit and direction, told as any other; told rightly, nothing is refused."""
+    unit, way = right
+    sign, start = (1 if way is None else -1), np.pi / 2 * (way == "compass")
+    scale = 180 / np.pi if unit == "deg" else 1.0
+    seen = changed(
+        read_laser_radar(recordings / SAMPLE_1).measurements[:400],
+        "radar",
+        lambda v: [v[0], scale * (start + sign * v[1]), v[2]],
+    )
+    azimuth = {} if told[1] is None else {"bearing": told[1]}
+    options = TableOptions(angle_unit=told[0], azimuth=azimuth)
+    log = read_measurements(table(tmp_path / "told.csv", seen), options)
+    found = implausible(log.measurements, FusionConfig(), log.options)
+    if told == right:
+        assert found is None
+        return
+    (bearings,) = [text for text in found.shown if text.startswith("bearings are")]
+    assert (f'angle_unit="{unit}"' in bearings) == (unit != told[0])
+    if way is None and told[1] is not None:
+        assert f'leave out azimuth={{"bearing": "{told[1]}"}}' in bearings
+    else:
+        assert (f'azimuth={{"bearing": "{way}"}}' in bearings) == (way != told[1])
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("told", WAYS[1:])
+def test_places_and_turn_rates_that_are_told_wrongly_are_named(recordings, tmp_path, way, told):
+    new = {None: lambda v: v, "clockwise": lambda v: [v[0], -v[1]], "compass": lambda v: v[::-1]}
+    right = read_laser_radar(recordings / SAMPLE_1).measurements[:400]
+    path = table(tmp_path / "told.csv", changed(right, "lidar", new[way]))
+    log = read_measurements(path, TableOptions(azimuth={"lidar": told}))
+    found = implausible(log.measurements, FusionConfig(), log.options)
+    if way == told:
+        assert found is None
+    else:
+        shown = f'leave out azimuth={{"lidar": "{told}"}}' if way is None else f'"lidar": "{way}"'
+        assert shown in str(found)
+    rates = [text for _, text, _ in repairs(TableOptions(azimuth={"turn_rate": told}))]
+    assert any(f'leave out azimuth={{"turn_rate": "{told}"}}' in text for text in rates)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "cure"),
+    [(0.0, 'leave out clock={"radar": 1}'), (2.0, '2 s ahead of the others (clock={"radar": 2})')],
+)
+def test_a_clock_that_is_told_wrongly_is_named_by_its_whole_offset(
+    recordings, tmp_path, ahead, cure
+):
+    seen = late(read_laser_radar(recordings / SAMPLE_1).measurements[:400], "radar", ahead)
+    options = TableOptions(clock={"radar": 1.0})
+    log = read_measurements(table(tmp_path / "late.csv", seen), options)
+    ordered = sorted(log.measurements, key=lambda m: m.stamp_ns)
+    assert cure in str(implausible(ordered, FusionConfig(), log.options))
+
+
+def test_factors_are_named_together_with_those_that_were_told():
+    texts = [text for _, text, _ in lengths(TableOptions(scale={"range": 10.0, "x": 2.0}))]
+    assert any('scale={"range": 0.01}' in text for text in texts)
+    assert any('scale={"x": 0.002, "y": 0.001}' in text for text in texts)
+
+
 def test_noise_far_too_small_is_refused_and_all_likely_causes_are_named(right):
     config = FusionConfig(lidar_std=(1e-4, 1e-4), radar_std=(1e-4, 1e-5, 1e-3))
     found = doubt(right, config)
@@ -257,6 +338,19 @@ def test_geographic_poses_are_told_and_not_refused(tmp_path):
     assert geographic_poses(seen) is None
 
 
+def test_the_public_check_takes_any_order_and_refuses_other_things(right):
+    assert lc.fusion.implausible(iter(right[::-1])) is None
+    wrong = WRONG["degrees"][0](right)
+    found = lc.fusion.implausible(wrong[::-1])
+    assert isinstance(found, lc.fusion.Implausible)
+    assert found.shown == lc.fusion.implausible(wrong, FusionConfig(), TableOptions()).shown
+    for things in ([*right, 5], lc.fusion.Measurements(right)):
+        with pytest.raises(InputError, match="measurements"):
+            lc.fusion.implausible(things)
+    with pytest.raises(ConfigError, match="expected a FusionConfig, got TableOptions"):
+        lc.fusion.implausible(right, TableOptions())
+
+
 # The command
 
 
@@ -279,6 +373,15 @@ def table(path, seen):
             values = [*m.values, "", "", ""] if m.sensor == "lidar" else ["", "", *m.values]
             rows.writerow([m.stamp_ns, m.sensor, *values])
     return path
+
+
+@pytest.mark.parametrize("function", ["fuse", "fit_config"])
+def test_runs_name_the_option_that_replaces_a_told_one(recordings, tmp_path, function):
+    right = read_laser_radar(recordings / SAMPLE_1).measurements[:400]
+    path = table(tmp_path / "told.csv", WRONG["compass bearings"][0](right))
+    arguments = (None, tmp_path / "run") if function == "fuse" else ()
+    with pytest.raises(InputError, match=r'"bearing": "compass"'):
+        getattr(lc.runs, function)(path, *arguments, azimuth={"bearing": "clockwise"})
 
 
 @pytest.mark.nightly

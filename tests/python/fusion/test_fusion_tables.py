@@ -87,6 +87,27 @@ def test_times_may_be_texts_and_clocks_may_differ(tmp_path):
         read_measurements(table(tmp_path, "t_ns,x,y\n2026-11-26T08:00:00Z,1,2\nsoon,1,2\n"))
 
 
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ("26.11.2026 08:00:00,1,2", "row 1: column t_ns: .*ISO 8601 such as .*got '26.11.2026"),
+        ("2026-11-26T08:00:00Z,1,2\n26.11.2026,1,2", "row 2: column t_ns: .*ISO 8601 such as"),
+        ("0,1,2\nn/a,1,2", "row 2: column t_ns: .*ISO 8601 such as .*got 'n/a'$"),
+        ("0,1,2\n,1,2", "row 2: column t_ns: .*ISO 8601 such as"),
+        ("0,1,2\n1,n/a,2", "row 2: column x: expected a number, got 'n/a'; leave .* empty"),
+    ],
+)
+def test_cells_that_hold_no_number_are_told_what_is_possible(tmp_path, rows, told):
+    with pytest.raises(FormatError, match=told):
+        read_measurements(table(tmp_path, f"t_ns,x,y\n{rows}\n"))
+
+
+def test_what_these_errors_advise_is_read(tmp_path):
+    text = "t_ns,x,y\n2026-11-26T08:00:00Z,1,2\n2026-11-26T08:00:01Z,,\n"
+    (only,) = read_measurements(table(tmp_path, text)).measurements
+    assert only.values.tolist() == [1, 2]
+
+
 def test_places_on_the_earth_become_metres(tmp_path):
     path = table(
         tmp_path,

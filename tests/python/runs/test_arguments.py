@@ -106,6 +106,8 @@ def test_errors_of_functions_name_arguments(tmp_path):
         ("say which with mounting='a b 0 0 0 0 0 0'", "which with --mounting 'a b 0"),
         ('name the column with columns={"t_ns": "NAME"}', "column with --column t_ns=NAME"),
         ('with topics={"pose": ["NAME"]}', "with --topic pose=NAME"),
+        ('fit (scale={"x": 0.001, "y": 1e-3}; z', "fit (--scale x=0.001 --scale y=1e-3; z"),
+        ("scale: no column z", "scale: no column z"),
         ("for any scanner, as in set detector=taubin", "as in --set detector=taubin"),
         ("values: voxel_size: expected name=value", "--set voxel_size: expected name=value"),
         ("source: x: expected one of zenoh", "--in x: expected one of"),

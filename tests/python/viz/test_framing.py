@@ -12,7 +12,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 from repository import ROOT
 
-from lidar_core.viz import Playback, circles_picture, flying_picture, fusion_picture
+from lidar_core.viz import (
+    FusionView,
+    PlanarLine,
+    Playback,
+    circles_picture,
+    flying_picture,
+    fusion_picture,
+)
 from lidar_core.viz import playback_picture as playback
 from lidar_core.viz.drawing.frame import Window, window_around, window_over
 from lidar_core.viz.drawing.labels import NUMBER, place_boxes
@@ -360,3 +367,42 @@ def test_the_image_of_voxels_has_a_bound_and_shows_all(span, voxel):
     assert max(shown.shape) <= MOST_CELLS + 1
     assert shown.shape[0] == pytest.approx(span / voxel + 1, abs=1)
     assert sorted(shown[np.isfinite(shown)].tolist()) == [1.0, 2.0, 3.0]
+
+
+def lines_over(*stamps):
+    """Tracks with these last times, side by side; all begin at 0 s."""
+    return {
+        number: PlanarLine(
+            np.arange(last + 1) * 10**9,
+            np.stack([np.arange(last + 1.0), np.full(last + 1, 4.0 * number)], axis=1),
+            np.tile(0.1 * np.eye(2), (last + 1, 1, 1)),
+        )
+        for number, last in enumerate(stamps)
+    }
+
+
+@pytest.mark.parametrize(
+    ("last", "lasting"),
+    [((9, 9, 9), [0, 1, 2]), ((4, 9, 2), [1]), ((4, 2), [0]), ((9,), [0]), ((), [])],
+)
+def test_rings_and_numbers_of_fusion_are_those_of_tracks_at_the_end(
+    tmp_path, monkeypatch, last, lasting
+):
+    figures = {}
+    monkeypatch.setattr(fusion_picture, "write_figure", kept_in(figures))
+    tracks = lines_over(*last)
+    fusion_picture.draw_fusion(FusionView("", {}, tracks, {}, {}), tmp_path / "a.png")
+    above = figures["last"].axes[0]
+    rings = [line.get_xydata()[0] for line in above.lines if line.get_marker() == "o"]
+    assert [ring.tolist() for ring in rings] == [
+        tracks[number].position[-1].tolist() for number in lasting
+    ]
+    numbers = [text.get_text() for text in above.texts if text.get_gid() == NUMBER]
+    assert sorted(numbers) == [str(number) for number in lasting]
+    ended = [line for line in above.lines if line.get_gid() == fusion_picture.TRAIL]
+    assert len(ended) == len(tracks) - len(lasting)
+    ways = [line for line in above.lines if line.get_gid() == WAY]
+    assert all(trail.get_linewidth() < ways[0].get_linewidth() for trail in ended)
+    legend = above.get_legend()
+    texts = [text.get_text() for text in legend.get_texts()] if legend else []
+    assert ("track that ended before" in texts) == bool(ended)

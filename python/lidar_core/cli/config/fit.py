@@ -13,11 +13,13 @@ from lidar_core.cli.shared.measurement_options import (
     ColumnNames,
     Method,
     Model,
+    Scales,
     TimeUnit,
     Topics,
     azimuths_of,
     clocks_of,
     columns_of,
+    scales_of,
     topics_of,
 )
 from lidar_core.cli.shared.run_options import ConfigFile, End, Start, Values
@@ -50,6 +52,7 @@ def command(
     angle_unit: AngleUnit = None,
     azimuth: Azimuths = [],  # noqa: B006
     clock: Clocks = [],  # noqa: B006
+    scale: Scales = [],  # noqa: B006
     start: Start = 0.0,
     end: End = None,
     mode: Annotated[Mode, typer.Option(help="Mode whose defaults apply.")] = "best",
@@ -86,6 +89,7 @@ def command(
         angle_unit=angle_unit,
         azimuth=azimuths_of(azimuth),
         clock=clocks_of(clock),
+        scale=scales_of(scale),
         span=Span.load(given_options({"start": start, "end": end})),
         force=force,
     )

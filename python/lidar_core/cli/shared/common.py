@@ -95,12 +95,14 @@ OPTIONS = {
         for name in (
             "allow_origin",
             "angle_unit",
+            "association",
             "checkpoint",
             "fixed_frame",
             "force",
             "gate",
             "mcap",
             "metadata",
+            "model",
             "mounting",
             "odom",
             "overwrite",
@@ -109,6 +111,7 @@ OPTIONS = {
             "resume",
             "scan_rate",
             "stamps",
+            "time_unit",
             "trusted",
         )
     },
@@ -124,7 +127,9 @@ OPTIONS = {
 ARGUMENT = re.compile(
     rf"(?<![\w-])(?<!--topic )(?<!--column )({'|'.join(OPTIONS)})=(?!=)(True\b|\"(\w+)\"|)"
 )
-PAIR = re.compile(r'(?:(column|topic)s|(azimuth|clock))=\{"(\w+)": \[?"?([\w.-]+)"?\]?\}')
+_PAIR = r'"(\w+)": \[?"?([\w.-]+)"?\]?'
+PAIR = re.compile(_PAIR)
+PAIRS = re.compile(rf"(?:(column|topic)s|(azimuth|clock|scale))=\{{({_PAIR}(?:, {_PAIR})*)\}}")
 PREFIXES = {
     "source": "--in",
     "source, replay": "--in, --replay:",
@@ -134,7 +139,8 @@ PREFIXES = {
     "values": "--set",
 }
 UNUSED = re.compile(
-    r"(: |; )(column|topic|time_unit|angle_unit|azimuth|clock|association)s? (does not|applies)"
+    r"(: |; )(column|topic|time_unit|angle_unit|azimuth|clock|scale|association)s?"
+    r" (does not|applies)"
 )
 PREFIX = re.compile(rf"^({'|'.join(PREFIXES)}): ")
 VALUE = re.compile(r'\bset (?=[\w."]+=)')
@@ -142,11 +148,14 @@ VALUE = re.compile(r'\bset (?=[\w."]+=)')
 
 def as_options(text: str) -> str:
     """Replace names of arguments (`name=value`) in a text by the options of the command."""
+
+    def repeated(found: re.Match[str]) -> str:
+        pairs = PAIR.findall(found[3])
+        return " ".join(f"--{found[1] or found[2]} {ours}={theirs}" for ours, theirs in pairs)
+
     text = PREFIX.sub(lambda found: f"{PREFIXES[found[1]]} ", text)
     text = UNUSED.sub(lambda one: f"{one[1]}--{one[2].replace('_', '-')} {one[3]}", text)
-    text = VALUE.sub(
-        "--set ", PAIR.sub(lambda one: f"--{one[1] or one[2]} {one[3]}={one[4]}", text)
-    )
+    text = VALUE.sub("--set ", PAIRS.sub(repeated, text))
 
     def option(found: re.Match[str]) -> str:
         name = f"--{OPTIONS[found[1]]}"

@@ -20,6 +20,10 @@ _AZIMUTH = (
 _CLOCK = (
     "Seconds by which a sensor's clock in a table is ahead, such as radar=0.5; may be repeated."
 )
+_SCALE = (
+    "Factor of a column of a table, such as range=0.001 for millimetres or range_rate=-1 for the"
+    " other sign; may be repeated."
+)
 
 Model: TypeAlias = Annotated[str | None, typer.Option(help=_MODEL)]
 Method: TypeAlias = Annotated[str | None, typer.Option(help=_METHOD)]
@@ -35,6 +39,7 @@ Azimuths: TypeAlias = Annotated[
     list[str], typer.Option("--azimuth", help=_AZIMUTH, rich_help_panel=READ)
 ]
 Clocks: TypeAlias = Annotated[list[str], typer.Option("--clock", help=_CLOCK, rich_help_panel=READ)]
+Scales: TypeAlias = Annotated[list[str], typer.Option("--scale", help=_SCALE, rich_help_panel=READ)]
 AngleUnit: TypeAlias = Annotated[str | None, typer.Option(help=_ANGLE_UNIT, rich_help_panel=READ)]
 
 
@@ -52,16 +57,25 @@ def azimuths_of(texts: list[str]) -> dict[str, str]:
 
 def clocks_of(texts: list[str]) -> dict[str, float]:
     """Options --clock SENSOR=SECONDS."""
-    found = _pairs("clock", texts, "radar=0.5")
-    try:
-        return {sensor: float(seconds[-1]) for sensor, seconds in found.items()}
-    except ValueError as error:
-        raise ConfigError(f"--clock {' '.join(texts)}: expected seconds") from error
+    return _numbers("clock", texts, "radar=0.5", "seconds")
+
+
+def scales_of(texts: list[str]) -> dict[str, float]:
+    """Options --scale COLUMN=FACTOR."""
+    return _numbers("scale", texts, "range=0.001", "a number")
 
 
 def topics_of(texts: list[str]) -> dict[str, list[str]]:
     """Read options --topic OURS=THEIRS; several may have the same left side."""
     return _pairs("topic", texts, "radar=/front")
+
+
+def _numbers(option: str, texts: list[str], example: str, what: str) -> dict[str, float]:
+    found = _pairs(option, texts, example)
+    try:
+        return {ours: float(theirs[-1]) for ours, theirs in found.items()}
+    except ValueError as error:
+        raise ConfigError(f"--{option} {' '.join(texts)}: expected {what}") from error
 
 
 def _pairs(option: str, texts: list[str], example: str) -> dict[str, list[str]]:

@@ -36,6 +36,10 @@ TYPES: dict[SensorName, tuple[str, ...]] = {
 }
 """What each sensor may speak; poses without a twist may be a LiDAR's positions, if named so."""
 BY_ITSELF: dict[SensorName, tuple[str, ...]] = {**TYPES, "lidar": (POINT_TYPE, *OBJECTS_TYPES)}
+READABLE = "; ".join(
+    f"{sensor}: {', '.join(one.replace('/msg/', '/') for one in types)}"
+    for sensor, types in TYPES.items()
+)
 SEEN = 1  # state of an object that is seen; of others the place is a guess
 STEEPEST = 1e-3  # least cosine of the elevation of a radar's return
 
@@ -112,7 +116,10 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
         ]
         if not scans:
             listed = ", ".join(f"{t.name} ({t.type})" for t in recording.topics()) or "none"
-            raise FormatError(f"{place}: no measurements in it; topics: {listed}")
+            raise FormatError(
+                f"{place}: no measurements in it; topics: {listed}. Messages that are read:"
+                f" {READABLE}"
+            )
     return sorted(scans, key=lambda scan: scan.stamp_ns)
 
 

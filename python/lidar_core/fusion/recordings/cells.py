@@ -1,14 +1,18 @@
-"""Columns of tables as numbers and times."""
+"""Columns of tables as numbers, times and truth."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.errors import FormatError
-from lidar_core.fusion.recordings.conventions import stamps_of_texts
+from lidar_core.errors import FormatError, InputError
+from lidar_core.fusion.recordings.conventions import A_TIME, stamps_of_texts
+from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.io.tables.columns import Columns, at_row
 
+POSITION, VELOCITY = ("true_x", "true_y"), ("true_vx", "true_vy")
+TRUE_ID = "true_id"
 MAX_SECONDS = 9e9
 """Largest time that int64 nanoseconds hold [s]."""
 
@@ -23,10 +27,31 @@ def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
         try:
             numbers[row] = float(text) if text not in ("", None) else np.nan
         except (TypeError, ValueError) as error:
-            raise FormatError(
-                f"{at_row(place, row)}: column {name}: expected a number, got {text!r}"
-            ) from error
+            raise _refused(place, row, name, text) from error
     return numbers
+
+
+def _refused(place: Path, row: int, name: str, value: object) -> FormatError:
+    """Return the error of a cell that holds no number, or no time."""
+    what = f"column {name}: expected {A_TIME if name == 't_ns' else 'a number'}, got {value!r}"
+    cure = "" if name == "t_ns" else "; leave cells of unknown values empty"
+    return FormatError(f"{at_row(place, row)}: {what}{cure}")
+
+
+def scaled(place: Path, columns: Columns, factors: Mapping[str, float]) -> Columns:
+    """Columns with the numbers of some multiplied; the others as they are.
+
+    Raises
+    ------
+    InputError
+        There is no such column.
+    """
+    for name in factors:
+        if name not in columns:
+            raise InputError(f"{place}: scale: no column {name} among {', '.join(columns)}")
+    return columns | {
+        name: factor * numbers_in(place, columns, name) for name, factor in factors.items()
+    }
 
 
 def stamps_in(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
@@ -51,10 +76,47 @@ def stamps_in(place: Path, columns: Columns, unit_ns: int) -> NDArray[np.int64]:
     bad = np.logical_not(np.abs(numbers) <= limit)  # NaN is bad, too
     if bad.any():
         row = int(np.argmax(bad))
-        raise FormatError(
-            f"{at_row(place, row)}: column t_ns: expected a time, got {column[row]!r}"
-        )
+        raise _refused(place, row, "t_ns", column[row])
     if column.dtype.kind in "iu":
         return column.astype(np.int64) * unit_ns
     stamps: NDArray[np.int64] = np.round(numbers * unit_ns).astype(np.int64)
     return stamps
+
+
+def truth_in(
+    place: Path, columns: Columns, stamps: NDArray[np.int64], rows: NDArray[np.int64]
+) -> TargetTruth | None:
+    """Truth of these rows of a table: positions, and velocities if there are any.
+
+    Raises
+    ------
+    InputError
+        A column of a pair is there without the other, or velocities without positions.
+    FormatError
+        A value is not finite.
+    """
+    given = [name for name in (*POSITION, *VELOCITY) if name in columns]
+    if not given:
+        return None
+    needed = (*POSITION, *(VELOCITY if set(VELOCITY) & set(given) else ()))
+    missing = [name for name in needed if name not in columns]
+    if missing:
+        raise InputError(
+            f"{place}: {', '.join(given)} without {', '.join(missing)}; the truth is true_x and"
+            " true_y, if known with true_vx and true_vy: name the column with"
+            f' columns={{"{missing[0]}": "NAME"}}'
+        )
+    values = np.full((len(rows), 4), np.nan)
+    for column, name in enumerate(needed):
+        values[:, column] = numbers_in(place, columns, name)[rows]
+    if not np.isfinite(values[:, : len(needed)]).all():
+        raise FormatError(f"{place}: a true value is not finite; leave the columns true_* out")
+    return TargetTruth(stamps[rows], values[:, :2], values[:, 2:], None, None)
+
+
+def targets_in(place: Path, columns: Columns, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """Numbers of the targets of these rows, -1 for none; None without such a column."""
+    if TRUE_ID not in columns:
+        return None
+    numbers = numbers_in(place, columns, TRUE_ID)[rows]
+    return np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)

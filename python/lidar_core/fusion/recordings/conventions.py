@@ -12,6 +12,8 @@ Azimuth: TypeAlias = Literal["clockwise", "compass"]
 """How angles count that are not counter-clockwise from x: clockwise from x, or from north (y)."""
 Turned: TypeAlias = Literal["bearing", "pose_yaw", "turn_rate", "lidar"]
 """What may count otherwise; lidar stands for x and y of a LiDAR."""
+A_TIME = "a time (a number, or ISO 8601 such as 2026-11-26T08:00:00Z)"
+"""What cells of times hold, for errors."""
 SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563
 """Of the ellipsoid of WGS84: [m], and no unit."""
 
@@ -86,7 +88,7 @@ def stamps_of_texts(texts: NDArray[np.str_], where: str) -> NDArray[np.int64] | 
             if not found:
                 return None
             raise FormatError(
-                f"{at_row(where, row)}: column t_ns: expected a time, got {text!r}"
+                f"{at_row(where, row)}: column t_ns: expected {A_TIME}, got {text!r}"
             ) from error
         aware = time if time.tzinfo else time.replace(tzinfo=UTC)
         since = aware - datetime(1970, 1, 1, tzinfo=UTC)

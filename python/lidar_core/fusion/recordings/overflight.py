@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_core.fusion.recordings.table import TRUTH, VALUES
+from lidar_core.fusion.recordings.cells import POSITION, VELOCITY
+from lidar_core.fusion.recordings.table import VALUES
 from lidar_core.fusion.space import LevelSight, level_sight
 from lidar_core.io.tables.long_table import write_long_table
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 _COLUMNS: dict[str, type] = {
     "t_ns": int,
     **{name: float for names in VALUES.values() for name in names},
-    **dict.fromkeys(TRUTH, float),
+    **dict.fromkeys((*POSITION, *VELOCITY), float),
 }
 
 

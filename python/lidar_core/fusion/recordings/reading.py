@@ -25,7 +25,7 @@ class TargetTruth:
     stamps_ns : ndarray, shape (K,), int64
         Times [ns].
     position, velocity : ndarray, shape (K, 2)
-        Frame of the sensor [m], [m/s].
+        Frame of the sensor [m], [m/s]; velocities are NaN if the file does not contain them.
     heading, turn_rate : ndarray, shape (K,), or None
         Heading [rad] and turn rate [rad/s]; None if the file does not contain them.
     """

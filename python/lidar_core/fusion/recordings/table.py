@@ -1,18 +1,27 @@
 """Measurements of one target from files: L/R text, or any table by a map of its columns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
-from lidar_core.fusion.recordings.cells import numbers_in, stamps_in
+from lidar_core.fusion.recordings.cells import (
+    POSITION,
+    TRUE_ID,
+    VELOCITY,
+    numbers_in,
+    scaled,
+    stamps_in,
+    targets_in,
+    truth_in,
+)
 from lidar_core.fusion.recordings.conventions import (
     Azimuth,
     Turned,
@@ -34,8 +43,6 @@ POSE_IN_SPACE = ("pose_x", "pose_y", "pose_z", "pose_roll", "pose_pitch", "pose_
 ON_EARTH = {"": ("x", "y", "z"), "pose_": ("pose_x", "pose_y", "pose_z")}
 """What latitude, longitude and altitude are turned into, by the start of their names."""
 POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
-TRUTH = ("true_x", "true_y", "true_vx", "true_vy")
-TRUE_ID = "true_id"
 NAMES = (
     "t_ns",
     "sensor",
@@ -43,10 +50,13 @@ NAMES = (
     *(name for names in IN_SPACE.values() for name in names),
     *(start + name for start in ON_EARTH for name in ("lat", "lon", "alt")),
     *POSE_STD,
-    *TRUTH,
+    *POSITION,
+    *VELOCITY,
     TRUE_ID,
 )
 """Columns that a table may have."""
+SCALABLE = tuple(name for name in NAMES if name not in ("t_ns", "sensor", TRUE_ID))
+"""Columns whose numbers a factor may change; times have a unit of their own."""
 WORDS: dict[str, SensorName] = {
     "lidar": "lidar",
     "laser": "lidar",
@@ -62,6 +72,7 @@ WORDS: dict[str, SensorName] = {
 UNITS_NS = {"ns": 1, "us": 1000, "ms": 1_000_000, "s": 1_000_000_000}
 TABLES = (".csv", ".npz", ".parquet", ".tsv")
 """Endings of tables, in lower case."""
+_FORMAT = "table ("
 
 
 class TableOptions(Config):
@@ -92,6 +103,21 @@ class TableOptions(Config):
         description="Offset of the clocks of sensors, by sensor, positive if ahead [s]: it is"
         " subtracted from their times.",
     )
+    scale: dict[str, float] = Field(
+        default={},
+        description="Factors of columns as they are in the table, by our names (no unit): range"
+        " 0.001 reads millimetres, range_rate -1 the other sign.",
+    )
+
+    @field_validator("scale")
+    @classmethod
+    def _scales_numbers(cls, factors: dict[str, float]) -> dict[str, float]:
+        for name, factor in factors.items():
+            if name not in SCALABLE:
+                raise ValueError(f"expected columns among {', '.join(SCALABLE)}; got {name!r}")
+            if factor == 0:
+                raise ValueError(f"expected factors other than 0 (column {name})")
+        return factors
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +137,8 @@ class MeasurementLog:
         the north, where the file has places on the Earth (WGS84).
     targets : ndarray, shape (K,), int64, or None
         Number of the target of each measurement, -1 for none, if the file states it.
+    options : TableOptions
+        Options with which a table was read; the defaults for other files.
     """
 
     measurements: list[Measurement]
@@ -118,6 +146,7 @@ class MeasurementLog:
     format: str
     origin: tuple[float, float, float] | None = None
     targets: NDArray[np.int64] | None = None
+    options: TableOptions = field(default_factory=TableOptions)
 
     def rows(self, chosen: list[int]) -> "MeasurementLog":
         """Return the measurements with these indices, in this order."""
@@ -137,11 +166,11 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         Columns are t_ns (numbers, or ISO 8601); x, y, and z if there is one, of a LiDAR; any of
         range, bearing, elevation, range_rate of a radar; turn_rate of a gyro; pose_x, pose_y,
         pose_yaw of the platform, or these with pose_z, pose_roll, pose_pitch; their standard
-        deviations pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x, true_y,
-        true_vx, true_vy, and true_id of the target in tables of several. lat, lon and alt stand
-        for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform: places on WGS84
-        become metres to the east, north and up of the first one. Without a column `sensor`, a row
-        gives a measurement of every sensor whose values are there.
+        deviations pose_std_x, pose_std_y, pose_std_yaw, where they are known; true_x and true_y,
+        if known with true_vx and true_vy, and true_id of the target in tables of several. lat,
+        lon and alt stand for x, y, z, and pose_lat, pose_lon, pose_alt for those of the platform:
+        places on WGS84 become metres to the east, north and up of the first one. Without a column
+        `sensor`, a row gives a measurement of every sensor whose values are there.
     options : TableOptions, optional
 
     Raises
@@ -150,7 +179,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         A column is missing or holds something else; the text names file, column and row, which
         count from 1 below the names of columns.
     InputError
-        `columns` names something that is not read.
+        `columns` names something that is not read, or the truth lacks a column.
     LimitError
         More than 256 MiB.
     """
@@ -159,6 +188,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
         recording = read_laser_radar(place)
         return MeasurementLog(recording.measurements, recording.truth, "L/R text")
     columns = _renamed(place, read_columns(place), options.columns)
+    columns = scaled(place, columns, options.scale)
     if not any(len(column) for column in columns.values()):
         raise FormatError(f"{place}: no rows below the names of columns")
     columns, origin = _in_metres(place, columns)
@@ -175,13 +205,15 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     if not made:
         raise FormatError(f"{place}: no row holds all values of a sensor")
     kept = np.array([row for row, _ in made])
-    truth = _truth(place, columns, stamps, kept)
-    kind = f"table ({place.suffix[1:].lower()})"
-    targets = None
-    if TRUE_ID in columns:
-        numbers = numbers_in(place, columns, TRUE_ID)[kept]
-        targets = np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
-    return MeasurementLog([m for _, m in made], truth, kind, origin, targets)
+    truth = truth_in(place, columns, stamps, kept)
+    kind = f"{_FORMAT}{place.suffix[1:].lower()})"
+    targets = targets_in(place, columns, kept)
+    return MeasurementLog([m for _, m in made], truth, kind, origin, targets, options)
+
+
+def is_of_table(log_format: str) -> bool:
+    """Whether a format is that of a `MeasurementLog` from a table."""
+    return log_format.startswith(_FORMAT)
 
 
 def is_table(place: Path) -> bool:
@@ -361,14 +393,3 @@ def _sensor(
             f" {', '.join(known for known, name in WORDS.items() if name in values)}, got {word!r}"
         )
     return sensor
-
-
-def _truth(
-    place: Path, columns: Columns, stamps: NDArray[np.int64], rows: NDArray[np.int64]
-) -> TargetTruth | None:
-    if not set(TRUTH) <= set(columns):
-        return None
-    values = np.stack([numbers_in(place, columns, name) for name in TRUTH], axis=1)[rows]
-    if not np.isfinite(values).all():
-        raise FormatError(f"{place}: a true value is not finite; leave the columns true_* out")
-    return TargetTruth(stamps[rows], values[:, :2], values[:, 2:], None, None)

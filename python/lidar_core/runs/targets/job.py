@@ -21,6 +21,7 @@ from lidar_core.fusion.plausibility import implausible
 from lidar_core.fusion.recordings.lists import list_reader
 from lidar_core.fusion.recordings.scans import TargetScans, scans_of
 from lidar_core.fusion.recordings.table import is_table
+from lidar_core.fusion.unusable import lacks_heights
 from lidar_core.io import Span
 from lidar_core.io.options import NS
 from lidar_core.runs.checkpoints import Checkpoints
@@ -93,7 +94,7 @@ class FuseJob:
         if recording.is_dir() or recording.suffix.lower() in BAGS:
             self._check_read("a ROS recording", ("topics",))
             return self._bag()
-        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock")
+        of_tables = ("columns", "time_unit", "angle_unit", "azimuth", "clock", "scale")
         tabular = is_table(recording)
         self._check_read(*(("a table", of_tables) if tabular else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
@@ -128,13 +129,17 @@ class FuseJob:
                 f"{self.recording}: model ctrv-drone does not use poses of the platform, which"
                 " this recording holds; use model ctrv"
             )
+        if flat := lacks_heights(kept.measurements, chosen):
+            raise InputError(f"{self.recording}: {flat}")
         if self.fit_noise:
             told = names_told(self.config, self.ways)
             chosen = fitted([(self.recording, kept)], chosen, told=told, force=self.force)
         made = TargetRun.of(kept, chosen, {**reading, "span": self.span}, lag=self.lag)
-        doubt = implausible(made.log.measurements, chosen)
+        doubt = implausible(made.log.measurements, chosen, log.options)
         if doubt is not None and not self.force:
-            raise InputError(f"{self.recording}: {doubt}. force=True continues anyway")
+            found = [made.doubtful_times, str(doubt)]
+            text = "; ".join(one for one in found if one)
+            raise InputError(f"{self.recording}: {text}. force=True continues anyway")
         return made if doubt is None else replace(made, implausible=str(doubt))
 
     def _many(self, found: TargetScans) -> tuple[list[DetectionScan], MultiTargetConfig]:

@@ -22,7 +22,8 @@ from lidar_core.fusion import (
     target_coverage,
 )
 from lidar_core.fusion.measurement import measured_place
-from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.places import geographic_poses
+from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import state_names
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import KIND_PROBABILITIES, write_trajectories
@@ -36,9 +37,17 @@ from lidar_core.runs.targets.one import (
     nis_by_sensor,
     nis_ratios,
     nis_summary,
-    planar_table,
 )
-from lidar_core.runs.targets.planar import PlanarStep, in_plane, in_world, sensor_at, write_run_mcap
+from lidar_core.runs.targets.planar import (
+    PlanarStep,
+    in_plane,
+    in_world,
+    planar_table,
+    planar_truth,
+    sensor_at,
+    write_run_mcap,
+)
+from lidar_core.runs.targets.times import doubtful_times
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 REACH, GAP, CUTOFF = 15.0, 3.0, 30.0
@@ -125,9 +134,21 @@ class ManyRun:
             self.seconds.append(seconds)
 
     @property
-    def doubt(self) -> str | None:
-        """Return a warning about suspicious poses of the platform, which may be right."""
-        return geographic_poses([m for scan in self.scans for m in scan.measurements])
+    def doubts(self) -> list[str]:
+        """Return warnings about poses of the platform and times, which may be right."""
+        found = [
+            geographic_poses([m for scan in self.scans for m in scan.measurements]),
+            self._doubtful_times() if is_of_table(self.format) else None,
+        ]
+        return [text for text in found if text]
+
+    def _doubtful_times(self) -> str | None:
+        seen: dict[str, list[int]] = {}
+        for scan in self.scans:
+            if scan.source in TARGET_SENSORS:
+                seen.setdefault(scan.source, []).extend([scan.stamp_ns] * len(scan.measurements))
+        known = {source: np.array(stamps, np.int64) for source, stamps in seen.items()}
+        return doubtful_times(known, of_many=True)
 
     @property
     def configs(self) -> dict[str, Config]:
@@ -219,12 +240,9 @@ class ManyRun:
         if not rows:
             return {}
         stamps, numbers, places = zip(*rows, strict=True)
-        place = np.array(places)
-        table = planar_table(
-            "target_id", np.array(stamps, np.int64), place, place, np.array(numbers, np.int64)
+        return planar_truth(
+            np.array(stamps, np.int64), np.array(places), numbers=np.array(numbers, np.int64)
         )
-        # The truth states no velocity: the columns of the places stand in for it.
-        return {name: column for name, column in table.items() if name[0] != "v"}
 
     def _last_kinds(self) -> dict[str, int]:
         """Number of tracks of each kind, as they were reported last."""

@@ -67,9 +67,10 @@ def fitted(
         As for `fit_config`.
     """
     ordered = [
-        (place, sorted(log.measurements, key=lambda one: one.stamp_ns)) for place, log in logs
+        (place, sorted(log.measurements, key=lambda one: one.stamp_ns), log.options)
+        for place, log in logs
     ]
-    for place, measurements in ordered:
+    for place, measurements, _ in ordered:
         if len(measurements) <= SETTLED:
             raise InputError(
                 f"{place}: expected more than {SETTLED} measurements to find noise from,"
@@ -77,15 +78,15 @@ def fitted(
             )
     try:
         found = fit_likeliest(
-            [Measurements(rows) for _, rows in ordered],
+            [Measurements(rows) for _, rows, _ in ordered],
             [config] if _is_model_told(told) else with_models(config),
             believes="sensor_noise" not in told,
         )
     except InputError as error:
-        places = ", ".join(str(place) for place, _ in ordered)
+        places = ", ".join(str(place) for place, *_ in ordered)
         raise InputError(f"{places}: {error}") from error
-    for place, measurements in () if force else ordered:
-        mistake = mistaken_for_noise(measurements, config, found)
+    for place, measurements, options in () if force else ordered:
+        mistake = mistaken_for_noise(measurements, config, found, options)
         if mistake is not None:
             raise InputError(
                 f"{place}: the measurements contain a mistake that noise cannot explain. The data"

@@ -22,8 +22,10 @@ from lidar_core.fusion import (
     smooth,
 )
 from lidar_core.fusion.measurement import measured_place
-from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.places import geographic_poses
+from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
+from lidar_core.fusion.unusable import reasons
 from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.io.tables.tracks import write_trajectories
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
@@ -33,9 +35,12 @@ from lidar_core.runs.targets.planar import (
     PlanarStep,
     in_plane,
     in_world,
+    planar_table,
+    planar_truth,
     sensor_at,
     write_run_mcap,
 )
+from lidar_core.runs.targets.times import doubtful_times
 from lidar_core.viz import FusionView, PlanarLine, draw_fusion
 
 LIMIT = 0.95
@@ -92,9 +97,17 @@ class TargetRun:
         return cls(ordered, result, config, reading, lag, perf_counter() - start)
 
     @property
-    def doubt(self) -> str | None:
-        """Return a warning about suspicious measurements, which may be right."""
-        return self.implausible or geographic_poses(self.log.measurements)
+    def doubts(self) -> list[str]:
+        """Return warnings about suspicious measurements, which may be right."""
+        found = [self.implausible or geographic_poses(self.log.measurements), self.doubtful_times]
+        return [text for text in found if text]
+
+    @property
+    def doubtful_times(self) -> str | None:
+        """Return what is wrong with the times of a table."""
+        sensors, stamps = self.sensors, self.stamps
+        seen = {one: stamps[sensors == one] for one in TARGET_SENSORS if one in sensors}
+        return doubtful_times(seen) if is_of_table(self.log.format) else None
 
     @property
     def configs(self) -> dict[str, Config]:
@@ -127,7 +140,10 @@ class TargetRun:
 
     @property
     def errors(self) -> NDArray[np.float64] | None:
-        """Estimate minus truth, (K, 4) of x, y, vx, vy, rows with a state; None without truth."""
+        """Estimate minus truth, (K, 4) of x, y, vx, vy, rows with a state; None without truth.
+
+        NaN for velocities that are not known.
+        """
         truth, rows = self.log.truth, self.seen
         if truth is None:
             return None
@@ -156,6 +172,7 @@ class TargetRun:
             "lag": self.lag,
             "measurements": dict(Counter(sensors.tolist())),
             "outcomes": dict(Counter(self.result.outcomes.tolist())),
+            "invalid": reasons(self.log.measurements, self.result.outcomes, self.config),
             "duration": duration,
             "states": list(state_names(self.config)),
             "nis": nis_summary(self.nis()),
@@ -184,7 +201,10 @@ class TargetRun:
         except (InputError, NumericalError):  # the published filter's are no covariances
             consistency = None
         return {
-            **dict(zip(COORDINATES, rmse.tolist(), strict=True)),
+            **{
+                name: value if np.isfinite(value) else None
+                for name, value in zip(COORDINATES, rmse.tolist(), strict=True)
+            },
             "position_2d": float(np.hypot(*rmse[:2])),
             "position_nees": consistency,
         }
@@ -206,7 +226,11 @@ class TargetRun:
         truth = self.log.truth
         if truth is not None:
             values = np.hstack([truth.position, truth.velocity])
-            table |= {f"true_{name}": values[:, n] for n, name in enumerate(COORDINATES)}
+            table |= {
+                f"true_{name}": column
+                for name, column in zip(COORDINATES, values.T, strict=True)
+                if np.isfinite(column).all()
+            }
         return table
 
     @property
@@ -232,9 +256,7 @@ class TargetRun:
             files.append(
                 folder.write_table(
                     "truth",
-                    planar_table(
-                        "target_id", stamps[last], truth.position[last], truth.velocity[last]
-                    ),
+                    planar_truth(stamps[last], truth.position[last], truth.velocity[last]),
                 )
             )
         steps = zip(stamps[rows].tolist(), place, strict=True)
@@ -339,28 +361,6 @@ def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
 def nis_ratios(found: NisBySensor) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
     """Times and NIS over the limit, as pictures show it."""
     return {sensor: (times, values / limit) for sensor, (times, values, limit) in found.items()}
-
-
-def planar_table(
-    number_name: str,
-    stamps: NDArray[np.int64],
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    numbers: NDArray[np.int64] | None = None,
-) -> dict[str, Any]:
-    """Places as columns that `lidar-core evaluate` reads; heights are zero in the plane."""
-    zero = np.zeros((len(stamps), 1))
-    (_, _, z), (_, _, vz) = (np.hstack([part, zero])[:, :3].T for part in (position, velocity))
-    return {
-        "t_ns": stamps,
-        number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
-        "x": position[:, 0],
-        "y": position[:, 1],
-        "z": z,
-        "vx": velocity[:, 0],
-        "vy": velocity[:, 1],
-        "vz": vz,
-    }
 
 
 def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray[np.float64]]:

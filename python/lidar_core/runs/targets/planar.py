@@ -1,7 +1,8 @@
-"""Targets in the plane as MCAP, for viewers: measured places, sensor, tracks."""
+"""Targets in the plane as MCAP, for viewers, and as columns of tables."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,3 +102,38 @@ def _matrix(sensor: NDArray[np.float64]) -> NDArray[np.float64]:
     matrix[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     matrix[:2, 3] = x, y
     return matrix
+
+
+def planar_table(
+    number_name: str,
+    stamps: NDArray[np.int64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    numbers: NDArray[np.int64] | None = None,
+) -> dict[str, Any]:
+    """Places as columns that `lidar-core evaluate` reads; heights are zero in the plane."""
+    zero = np.zeros((len(stamps), 1))
+    (_, _, z), (_, _, vz) = (np.hstack([part, zero])[:, :3].T for part in (position, velocity))
+    return {
+        "t_ns": stamps,
+        number_name: np.zeros(len(stamps), np.int64) if numbers is None else numbers,
+        "x": position[:, 0],
+        "y": position[:, 1],
+        "z": z,
+        "vx": velocity[:, 0],
+        "vy": velocity[:, 1],
+        "vz": vz,
+    }
+
+
+def planar_truth(
+    stamps: NDArray[np.int64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64] | None = None,
+    numbers: NDArray[np.int64] | None = None,
+) -> dict[str, Any]:
+    """The same for true positions; without columns of velocities that are not known."""
+    is_known = velocity is not None and bool(np.isfinite(velocity).all())
+    stand_in = position if velocity is None else velocity
+    table = planar_table("target_id", stamps, position, stand_in, numbers)
+    return {name: column for name, column in table.items() if is_known or name[0] != "v"}

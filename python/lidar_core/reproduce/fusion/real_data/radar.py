@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.fusion import DetectionScan, MultiTargetConfig, MultiTargetTracker, read_delphi
-from lidar_core.fusion.plausibility import geographic_poses
+from lidar_core.fusion.places import geographic_poses
 from lidar_core.reproduce.recordings import recording
 from lidar_core.reproduce.types import Row
 

@@ -1,0 +1,81 @@
+"""Times of a table that cannot be meant: a note names the option. Right ones give none."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from commands import invoke
+
+from lidar_core.runs import fuse
+from lidar_core.runs.targets.times import doubtful_times
+
+command = partial(invoke, "fuse")
+STEP = 10**8
+
+
+def table(folder, times, names="x,y", values="5,2"):
+    path = folder / "table.csv"
+    path.write_text(f"t_ns,{names}\n" + "".join(f"{time},{values}\n" for time in times))
+    return path
+
+
+def notes(path, folder, **options):
+    return " ".join(fuse(path, None, folder / "run", picture=False, **options).notes)
+
+
+@pytest.mark.parametrize(
+    ("times", "told", "cure"),
+    [
+        ([5] * 30, "all 30 measurements have the same time", 'columns={"t_ns": "NAME"}'),
+        ([f"{0.01 * k:.2f}" for k in range(30)], "all 30 measurements", 'time_unit="s"'),
+        ([f"{0.1 * k:.1f}" for k in range(30)], "advance by 1 ns", 'time_unit="s"'),
+        (range(1_700_000_000, 1_700_000_030), "advance by 1 ns", 'time_unit="s"'),
+        (range(0, 3000, 100), "advance by 100 ns", 'time_unit="s"'),
+        ([k // 10 * 10**9 for k in range(30)], "is too coarse", 'association="integrated"'),
+    ],
+)
+def test_times_that_hardly_advance_are_told_with_the_option(tmp_path, times, told, cure):
+    found = notes(table(tmp_path, times), tmp_path)
+    assert told in found
+    assert cure in found
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_times_in_their_unit_give_no_note(tmp_path, unit):
+    step = {"s": 1, "ms": 100, "us": 10**5, "ns": STEP}[unit]
+    path = table(tmp_path, [step * k for k in range(30)])
+    assert notes(path, tmp_path, time_unit=unit, mcap=False) == ""
+
+
+def test_rows_that_hold_several_sensors_and_several_targets_give_no_note(tmp_path):
+    names = "x,y,range,bearing,pose_x,pose_y,pose_yaw"
+    path = table(tmp_path, [STEP * k for k in range(30)], names, "5,2,5.39,.38,0,0,0")
+    assert notes(path, tmp_path, mcap=False) == ""
+    twice = table(tmp_path, [STEP * (k // 2) for k in range(60)])
+    assert notes(twice, tmp_path, association="integrated", overwrite=True) == ""
+
+
+def test_a_single_measurement_gives_no_note(tmp_path):
+    assert notes(table(tmp_path, [5]), tmp_path) == ""
+    assert doubtful_times({}) is None
+    assert doubtful_times({"lidar": np.array([1, 1 + STEP]), "radar": np.array([1])}) is None
+
+
+def test_many_targets_at_one_time_are_told(tmp_path):
+    found = notes(table(tmp_path, [5] * 30), tmp_path, association="integrated")
+    assert "all 30 measurements have the same time" in found
+
+
+def test_the_command_names_its_options(tmp_path):
+    done = command(table(tmp_path, [5] * 30), "-o", tmp_path / "run", "--no-picture")
+    assert done.exit_code == 0
+    assert "--column t_ns=NAME, or state its unit with --time-unit s, ms or us" in done.stderr
+
+
+def test_an_implausible_run_also_tells_of_its_times(tmp_path):
+    rng = np.random.default_rng(6400)
+    path = tmp_path / "far.csv"
+    path.write_text("t_ns,x,y\n" + "".join(f"5,{x},{y}\n" for x, y in rng.normal(0, 50, (40, 2))))
+    refused = command(path, "-o", tmp_path / "run").exception
+    assert "all 40 measurements have the same time" in str(refused)
+    assert "the NIS is" in str(refused)
