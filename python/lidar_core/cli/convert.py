@@ -10,6 +10,8 @@ import typer
 from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import (
     JsonFile,
+    OverwriteFile,
+    check_new,
     consoles,
     given_options,
     printing,
@@ -67,6 +69,7 @@ def command(
     class_name: Annotated[
         str | None, typer.Option("--class", help="Class of a run's objects, such as pedestrian.")
     ] = None,
+    overwrite: OverwriteFile = False,
     json_file: JsonFile = None,
     formats: Annotated[
         bool,
@@ -89,6 +92,7 @@ def command(
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: is also the input; choose another file to write")
+    check_new(output, overwrite=overwrite)
     values = options.to_values()
     chosen = given_options({"topic": topic or None, "start": start or None, "end": end})
     of_run, of_map = given_options({"class": class_name}), given_options({"resolution": resolution})

@@ -154,9 +154,7 @@ def _write_scans(
             yield made
 
     write(path, messages(watched()))
-    truth, scene_file, run = (
-        path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
-    )
+    truth, scene_file, run = files_beside(path)
     with (
         written_whole(truth) as temporary,
         temporary.open("w", newline="", encoding="utf-8") as file,
@@ -168,6 +166,14 @@ def _write_scans(
             temporary.write_text(text, encoding="utf-8")
     hits = sum(row[columns.index("hits")] for row in rows)
     return Recorded(path, truth, scene_file, run, simulator.scans, points, hits)
+
+
+def files_beside(path: Path) -> tuple[Path, Path, Path]:
+    """Truth, scene and run of the recording `path`; recordings of one name share them."""
+    truth, scene, run = (
+        path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
+    )
+    return truth, scene, run
 
 
 def truth_rows(number: int, made: Made) -> Iterator[tuple[Any, ...]]:

@@ -51,6 +51,19 @@ OverwriteFile: TypeAlias = Annotated[
 ]
 
 
+def check_new(*files: Path, overwrite: bool) -> None:
+    """Refuse, before any work, to replace files that exist; folders have rules of their own.
+
+    Raises
+    ------
+    FileExistsError
+        One of the files exists, and `overwrite` is false.
+    """
+    for file in () if overwrite else files:
+        if file.is_file():
+            raise FileExistsError(f"{file}: exists; --overwrite replaces it")
+
+
 def _writable(file: Path | None) -> Path | None:
     """Refuse, before any work, a file that could not be written; its folder may be made later."""
     from lidar_core.io.files.atomic import check_place
