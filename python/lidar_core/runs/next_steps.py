@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import PosedScans, PoseOptions, ReadOptions, RecordingInfo, TopicInfo
+from lidar_core.io.hints import RECOVERED
 from lidar_core.io.poses.nameless import UnclearCarrierError
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic
@@ -18,7 +19,6 @@ COMMANDS = (
 )
 """What goes on from a recording: command, option of its topic, kinds of topics."""
 RADAR = "radar_msgs/"
-RECOVERED = "recovered.npz"
 TRIED_S = 20.0
 """How much of a recording is looked at for a scan with a pose [s]."""
 AT_ORIGIN = "0 0 0 0 0 0"
