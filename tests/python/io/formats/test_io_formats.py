@@ -650,13 +650,32 @@ def test_wrong_number_of_poses_or_times(tmp_path):
         read_all(folder)
 
 
-def test_truncated_velodyne_captures_are_refused(tmp_path, recordings):
+def test_a_velodyne_capture_that_was_killed_is_read_to_its_last_whole_packet(tmp_path, recordings):
     data = (recordings / "3d/velodyne_mrpt/sample_velodyne_hdl32.pcap").read_bytes()
     path = tmp_path / "cut.pcap"
-    for length in (10, 30, 1000, 24 + 1264 * 3 + 5, len(data) - 1):
+    for length in (10, 30, 1000):  # no packet is whole
         path.write_bytes(data[:length])
         with pytest.raises(FormatError, match=r"cut\.pcap"):
             read_all(path)
+    sizes = []
+    for length in (len(data), len(data) - 1, len(data) - 1248, len(data) - 1248 - 15):
+        path.write_bytes(data[:length])
+        with lc.io.open_recording(path) as recording:
+            sizes.append(sum(isinstance(one, Scan) for one in recording))
+            told = [one for one in recording.noticed().notes if "cut inside" in one]
+        assert len(told) == (length not in (len(data), len(data) - 1264)), told
+    assert min(sizes) >= max(sizes) - 1 > 0
+
+
+def test_a_damaged_packet_in_the_middle_of_a_capture_is_refused(tmp_path, recordings):
+    data = bytearray((recordings / "3d/velodyne_mrpt/sample_velodyne_hdl32.pcap").read_bytes())
+    path = tmp_path / "bad.pcap"
+    at = 24 + 1264 * (len(data) // 1264 - 20)
+    for captured in (1_000_000, 200_000, 999):  # too large, beyond the end, beside the next packet
+        struct.pack_into("<I", data, at + 8, captured)
+        path.write_bytes(data)
+        with pytest.raises(FormatError, match=r"bad\.pcap, byte \d+: a packet of"):
+            lc.io.open_recording(path)
 
 
 def test_captures_of_other_packets_are_refused_with_a_cure(tmp_path):
