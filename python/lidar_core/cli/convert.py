@@ -232,4 +232,5 @@ def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> I
             is_found = True
             yield message
     if not is_found:
-        raise InputError(f"{recording.path}: no scans or moving poses {span}")
+        part = "" if span.is_whole else f" {span}"
+        raise InputError(f"{recording.path}: no scans or moving poses{part}")

@@ -265,6 +265,49 @@ def test_truncated_ros_recordings_are_refused_or_read_up_to_the_cut(tmp_path, ve
     assert refused > 15
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.bag", "not a ROS 1 bag: it begins with b'hello hello '"),
+        ("a.db3", "not an SQLite database: it begins with b'hello hello hell'"),
+        ("a.mcap", "not an MCAP file: it begins with b'hello he'"),
+        ("a.pcd", "not a PCD file: it begins with b'hello he'"),
+    ],
+)
+def test_a_file_that_is_not_what_its_name_says_is_told_by_its_first_bytes(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_bytes(b"hello " * 3000)
+    with pytest.raises(FormatError) as told:
+        read_all(path)
+    assert str(told.value) == f"{path}: {text}"
+
+
+def test_a_header_that_lacks_lines_or_holds_nonsense_is_told_in_one_line(tmp_path):
+    path = tmp_path / "a.pcd"
+    known = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
+    path.write_text(known)
+    with pytest.raises(FormatError, match=r"a\.pcd: the header has no POINTS, DATA line"):
+        read_all(path)
+    path.write_text(known.replace("F F F", "F F Q") + "POINTS 1\nDATA ascii\n1 2 3\n")
+    with pytest.raises(FormatError, match=r"ValidationError: type\.2: Input should be") as told:
+        read_all(path)
+    assert "\n" not in str(told.value)
+    assert "pydantic.dev" not in str(told.value)
+
+
+def test_a_bag_without_its_index_names_the_command_that_makes_one(tmp_path):
+    path = ros_file(tmp_path, 1, "bag")
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(FormatError) as told:
+        read_all(cut)
+    assert str(told.value) == (
+        f"{cut}: the index at the end of the bag is missing or damaged: the bag was not closed,"
+        f" or was cut; a new index: rosbag reindex {cut}"
+    )
+    assert len(read_all(path)) == 10
+
+
 @pytest.mark.ci_cases("2-mcap")
 @pytest.mark.parametrize(("version", "storage"), STORAGES)
 def test_flipped_bytes_never_raise_anything_else(tmp_path, version, storage):
