@@ -14,6 +14,7 @@ from lidar_core.cli.shared.common import (
     check_new,
     consoles,
     given_options,
+    make_parents,
     printing,
     shown_progress,
     write_json,
@@ -87,7 +88,8 @@ def command(
     """
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
-    from lidar_core.io.writers import ending_of, writers_of
+    from lidar_core.io.maps.cloud_files import MAPS
+    from lidar_core.io.writers import ending_of, writer_of, writers_of
     from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
@@ -99,6 +101,7 @@ def command(
     console, errors = consoles(json_file)
     if is_run(recording):
         _refuse(values | chosen | of_map, "the objects of a run")
+        make_parents(output)
         result = convert_run(recording, output, name=class_name)
         write_json(result, json_file)
         console.print(_text_of_objects(result, output), markup=False, soft_wrap=True)
@@ -114,6 +117,8 @@ def command(
         write_json({"input": str(recording), "output": str(output), "points": count}, json_file)
         console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
         return
+    if recording.is_file() and recording.suffix.lower() in MAPS:
+        writer_of(output, "points")  # raises: names the endings for a map, it found none above
     _refuse(of_run | of_map, "a recording")
     span = Span.load({"start": start, "end": end})
     result = _write_recording(recording, output, ReadOptions.load(values), topic, span, errors)
@@ -161,6 +166,7 @@ def _write_recording(
     """Write scans and poses; returns what was written and what was not, as plain values."""
     from lidar_core.io import open_recording, write_recording
     from lidar_core.io.scan_topics import NAMELESS
+    from lidar_core.io.writers import writer_of
 
     written: Counter[str] = Counter()
     with (
@@ -175,6 +181,8 @@ def _write_recording(
                 on_progress("convert", written.total(), None)
                 yield message
 
+        writer_of(output, "messages")  # refuses another ending before anything is made
+        make_parents(output)
         write_recording(output, counted())
         left_out = {**opened.skipped, **opened.noticed().rejected}
     return {
@@ -192,6 +200,7 @@ def _write_cloud(
     from lidar_core.io import read_cloud, write_cloud
 
     cloud = read_cloud(source, options=options)
+    make_parents(output)
     write_cloud(output, cloud.points, resolution=resolution or cloud.resolution)
     return len(cloud.points)
 

@@ -12,6 +12,7 @@ from lidar_core.cli.shared.common import (
     check_new,
     consoles,
     given_options,
+    make_parents,
     shown_progress,
     write_json,
 )
@@ -111,6 +112,7 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
     if output.suffix != ".csv":
         raise ConfigError(f"--output: expected a .csv for overflight, got {output}")
     config = Overflight() if rows is None else Overflight(seconds=rows / RATE)
+    make_parents(output)
     with sole_writer(output):
         made = overfly(config, seed=seed)
         write_overflight(output, made)

@@ -114,7 +114,8 @@ def record(
     scene, seed, scans, threads
         See `Simulator`.
     path : str or Path
-        Recording to write; its ending chooses the format, as for `write_recording`.
+        Recording to write; its ending chooses the format, as for `write_recording`. Missing
+        folders are made.
     on_scan : callable
         Called after every scan, for a progress display.
 
@@ -128,6 +129,7 @@ def record(
     path = Path(path)
     write = writer_of(path, "messages")
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(path):
         return _write_scans(scene, path, write, simulator, on_scan)
 

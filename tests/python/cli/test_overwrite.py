@@ -78,6 +78,17 @@ def test_the_truth_of_a_simulation_stays_that_of_its_recording(tmp_path):
     assert (tmp_path / "a.truth.csv").read_bytes() != truth
 
 
+def test_simulate_makes_the_folders_that_are_missing(tmp_path):
+    for scene, name in (("circles", "a/b/c.npz"), ("overflight", "d/e.csv")):
+        done = invoke("simulate", scene, "--scans", 2, "-o", tmp_path / name)
+        assert done.exit_code == 0, done.exception
+        assert (tmp_path / name).is_file()
+    assert (tmp_path / "a/b/c.truth.csv").is_file()
+    refused = invoke("simulate", "circles", "-o", tmp_path / "x/a.las")
+    assert "unknown suffix '.las'" in str(refused.exception)
+    assert not (tmp_path / "x").exists()
+
+
 def test_the_demo_runs_again_and_a_folder_of_ros_2_is_never_replaced(folder, tmp_path):
     demo = ["demo", "--scans", 2, "--no-picture", "-o", tmp_path / "demo"]
     assert [invoke(*demo).exit_code for _ in range(2)] == [0, 0]

@@ -215,7 +215,8 @@ def test_a_map_becomes_known_to_the_detector(tmp_path):
 
 def test_what_cannot_be_written_or_read_is_refused(tmp_path):
     with pytest.raises(
-        ConfigError, match=r"unknown suffix '\.xyz'; formats for a cloud: \.bt \(OctoMap\), \.pcd"
+        ConfigError,
+        match=r"unknown suffix '\.xyz'; formats for a cloud or map: \.bt \(OctoMap\), \.pcd",
     ):
         lc.io.write_cloud(tmp_path / "a.xyz", [[0, 0, 0]])
     with pytest.raises(InputError, match=r"resolution: \.bt needs the edge"):
