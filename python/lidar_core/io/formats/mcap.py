@@ -74,7 +74,13 @@ class McapRecording(Recording):
 
     def topics(self) -> list[Topic]:
         """Streams of the recording, by name."""
-        return list({topic.name: topic for topic in self._topics.values()}.values())
+        named: dict[str, Topic] = {}
+        for topic in self._topics.values():
+            before = named.get(topic.name)
+            named[topic.name] = (
+                topic if before is None else replace(topic, count=_sum(before, topic))
+            )
+        return list(named.values())
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
         """Messages in order of log time; chunks that overlap in time are merged."""
@@ -336,6 +342,11 @@ class McapRecording(Recording):
         if schema is None:
             raise FormatError(f"{place}: schema {channel.schema_id} is nowhere in the file")
         return schema
+
+
+def _sum(one: Topic, other: Topic) -> int | None:
+    """Messages of two channels of a topic; None if the file does not state them."""
+    return None if one.count is None or other.count is None else one.count + other.count
 
 
 def _with_ros_name(topic: Topic) -> Topic:
