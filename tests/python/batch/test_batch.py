@@ -375,7 +375,7 @@ MISTYPED = {
     "detect a.npz -o {output}/run --nonsense": "No such option: --nonsense",
     "detect a.npz -o {output}/run --pose": "Option '--pose' requires an argument",
     "convert a.bag {output}/b.bag c.bag": "Got unexpected extra argument: c.bag",
-    "evaluate {output}/run": "Missing argument: TRUTH",
+    "detect -o {output}/run": "Missing argument: RECORDING",
 }
 """Commands that no value can cure."""
 
