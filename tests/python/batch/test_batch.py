@@ -384,7 +384,7 @@ MISTYPED = {
 def test_a_command_that_cannot_be_parsed_is_one_error_before_the_first_job(tmp_path, text):
     file = tmp_path / "jobs.toml"
     commands = json.dumps(["simulate demo --seed {seed} -o {output}/a.npz", text])
-    file.write_text(f'[[jobs]]\nname = "a"\ncommands = {commands}\nranges.seed = [0, 100]\n')
+    file.write_text(f'[[jobs]]\nname = "a"\ncommands = {commands}\nranges.seed = [0, 3]\n')
     out = run_batch(file)
     assert isinstance(out.exception, ConfigError)
     assert str(out.exception).startswith(f"jobs.a.commands: {text!r}: {MISTYPED[text]}")
