@@ -37,6 +37,12 @@ def recovering(path: Path) -> str:
     return f"to save the rest: {command} (in Python: recover=True)"
 
 
+def packed_hint(path: Path) -> str | None:
+    """Advice for a compressed file; None for others."""
+    hint = hint_for(path)
+    return hint if hint is not None and hint.startswith(("compressed", "an archive")) else None
+
+
 def hint_for(path: Path) -> str | None:
     """Advice for a regular file; None if its kind is unknown."""
     suffix = path.suffix.lower()

@@ -250,6 +250,18 @@ def test_files_that_are_no_recordings_are_told_apart(tmp_path, name, cure):
         lc.io.open_recording(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("name", "cure"),
+    [("a.bag.xz", "a.bag.xz is compressed; unpack it first: unxz FILE"), ("a.dat", "readable are")],
+)
+def test_a_folder_of_packed_recordings_says_how_they_are_unpacked(tmp_path, name, cure):
+    (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FormatError) as told:
+        lc.io.open_recording(tmp_path)
+    assert cure in str(told.value)
+    assert ("unpack" in str(told.value)) == name.endswith(".xz")
+
+
 def test_a_cut_file_of_a_folder_says_how_the_others_are_read(tmp_path):
     """A single cut file has no others. With `recover` or moved away, the rest is read."""
     folder = cut_folder(tmp_path, 6, [1, 3])

@@ -163,6 +163,16 @@ def test_the_command_refuses_broken_files_with_status_2(recordings):
     assert done.stderr.count("\n") == 1
 
 
+def test_a_capture_without_poses_is_not_shown_as_one_with_poses(recordings):
+    file = recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap"
+    done = subprocess.run(
+        command_line("info", file), capture_output=True, text=True, check=True, timeout=60
+    )
+    assert "scan+mounting" in done.stdout
+    assert "scan+pose" not in done.stdout
+    assert "no poses: use --pose FILE" in done.stdout
+
+
 def test_the_command_shows_a_capture(recordings):
     file = recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap"
     done = subprocess.run(
