@@ -53,11 +53,15 @@ def works(size: int) -> dict[str, Work]:
     beat = ("--checkpoint", "0.05")
     return {
         "simulate": Work(
-            ("simulate", "demo", "-o", "made.npz", "--scans", str(size), "--sensor", "vlp-16"),
+            (
+                *("simulate", "demo", "-o", "made.npz", "--scans", str(size)),
+                # Also the first time: the files beside made.npz stay from one kill to the next.
+                *("--sensor", "vlp-16", "--overwrite"),
+            ),
             "made.npz",
             (),
         ),
-        "convert": Work(("convert", "flight.npz", "flight.mcap"), "flight.mcap", ()),
+        "convert": Work(("convert", "flight.npz", "flight.mcap"), "flight.mcap"),
         "demo": Work(("demo", "-o", "demo", "--scans", str(size)), "demo", ()),
         "detect": Work(("detect", "flight.npz", "-o", "flying", *quiet), "flying"),
         "detect, resumed": Work(
@@ -82,8 +86,8 @@ def works(size: int) -> dict[str, Work]:
             ("--resume",),
         ),
         "config fit": Work(("config", "fit", "walk.csv", "-o", "noise.toml"), "noise.toml"),
-        "report": Work(("report", "known", "-o", "page.html"), "page.html", (), is_same=False),
-        "view --png": Work(("view", "known", "--png", "known.png"), "known.png", ()),
+        "report": Work(("report", "known", "-o", "page.html"), "page.html", is_same=False),
+        "view --png": Work(("view", "known", "--png", "known.png"), "known.png"),
         "live": Work(
             ("live", "--replay", "flight.npz", "--rate", "8", "-o", "flown", "--record", "a.mcap"),
             "flown",

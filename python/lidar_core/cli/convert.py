@@ -10,8 +10,11 @@ import typer
 from lidar_core.cli.shared import completion
 from lidar_core.cli.shared.common import (
     JsonFile,
+    OverwriteFile,
+    check_new,
     consoles,
     given_options,
+    make_parents,
     printing,
     shown_progress,
     write_json,
@@ -67,6 +70,7 @@ def command(
     class_name: Annotated[
         str | None, typer.Option("--class", help="Class of a run's objects, such as pedestrian.")
     ] = None,
+    overwrite: OverwriteFile = False,
     json_file: JsonFile = None,
     formats: Annotated[
         bool,
@@ -84,17 +88,20 @@ def command(
     """
     from lidar_core.errors import InputError
     from lidar_core.io import ReadOptions, Span
-    from lidar_core.io.writers import ending_of, writers_of
+    from lidar_core.io.maps.cloud_files import MAPS
+    from lidar_core.io.writers import ending_of, writer_of, writers_of
     from lidar_core.runs.convert import convert_run, is_run
 
     if output.exists() and output.resolve() == recording.resolve():
         raise InputError(f"{output}: is also the input; choose another file to write")
+    check_new(output, overwrite=overwrite)
     values = options.to_values()
     chosen = given_options({"topic": topic or None, "start": start or None, "end": end})
     of_run, of_map = given_options({"class": class_name}), given_options({"resolution": resolution})
     console, errors = consoles(json_file)
     if is_run(recording):
         _refuse(values | chosen | of_map, "the objects of a run")
+        make_parents(output)
         result = convert_run(recording, output, name=class_name)
         write_json(result, json_file)
         console.print(_text_of_objects(result, output), markup=False, soft_wrap=True)
@@ -110,6 +117,8 @@ def command(
         write_json({"input": str(recording), "output": str(output), "points": count}, json_file)
         console.print(f"{count} points in {output}", markup=False, soft_wrap=True)
         return
+    if recording.is_file() and recording.suffix.lower() in MAPS:
+        writer_of(output, "points")  # raises: names the endings for a map, it found none above
     _refuse(of_run | of_map, "a recording")
     span = Span.load({"start": start, "end": end})
     result = _write_recording(recording, output, ReadOptions.load(values), topic, span, errors)
@@ -157,6 +166,7 @@ def _write_recording(
     """Write scans and poses; returns what was written and what was not, as plain values."""
     from lidar_core.io import open_recording, write_recording
     from lidar_core.io.scan_topics import NAMELESS
+    from lidar_core.io.writers import writer_of
 
     written: Counter[str] = Counter()
     with (
@@ -171,6 +181,8 @@ def _write_recording(
                 on_progress("convert", written.total(), None)
                 yield message
 
+        writer_of(output, "messages")  # refuses another ending before anything is made
+        make_parents(output)
         write_recording(output, counted())
         left_out = {**opened.skipped, **opened.noticed().rejected}
     return {
@@ -188,6 +200,7 @@ def _write_cloud(
     from lidar_core.io import read_cloud, write_cloud
 
     cloud = read_cloud(source, options=options)
+    make_parents(output)
     write_cloud(output, cloud.points, resolution=resolution or cloud.resolution)
     return len(cloud.points)
 
@@ -228,4 +241,5 @@ def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> I
             is_found = True
             yield message
     if not is_found:
-        raise InputError(f"{recording.path}: no scans or moving poses {span}")
+        part = "" if span.is_whole else f" {span}"
+        raise InputError(f"{recording.path}: no scans or moving poses{part}")

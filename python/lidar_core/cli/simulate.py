@@ -8,8 +8,11 @@ import typer
 
 from lidar_core.cli.shared.common import (
     JsonFile,
+    OverwriteFile,
+    check_new,
     consoles,
     given_options,
+    make_parents,
     shown_progress,
     write_json,
 )
@@ -59,18 +62,21 @@ def command(
         int | None,
         typer.Option(min=1, show_default="1", help="Number of threads; the result is the same."),
     ] = None,
+    overwrite: OverwriteFile = False,
     json: JsonFile = None,
 ) -> None:
     """Simulate SCENE; write a recording and, beside it, truth.csv, scene.toml and run.toml."""
     if scene == OVERFLIGHT:
         for name in given_options({"sensor": sensor, "threads": threads}):
             raise ConfigError(f"--{name}: does not apply to overflight")
+        check_new(output, overwrite=overwrite)
         _overfly(output, seed, scans, json=json)
         return
     from dataclasses import asdict
 
-    from lidar_core.sim.recording import record
+    from lidar_core.sim.recording import files_beside, record
 
+    check_new(output, *files_beside(output), overwrite=overwrite)
     model = scene_named(scene, seed)
     if sensor is not None:
         model = with_sensor(model, sensor)
@@ -106,6 +112,7 @@ def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) ->
     if output.suffix != ".csv":
         raise ConfigError(f"--output: expected a .csv for overflight, got {output}")
     config = Overflight() if rows is None else Overflight(seconds=rows / RATE)
+    make_parents(output)
     with sole_writer(output):
         made = overfly(config, seed=seed)
         write_overflight(output, made)

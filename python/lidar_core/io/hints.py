@@ -31,6 +31,20 @@ _ARCHIVE = "compressed; unpack it first: tar xf FILE"
 _LOOKED_AT = 4096  # bytes
 POSE_NUMBERS = (8, 12)
 """Numbers in a row of poses: TUM, KITTI."""
+RECOVERED = "recovered.npz"
+"""File that suggested commands write what is whole of a damaged recording to."""
+
+
+def recovering(path: Path) -> str:
+    """Advice for a damaged recording of which parts can be read."""
+    command = shlex.join(["lidar-core", "convert", str(path), RECOVERED, "--recover"])
+    return f"to save the rest: {command} (in Python: recover=True)"
+
+
+def packed_hint(path: Path) -> str | None:
+    """Advice for a compressed file; None for others."""
+    hint = hint_for(path)
+    return hint if hint is not None and hint.startswith(("compressed", "an archive")) else None
 
 
 def hint_for(path: Path) -> str | None:

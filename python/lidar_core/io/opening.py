@@ -8,7 +8,7 @@ from lidar_core.files import check_regular, check_regular_or_folder
 from lidar_core.io.chain import ChainedRecording
 from lidar_core.io.child.recording import ChildRecording
 from lidar_core.io.child.trust import is_trusted
-from lidar_core.io.hints import hint_for
+from lidar_core.io.hints import hint_for, packed_hint
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import (
     READERS,
@@ -173,6 +173,8 @@ def _open_subfolder(path: Path, files: list[Path], options: ReadOptions) -> Reco
             f"{path}: no recording in this folder, found {found}; name one of the"
             f" folders in it: {', '.join(folders)}"
         )
+    cure = next((f"{one.name} is {hint}" for one in files if (hint := packed_hint(one))), None)
     raise FormatError(
-        f"{path}: no recording in this folder, found {found}; readable are: {known_formats()}"
+        f"{path}: no recording in this folder, found {found};"
+        f" {cure or f'readable are: {known_formats()}'}"
     )

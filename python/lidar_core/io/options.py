@@ -63,7 +63,8 @@ class ReadOptions(Config):
     recover: bool = Field(
         default=False,
         description="MCAP: read the complete part of a file that was not closed, was cut, or"
-        " has broken chunks, and report the lost part (no unit).",
+        " has broken chunks. A folder with one scan per file: leave damaged files out. The lost"
+        " part is reported (no unit).",
     )
     max_record_bytes: int = Field(
         default=64 * 2**20,

@@ -24,7 +24,11 @@ __all__ = [
 Takes: TypeAlias = Literal["messages", "objects", "points"]
 Write: TypeAlias = Callable[..., Any]
 WriteT = TypeVar("WriteT", bound=Write)
-SOURCES: dict[Takes, str] = {"messages": "a recording", "objects": "a run", "points": "a cloud"}
+SOURCES: dict[Takes, str] = {
+    "messages": "a recording",
+    "objects": "a run",
+    "points": "a cloud or map",
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from lidar_core.errors import ConfigError
 from lidar_core.io import NoTransformError, PosedScan, PoseOptions, TransformBuffer
 from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
-from lidar_core.io.poses.posed import KISS, WORLD_FRAME, pose_stamps, span_ns
+from lidar_core.io.poses.posed import KISS, SOURCES, WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
 from lidar_core.live.config import MAX_FRAMES, POSE_HISTORY, LiveConfig
 from lidar_core.live.scan_odometry import ScanOdometry
@@ -50,7 +50,7 @@ class LivePoses:
     """
 
     def __init__(self, options: PoseOptions, config: LiveConfig) -> None:
-        if options.pose not in ("auto", "static", KISS):
+        if options.pose not in SOURCES:
             raise ConfigError(
                 f"pose: expected auto, static or kiss for a live stream, got {options.pose!r};"
                 " replay recordings that need a poses file with: lidar-core detect, lidar-core"

@@ -22,6 +22,10 @@ from lidar_core.util.packed import packed, unpacked
 
 _CHECKSUM, _LENGTH = struct.Struct("<I"), struct.Struct("<Q")
 AGAIN = "run it again without resume, with overwrite=True"
+NONE = "none"
+"""How a value that is not given is told."""
+MOST_TOLD = 3
+"""Values of a configuration that an error names."""
 MOST_BYTES = 2**34
 """Largest file that is read [bytes]. Source: limits table of SECURITY.md."""
 
@@ -109,10 +113,8 @@ class Checkpoints:
         except (struct.error, ValueError):
             raise FormatError(f"{place}: not a checkpoint of a run") from None
         # Before anything else is read: runs of other commands keep objects of other classes.
-        for name, (before, now) in _changes(was, self._named()).items():
-            raise InputError(
-                f"{place}: it is of a run with another {name} ({before}, now {now}); {AGAIN}"
-            )
+        for name, change in _changes(was, self._named()).items():
+            raise InputError(f"{place}: it is of a run with another {name} ({change}); {AGAIN}")
         return content[_LENGTH.size + length :]
 
     def take(self, run: Resumable, done: int) -> None:
@@ -141,14 +143,31 @@ class Checkpoints:
     def _part(self, number: int) -> Path:
         return self.folder / f".checkpoint-{number}"
 
-    def _named(self) -> dict[str, str]:
+    def _named(self) -> dict[str, Any]:
         """Every input in a form that can be compared and told."""
         return {"build": build_digest()[:12]} | {
-            name: _value_text(value) for name, value in self.inputs.items()
+            name: _plain(value) for name, value in self.inputs.items()
         }
 
 
+def _plain(value: Any) -> Any:
+    """A text; of a table, the texts of its values by their names, with dots for inner tables."""
+    if not isinstance(value, Mapping):
+        return _value_text(value)
+    texts: dict[str, str] = {}
+    for name, one in value.items():
+        part = _plain(one)
+        texts |= (
+            {f"{name}.{inner}": text for inner, text in part.items()}
+            if isinstance(part, dict)
+            else {str(name): part}
+        )
+    return texts
+
+
 def _value_text(value: Any) -> str:
+    if value is None:
+        return NONE
     text = json.dumps(value, sort_keys=True, default=str)
     return text if len(text) <= 60 else f"{text[:40]}... ({_digest(text)})"
 
@@ -157,10 +176,23 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()[:12]
 
 
-def _changes(was: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    names = [*now, *(name for name in was if name not in now)]
-    pairs = {name: (was.get(name, "none"), now.get(name, "none")) for name in names}
-    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+def _changes(was: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:
+    """Inputs that differ, with what they were and are; of tables only the values that differ."""
+    changes = {}
+    for name in [*now, *(name for name in was if name not in now)]:
+        before, after = was.get(name, NONE), now.get(name, NONE)
+        if before == after:
+            continue
+        if isinstance(before, Mapping) and isinstance(after, Mapping):
+            inner = [f"{one} was {text}" for one, text in _changes(before, after).items()]
+            more = [f"{len(inner) - MOST_TOLD} more"] if len(inner) > MOST_TOLD else []
+            changes[name] = ", ".join(inner[:MOST_TOLD] + more)
+        else:
+            before, after = (
+                "other values" if isinstance(one, Mapping) else one for one in (before, after)
+            )
+            changes[name] = f"{before}, now {after}"
+    return changes
 
 
 def _write(place: Path, content: bytes) -> None:

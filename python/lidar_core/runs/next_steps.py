@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 from lidar_core.errors import LidarCoreError
 from lidar_core.io import PosedScans, PoseOptions, ReadOptions, RecordingInfo, TopicInfo
+from lidar_core.io.hints import RECOVERED
 from lidar_core.io.poses.nameless import UnclearCarrierError
 from lidar_core.io.recording import Recording
-from lidar_core.io.records import Record, Topic
+from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record, Topic
 from lidar_core.io.restamped import RestampedRecording
 from lidar_core.messages import LaserScan, Pose, Scan
 
@@ -18,7 +19,6 @@ COMMANDS = (
 )
 """What goes on from a recording: command, option of its topic, kinds of topics."""
 RADAR = "radar_msgs/"
-RECOVERED = "recovered.npz"
 TRIED_S = 20.0
 """How much of a recording is looked at for a scan with a pose [s]."""
 AT_ORIGIN = "0 0 0 0 0 0"
@@ -46,6 +46,8 @@ def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
     """
     read = _read_options(recording.options)
     if recording.options.recover:
+        if not any(topic.count for topic in info.topics if topic.kind in SCAN_KINDS | POSE_KINDS):
+            return
         words = ["lidar-core", "convert", info.path, RECOVERED, *read, "--recover"]
         yield f"{shlex.join(words)}  (then go on with {RECOVERED})"
         return

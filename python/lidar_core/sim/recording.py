@@ -114,7 +114,8 @@ def record(
     scene, seed, scans, threads
         See `Simulator`.
     path : str or Path
-        Recording to write; its ending chooses the format, as for `write_recording`.
+        Recording to write; its ending chooses the format, as for `write_recording`. Missing
+        folders are made.
     on_scan : callable
         Called after every scan, for a progress display.
 
@@ -128,6 +129,7 @@ def record(
     path = Path(path)
     write = writer_of(path, "messages")
     simulator = Simulator(scene, seed=seed, scans=scans, threads=threads)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(path):
         return _write_scans(scene, path, write, simulator, on_scan)
 
@@ -154,9 +156,7 @@ def _write_scans(
             yield made
 
     write(path, messages(watched()))
-    truth, scene_file, run = (
-        path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
-    )
+    truth, scene_file, run = files_beside(path)
     with (
         written_whole(truth) as temporary,
         temporary.open("w", newline="", encoding="utf-8") as file,
@@ -168,6 +168,14 @@ def _write_scans(
             temporary.write_text(text, encoding="utf-8")
     hits = sum(row[columns.index("hits")] for row in rows)
     return Recorded(path, truth, scene_file, run, simulator.scans, points, hits)
+
+
+def files_beside(path: Path) -> tuple[Path, Path, Path]:
+    """Truth, scene and run of the recording `path`; recordings of one name share them."""
+    truth, scene, run = (
+        path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
+    )
+    return truth, scene, run
 
 
 def truth_rows(number: int, made: Made) -> Iterator[tuple[Any, ...]]:

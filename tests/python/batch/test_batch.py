@@ -361,7 +361,7 @@ def test_a_command_that_writes_elsewhere_is_refused(tmp_path, text):
         "evaluate {output}/run truth.csv --json {output}/scores.json",
         "info a.bag",
         "train circles -c a.toml -o {output}",
-        "detect a.npz -o{output}/run --no-such-option",
+        "detect a.npz -o{output}/run --mode of-no-such-name",
     ],
 )
 def test_what_stays_in_the_folder_of_the_job_is_no_matter_of_the_check(text):
@@ -369,6 +369,26 @@ def test_what_stays_in_the_folder_of_the_job_is_no_matter_of_the_check(text):
     (job,) = jobs_of(config, Path())
     batch = Batch.of(Path("out"), [job], is_fresh=True)
     assert len(batch.jobs) == 1
+
+
+MISTYPED = {
+    "detect a.npz -o {output}/run --nonsense": "No such option: --nonsense",
+    "detect a.npz -o {output}/run --pose": "Option '--pose' requires an argument",
+    "convert a.bag {output}/b.bag c.bag": "Got unexpected extra argument: c.bag",
+    "detect -o {output}/run": "Missing argument: RECORDING",
+}
+"""Commands that no value can cure."""
+
+
+@pytest.mark.parametrize("text", MISTYPED)
+def test_a_command_that_cannot_be_parsed_is_one_error_before_the_first_job(tmp_path, text):
+    file = tmp_path / "jobs.toml"
+    commands = json.dumps(["simulate demo --seed {seed} -o {output}/a.npz", text])
+    file.write_text(f'[[jobs]]\nname = "a"\ncommands = {commands}\nranges.seed = [0, 3]\n')
+    out = run_batch(file)
+    assert isinstance(out.exception, ConfigError)
+    assert str(out.exception).startswith(f"jobs.a.commands: {text!r}: {MISTYPED[text]}")
+    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_command_that_a_job_has_twice_keeps_the_numbers_of_both(batch):

@@ -76,9 +76,9 @@ def test_planar_scenes_become_recordings_of_2d_scans(tmp_path, suffix):
 
 def test_built_in_scenes_of_posts(tmp_path):
     for name, bodies in (("circles", 0), ("circles-room", 4)):
-        out = run_command(name, "-o", tmp_path / "a.npz", "--scans", 1)
+        out = run_command(name, "-o", tmp_path / f"{name}.npz", "--scans", 1)
         assert out.exit_code == 0, out.output
-        scene = sim.Scene.read(tmp_path / "a.scene.toml")
+        scene = sim.Scene.read(tmp_path / f"{name}.scene.toml")
         assert (len(scene.bodies), len(scene.targets)) == (bodies, 11)
 
 

@@ -189,8 +189,8 @@ def test_what_it_has_done_is_not_done_again(sweeps, tmp_path, monkeypatch):
     ("what", "change"),
     [
         ("recording", {"recording": True}),
-        ("circles", {"config": ["map.merge_gap=0.3"]}),
-        ("pose", {"pose": PoseOptions(pose="static", end=5.0)}),
+        (r"circles \(map\.merge_gap was \S+, now 0\.3\)", {"config": ["map.merge_gap=0.3"]}),
+        (r"pose \(end was none, now 5\.0\)", {"pose": PoseOptions(pose="static", end=5.0)}),
     ],
 )
 def test_another_recording_or_configuration_is_refused(sweeps, tmp_path, what, change):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import Mode, OverwriteFile
+from lidar_core.cli.shared.common import Mode, OverwriteFile, check_new
 from lidar_core.parameters import MODELS
 from lidar_core.uses import USES
 
@@ -139,14 +139,12 @@ def schema(*, model: SchemaModel = "flying") -> None:
 
 def _give_out(text: str, output: Path | None, *, overwrite: bool) -> None:
     """Print a configuration, or write it to a file and print its name."""
-    from lidar_core.errors import ConfigError
     from lidar_core.io.files.atomic import written_whole
 
     if output is None:
         print(text, end="")
         return
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output}: exists; --overwrite replaces it")
+    check_new(output, overwrite=overwrite)
     with written_whole(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
     print(output)

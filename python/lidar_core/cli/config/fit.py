@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import Mode, OverwriteFile, given_options, result_table
+from lidar_core.cli.shared.common import (
+    Mode,
+    OverwriteFile,
+    check_new,
+    given_options,
+    result_table,
+)
 from lidar_core.cli.shared.measurement_options import (
     AngleUnit,
     Azimuths,
@@ -112,8 +118,7 @@ def _check_output(output: Path, recordings: list[Path], *, overwrite: bool) -> N
     from lidar_core.errors import ConfigError
     from lidar_core.io.files.atomic import check_place
 
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output}: exists; --overwrite replaces it")
+    check_new(output, overwrite=overwrite)
     check_place(output)
     if any(output.exists() and one.exists() and output.samefile(one) for one in recordings):
         raise ConfigError(f"{output}: is also an input; choose another file to write")

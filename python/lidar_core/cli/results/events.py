@@ -10,6 +10,7 @@ from lidar_core.cli.shared.common import (
     JsonFile,
     OverwriteFile,
     aligned,
+    check_new,
     consoles,
     write_json,
 )
@@ -96,8 +97,7 @@ def _write(rows: "Columns", output: Path, *, overwrite: bool) -> None:
 
     if output.suffix not in {".csv", ".parquet"}:
         raise ConfigError(f"output: expected a file that ends in .csv or .parquet, got {output}")
-    if output.exists() and not overwrite:
-        raise FileExistsError(f"{output}: exists; --overwrite replaces it")
+    check_new(output, overwrite=overwrite)
     kinds = {"i": int, "u": int, "f": float, "b": bool}
     columns = {name: kinds.get(values.dtype.kind, str) for name, values in rows.items()}
     write_long_table(

@@ -51,6 +51,24 @@ OverwriteFile: TypeAlias = Annotated[
 ]
 
 
+def check_new(*files: Path, overwrite: bool) -> None:
+    """Refuse, before any work, to replace files that exist; folders have rules of their own.
+
+    Raises
+    ------
+    FileExistsError
+        One of the files exists, and `overwrite` is false.
+    """
+    for file in () if overwrite else files:
+        if file.is_file():
+            raise FileExistsError(f"{file}: exists; --overwrite replaces it")
+
+
+def make_parents(file: Path) -> None:
+    """Make the folders that a file to write is in, as far as they are missing."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+
+
 def _writable(file: Path | None) -> Path | None:
     """Refuse, before any work, a file that could not be written; its folder may be made later."""
     from lidar_core.io.files.atomic import check_place
@@ -371,6 +389,6 @@ def write_json(result: Mapping[str, Any] | list[Any], json_file: Path | None) ->
         return
     from lidar_core.io.files.atomic import written_whole
 
-    json_file.parent.mkdir(parents=True, exist_ok=True)
+    make_parents(json_file)
     with written_whole(json_file) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")

@@ -30,7 +30,10 @@ _MCAP = "Write run.mcap for viewers; default: yes, if the extra `viz` is install
 _POINT_TIME = "How points state their times: FIELD:UNIT:REFERENCE, auto or none."
 _NO_RETURN = "What marks a ray without return: auto, zero, nan, max or none."
 _METADATA = "JSON metadata of an Ouster capture, if it is not beside the capture."
-_RECOVER = "Read the complete parts of an MCAP file that is cut off or was not closed."
+_RECOVER = (
+    "Read the complete parts of an MCAP file that is cut off or was not closed, or of a folder with"
+    " damaged files."
+)
 
 _STAMPS = "Times of scans: own (as stated), recorded (when stored) or counted (by --scan-rate)."
 _SCAN_RATE = "Scans per second for counted times, or for a folder without times \\[Hz]."

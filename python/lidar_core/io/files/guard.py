@@ -3,6 +3,9 @@
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+from pydantic import ValidationError
 
 from lidar_core.errors import FormatError, LidarCoreError, LimitError
 
@@ -34,8 +37,30 @@ def reading(place: str) -> Iterator[None]:
     except Exception as error:
         if isinstance(error, OSError) and error.errno not in _FILES_FAULT:
             raise
-        text = str(error).strip().rstrip(".") or "no further text"
+        text = _one_line(error) or "no further text"
         raise FormatError(f"{place}: cannot be read: {type(error).__name__}: {text}") from error
+
+
+def _one_line(error: Exception) -> str:
+    """The text of an error; of a model that a library checks a header with, its problems."""
+    if isinstance(error, ValidationError):
+        problems = error.errors(include_url=False, include_context=False)
+        return "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in problems)
+    return " ".join(str(error).split()).rstrip(".")
+
+
+def check_beginning(path: Path, expected: bytes, what: str) -> None:
+    """Refuse a file that does not begin as `what`, whatever its name says.
+
+    Raises
+    ------
+    FormatError
+        It begins with other bytes.
+    """
+    with path.open("rb") as file:
+        head = file.read(len(expected))
+    if head != expected:
+        raise FormatError(f"{path}: not {what}: it begins with {head!r}")
 
 
 def check_size(place: str, size: int, *, limit: int, key: str, what: str) -> None:

@@ -1,18 +1,19 @@
 """Packet captures as tcpdump and Wireshark write them, packet by packet.
 
-Libraries that decode captures skip a broken end silently; here it is an error.
+A capture that was killed ends inside a packet: what is before it is read, and the loss is told.
+Libraries that decode captures pass over it silently, as over other damage, which is an error here.
 """
 
 import mmap
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from lidar_core.errors import FormatError
 from lidar_core.io.files import pcapng
-from lidar_core.io.files.pcapng import Packet
+from lidar_core.io.files.pcapng import CutEnd, Packet
 
 _ORDERS = {
     b"\xd4\xc3\xb2\xa1": "<",
@@ -28,19 +29,26 @@ VELODYNE_PAYLOAD = 1206  # data packet as it is sent
 VELODYNE_BYTES = VELODYNE_PAYLOAD + 42  # the same in UDP, IPv4 and Ethernet headers
 
 
-def packet_sizes(path: Path) -> Counter[int]:
-    """Number of packets of each captured size [bytes].
+def packet_sizes(path: Path, *, on_cut: Callable[[str], None] = lambda told: None) -> Counter[int]:
+    """Number of packets of each captured size [bytes]; `on_cut` gets the loss of a cut last packet.
 
     Raises
     ------
     FormatError
-        The file is not a packet capture, or ends inside a packet.
+        The file is not a packet capture, or a packet is damaged.
     """
+    end = CutEnd()
     magic = _magic(path)
     if magic == pcapng.MAGIC:
-        return Counter(len(packet.data) for packet in pcapng.packets(path))
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return Counter(captured for _, captured in _places(path, data, _ORDERS[magic]))
+        sizes = Counter(len(packet.data) for packet in pcapng.packets(path, end))
+    else:
+        sizes = _pcap_sizes(path, magic, end)
+    if end.lost_bytes:
+        on_cut(
+            f"{path}: the capture was cut inside its last packet; the last {end.lost_bytes} bytes"
+            " are left out"
+        )
+    return sizes
 
 
 def packets(path: Path) -> Iterator[Packet]:
@@ -60,10 +68,16 @@ def packets(path: Path) -> Iterator[Packet]:
 
 
 def readable(path: Path) -> Any:
-    """Return an input for libraries that read only pcap: the file's name, or pcapng as pcap."""
+    """Return an input for libraries that read only whole pcap: pcapng as pcap, no cut packet."""
+    magic, end = _magic(path), CutEnd()
+    if magic == pcapng.MAGIC:
+        return pcapng.AsPcap(path)
+    _pcap_sizes(path, magic, end)
+    if not end.lost_bytes:
+        return str(path)
     with path.open("rb") as file:
-        is_next = file.read(4) == pcapng.MAGIC
-    return pcapng.AsPcap(path) if is_next else str(path)
+        whole = path.stat().st_size - end.lost_bytes
+        return mmap.mmap(file.fileno(), whole, access=mmap.ACCESS_READ)
 
 
 def _magic(path: Path) -> bytes:
@@ -74,18 +88,31 @@ def _magic(path: Path) -> bytes:
     return magic
 
 
-def _places(path: Path, data: mmap.mmap, order: str) -> Iterator[tuple[int, int]]:
+def _pcap_sizes(path: Path, magic: bytes, cut: CutEnd) -> Counter[int]:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return Counter(captured for _, captured in _places(path, data, _ORDERS[magic], cut))
+
+
+def _places(
+    path: Path, data: mmap.mmap, order: str, cut: CutEnd | None = None
+) -> Iterator[tuple[int, int]]:
     """Where the data of every packet begin, and how many bytes they are."""
     header = struct.Struct(order + "IIII")
     position, end = _FILE_HEADER, len(data)
     while position + _PACKET_HEADER <= end:
-        captured = header.unpack_from(data, position)[2]
+        _, _, captured, sent = header.unpack_from(data, position)
         if captured > _LARGEST_PACKET:
             raise FormatError(f"{path}, byte {position}: a packet of {captured} bytes is too large")
         following = position + _PACKET_HEADER + captured
         if following > end:
+            if captured > sent:  # no capture holds more of a packet than was sent
+                raise FormatError(
+                    f"{path}, byte {position}: a packet of {sent} bytes with {captured} captured"
+                )
             break
         yield position + _PACKET_HEADER, captured
         position = following
-    if position != end:
-        raise FormatError(f"{path}, byte {min(position, end)}: the file ends inside a packet")
+    if end < _FILE_HEADER:
+        raise FormatError(f"{path}, byte {end}: the file ends inside its header")
+    if cut is not None:
+        cut.lost_bytes = end - position

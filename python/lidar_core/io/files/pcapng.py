@@ -6,6 +6,7 @@ Layout: IETF draft "PCAP Next Generation (pcapng) Capture File Format".
 import mmap
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,8 @@ MAGIC = SECTION.to_bytes(4, "big")
 _ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 _LEAST_BLOCK, _LARGEST_BLOCK = 12, 16 * 2**20
 _PACKET_HEAD, _OPTIONS = 20, 8  # where the data of a packet begin, and options of an interface
+_CAPTURED_AT = 12  # in the head of a packet
+_MOST_OPTIONS = 1024  # bytes of options of one packet: flags, hashes, a comment
 _RESOLUTION, _OFFSET = 9, 14  # options
 _MICROSECONDS = 6  # resolution of an interface that states none: a negative power of ten
 _LATEST_NS = 2**32 * 10**9  # pcap counts seconds in 32 bits
@@ -41,17 +44,26 @@ class _Clock(NamedTuple):
         return self.offset * 10**9 + ticks * 10**9 // self.rate
 
 
-def packets(path: Path) -> Iterator[Packet]:
+@dataclass(slots=True)
+class CutEnd:
+    """Bytes of the last packet of a capture that was killed; 0 if it is whole."""
+
+    lost_bytes: int = 0
+
+
+def packets(path: Path, cut: CutEnd | None = None) -> Iterator[Packet]:
     """Packets of a capture in their order; blocks of other kinds are passed over.
+
+    A last block that was cut is the end; `cut` gets its size.
 
     Raises
     ------
     FormatError
-        A block is broken, or the file ends inside one.
+        A block is broken.
     """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         clocks: list[_Clock] = []
-        for position, order, kind, body in _blocks(path, data):
+        for position, order, kind, body in _blocks(path, data, cut or CutEnd()):
             try:
                 if kind == SECTION:
                     clocks.clear()
@@ -63,21 +75,43 @@ def packets(path: Path) -> Iterator[Packet]:
                 raise FormatError(f"{path}, byte {position}: a broken block: {error}") from error
 
 
-def _blocks(path: Path, data: mmap.mmap) -> Iterator[tuple[int, str, int, bytes]]:
+def _blocks(path: Path, data: mmap.mmap, cut: CutEnd) -> Iterator[tuple[int, str, int, bytes]]:
     """Position, byte order, kind and content of every block."""
     position, order, end = 0, "<", len(data)
     while position < end:
         if data[position : position + 4] == MAGIC:
             order = _ORDERS.get(data[position + 8 : position + 12], "")
+        if position and end - position < _LEAST_BLOCK:
+            cut.lost_bytes = end - position
+            return
         if not order or end - position < _LEAST_BLOCK:
             raise FormatError(f"{path}, byte {position}: not a block of pcapng")
         kind, size = struct.unpack_from(f"{order}II", data, position)
         if not _LEAST_BLOCK <= size <= _LARGEST_BLOCK or size % 4:
             raise FormatError(f"{path}, byte {position}: a block of {size} bytes")
         if position + size > end:
-            raise FormatError(f"{path}, byte {position}: the file ends inside a block")
+            if not _can_be_cut(data[position + 8 : end], order, kind, size):
+                raise FormatError(
+                    f"{path}, byte {position}: the file ends inside a block of {size} bytes"
+                )
+            cut.lost_bytes = end - position
+            return
         yield position, order, kind, data[position + 8 : position + size - 4]
         position += size
+
+
+def _can_be_cut(body: bytes, order: str, kind: int, size: int) -> bool:
+    """Return whether the size of a block beyond the end is that of a packet that was cut.
+
+    A damaged size would else hide all packets behind it.
+    """
+    if kind != PACKET:
+        return False
+    if len(body) < _PACKET_HEAD:
+        return True
+    (captured,) = struct.unpack_from(f"{order}I", body, _CAPTURED_AT)
+    padded = _LEAST_BLOCK + _PACKET_HEAD + (captured + 3) // 4 * 4
+    return bool(padded <= size <= padded + _MOST_OPTIONS)
 
 
 def _packet(body: bytes, order: str, clocks: list[_Clock]) -> Packet:

@@ -32,7 +32,8 @@ class LasRecording(SequenceRecording):
         return rows
 
     def _find_poses(self) -> NDArray[np.float64]:
-        corners = [self._corner(read_las(file, self.options)[0]) for file in self._files]
+        with self._reading_one():
+            corners = [self._corner(read_las(file, self.options)[0]) for file in self._files]
         if not np.any(corners):
             return np.empty((0, 4, 4))
         poses = np.tile(np.eye(4), (len(corners), 1, 1))

@@ -11,10 +11,11 @@ from typing import IO, Any
 
 from lidar_core.errors import FormatError, LidarCoreError, LimitError
 from lidar_core.extras import require
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.guard import check_beginning, check_size, reading
 from lidar_core.io.files.mcap_chunk import CHUNK_CODE, RECORD_HEAD, chunk_records
 from lidar_core.io.files.mcap_salvage import Salvage
 from lidar_core.io.formats.ros import MAX_TOPICS
+from lidar_core.io.hints import recovering
 from lidar_core.io.messages.foxglove import FoxgloveDecoder, foxglove_kind
 from lidar_core.io.messages.ouster import OusterTopics
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of, ros_name
@@ -24,7 +25,8 @@ from lidar_core.io.recording import Recording
 from lidar_core.io.records import Kind, Record, Topic
 from lidar_core.messages import Message
 
-_MAGIC_BYTES = 8
+_MAGIC = b"\x89MCAP0\r\n"
+"""First and last bytes of a file."""
 
 
 @register_reader(
@@ -45,6 +47,7 @@ class McapRecording(Recording):
         self._mcap = require("mcap.stream_reader", extra="io", purpose="reading MCAP")
         self._records = require("mcap.records", extra="io", purpose="reading MCAP")
         require("mcap.reader", extra="io", purpose="reading MCAP")
+        check_beginning(path, _MAGIC, "an MCAP file")
         self._file: IO[bytes] = path.open("rb")
         try:
             self._summary = self._read_summary()
@@ -71,7 +74,13 @@ class McapRecording(Recording):
 
     def topics(self) -> list[Topic]:
         """Streams of the recording, by name."""
-        return list({topic.name: topic for topic in self._topics.values()}.values())
+        named: dict[str, Topic] = {}
+        for topic in self._topics.values():
+            before = named.get(topic.name)
+            named[topic.name] = (
+                topic if before is None else replace(topic, count=_sum(before, topic))
+            )
+        return list(named.values())
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
         """Messages in order of log time; chunks that overlap in time are merged."""
@@ -140,6 +149,8 @@ class McapRecording(Recording):
         with reading(place):
             try:
                 yield
+            except exceptions.EndOfFile as error:
+                raise FormatError(f"{place}: the file ends inside a record") from error
             except exceptions.RecordLengthLimitExceeded as error:
                 if self.path.stat().st_size <= self.options.max_record_bytes:
                     raise  # no honest length: the file is smaller
@@ -151,7 +162,8 @@ class McapRecording(Recording):
         place = f"{self.path}: MCAP summary"
         if self.options.recover:
             return self._salvage_index()
-        with self._reading(f"{place} (a file that was not closed has none; recover reads it)"):
+        self._check_end()
+        with self._reading(place):
             summary = reader.SeekingReader(self._file, record_size_limit=limit).get_summary()
         summary = summary or self._empty_summary()
         if not self._is_complete(summary):
@@ -160,6 +172,17 @@ class McapRecording(Recording):
             place, len(summary.channels), limit=MAX_TOPICS, key="nothing", what="a number of topics"
         )
         return summary
+
+    def _check_end(self) -> None:
+        """Refuse a file without its end: the library would take other bytes for its summary."""
+        self._file.seek(-len(_MAGIC), os.SEEK_END)
+        end, size = self._file.read(), self._file.tell()
+        self._file.seek(0)
+        if end != _MAGIC:
+            raise FormatError(
+                f"{self.path}, byte {size}: the file ends before its summary: it was"
+                f" cut, or not closed; {recovering(self.path)}"
+            )
 
     def _salvage_index(self) -> Any:
         """Index of the complete chunks, read from the start of the file to the first defect."""
@@ -188,7 +211,7 @@ class McapRecording(Recording):
         """
         position = self._file.tell()
         try:
-            self._file.seek(max(place, _MAGIC_BYTES))
+            self._file.seek(max(place, len(_MAGIC)))
             while (head := self._file.read(RECORD_HEAD.size))[:1] != CHUNK_CODE:
                 self._file.seek(RECORD_HEAD.unpack(head)[1], os.SEEK_CUR)
             offset = self._file.tell() - RECORD_HEAD.size
@@ -235,7 +258,7 @@ class McapRecording(Recording):
     def _stream(self) -> Any:
         return self._mcap.StreamReader(
             self._file,
-            skip_magic=self._file.tell() >= _MAGIC_BYTES,
+            skip_magic=self._file.tell() >= len(_MAGIC),
             emit_chunks=True,
             record_size_limit=self.options.max_record_bytes,
         )
@@ -319,6 +342,11 @@ class McapRecording(Recording):
         if schema is None:
             raise FormatError(f"{place}: schema {channel.schema_id} is nowhere in the file")
         return schema
+
+
+def _sum(one: Topic, other: Topic) -> int | None:
+    """Messages of two channels of a topic; None if the file does not state them."""
+    return None if one.count is None or other.count is None else one.count + other.count
 
 
 def _with_ros_name(topic: Topic) -> Topic:

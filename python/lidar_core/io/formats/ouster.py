@@ -101,7 +101,7 @@ class OusterRecording(_OusterFrames):
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)
-        packet_sizes(path)  # refuses what is cut
+        packet_sizes(path, on_cut=self.findings.note)  # refuses what is damaged
         beside = Path(options.metadata) if options.metadata is not None else metadata_beside(path)
         if beside is None:
             raise FormatError(f"{path}: name the sensor's JSON file with metadata=FILE")

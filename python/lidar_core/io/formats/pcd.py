@@ -14,6 +14,8 @@ from lidar_core.io.formats.sequence import SequenceRecording
 from lidar_core.io.readers import register_reader
 
 MAX_COLUMNS = 4096
+KEYS = ("FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "POINTS", "DATA")
+"""Lines that a header needs."""
 MOST_PER_LZF_BYTE = 88
 """LZF repeats at most 264 bytes by three."""
 
@@ -47,12 +49,13 @@ class PcdRecording(SequenceRecording):
             while len(lines) < 64:
                 raw = stream.readline(65_536)
                 if not raw:
-                    raise FormatError(f"{file}: the header has no DATA line")
+                    break
                 line = raw.decode("utf-8", "replace").strip()
                 lines.append(line)
                 if line.startswith("DATA"):
                     break
             left = file.stat().st_size - stream.tell()
+        _check_keys(file, lines)
         header = library.MetaData.parse_header(lines)
         if len({len(header.fields), len(header.size), len(header.type), len(header.count)}) != 1:
             raise FormatError(f"{file}: FIELDS, SIZE, TYPE and COUNT differ in length")
@@ -77,6 +80,17 @@ class PcdRecording(SequenceRecording):
         if header.data.value == "binary_compressed":
             _check_compressed(file, left, size)
         return header
+
+
+def _check_keys(file: Path, lines: list[str]) -> None:
+    """Refuse a file that is no PCD, and a header without what the library needs."""
+    words = {line.partition(" ")[0] for line in lines}
+    if words.isdisjoint(KEYS):
+        with file.open("rb") as stream:
+            raise FormatError(f"{file}: not a PCD file: it begins with {stream.read(8)!r}")
+    missing = [key for key in KEYS if key not in words]
+    if missing:
+        raise FormatError(f"{file}: the header has no {', '.join(missing)} line")
 
 
 def _check_compressed(file: Path, left: int, size: int) -> None:

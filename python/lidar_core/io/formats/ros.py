@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
 from lidar_core.io.files.compressed import bounded_decompressor
-from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.files.guard import check_beginning, check_size, reading
 from lidar_core.io.messages.ouster import OusterTopics
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of
 from lidar_core.io.options import ReadOptions
@@ -20,6 +21,7 @@ from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic
 
 MAX_TOPICS = 4096
+BAG_MAGIC, DATABASE_MAGIC = b"#ROSBAG V2.0", b"SQLite format 3\0"
 
 
 class RosRecording(Recording):
@@ -64,10 +66,20 @@ class RosRecording(Recording):
         module = require(f"rosbags.rosbag{version}", extra="io", purpose="reading ROS recordings")
         if version == 2:
             _check_database(file, self.options)
+            with reading(str(file)):
+                return stack.enter_context(module.Reader(file))
+        check_beginning(file, BAG_MAGIC, "a ROS 1 bag")
         with reading(str(file)):
-            reader = stack.enter_context(module.Reader(file))
-        if version == 1:
-            _bound_chunks(reader, file, self.options)
+            try:
+                reader = stack.enter_context(module.Reader(file))
+            except module.ReaderError as error:
+                if "index" not in str(error):
+                    raise
+                raise FormatError(
+                    f"{file}: the index at the end of the bag is missing or damaged: the bag was"
+                    f" not closed, or was cut; a new index: rosbag reindex {quote(str(file))}"
+                ) from error
+        _bound_chunks(reader, file, self.options)
         return reader
 
     def _file_records(
@@ -158,6 +170,7 @@ def open_database(path: Path, options: ReadOptions, files: list[Path]) -> RosRec
 
 def _check_database(file: Path, options: ReadOptions) -> None:
     """Refuse a message larger than the limit before rosbags loads it."""
+    check_beginning(file, DATABASE_MAGIC, "an SQLite database")
     with reading(str(file)):
         database = sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)
         try:

@@ -3,6 +3,7 @@
 import re
 from abc import abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.files.guard import check_size, reading
+from lidar_core.io.hints import recovering
 from lidar_core.io.messages.cloud import CloudDecoder
 from lidar_core.io.options import LONGEST, NS, ReadOptions
 from lidar_core.io.poses.pose_files import read_matrices
@@ -20,6 +22,8 @@ from lidar_core.io.records import Record, Topic
 from lidar_core.messages import Message, Pose, Scan
 
 FRAME, WORLD_FRAME = "lidar", "world"
+MOST_NAMED = 10
+"""Damaged files that a text names."""
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
 _SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
@@ -30,10 +34,13 @@ class SequenceRecording(Recording):
 
     def __init__(self, path: Path, options: ReadOptions, files: list[Path]) -> None:
         super().__init__(path, options)
-        self._files = sorted(files, key=_natural_key)
+        self._stored = self._files = sorted(files, key=_natural_key)
         self._folder = path if path.is_dir() else path.parent
-        self._topic = Topic(FRAME, self.format, "scan", len(files))
         self._stamps = self._find_stamps()
+        self._kept = self._find_whole()
+        self._files = [self._files[number] for number in self._kept]
+        self._stamps = [self._stamps[number] for number in self._kept]
+        self._topic = Topic(FRAME, self.format, "scan", len(self._files))
         self._decoder = CloudDecoder(FRAME, options, self.findings)
         self._poses = self._find_poses()
 
@@ -64,15 +71,55 @@ class SequenceRecording(Recording):
             key="max_record_bytes",
             what="a file of bytes",
         )
-        try:
+        with self._reading_one():
             rows = self._rows(file)
-        except FormatError as error:
-            if len(self._files) == 1:
-                raise
-            others = f"the other {len(self._files) - 1} files of the folder"
-            raise FormatError(f"{error}; to read {others}, move this one out of it") from error
         scan: Scan = self._decoder.scan(rows, stamp_ns, FRAME, place=str(file))
         return [scan]
+
+    def _find_whole(self) -> list[int]:
+        """Numbers of the files to read: with `recover`, those that are not damaged."""
+        numbers = list(range(len(self._stored)))
+        if not self.options.recover or len(self._stored) == 1:
+            return numbers
+        damaged = self._find_damaged()
+        if not damaged:
+            return numbers
+        if len(damaged) == len(self._stored):
+            raise FormatError(self._told(damaged))
+        self.findings.note(f"{self._told(damaged)}; what cannot be read is left out")
+        return [number for number in numbers if self._stored[number] not in damaged]
+
+    def _find_damaged(self) -> dict[Path, FormatError]:
+        """Files that cannot be read, with the reasons; reads all of them."""
+        damaged = {}
+        for file in self._stored:
+            try:
+                self._rows(file)
+            except FormatError as error:
+                damaged[file] = error
+        return damaged
+
+    def _told(self, damaged: dict[Path, FormatError]) -> str:
+        """All damaged files in one text, with the reason of the first."""
+        names = [file.name for file in damaged]
+        more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+        return (
+            f"{self.path}: {len(names)} of {len(self._stored)} files cannot be read:"
+            f" {', '.join(names[:MOST_NAMED] + more)}; the first: {next(iter(damaged.values()))}"
+        )
+
+    @contextmanager
+    def _reading_one(self) -> Iterator[None]:
+        """Let the error of one damaged file name all of them: a user cures them together."""
+        try:
+            yield
+        except FormatError as error:
+            if len(self._stored) == 1:
+                raise
+            damaged = self._find_damaged()
+            is_whole_left = len(damaged) < len(self._stored)
+            cure = f"; {recovering(self.path)}" if is_whole_left else ""
+            raise FormatError(self._told(damaged) + cure) from error
 
     def _pose(self, number: int, stamp_ns: int) -> list[Message]:
         return [Pose(stamp_ns, WORLD_FRAME, FRAME, self._poses[number], topic="poses")]
@@ -80,7 +127,7 @@ class SequenceRecording(Recording):
     def _find_stamps(self) -> list[int]:
         """Times from times.txt, else from the names, else counted from the rate."""
         for folder in (self._folder, self._folder.parent):
-            if len(self._files) > 1 and (folder / "times.txt").is_file():
+            if len(self._stored) > 1 and (folder / "times.txt").is_file():
                 with reading(str(folder / "times.txt")):
                     seconds = np.loadtxt(folder / "times.txt", ndmin=1)
                 self._expect_rows(folder / "times.txt", len(seconds))
@@ -90,7 +137,7 @@ class SequenceRecording(Recording):
                         f" {LONGEST:.0f} s from 1970"
                     )
                 return [round(float(value) * 1e9) for value in seconds]
-        named = [_stamp_of(file) for file in self._files]
+        named = [_stamp_of(file) for file in self._stored]
         stamps = [stamp for stamp in named if stamp is not None]
         if len(stamps) == len(named):
             return stamps
@@ -106,20 +153,21 @@ class SequenceRecording(Recording):
         none = np.empty((0, 4, 4))
         for folder in (self._folder, self._folder.parent):
             file = folder / "poses.txt"
-            if len(self._files) > 1 and file.is_file():
+            if len(self._stored) > 1 and file.is_file():
                 break
         else:
             return none
         poses = read_matrices(file)
         self._expect_rows(file, len(poses))
+        poses = poses[self._kept]
         camera_from_lidar = _calibration(file.parent / "calib.txt")
         if camera_from_lidar is None:
             return poses
         return np.asarray(np.linalg.inv(camera_from_lidar) @ poses @ camera_from_lidar)
 
     def _expect_rows(self, file: Path, count: int) -> None:
-        if count != len(self._files):
-            raise FormatError(f"{file}: {count} lines for {len(self._files)} scans")
+        if count != len(self._stored):
+            raise FormatError(f"{file}: {count} lines for {len(self._stored)} scans")
 
 
 def _natural_key(file: Path) -> tuple[int, str]:

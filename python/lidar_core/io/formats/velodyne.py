@@ -27,7 +27,7 @@ class VelodyneRecording(Recording):
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)
-        packets = packet_sizes(path)
+        packets = packet_sizes(path, on_cut=self.findings.note)
         if not packets[VELODYNE_BYTES]:
             sizes = ", ".join(f"{count} of {size}" for size, count in packets.most_common(3))
             raise FormatError(

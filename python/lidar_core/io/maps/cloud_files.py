@@ -25,6 +25,8 @@ from lidar_core.messages import Scan
 SPACING = 0.1
 """Between points on the surfaces of a mesh [m]."""
 MESHES = (".glb", ".obj", ".off", ".stl")
+MAPS = (".bt", ".lcvm", *MESHES)
+"""Endings of files that are no recordings."""
 FOREIGN = (".pcd", ".ply", ".las", ".laz", *MESHES)
 """Endings of files that libraries parse."""
 READABLE = ".pcd, .ply, .las, .laz, .bt (OctoMap), .lcvm (our map), .bin (KITTI), " + ", ".join(

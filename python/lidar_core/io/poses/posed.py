@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from lidar_core.io.recording import Recording
 
 WORLD_FRAME = "world"
-KISS = "kiss"
+AUTO, STATIC, KISS = "auto", "static", "kiss"
+SOURCES = (AUTO, STATIC, KISS)
+"""Sources of poses that are no files."""
 """Option `pose`: from the scans themselves."""
 MOST_POSES_PER_SCAN = 64
 PAST_THE_END = 10
@@ -58,12 +60,12 @@ class PosedScans(Generic[ScanT]):
 
     def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         self.without_pose.clear()
-        if self._options.pose == "static":
+        if self._options.pose == STATIC:
             return self._standing()
         if self._options.pose == KISS:
             return self._by_odometry()
-        is_file = self._options.pose != "auto"
-        found = self._from_file(Path(self._options.pose)) if is_file else self._from_buffer()
+        is_file = self._options.pose != AUTO
+        found = self._from_file(self._options.pose) if is_file else self._from_buffer()
         return found if self._sort is LaserScan else self._check_pose_frame(found)
 
     def _check_pose_frame(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
@@ -149,7 +151,11 @@ class PosedScans(Generic[ScanT]):
         for scan, placed in placed_scans(clouds, self.without_pose, note):
             yield PosedScan(scan, placed.poses, placed.stamps_ns, placed.covariance)
 
-    def _from_file(self, path: Path) -> Iterator[PosedScan[ScanT]]:
+    def _from_file(self, pose: str) -> Iterator[PosedScan[ScanT]]:
+        path = Path(pose)
+        if not path.exists():
+            near = did_you_mean(pose, SOURCES)
+            raise FileNotFoundError(f"{path}: no such poses file{near}")
         stamps, matrices = read_poses(path)
         self.source = f"{path}, {len(matrices)} poses"
         if stamps is not None:
@@ -160,6 +166,9 @@ class PosedScans(Generic[ScanT]):
                 buffer.add(Pose(stamp, WORLD_FRAME, carrier, matrix))
             yield from self._looked_up(buffer, WORLD_FRAME, frame)
             return
+        stated = self._cloud.count
+        if stated is not None and self._options.end is None:
+            self._check_count(path, len(matrices), stated)
         mountings = {item.child_frame_id: item.matrix for item in self._options.mountings()}
         count = 0
         for number, scan in self._scans():
@@ -168,8 +177,13 @@ class PosedScans(Generic[ScanT]):
             mounted = mountings.get(scan.frame_id, np.eye(4))
             yield PosedScan(scan, matrices[number] @ mounted)
             count = number + 1
-        if count != len(matrices) and self._options.end is None:
-            raise FormatError(f"{path}: {len(matrices)} poses for {count} scans of the recording")
+        if self._options.end is None:
+            self._check_count(path, len(matrices), count)
+
+    def _check_count(self, path: Path, poses: int, scans: int) -> None:
+        """Refuse a file that is not of this recording: it has a pose for every scan."""
+        if poses != scans:
+            raise FormatError(f"{path}: {poses} poses for {scans} scans of {self._recording.path}")
 
     def _from_buffer(self) -> Iterator[PosedScan[ScanT]]:
         frame = self._first_frame()

@@ -44,7 +44,7 @@ def _commands() -> Mapping[str, Any]:
 
 
 def check_commands(job: BatchJob) -> None:
-    """Reject commands that cannot be jobs, and those that write outside of the folder of the job.
+    """Reject commands that cannot be jobs, or not be parsed, or write outside of the job's folder.
 
     Raises
     ------
@@ -58,7 +58,14 @@ def check_commands(job: BatchJob) -> None:
             raise ConfigError(
                 f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
             )
-        outside = [where for where, value in _written(command) if not _is_inside(value)]
+        try:
+            written = _written(command)
+        except UsageError as error:
+            told: Any = error
+            raise ConfigError(
+                f"jobs.{job.group}.commands: {' '.join(command)!r}: {told.format_message()}"
+            ) from error
+        outside = [where for where, value in written if not _is_inside(value)]
         if outside:
             raise ConfigError(
                 f"jobs.{job.group}.commands: expected {{{OUTPUT}}} in {' '.join(command)!r}, as the"
@@ -70,19 +77,26 @@ def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
     """Options and arguments of a command that name what it writes, with their values.
 
     An option that is not there has its default, which is no place of the job: None.
+
+    Raises
+    ------
+    UsageError
+        An option or an argument is unknown, or one is missing. Values are not looked at: their
+        checks may need files that the commands before make.
     """
     known = _commands()[command[0]]
     below: Mapping[str, Any] = getattr(known, "commands", {})
     words = 2 if len(command) > 1 and command[1] in below else 1
     known, parser = _parser(*command[:words])
     arguments = list(command[words:])
-    try:
-        values = parser.parse_args(arguments)[0]
-    except UsageError:
-        return []  # the job itself says what is wrong with its options
+    values, rest, _ = parser.parse_args(arguments)
+    if rest:
+        raise UsageError(f"Got unexpected extra argument: {' '.join(map(str, rest))}")
     found = []
     for one in known.params:
         value = values.get(one.name)
+        if value is None and one.required and one.param_type_name == "argument":
+            raise UsageError(f"Missing argument: {str(one.name).upper()}")
         if one.name == "output" or (command[0], one.name) in WRITTEN:
             found.append((max(one.opts, key=len), None if value is None else str(value)))
         elif "--json" in one.opts and value not in (None, False, True) and str(value) != "-":

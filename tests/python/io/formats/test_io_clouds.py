@@ -16,6 +16,7 @@ import lidar_core as lc
 import lidar_core.io
 from lidar_core.cli import app
 from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
+from lidar_core.io.poses.posed import posed_scans
 from lidar_core.messages import Pose, Scan
 
 POINTS = hnp.arrays(
@@ -214,7 +215,8 @@ def test_a_map_becomes_known_to_the_detector(tmp_path):
 
 def test_what_cannot_be_written_or_read_is_refused(tmp_path):
     with pytest.raises(
-        ConfigError, match=r"unknown suffix '\.xyz'; formats for a cloud: \.bt \(OctoMap\), \.pcd"
+        ConfigError,
+        match=r"unknown suffix '\.xyz'; formats for a cloud or map: \.bt \(OctoMap\), \.pcd",
     ):
         lc.io.write_cloud(tmp_path / "a.xyz", [[0, 0, 0]])
     with pytest.raises(InputError, match=r"resolution: \.bt needs the edge"):
@@ -248,22 +250,76 @@ def test_files_that_are_no_recordings_are_told_apart(tmp_path, name, cure):
         lc.io.open_recording(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("name", "cure"),
+    [("a.bag.xz", "a.bag.xz is compressed; unpack it first: unxz FILE"), ("a.dat", "readable are")],
+)
+def test_a_folder_of_packed_recordings_says_how_they_are_unpacked(tmp_path, name, cure):
+    (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FormatError) as told:
+        lc.io.open_recording(tmp_path)
+    assert cure in str(told.value)
+    assert ("unpack" in str(told.value)) == name.endswith(".xz")
+
+
 def test_a_cut_file_of_a_folder_says_how_the_others_are_read(tmp_path):
-    """A single cut file has no others. Moved away, the rest is read."""
-    folder = tmp_path / "scans"
-    folder.mkdir()
-    for number in range(3):
-        lc.io.write_cloud(folder / f"{number}.pcd", np.ones((50, 3)) * (number + 1))
-    cut = folder / "1.pcd"
-    cut.write_bytes(cut.read_bytes()[:-300])
-    with (
-        lc.io.open_recording(folder) as recording,
-        pytest.raises(FormatError, match=r"1\.pcd.*; to read the other 2 files .* move this one"),
-    ):
+    """A single cut file has no others. With `recover` or moved away, the rest is read."""
+    folder = cut_folder(tmp_path, 6, [1, 3])
+    with lc.io.open_recording(folder) as recording, pytest.raises(FormatError) as told:
         list(recording)
-    moved = cut.rename(tmp_path / "1.pcd")
+    assert str(told.value).startswith(f"{folder}: 2 of 6 files cannot be read: 1.pcd, 3.pcd; ")
+    assert f"; the first: {folder / '1.pcd'}: " in str(told.value)
+    assert f"convert {folder} recovered.npz --recover" in str(told.value)
+    with lc.io.open_recording(folder, recover=True) as recording:
+        found = [one for one in recording if isinstance(one, Scan)]
+        notes = recording.noticed().notes
+    assert [one.points[0, 0] for one in found] == [1, 3, 5, 6]
+    assert [one.stamp_ns for one in found] == [0, 200_000_000, 400_000_000, 500_000_000]
+    (lost,) = [one for one in notes if "cannot be read" in one]
+    assert lost.startswith(f"{folder}: 2 of 6 files cannot be read: 1.pcd, 3.pcd; ")
+    assert lost.endswith("; what cannot be read is left out")
+    moved = (folder / "1.pcd").rename(tmp_path / "1.pcd")
+    (folder / "3.pcd").unlink()
     with lc.io.open_recording(folder) as recording:
-        assert sum(isinstance(one, Scan) for one in recording) == 2
+        assert sum(isinstance(one, Scan) for one in recording) == 4
     with lc.io.open_recording(moved) as alone, pytest.raises(FormatError) as told:
         list(alone)
-    assert "move this one" not in str(told.value)
+    assert "files cannot be read" not in str(told.value)
+
+
+def cut_folder(place, count, cut, ending=".pcd"):
+    """A folder with a scan per file, some of them cut."""
+    folder = place / "scans"
+    folder.mkdir()
+    for number in range(count):
+        lc.io.write_cloud(folder / f"{number}{ending}", np.ones((50, 3)) * (number + 1))
+    for number in cut:
+        file = folder / f"{number}{ending}"
+        file.write_bytes(file.read_bytes()[:-300])
+    return folder
+
+
+def test_a_folder_of_damaged_files_alone_is_refused_and_not_all_are_named(tmp_path):
+    folder = cut_folder(tmp_path, 13, range(13))
+    for recover in (False, True):
+        with (
+            pytest.raises(FormatError) as told,
+            lc.io.open_recording(folder, recover=recover) as recording,
+        ):
+            list(recording)
+        assert "13 of 13 files" in str(told.value)
+        assert "8.pcd, 9.pcd, 3 more; the first: " in str(told.value)
+        assert "--recover" not in str(told.value)
+
+
+def test_poses_and_times_stay_those_of_their_scans_where_files_are_left_out(tmp_path):
+    folder = cut_folder(tmp_path, 4, [0, 2])
+    (folder / "times.txt").write_text("1\n2\n3\n4\n")
+    lines = (f"1 0 0 {number} 0 1 0 0 0 0 1 0\n" for number in range(4))
+    (folder / "poses.txt").write_text("".join(lines))
+    with lc.io.open_recording(folder, recover=True) as recording:
+        posed = list(posed_scans(recording))
+    found = [
+        (one.scan.stamp_ns, one.scan.points[0, 0], one.world_from_lidar[0, 3]) for one in posed
+    ]
+    assert found == [(2 * 10**9, 2, 1), (4 * 10**9, 4, 3)]

@@ -265,6 +265,49 @@ def test_truncated_ros_recordings_are_refused_or_read_up_to_the_cut(tmp_path, ve
     assert refused > 15
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.bag", "not a ROS 1 bag: it begins with b'hello hello '"),
+        ("a.db3", "not an SQLite database: it begins with b'hello hello hell'"),
+        ("a.mcap", "not an MCAP file: it begins with b'hello he'"),
+        ("a.pcd", "not a PCD file: it begins with b'hello he'"),
+    ],
+)
+def test_a_file_that_is_not_what_its_name_says_is_told_by_its_first_bytes(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_bytes(b"hello " * 3000)
+    with pytest.raises(FormatError) as told:
+        read_all(path)
+    assert str(told.value) == f"{path}: {text}"
+
+
+def test_a_header_that_lacks_lines_or_holds_nonsense_is_told_in_one_line(tmp_path):
+    path = tmp_path / "a.pcd"
+    known = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
+    path.write_text(known)
+    with pytest.raises(FormatError, match=r"a\.pcd: the header has no POINTS, DATA line"):
+        read_all(path)
+    path.write_text(known.replace("F F F", "F F Q") + "POINTS 1\nDATA ascii\n1 2 3\n")
+    with pytest.raises(FormatError, match=r"ValidationError: type\.2: Input should be") as told:
+        read_all(path)
+    assert "\n" not in str(told.value)
+    assert "pydantic.dev" not in str(told.value)
+
+
+def test_a_bag_without_its_index_names_the_command_that_makes_one(tmp_path):
+    path = ros_file(tmp_path, 1, "bag")
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(FormatError) as told:
+        read_all(cut)
+    assert str(told.value) == (
+        f"{cut}: the index at the end of the bag is missing or damaged: the bag was not closed,"
+        f" or was cut; a new index: rosbag reindex {cut}"
+    )
+    assert len(read_all(path)) == 10
+
+
 @pytest.mark.ci_cases("2-mcap")
 @pytest.mark.parametrize(("version", "storage"), STORAGES)
 def test_flipped_bytes_never_raise_anything_else(tmp_path, version, storage):
@@ -650,13 +693,32 @@ def test_wrong_number_of_poses_or_times(tmp_path):
         read_all(folder)
 
 
-def test_truncated_velodyne_captures_are_refused(tmp_path, recordings):
+def test_a_velodyne_capture_that_was_killed_is_read_to_its_last_whole_packet(tmp_path, recordings):
     data = (recordings / "3d/velodyne_mrpt/sample_velodyne_hdl32.pcap").read_bytes()
     path = tmp_path / "cut.pcap"
-    for length in (10, 30, 1000, 24 + 1264 * 3 + 5, len(data) - 1):
+    for length in (10, 30, 1000):  # no packet is whole
         path.write_bytes(data[:length])
         with pytest.raises(FormatError, match=r"cut\.pcap"):
             read_all(path)
+    sizes = []
+    for length in (len(data), len(data) - 1, len(data) - 1248, len(data) - 1248 - 15):
+        path.write_bytes(data[:length])
+        with lc.io.open_recording(path) as recording:
+            sizes.append(sum(isinstance(one, Scan) for one in recording))
+            told = [one for one in recording.noticed().notes if "cut inside" in one]
+        assert len(told) == (length not in (len(data), len(data) - 1264)), told
+    assert min(sizes) >= max(sizes) - 1 > 0
+
+
+def test_a_damaged_packet_in_the_middle_of_a_capture_is_refused(tmp_path, recordings):
+    data = bytearray((recordings / "3d/velodyne_mrpt/sample_velodyne_hdl32.pcap").read_bytes())
+    path = tmp_path / "bad.pcap"
+    at = 24 + 1264 * (len(data) // 1264 - 20)
+    for captured in (1_000_000, 200_000, 999):  # too large, beyond the end, beside the next packet
+        struct.pack_into("<I", data, at + 8, captured)
+        path.write_bytes(data)
+        with pytest.raises(FormatError, match=r"bad\.pcap, byte \d+: a packet of"):
+            lc.io.open_recording(path)
 
 
 def test_captures_of_other_packets_are_refused_with_a_cure(tmp_path):

@@ -133,12 +133,20 @@ def test_broken_files_are_refused_in_a_sentence(recordings, name):
         assert part in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["osf_fw_3.2_10scans.osf", "OS-1-32-G_v2.1.1_1024x10.pcap"])
-def test_cut_files_are_refused(recordings, tmp_path, name):
-    original = recordings / "3d/ouster" / name
-    content, copy = original.read_bytes(), tmp_path / f"cut{original.suffix}"
-    if copy.suffix == ".pcap":
-        copy.with_suffix(".json").write_bytes(original.with_suffix(".json").read_bytes())
+def test_a_capture_that_was_killed_is_read_to_its_last_whole_packet(recordings, tmp_path):
+    original = recordings / "3d/ouster/OS-1-32-G_v2.1.1_1024x10.pcap"
+    content, copy = original.read_bytes(), tmp_path / "cut.pcap"
+    copy.with_suffix(".json").write_bytes(original.with_suffix(".json").read_bytes())
+    for length, note in ((len(content), 0), (len(content) - 1, 1), (len(content) * 2 // 3, 1)):
+        copy.write_bytes(content[:length])
+        with lc_io.open_recording(copy) as recording:
+            assert any(isinstance(one, Scan) for one in recording)
+            assert sum("cut inside" in one for one in recording.noticed().notes) == note
+
+
+def test_cut_files_are_refused(recordings, tmp_path):
+    original = recordings / "3d/ouster/osf_fw_3.2_10scans.osf"
+    content, copy = original.read_bytes(), tmp_path / "cut.osf"
     for length in range(1, len(content), len(content) // CUTS):
         copy.write_bytes(content[:length])
         with pytest.raises(FormatError, match=copy.name), lc_io.open_recording(copy) as recording:
@@ -153,6 +161,16 @@ def test_the_command_refuses_broken_files_with_status_2(recordings):
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith(f"error: {file}")
     assert done.stderr.count("\n") == 1
+
+
+def test_a_capture_without_poses_is_not_shown_as_one_with_poses(recordings):
+    file = recordings / "3d/ouster/OS-2-128-U1_v2.3.0_1024x10.pcap"
+    done = subprocess.run(
+        command_line("info", file), capture_output=True, text=True, check=True, timeout=60
+    )
+    assert "scan+mounting" in done.stdout
+    assert "scan+pose" not in done.stdout
+    assert "no poses: use --pose FILE" in done.stdout
 
 
 def test_the_command_shows_a_capture(recordings):

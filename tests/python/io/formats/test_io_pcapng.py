@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import FormatError
+from lidar_core.io.files.pcap import packet_sizes
 from lidar_core.io.files.pcapng import AsPcap, packets
 
 dpkt = pytest.importorskip("dpkt")
@@ -119,11 +120,30 @@ def test_every_interface_has_its_own_clock_and_sections_begin_anew(tmp_path):
     ]
 
 
-def test_every_cut_is_refused_and_flipped_bytes_raise_nothing_else(tmp_path):
+def test_a_cut_last_packet_is_the_end_and_a_damaged_size_is_not(tmp_path):
+    path = tmp_path / "a.pcapng"
+    begin = section() + interface(resolution=NANO) + packet(BASE_NS, b"abcde")
+    last = packet(BASE_NS + 1, bytes(2000))
+    for length in range(1, len(last)):
+        path.write_bytes(begin + last[:length])
+        told = []
+        assert packet_sizes(path, on_cut=told.append) == {5: 1}
+        assert told == [
+            f"{path}: the capture was cut inside its last packet; the last {length} bytes are left"
+            " out"
+        ]
+        assert [one.data for one in packets(path)] == [b"abcde"]
+    far = begin[: len(section() + interface(resolution=NANO)) + 4] + struct.pack("<I", 8000)
+    path.write_bytes(far + begin[len(far) :] + last)  # would hide the packet behind it
+    with pytest.raises(FormatError, match="byte 60: the file ends inside a block of 8000 bytes"):
+        list(packets(path))
+
+
+def test_cut_heads_are_refused_and_flipped_bytes_raise_nothing_else(tmp_path):
     path = tmp_path / "a.pcapng"
     whole = section() + interface(resolution=NANO) + packet(BASE_NS, b"abcde")
-    ends = {len(section()), len(section() + interface(resolution=NANO)), len(whole)}
-    for length in set(range(1, len(whole))) - ends:
+    heads = len(section() + interface(resolution=NANO))
+    for length in {*range(1, len(section())), *range(len(section()) + 12, heads)}:
         path.write_bytes(whole[:length])
         with pytest.raises(FormatError, match=r"a\.pcapng, byte \d+: "):
             list(packets(path))

@@ -115,16 +115,30 @@ def test_a_broken_chunk_is_left_out_and_the_others_are_read(whole, messages, tmp
 def test_the_refusal_names_the_cure(whole, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[:-100])
-    with pytest.raises(FormatError, match="recover reads it"):
+    with pytest.raises(
+        FormatError, match=r"convert \S+ recovered\.npz --recover \(in Python: recover=True\)"
+    ):
         lc.io.open_recording(cut)
 
 
-def test_a_file_that_is_no_mcap_gives_nothing(tmp_path):
+@pytest.mark.parametrize("recover", [False, True])
+def test_a_file_that_is_no_mcap_is_refused(tmp_path, recover):
     path = tmp_path / "not.mcap"
     path.write_bytes(b"no such thing" * 100)
-    found, notes = recovered(path)
-    assert found == []
-    assert "recovered 0 messages; the last 1300 bytes are lost" in notes[0]
+    with pytest.raises(FormatError, match="not an MCAP file: it begins with b'no such '"):
+        lc.io.open_recording(path, recover=recover)
+
+
+def test_what_holds_no_whole_message_suggests_no_command(whole, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:300])
+    told = CliRunner().invoke(app, ["info", str(cut), "--recover"])
+    assert told.exit_code == 0, told.output
+    assert "recovered 0 messages" in told.stdout
+    assert "the file ends inside a record" in told.stdout
+    assert "next:" not in told.stdout
+    told = CliRunner().invoke(app, ["convert", str(cut), str(tmp_path / "a.npz"), "--recover"])
+    assert str(told.exception) == f"{cut}: no scans or moving poses"
 
 
 def test_the_commands_recover(whole, tmp_path):

@@ -281,6 +281,28 @@ def test_kitti_poses_by_order(tmp_path):
     np.testing.assert_allclose(middle.world_from_lidar, matrices[1], atol=1e-9)
 
 
+def test_a_wrong_number_of_poses_is_refused_before_the_first_scan(tmp_path):
+    """Where the recording states the number of its scans, and all of them are read."""
+    file = tmp_path / "poses.txt"
+    np.savetxt(file, [np.eye(4)[:3].reshape(-1)] * 3)
+    for count in (2, 4):
+        with lc.io.open_recording(npz_of(tmp_path, count)) as recording:
+            scans = lc.io.posed_scans(recording, pose=str(file))
+            with pytest.raises(FormatError, match=rf"3 poses for {count} scans of \S+scans\.npz"):
+                next(iter(scans))
+    with lc.io.open_recording(npz_of(tmp_path, 4)) as recording:
+        assert len(list(lc.io.posed_scans(recording, pose=str(file), end=0.2))) == 3
+
+
+@pytest.mark.parametrize(
+    ("pose", "near"), [("sttic", "; did you mean static?"), ("flight/poses.txt", "")]
+)
+def test_a_mistyped_source_of_poses_is_recognised(tmp_path, pose, near):
+    with pytest.raises(FileNotFoundError) as told:
+        posed(npz_of(tmp_path), pose=pose)
+    assert str(told.value) == f"{pose}: no such poses file{near}"
+
+
 def test_the_ends_of_a_span_belong_to_it(tmp_path):
     path = npz_of(tmp_path, 8)
     for start, end in ((0.0, 0.3), (0.3, 0.6), (0.7, None)):

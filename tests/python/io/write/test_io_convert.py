@@ -230,7 +230,7 @@ def test_the_command_says_what_is_wrong(source, tmp_path):
             "end: expected more than start",
         ),
         (("b.mcap", "--start", 1e6), InputError, "in.npz: no scans or moving poses from 1e+06"),
-        (("no/b.npz",), FileNotFoundError, "no: no such folder, to write b.npz in"),
+        (("no/b.las",), ConfigError, "unknown suffix '.las'; formats for a recording"),
     ],
 )
 def test_the_command_refuses_what_would_do_nothing(source, tmp_path, arguments, error, text):
@@ -239,6 +239,32 @@ def test_the_command_refuses_what_would_do_nothing(source, tmp_path, arguments, 
     assert isinstance(out.exception, error), out.output
     assert text in str(out.exception)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.npz"]
+
+
+def test_the_command_makes_the_folders_that_are_missing(source, tmp_path):
+    cloud = tmp_path / "a.ply"
+    lc.io.write_cloud(cloud, np.ones((3, 3)))
+    for item, name in ((source, "a/b/c.mcap"), (source, "d/e"), (cloud, "f/g/h.pcd")):
+        told = convert(item, tmp_path / name)
+        assert told.exit_code == 0, told.exception
+        assert (tmp_path / name).exists()
+    (tmp_path / "file").touch()
+    refused = convert(source, tmp_path / "file/a.npz")
+    assert isinstance(refused.exception, OSError)
+    with pytest.raises(FileNotFoundError, match=r"no such folder, to write a\.npz in"):
+        lc.io.write_recording(tmp_path / "none/a.npz", everything())
+
+
+@pytest.mark.parametrize("name", ["map.lcvm", "map.bt", "part.stl"])
+def test_a_map_as_another_format_names_those_of_a_map(tmp_path, name):
+    (tmp_path / name).write_bytes(b"x")
+    for output in ("m.stl", "m.mcap"):
+        refused = convert(tmp_path / name, tmp_path / output)
+        assert isinstance(refused.exception, ConfigError)
+        assert str(refused.exception).startswith(
+            f"{tmp_path / output}: unknown suffix '{Path(output).suffix}'; formats for a cloud or"
+            " map: .bt (OctoMap), .pcd"
+        )
 
 
 REAL = {
