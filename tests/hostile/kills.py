@@ -86,8 +86,8 @@ def works(size: int) -> dict[str, Work]:
             ("--resume",),
         ),
         "config fit": Work(("config", "fit", "walk.csv", "-o", "noise.toml"), "noise.toml"),
-        "report": Work(("report", "known", "-o", "page.html"), "page.html", is_same=False),
-        "view --png": Work(("view", "known", "--png", "known.png"), "known.png"),
+        "report": Work(("report", "known", "-o", "page.html"), "page.html", (), is_same=False),
+        "view --png": Work(("view", "known", "--png", "known.png"), "known.png", ()),
         "live": Work(
             ("live", "--replay", "flight.npz", "--rate", "8", "-o", "flown", "--record", "a.mcap"),
             "flown",

@@ -1,4 +1,4 @@
-"""Commands replace a file that exists only with --overwrite."""
+"""Commands replace recordings, truth and maps only with --overwrite."""
 
 import numpy as np
 import pytest
@@ -32,8 +32,6 @@ def folder(tmp_path_factory):
         ("convert cloud.npz {}", "a.mcap"),
         ("convert cloud.ply {}", "a.pcd"),
         ("convert run {}", "a.json"),
-        ("view run --png {}", "a.png"),
-        ("view run --film {}", "a.gif"),
     ],
 )
 def test_a_file_is_replaced_only_on_request(folder, tmp_path, monkeypatch, command, name):
@@ -49,15 +47,13 @@ def test_a_file_is_replaced_only_on_request(folder, tmp_path, monkeypatch, comma
     assert path.read_bytes() != KEPT
 
 
-def test_a_report_replaces_a_report_on_request_and_nothing_else_ever(folder, tmp_path):
-    path = folder / "run" / "report.html"
-    assert invoke("report", folder / "run").exit_code == 0
-    refused = invoke("report", folder / "run")
-    assert str(refused.exception) == f"{path}: exists; --overwrite replaces it"
-    assert invoke("report", folder / "run", "--overwrite").exit_code == 0
+def test_pictures_and_reports_are_drawn_again_and_a_report_replaces_nothing_else(folder, tmp_path):
+    for _ in range(2):
+        assert invoke("report", folder / "run").exit_code == 0
+        assert invoke("view", folder / "run", "--png", tmp_path / "a.png").exit_code == 0
     other = tmp_path / "notes.html"
     other.write_bytes(KEPT)
-    refused = invoke("report", folder / "run", "-o", other, "--overwrite")
+    refused = invoke("report", folder / "run", "-o", other)
     assert str(refused.exception) == f"{other}: exists and is no report; name another file"
     assert other.read_bytes() == KEPT
 

@@ -5,8 +5,6 @@ from typing import Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import OverwriteFile, check_new
-
 
 def command(
     run: Annotated[Path, typer.Argument(help="Folder that detect, circles, fuse or demo wrote.")],
@@ -19,13 +17,11 @@ def command(
         Path | None,
         typer.Option(help="Ground truth, as for evaluate; default: that of the folder."),
     ] = None,
-    overwrite: OverwriteFile = False,
 ) -> None:
     """Write RUN as one HTML file: 3-D view, pictures, errors, NEES, NIS, times, configuration.
 
     The file works offline and sends no data.
     """
-    from lidar_core.viz.report import page_of, write_report
+    from lidar_core.viz.report import write_report
 
-    check_new(page_of(run, output), overwrite=overwrite)
     print(write_report(run, output, truth=truth))

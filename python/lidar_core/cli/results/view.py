@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar_core.cli.shared.common import OverwriteFile, check_new, consoles, shown_progress
-
 if TYPE_CHECKING:
     from lidar_core.viz.playback import Playback
 
@@ -56,9 +54,9 @@ def command(
     film: Annotated[
         Path | None, typer.Option(help="Draw the run as a film: .gif, or .mp4 (needs ffmpeg).")
     ] = None,
-    overwrite: OverwriteFile = False,
 ) -> None:
     """Show RUN: classified scans, objects with numbers, 2 sigma ellipses, velocities and trails."""
+    from lidar_core.cli.shared.common import consoles, shown_progress
     from lidar_core.errors import ConfigError
     from lidar_core.viz.playback import Playback
     from lidar_core.viz.playback_picture import draw_film, draw_moment
@@ -66,7 +64,6 @@ def command(
     _check_single(rerun=rerun, web=web, rrd=rrd, foxglove=foxglove, png=png, film=film)
     if at is not None and png is None:
         raise ConfigError("at: selects the time of --png, got no --png")
-    check_new(*(file for file in (rrd, png, film) if file is not None), overwrite=overwrite)
     played = Playback(run)
     if png is not None:
         print(draw_moment(played, png, at=at))

@@ -1,5 +1,5 @@
 """One HTML file about a run: works without a network and sends nothing."""
 
-from lidar_core.viz.report.document import page_of, write_report
+from lidar_core.viz.report.document import write_report
 
-__all__ = ["page_of", "write_report"]
+__all__ = ["write_report"]

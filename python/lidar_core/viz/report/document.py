@@ -86,7 +86,8 @@ def write_report(
     """
     played = Playback(Path(run))
     folder = played.folder
-    place = page_of(folder, output)
+    place = folder / NAME if output is None else Path(output)
+    _check_replaceable(place)
     summary, (note, made_by) = read_summary(folder), read_note(folder)
     first = next(iter(played.steps()), None)
     if first is None:
@@ -122,21 +123,13 @@ def write_report(
     return place
 
 
-def page_of(run: str | PathLike[str], output: str | PathLike[str] | None) -> Path:
-    """Return the file of a report: `output`, else report.html in the folder of the run.
-
-    Raises
-    ------
-    FileExistsError
-        The file exists, and is no report.
-    """
-    place = Path(run) / NAME if output is None else Path(output)
+def _check_replaceable(place: Path) -> None:
+    """Refuse, before any work, to replace a file that is no report."""
     if place.exists():
         check_place(place)
         with place.open("rb") as file:
             if file.read(len(DOCTYPE)) != DOCTYPE:
                 raise FileExistsError(f"{place}: exists and is no report; name another file")
-    return place
 
 
 @dataclass(frozen=True, slots=True)
