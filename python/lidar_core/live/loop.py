@@ -227,8 +227,8 @@ class LiveLoop(Generic[ScanT]):
             waiting = queue[place]
             is_late = now_ns - waiting.arrival_ns > self._config.pose_wait * 1e9
             if is_late and place < len(queue) - 1:
-                self._drop(topic, place)
-                self._give_up(topic)
+                for _ in range(place + 1):
+                    self._give_up(topic)
                 return None
             if not is_late and not self._poses.is_complete(waiting.scan):
                 continue

@@ -11,6 +11,7 @@ import numpy as np
 import tomli_w
 
 from lidar_core._core import __version__
+from lidar_core.errors import ConfigError
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.files.sole import sole_writer
 from lidar_core.io.writers import writer_of
@@ -171,7 +172,15 @@ def _write_scans(
 
 
 def files_beside(path: Path) -> tuple[Path, Path, Path]:
-    """Truth, scene and run of the recording `path`; recordings of one name share them."""
+    """Truth, scene and run of the recording `path`; recordings of one name share them.
+
+    Raises
+    ------
+    ConfigError
+        The path has no name.
+    """
+    if not path.name:
+        raise ConfigError(f"{path}: expected the name of a recording")
     truth, scene, run = (
         path.with_suffix(f".{name}") for name in ("truth.csv", "scene.toml", "run.toml")
     )

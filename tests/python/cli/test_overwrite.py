@@ -80,6 +80,8 @@ def test_simulate_makes_the_folders_that_are_missing(tmp_path):
         assert done.exit_code == 0, done.exception
         assert (tmp_path / name).is_file()
     assert (tmp_path / "a/b/c.truth.csv").is_file()
+    unnamed = invoke("simulate", "circles", "-o", ".")
+    assert str(unnamed.exception) == ".: expected the name of a recording"
     refused = invoke("simulate", "circles", "-o", tmp_path / "x/a.las")
     assert "unknown suffix '.las'" in str(refused.exception)
     assert not (tmp_path / "x").exists()

@@ -145,7 +145,7 @@ def test_several_targets_of_a_table_are_tracked_and_scored(tmp_path):
             x, y = start[0] + 0.1 * k, start[1] - 0.05 * k
             seen = np.array([x, y]) + rng.normal(0, 0.1, 2)
             lines.append(f"{k * 10**8},{seen[0]},{seen[1]},{x},{y},1,-.5,{number}")
-        lines.append(f"{k * 10**8},{rng.uniform(-40, 40)},{rng.uniform(-40, 40)},0,0,0,0,")
+        lines.append(f"{k * 10**8},{rng.uniform(-40, 40)},{rng.uniform(-40, 40)},,,,,")
     path = table(tmp_path, "\n".join(lines) + "\n")
     result = fuse(path, None, tmp_path / "run", association="integrated", picture=False)
     targets = result.summary["targets"]

@@ -55,6 +55,15 @@ def test_rows_that_hold_several_sensors_and_several_targets_give_no_note(tmp_pat
     assert notes(twice, tmp_path, association="integrated", overwrite=True) == ""
 
 
+def test_two_sensors_of_a_kind_that_measure_at_once_give_no_note():
+    """Both have one name in a table; those of one clock are also some hundred nanoseconds apart."""
+    once = np.repeat(STEP * np.arange(30), 2)
+    assert doubtful_times({"lidar": once}) is None
+    assert doubtful_times({"lidar": once + 300 * (np.arange(60) % 2)}) is None
+    assert "too coarse" in doubtful_times({"lidar": np.repeat(STEP * np.arange(6), 10)})
+    assert "too coarse" in doubtful_times({"lidar": np.repeat(STEP * np.arange(20), [2, 3] * 10)})
+
+
 def test_a_single_measurement_gives_no_note(tmp_path):
     assert notes(table(tmp_path, [5]), tmp_path) == ""
     assert doubtful_times({}) is None

@@ -93,7 +93,7 @@ def truth_in(
     InputError
         A column of a pair is there without the other, or velocities without positions.
     FormatError
-        A value is not finite.
+        A value of a row that is of a target is not finite.
     """
     given = [name for name in (*POSITION, *VELOCITY) if name in columns]
     if not given:
@@ -109,7 +109,9 @@ def truth_in(
     values = np.full((len(rows), 4), np.nan)
     for column, name in enumerate(needed):
         values[:, column] = numbers_in(place, columns, name)[rows]
-    if not np.isfinite(values[:, : len(needed)]).all():
+    targets = targets_in(place, columns, rows)
+    known = values[:, : len(needed)] if targets is None else values[targets >= 0, : len(needed)]
+    if not np.isfinite(known).all():  # rows of clutter have no truth
         raise FormatError(f"{place}: a true value is not finite; leave the columns true_* out")
     return TargetTruth(stamps[rows], values[:, :2], values[:, 2:], None, None)
 

@@ -21,7 +21,7 @@ from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic
 
 MAX_TOPICS = 4096
-BAG_MAGIC, DATABASE_MAGIC = b"#ROSBAG V2.0", b"SQLite format 3\0"
+BAG_MAGIC, DATABASE_MAGIC = b"#ROSBAG V", b"SQLite format 3\0"
 
 
 class RosRecording(Recording):

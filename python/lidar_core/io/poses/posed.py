@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 WORLD_FRAME = "world"
 AUTO, STATIC, KISS = "auto", "static", "kiss"
 SOURCES = (AUTO, STATIC, KISS)
-"""Sources of poses that are no files."""
-"""Option `pose`: from the scans themselves."""
+"""Sources of poses that are no files; the last one takes them from the scans themselves."""
 MOST_POSES_PER_SCAN = 64
 PAST_THE_END = 10
 """Scans in a row after the end of a span that end it: a single one may have a wrong stamp."""

@@ -36,7 +36,7 @@ FILM_FRAMES, FILM_RATE = 120, 10.0
 NOTED_OFFSET_S = 0.01  # of poses that a run is told about
 NOTED_STUCK = 5  # scans whose pose stayed the same while the scanner moved
 NOTED_RATIO = 1.5  # of the noise of ranges to the configured one
-PERSON, PERSON_S = 0.5, 1.0  # probability of a person, and time in all for which it is exceeded [s]
+PERSON, PERSON_NS = 0.5, 10**9  # probability of a person, and time for which it is exceeded [ns]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,12 +136,11 @@ class CirclesRun:
     @property
     def person_ids(self) -> list[int]:
         """Numbers of the elements that were probably persons for a second in all."""
-        seconds = Counter[int]()
+        times_ns = Counter[int]()
         for state, later in pairwise(self.maps):
-            passed = (later.stamp_ns - state.stamp_ns) * 1e-9
             for number in state.id[state.person_probability > PERSON].tolist():
-                seconds[number] += min(passed, PERSON_S)
-        return sorted(number for number, time in seconds.items() if time >= PERSON_S)
+                times_ns[number] += min(later.stamp_ns - state.stamp_ns, PERSON_NS)
+        return sorted(number for number, time_ns in times_ns.items() if time_ns >= PERSON_NS)
 
     def take(self, item: PosedScan[LaserScan]) -> None:
         """Process one scan."""

@@ -186,13 +186,14 @@ class FlyingRun:
         if far > LONGEST:
             found.append(
                 f"half of the points of the last scan are more than {far:,.0f} m away, farther than"
-                " any LiDAR measures: if the points are in millimetres, write them in metres"
+                " any LiDAR measures: write points in millimetres in metres, and those in"
+                " coordinates of a map, such as UTM, in the frame of the sensor"
             )
         moving = self.class_shares["moving"]
         stands = len(self._path) >= FEWEST_SCANS and not np.ptp(self._path, axis=0).any()
         if stands and moving > MOVING_SHARE:
             found.append(
-                f"{100 * moving:.0f} % of the points move, and the poses never change: if the"
+                f"{100 * moving:.0f} % of the points move, and the sensor has one place: if the"
                 ' sensor moved, its tracks are wrong; give its poses with pose="kiss" (poses from'
                 " the scans) or pose=FILE"
             )

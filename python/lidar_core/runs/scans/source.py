@@ -20,7 +20,7 @@ from lidar_core.messages import Scan, ScanT
 
 STAMP = attrgetter("scan.stamp_ns")
 JUMP = 0.1
-"""Way of a sensor from the start that a repeated recording takes back at once [m]."""
+"""Way from the last place of a sensor to its first one from which on it is told [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class ScanSource(Generic[ScanT]):
             )
         self._read = read
         self._repeat = repeat
-        self._way = 0.0
+        self._jump = 0.0
         self._stack = ExitStack()
         self._lidars: list[_Lidar[ScanT]] = []
         with ExitStack() as stack:
@@ -101,19 +101,19 @@ class ScanSource(Generic[ScanT]):
         first_ns = last_ns = 0
         count: Counter[str] = Counter()
         shift_ns = 0
-        start: NDArray[np.float64] | None = None
+        first, last = dict[str, NDArray[np.float64]](), dict[str, NDArray[np.float64]]()
         for turn in range(self._repeat):
             for item in heapq.merge(*(lidar.scans for lidar in self._lidars), key=STAMP):
                 if turn == 0:
                     last_ns = item.scan.stamp_ns
                     first_ns = last_ns if not count else first_ns
                     count[item.scan.topic] += 1
-                    place = item.world_from_lidar.reshape(-1, 4, 4)[0, :3, 3]
-                    start = place if start is None else start
-                    self._way = max(self._way, float(np.linalg.norm(place - start)))
+                    last[item.scan.topic] = item.world_from_lidar.reshape(-1, 4, 4)[0, :3, 3]
+                    first.setdefault(item.scan.topic, last[item.scan.topic])
                 yield item if turn == 0 else _shifted(item, turn * shift_ns)
             if not count:
                 return
+            self._jump = max(float(np.linalg.norm(last[one] - first[one])) for one in first)
             most = max(count.values())
             period = (last_ns - first_ns) // (most - 1) if most > 1 else 0
             shift_ns = last_ns - first_ns + (period or round(1e9 / self._read.scan_rate))
@@ -154,10 +154,10 @@ class ScanSource(Generic[ScanT]):
             rejected |= item.rejected
         texts = [note for item in found for note in item.notes]
         texts += [f"{topic}: {count} messages rejected" for topic, count in rejected.items()]
-        if self._repeat > 1 and self._way > JUMP:
+        if self._repeat > 1 and self._jump > JUMP:
             texts.append(
                 f"the recording is played {self._repeat} times, and the sensor jumps back by"
-                f" {self._way:.1f} m each time: tracks show what the jumps seem to move, too"
+                f" {self._jump:.1f} m each time: tracks show what the jumps seem to move, too"
             )
         return list(dict.fromkeys(texts))
 

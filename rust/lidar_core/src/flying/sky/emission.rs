@@ -248,6 +248,8 @@ pub(super) struct Elevations {
     /// Elevation of the returns that are far enough to be sharp [rad].
     values: Vec<f64>,
     azimuths: Vec<f64>,
+    /// Largest distance of every return from its row [rad].
+    reaches: Vec<f64>,
 }
 
 /// Nearer returns are smeared by the way of the sensor during a scan [m].
@@ -260,6 +262,8 @@ const BEYOND: f64 = 2.0 * PI / 180.0;
 const STRAY_SHARE: f64 = 0.05;
 /// Returns this far from every row contradict the rows [rad]: 0.3 degrees.
 const OFF_ROW: f64 = 0.3 * PI / 180.0;
+/// Height by which beams may begin above or below the origin of the points [m]: 0.04 m in an Ouster.
+const BEAM_ORIGIN: f64 = 0.05;
 /// Rows nearer than this to each other cannot be told from returns between them [rad].
 const LEAST_GAP: f64 = 0.8 * PI / 180.0;
 /// Shares of returns off the rows that contradict these: where returns show rows, and where they show
@@ -269,8 +273,12 @@ const OFF_SHARE: f64 = 0.25;
 const OFF_SHARE_WITHOUT_ROWS: f64 = 0.5;
 /// Largest part of the turn that a sensor which does not turn is taken to see [rad].
 const PART_OF_TURN: f64 = PI;
-/// Share of the rows between those that return something, below which they are of another sensor.
+/// Share of the rows between those that return something, below which they are of another sensor, and
+/// the least number of gaps between them: sky between the ground and what is above it is one gap. A few
+/// returns far above or below the others do not count.
 const USED_SHARE: f64 = 0.6;
+const FEWEST_GAPS: usize = 4;
+const OUTER_SHARE: f64 = 0.05;
 /// Width of a bin in which rows show [rad]: 0.1 degrees.
 const BIN: f64 = PI / 1800.0;
 
@@ -283,6 +291,7 @@ impl Elevations {
             if range.is_finite() && range > SHARP_RANGE {
                 all.values.push(libm::asin((point[2] / range).clamp(-1.0, 1.0)));
                 all.azimuths.push(libm::atan2(point[1], point[0]));
+                all.reaches.push(OFF_ROW.max(BEAM_ORIGIN / range));
             }
         }
         all
@@ -356,21 +365,35 @@ impl Elevations {
         if gaps.get(gaps.len() / 2).is_none_or(|&middle| middle < LEAST_GAP) {
             return 0.0;
         }
-        let is_off = |value: &&f64| {
+        let is_off = |&(value, reach): &(&f64, &f64)| {
             let above = rows.partition_point(|row| row < value);
-            let near = |row: Option<&f64>| row.is_some_and(|row| (row - **value).abs() <= OFF_ROW);
+            let near = |row: Option<&f64>| row.is_some_and(|row| (row - value).abs() <= *reach);
             !near(rows.get(above)) && !near(above.checked_sub(1).and_then(|at| rows.get(at)))
         };
-        self.values.iter().filter(is_off).count() as f64 / self.values.len() as f64
+        let off = self.values.iter().zip(&self.reaches).filter(is_off).count();
+        off as f64 / self.values.len() as f64
     }
 
     /// True if many rows return nothing between those that do.
     fn skip_rows(&self, rows: &[f64]) -> bool {
-        let is_used =
-            |row: &usize| self.values.iter().any(|value| (value - rows[*row]).abs() <= OFF_ROW);
-        let used: Vec<usize> = (0..rows.len()).filter(is_used).collect();
-        let (Some(first), Some(last)) = (used.first(), used.last()) else { return true };
-        (used.len() as f64) < USED_SHARE * (last - first + 1) as f64
+        let mut returns: Vec<(f64, f64)> =
+            self.values.iter().copied().zip(self.reaches.iter().copied()).collect();
+        returns.sort_unstable_by(|one, other| one.0.total_cmp(&other.0));
+        let outer = (OUTER_SHARE * returns.len() as f64) as usize;
+        let returns = &returns[outer..returns.len() - outer];
+        let widest = OFF_ROW.max(BEAM_ORIGIN / SHARP_RANGE);
+        let is_used = |row: &f64| {
+            let first = returns.partition_point(|(value, _)| *value < row - widest);
+            let near = returns[first..].iter().take_while(|(value, _)| *value <= row + widest);
+            near.into_iter().any(|(value, reach)| (value - row).abs() <= *reach)
+        };
+        let used: Vec<bool> = rows.iter().map(is_used).collect();
+        let ends = used.iter().position(|&used| used).zip(used.iter().rposition(|&used| used));
+        let Some((first, last)) = ends else { return true };
+        let between = &used[first..=last];
+        let count = between.iter().filter(|&&used| used).count();
+        let gaps = between.windows(2).filter(|pair| pair[0] && !pair[1]).count();
+        gaps >= FEWEST_GAPS && (count as f64) < USED_SHARE * between.len() as f64
     }
 
     /// True if all returns lie in one part of the turn: the largest gap between their azimuths is the
@@ -458,6 +481,56 @@ mod tests {
         let points: Vec<[f32; 3]> = os1.iter().flat_map(|&elevation| row(elevation)).collect();
         let seen = Elevations::of(&points);
         assert!(!seen.contradict(&RayPattern::Rows { elevations: os1, columns: 1024 }));
+    }
+
+    #[test]
+    fn sky_between_the_ground_and_a_drone_is_no_other_sensor() {
+        let degrees =
+            |rows: Vec<f64>| rows.iter().map(|row| row * PI / 180.0).collect::<Vec<f64>>();
+        let vlp16 = degrees((0..16).map(|row| 2.0 * f64::from(row) - 15.0).collect());
+        let os1 = degrees((0..128).map(|row| 0.35 * f64::from(row) - 22.5).collect());
+        for (rows, columns, height) in [(vlp16, 1800, 1.5), (os1, 1024, 1.5)] {
+            let ground = rows.iter().filter(|row| **row < -0.03);
+            let below = ground.flat_map(|row| {
+                let (run, step) = (height / libm::tan(-row), TAU / 400.0);
+                (0..400).map(move |ray| {
+                    let azimuth = step * f64::from(ray);
+                    [run * libm::cos(azimuth), run * libm::sin(azimuth), -height]
+                })
+            });
+            let last = rows[rows.len() - 1];
+            let drone = (0..6).map(|ray| {
+                let azimuth = 0.002 * f64::from(ray);
+                let run = 25.0 * libm::cos(last);
+                [run * libm::cos(azimuth), run * libm::sin(azimuth), 25.0 * libm::sin(last)]
+            });
+            let points: Vec<[f32; 3]> =
+                below.chain(drone).map(|point| point.map(|value| value as f32)).collect();
+            let seen = Elevations::of(&points);
+            assert!(seen.are_rows() || rows.len() > 16);
+            assert!(!seen.contradict(&RayPattern::Rows { elevations: rows, columns }));
+        }
+    }
+
+    #[test]
+    fn beams_that_begin_above_the_origin_lie_on_their_rows() {
+        // 32 rows 1.45 degrees apart in a room of 7 m, 0.038 m above the origin of the points.
+        let rows: Vec<f64> =
+            (0..32).map(|row| (1.45 * f64::from(row) - 22.5) * PI / 180.0).collect();
+        let points: Vec<[f32; 3]> = rows
+            .iter()
+            .flat_map(|&row| {
+                (0..300).map(move |ray| {
+                    let azimuth = TAU * f64::from(ray) / 300.0;
+                    let run = 3.5 / libm::cos(azimuth).abs().max(libm::sin(azimuth).abs());
+                    let height = run * libm::tan(row) + 0.038;
+                    [run * libm::cos(azimuth), run * libm::sin(azimuth), height]
+                        .map(|value| value as f32)
+                })
+            })
+            .collect();
+        let seen = Elevations::of(&points);
+        assert!(!seen.contradict(&RayPattern::Rows { elevations: rows, columns: 1024 }));
     }
 
     #[test]
