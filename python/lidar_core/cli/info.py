@@ -110,12 +110,12 @@ def _topics_table(info: "RecordingInfo") -> "Table":
     table = Table("topic", "type", "read as", "messages", "Hz", "frames", "rays", "points")
     for column in table.columns:
         column.overflow = "fold"
-    moves = any(not is_static for _, _, is_static in info.transforms)
+    stands = bool(info.transforms) and all(is_static for _, _, is_static in info.transforms)
     for topic in info.topics:
         table.add_row(
             escape(topic.name or NAMELESS),
             escape(topic.type.replace("/msg/", "/")),  # the whole name is in --json
-            topic.kind if moves else topic.kind.replace("pose", "mounting"),
+            topic.kind.replace("pose", "mounting") if stands else topic.kind,
             str(topic.count),
             "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}",
             escape(", ".join(name or "(none)" for name in topic.frames)),

@@ -42,8 +42,7 @@ SIGMAS, CORNERS = 2.0, 36
 SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
 MOST_CURVES = 12  # radii over time: the elements seen longest
 GONE = 0.45  # opacity of what is no longer in the map at the end
-
-MOST_LABELS = 40  # of elements that are no longer in the map
+MOST_LABELS = 40  # of elements that are no longer in the map, the longest ways: more hide the map
 
 StateT = TypeVar("StateT", CircleElements, ShapeElements)
 
@@ -222,7 +221,7 @@ def _gone(axes: Any, view: CirclesView) -> None:
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     last = _last_rows(view.maps)
     there = set(view.maps[-1].id.tolist()) if view.maps else set()
-    ways, labels = _ways(view, len(view.maps) - 1), []
+    ways, labels = _ways(view, len(view.maps) - 1), list[tuple[int, Label]]()
     for number, (state, row) in last.items():
         if number in there:
             continue
@@ -231,8 +230,9 @@ def _gone(axes: Any, view: CirclesView) -> None:
         disc.set(alpha=GONE, zorder=4.6)
         axes.add_patch(disc)
         axes.plot(*ways[number].T, color=colour, lw=0.8, alpha=GONE, zorder=4.4, gid=WAY)
-        labels.append(Label(label_of(state, row), center, colour))
-    draw_labels(axes, labels[:MOST_LABELS], [])
+        labels.append((len(ways[number]), Label(label_of(state, row), center, colour)))
+    longest = sorted(labels, key=lambda one: -one[0])[:MOST_LABELS]
+    draw_labels(axes, [label for _, label in longest], [])
     if labels:
         axes.scatter(
             [],

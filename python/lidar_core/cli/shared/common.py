@@ -145,7 +145,7 @@ OPTIONS = {
 ARGUMENT = re.compile(
     rf"(?<![\w-])(?<!--topic )(?<!--column )({'|'.join(OPTIONS)})=(?!=)(True\b|\"(\w+)\"|)"
 )
-_PAIR = r'"(\w+)": \[?"?([\w.-]+)"?\]?'
+_PAIR = r'"(\w+)": \[?"?([\w.+-]+)"?\]?'
 PAIR = re.compile(_PAIR)
 PAIRS = re.compile(rf"(?:(column|topic)s|(azimuth|clock|scale))=\{{({_PAIR}(?:, {_PAIR})*)\}}")
 PREFIXES = {
