@@ -426,7 +426,7 @@ def test_real_recordings_are_mapped(recordings, tmp_path, name, arguments):
 @pytest.mark.parametrize(
     ("name", "arguments", "persons"),
     [
-        ("people/corridor/example4/example4.db3", ["--pose", "static"], 1),
+        ("people/corridor/example1/example1.db3", ["--pose", "static"], 1),
         ("2d/radish/aces.clf.bz2", ["--end", 60.0], 0),
     ],
 )

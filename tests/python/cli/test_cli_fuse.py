@@ -542,7 +542,7 @@ def test_config_fit_refuses_what_it_cannot_use(tmp_path):
     kept = tmp_path / "kept.toml"
     kept.write_text("mine")
     done = fit(place, "-o", kept)
-    assert isinstance(done.exception, ConfigError)
+    assert isinstance(done.exception, FileExistsError)
     assert kept.read_text() == "mine"
     done = fit(tmp_path / "nothing.csv")
     assert isinstance(done.exception, OSError), done.exception
