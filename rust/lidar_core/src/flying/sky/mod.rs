@@ -10,6 +10,7 @@
 //! Directions are those of the frame of the map, seen from the sensor. The decision and its reasons
 //! are in `docs/adr/0008-sky.md`.
 
+mod elevations;
 mod emission;
 mod floor;
 mod free_path;
@@ -17,8 +18,9 @@ mod grid;
 mod observation;
 pub mod source;
 
+use elevations::Elevations;
+use emission::Emission;
 pub use emission::RayPattern;
-use emission::{Elevations, Emission};
 use grid::CELLS;
 pub(crate) use observation::{ON_GROUND, ScanToObserve, SkyObservation};
 
