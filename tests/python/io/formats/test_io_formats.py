@@ -268,7 +268,7 @@ def test_truncated_ros_recordings_are_refused_or_read_up_to_the_cut(tmp_path, ve
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("a.bag", "not a ROS 1 bag: it begins with b'hello hello '"),
+        ("a.bag", "not a ROS 1 bag: it begins with b'hello hel'"),
         ("a.db3", "not an SQLite database: it begins with b'hello hello hell'"),
         ("a.mcap", "not an MCAP file: it begins with b'hello he'"),
         ("a.pcd", "not a PCD file: it begins with b'hello he'"),
