@@ -33,7 +33,7 @@ RUST_FLOORS = (
 )
 PYTHON_FLOORS = (
     {"errors", "plugins", "files", "extras", "config", "arrays", "sensors", "messages"},
-    {"parameters", "uses", "geometry", "estimation", "objects"},
+    {"parameters", "use_cases", "geometry", "estimation", "objects"},
     {"io"},
     {"run_folder", "util"},
     {"sim"},
