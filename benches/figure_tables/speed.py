@@ -13,8 +13,8 @@ from figure_tables.cells import (
 from figure_tables.results import Machine
 
 UNFAIR_NOTE = (
-    "(1) The reference programs of this run were too slow for a fair comparison, so the ratios are"
-    " left out. `docs/performance-beside-others.md` has them."
+    "(1) In this run the machine slowed down our reference program, so a comparison would be"
+    " unfair. This table leaves the ratios out; `docs/performance-beside-others.md` has them."
 )
 
 

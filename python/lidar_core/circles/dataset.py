@@ -148,7 +148,13 @@ def generate(
     threads : int
         Number of threads; the result does not depend on it.
     on_shard : callable, optional
-        Called with shards done and all shards, after each.
+        Called after each shard as `on_shard(finished, total)`, with the numbers of finished shards
+        and of all shards.
+
+    Returns
+    -------
+    CircleDataset
+        The complete dataset in `folder`.
 
     Raises
     ------

@@ -43,12 +43,13 @@ class CircleFrame(ShortRepr):
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
-        Map element of every segment; -1 for a segment that is not used: it has another shape, its
-        hits do not lie on the circle, or it is too near.
+        Number of the map element that every segment belongs to; -1 for a segment that the map does
+        not use: it is not a circle, its hits do not lie on the fitted circle, or the object is too
+        near.
     too_near : ndarray, shape (C,), bool
         True for segments that are left out of the map because part of the object may be nearer than
-        the scanner measures: the mean of the remaining hits is too far away. None with
-        `CirclesConfig.shapes` off.
+        the scanner measures: the mean of the remaining hits is too far away. All False if
+        `CirclesConfig.shapes.enabled` is False.
     line : ndarray, shape (C,), int64
         Map line of every segment; -1 for other shapes, and for lines that are too short to start
         one.
@@ -60,8 +61,8 @@ class CircleFrame(ShortRepr):
         Changes of the map by this scan.
     stuck_pose : bool
         True if the scanner moved although earlier scans, up to 2 s before, have exactly the same
-        pose: the source of the poses stopped, and static objects seem to move. Also false if too
-        many other objects move for a decision. Not in paper mode.
+        pose: the source of the poses stopped, and static objects seem to move. False as well if so
+        many objects move that no decision is possible. Always False in paper mode.
     timing_ms : dict
         Milliseconds per stage: prepare, segment, fit, map.
     rejected : str, optional

@@ -25,8 +25,8 @@ class Shapes(ShortRepr):
     parameters : ndarray, shape (S, 5), float64
         Parameters in the order of `ShapeKind`; parameters that a shape does not have are 0.
     covariance : ndarray, shape (S, 5, 5), float64
-        Covariance of the parameters, in their units; parameters that the rays do not show have a
-        standard deviation of 1 m.
+        Covariance of the parameters, in their units ([m] and [rad]). A parameter that the rays do
+        not determine has a standard deviation of 1 (m or rad).
     misfit : ndarray, shape (S,), float64
         Sum of squared residuals of the ranges over their variance (no unit).
     n_hits : ndarray, shape (S,), int64

@@ -19,22 +19,27 @@ from lidar_core.cli.shared.common import (
     shown_progress,
     stage_rows,
 )
-from lidar_core.cli.shared.run_options import RunOptions, ScanRate, Stamps, with_options
+from lidar_core.cli.shared.run_options import (
+    METADATA,
+    POINT_TIME,
+    RunOptions,
+    ScanRate,
+    Stamps,
+    with_options,
+)
 from lidar_core.util.rows import Row
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-POINT_TIME = "How points state their times: FIELD:UNIT:REFERENCE, auto or none."
 NO_RETURN = "What marks a ray without return: auto, zero, nan or none."
-METADATA = "JSON metadata of an Ouster capture, if it is not beside the capture."
 MAP = (
     "Known map in the fixed frame: map.lcvm of an earlier run, or a cloud,"
     " mesh or OctoMap as .pcd, .ply, .las, .laz, .bt, .stl, .obj."
 )
 STATIC_MAP = (
     "Write a map without moving objects: .lcvm (voxels of 0.1 m), .pcd or .ply (points in the"
-    " fixed frame). Scans take longer."
+    " fixed frame). Processing then takes more time."
 )
 REPEAT = "Process the recording this many times, so that a short one completes the burn-in."
 

@@ -42,14 +42,18 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 RECORDING = (
-    "L/R text, a table (CSV, TSV, Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder), or"
-    " detections of many targets (Autoferry, nuScenes, Delphi, Continental)."
+    "Text with lines L (LiDAR) and R (radar), a table (CSV, TSV, Parquet, .npz), a ROS recording"
+    " (.bag, .db3, .mcap, folder), or detections of many targets (Autoferry, nuScenes, Delphi,"
+    " Continental)."
 )
 ASSOCIATION = "Data association of many targets: integrated (JIPDA), nearest, or joint (JPDA)."
-LAG = "Smooth: each state uses measurements up to this much later \\[s]."
+LAG = (
+    "Smooth the states of one target: each state also uses the measurements of this time after it"
+    " \\[s]."
+)
 FIT = (
-    "First fit the noise of motion and sensors to the measurements, like `config fit`; without"
-    " --model, also choose the model."
+    "First fit the noise of motion and sensors to the measurements, like `config fit`. If neither"
+    " model nor method is given, the fit also chooses the model (ct or ctrv)."
 )
 FORCE = "Continue even if the NIS of the measurements is implausible."
 

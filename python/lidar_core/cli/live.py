@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from lidar_core.cli.circles import NO_RETURN, TrustModel
-from lidar_core.cli.detect import MAP, POINT_TIME
+from lidar_core.cli.detect import MAP
 from lidar_core.cli.results.view import ALLOW_ORIGIN
 from lidar_core.cli.shared.common import (
     INTERRUPTED,
@@ -24,7 +24,13 @@ from lidar_core.cli.shared.common import (
     told_reasons,
     write_json,
 )
-from lidar_core.cli.shared.run_options import Checkpoint, PipelineOptions, Resume, with_options
+from lidar_core.cli.shared.run_options import (
+    POINT_TIME,
+    Checkpoint,
+    PipelineOptions,
+    Resume,
+    with_options,
+)
 from lidar_core.cli.shared.voice import tell as say
 from lidar_core.errors import ConfigError
 from lidar_core.util.rows import Row, number
@@ -49,6 +55,8 @@ _OUT = (
 )
 _STREAM = "Set one value of the model `live`, such as pose_wait=0.5; may be repeated."
 _FOLDER = "Folder to write, as `detect` or `circles` writes it."
+_TAPE = "Record the input: .mcap, .npz or .bag."
+_METRICS = "Prometheus metrics: PORT or HOST:PORT."
 _CAPABILITY = "auto: flying for clouds, circles for 2D scans."
 
 SourceName: TypeAlias = Annotated[str | None, typer.Option("--in", help=_IN, rich_help_panel=READ)]
@@ -98,16 +106,9 @@ Folder: TypeAlias = Annotated[
 
 
 Tape: TypeAlias = Annotated[
-    Path | None,
-    typer.Option("--record", help="Also record the input: .mcap, .npz.", rich_help_panel=WRITTEN),
+    Path | None, typer.Option("--record", help=_TAPE, rich_help_panel=WRITTEN)
 ]
-Metrics: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        help="PORT or HOST:PORT of metrics for Prometheus.",
-        rich_help_panel=WRITTEN,
-    ),
-]
+Metrics: TypeAlias = Annotated[str | None, typer.Option(help=_METRICS, rich_help_panel=WRITTEN)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -43,7 +43,7 @@ def command(
     threads: Threads,
     json: JsonFile = None,
 ) -> None:
-    """Reproduce a table or figure of the papers: paper's value, paper mode, best mode.
+    """Reproduce a table or figure of the papers, with the paper's value and those of both modes.
 
     Paper mode is the algorithm as published. If its equations contradict each other, one more
     column shows the result with corrected equations.

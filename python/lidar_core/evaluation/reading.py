@@ -55,11 +55,11 @@ def read_prediction(path: str | Path) -> Prediction:
     Parameters
     ----------
     path : str or Path
-        Folder that `lidar-core detect`, `circles` or `demo` wrote, or its table of tracks (for
-        flying objects, the tracks of kind flying count), or another file for
+        Folder that `lidar-core detect`, `circles`, `fuse` or `demo` wrote, or its table of tracks
+        (for flying objects, the tracks of kind flying count), or another file for
         `lidar_core.io.read_columns` with columns t_ns, track_id, x, y, z and, if known, vx, vy, vz
-        and the upper triangle of the covariance,
-        cov_x_x to cov_vz_vz. Without z and vz and with radius it is the table of a circle map.
+        and the upper triangle of the covariance, cov_x_x to cov_vz_vz. Without z and vz and with
+        radius it is the table of a circle map.
 
     Raises
     ------

@@ -144,9 +144,11 @@ class MultiTargetTracker(FullState):
         Raises
         ------
         InputError
-            An older scan than that, a measurement of another time, something else.
+            A scan older than `config.target.buffer_time` allows, a measurement whose time is not
+            `stamp_ns`, or an argument of a wrong type.
         LimitError
-            More than 2000 measurements or tracks, more than 64 scanners.
+            More than 2000 measurements, more than 2000 tracks with association nearest or joint,
+            more than 64 scanners.
         """
         stamp = as_stamp(stamp_ns)
         if not isinstance(source, str):

@@ -49,10 +49,10 @@ class Report:
 
 
 def clock_difference_ms(from_stamp: Delay | None, from_arrival: Delay | None) -> float | None:
-    """Offset of this clock to the clock of the stamps [ms]; None if both may agree.
+    """Return how far this machine's clock is ahead of the clock of the stamps [ms].
 
-    A stamp and its arrival differ by at least zero, and in any network by less than
-    `LONGEST_WAY_MS`: other differences come from the clocks.
+    It is negative if this clock is behind. It is None if the transport of the messages can explain
+    the difference: the time from a stamp to its arrival is then between zero and `LONGEST_WAY_MS`.
     """
     if from_stamp is None or from_arrival is None:
         return None

@@ -63,7 +63,8 @@ def detect(
         Map of an earlier run (.lcvm), or a cloud or mesh in the fixed frame [m].
     static_map : str or Path, optional
         File to write: the map without all that moved, as voxels of 0.1 m (.lcvm) or as points in
-        the world frame (.pcd, .ply) [m]. An earlier file is replaced. Scans take longer.
+        the world frame (.pcd, .ply) [m]. An earlier file is replaced. Processing takes more time
+        with it.
     threads : int
         Threads used, >= 1; results do not depend on it.
     mcap : bool, optional

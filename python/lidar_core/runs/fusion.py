@@ -66,7 +66,8 @@ def fuse(
         These values of the configuration instead of its own; `association` is for many targets,
         also of a table.
     lag : float, optional
-        Smooth: every state uses measurements up to this much later [s]; for one target.
+        Smooth the states of one target: each state also uses the measurements of this time after
+        it [s].
     columns : mapping of str to str, optional
         Names of a table's columns, such as {"x": "pos_x"}.
     topics : mapping of str to sequence of str, optional

@@ -23,6 +23,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// Make a mesh of vertices [m] and faces, which are triples of numbers of vertices.
+    ///
     /// # Errors
     /// [`Error::Value`] if a vertex is not finite or beyond 1e15 m, there is no face, or a face names no vertex;
     /// [`Error::Limit`] above [`MAX_FACES`], [`Error::Memory`].

@@ -118,6 +118,8 @@ impl SceneObject {
 }
 
 impl Scene {
+    /// Make a scene of static bodies and moving objects.
+    ///
     /// # Errors
     /// [`Error::Value`] if a pose or a sway is not finite, or a body reaches beyond 1e15 m.
     pub fn new(bodies: Vec<SceneObject>, movers: Vec<Mover>) -> Result<Self, Error> {

@@ -98,6 +98,8 @@ pub struct SweepRays {
 }
 
 impl Lidar {
+    /// Check the values of the sensor.
+    ///
     /// # Errors
     /// [`Error::Parameter`] if a value is outside the range that its field states,
     /// [`Error::Limit`] if a scan has too many rays.
@@ -258,6 +260,8 @@ impl Lidar {
 }
 
 impl Beam {
+    /// Check the values of the beam.
+    ///
     /// # Errors
     /// [`Error::Parameter`] if a value is outside the range that its field states.
     pub fn check(&self) -> Result<(), Error> {

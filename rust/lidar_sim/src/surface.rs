@@ -35,6 +35,8 @@ pub enum SurfaceInteraction {
 }
 
 impl Surface {
+    /// Check the values of the surface.
+    ///
     /// # Errors
     /// [`Error::Parameter`] unless the reflectivity is finite and >= 0 and the shares are 0 to 1.
     pub fn check(&self) -> Result<(), Error> {

@@ -11,6 +11,8 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
+    /// Make a trajectory of stamps [ns] and the poses at these times.
+    ///
     /// # Errors
     /// [`Error::Length`] if the arrays differ in length, [`Error::Value`] if there is no stamp,
     /// a stamp is not after the one before, or a pose is not finite.

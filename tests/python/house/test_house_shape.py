@@ -33,7 +33,7 @@ RUST_FLOORS = (
 )
 PYTHON_FLOORS = (
     {"errors", "plugins", "files", "extras", "config", "arrays", "sensors", "messages"},
-    {"parameters", "uses", "geometry", "estimation", "objects"},
+    {"parameters", "use_cases", "geometry", "estimation", "objects"},
     {"io"},
     {"run_folder", "util"},
     {"sim"},
@@ -311,6 +311,30 @@ def test_a_long_file_or_function_without_a_reason_is_seen(tmp_path):
         f"fn one() {{\n{body}}}\n\nfn two() {{\n    // {LONGER}\n{body}}}\n", encoding="utf-8"
     )
     assert house.long_rust_functions([tmp_path], unless=LONGER) == ["lib.rs:one"]
+
+
+# Doc comments
+
+FIRST_IS_A_HEADING = re.compile(r"^(?![ \t]*//[/!]).*\n[ \t]*//[/!] (# .*)$", re.M)
+"""The first line of a doc comment in Rust, if it is a heading such as "# Errors"."""
+
+
+def test_doc_comments_say_what_it_is_before_they_list_errors():
+    paths = [path for folder in RUST_FOLDERS for path in (ROOT / folder).rglob("*.rs")]
+    found = {
+        path.relative_to(ROOT).as_posix(): headings
+        for path in paths
+        if "target" not in path.parts
+        and (headings := FIRST_IS_A_HEADING.findall("\n" + path.read_text(encoding="utf-8")))
+    }
+    assert found == {}, "begin with a sentence that says what the function does"
+
+
+def test_a_doc_comment_without_a_summary_is_seen():
+    body = "/// # Errors\n/// [`Error`].\npub fn new() {}\n"
+    assert FIRST_IS_A_HEADING.findall("impl A {\n    " + body) == ["# Errors"]
+    assert FIRST_IS_A_HEADING.findall("\n" + body) == ["# Errors"]
+    assert FIRST_IS_A_HEADING.findall("\n/// Make it.\n///\n" + body) == []
 
 
 # Public names

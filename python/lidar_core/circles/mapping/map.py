@@ -29,7 +29,8 @@ class MapEvents:
     elements : ndarray, shape (C,), int64
         Element of every circle of the scan; it may have been merged or removed since.
     born, confirmed, removed : ndarray, shape (K,), int64
-        New elements; reported from now on; no more.
+        Numbers of the elements that this scan created, that are reported from this scan on, and
+        that this scan removed.
     merged : ndarray, shape (K, 2), int64
         Pairs of the element that stays and the one that was merged into it; when late scans are
         processed again, only new pairs.
@@ -103,15 +104,15 @@ class CircleMap(FullState):
         range_limits: tuple[float, float] = (0.0, np.inf),
         sensor: int = 0,
     ) -> MapEvents:
-        """Process the circles of one scan; also pass empty sets.
+        """Process the circles of one scan. Call it also for a scan without circles.
 
         Parameters
         ----------
         circles : array_like, shape (C, 3)
             Centre x, y and radius [m] in the level frame: origin at the sensor, z up, x where the
-            sensor's x axis points, seen from above.
+            sensor's x axis points, seen from above. Shape (0, 3) for a scan without circles.
         covariance : array_like, shape (C, 3, 3)
-            Theirs [m^2].
+            Covariance of x, y and radius of each circle [m^2], symmetric and positive definite.
         world_from_lidar : array_like, shape (4, 4)
             Pose of the sensor, tilt included.
         stamp_ns : int
@@ -123,8 +124,10 @@ class CircleMap(FullState):
             When each circle was measured, after `stamp_ns`, -10 to 10 [s]; `filter` "paper" does
             not heed it.
         scan : (ranges, bearings), each of shape (B,), optional
-            The scan in the level frame, +inf for misses, NaN for no information: elements that it
-            does not show wait where they are hidden. Without it all should have been measured.
+            Ranges [m] and bearings [rad] of the scan in the level frame; +inf for misses, NaN for
+            no information. The map finds with it which elements are hidden or out of view, and
+            keeps these. Without it every element counts as visible, and one without a circle as
+            missed.
         range_limits : (float, float)
             Nearest and farthest range that is measured [m].
         sensor : int

@@ -136,8 +136,8 @@ class CircleMapConfig(Config):
         gt=0,
         le=50,
         description="Largest standard deviation of the centre of a visible element, in its"
-        " worst direction; a more uncertain element is removed, eq. 33 for a block"
-        " of the covariance [m].",
+        " worst direction; a more uncertain element is not reported, and is removed if it is that"
+        " uncertain after a measurement, eq. 33 for a block of the covariance [m].",
     )
     max_coast: float | None = Field(
         default=5.0,

@@ -9,7 +9,7 @@ import typer
 
 from lidar_core.cli.shared.common import Mode, OverwriteFile, check_new
 from lidar_core.parameters import MODELS
-from lidar_core.uses import USES
+from lidar_core.use_cases import USES
 
 if TYPE_CHECKING:
     from lidar_core.config import Config
@@ -164,7 +164,7 @@ def _chosen(
 
 def _of_use(name: str, model: str | None, mode: Mode) -> tuple[str, "Config"]:
     from lidar_core.errors import ConfigError
-    from lidar_core.uses import use_named
+    from lidar_core.use_cases import use_named
 
     use = use_named(name)
     if model not in (None, use.model):

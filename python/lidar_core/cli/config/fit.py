@@ -38,8 +38,8 @@ FORCE = "Continue even if the measurements contain mistakes; the fit treats them
 FACTOR = 1000
 """How far a fit may go from where it begins, up or down."""
 RECORDINGS = (
-    "Measurements of one target each: L/R text, a table (CSV, Parquet, .npz), a ROS recording"
-    " (.bag, .db3, .mcap, folder)."
+    "Measurements of one target each: text with lines L (LiDAR) and R (radar), a table (CSV,"
+    " Parquet, .npz), a ROS recording (.bag, .db3, .mcap, folder)."
 )
 
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     )
 
 PREDICTED = (
-    "Run folder of detect, circles or demo, or a table of tracks: CSV, Parquet, .npz, TUM, MCAP."
+    "Run folder of detect, circles, fuse or demo, or a table of tracks: CSV, Parquet, .npz, TUM,"
+    " MCAP."
 )
 TRUE = (
     "Ground truth: NAME.truth.csv of simulate, the recording beside it, a demo's folder, or a"
@@ -38,7 +39,7 @@ GATE = "Largest distance between an estimate and its target \\[m]."
 MAX_DISTANCE = "Ignore targets farther from the sensor \\[m]."
 MIN_HITS = "Ignore targets with fewer points."
 BURN_IN = "Ignore this many scans at the start; default: the burn-in of the run."
-SET = "Set one value of the configuration, such as order=1; may be repeated."
+SET = "Set one value of the configuration, such as time_tolerance=0.05; may be repeated."
 STATIC = (
     "Score a static map: labelled cloud (PCD with intensity 1 for moving points), or a folder"
     " with gt_cloud.pcd. PRED is the map: a run folder of detect, or .lcvm, .pcd, .ply."

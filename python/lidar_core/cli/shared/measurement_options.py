@@ -15,7 +15,8 @@ _TOPIC = "Topic of a ROS recording, such as radar=/front or pose=/odom; may be r
 _TIME_UNIT = "Unit of a table's times: ns, us, ms or s."
 _ANGLE_UNIT = "Unit of a table's angles: rad or deg."
 _AZIMUTH = (
-    "Angles in a table that are clockwise or compass, such as bearing=clockwise; may be repeated."
+    "Angle of a table that is not counter-clockwise from x, such as bearing=clockwise or"
+    " pose_yaw=compass (clockwise from north); may be repeated."
 )
 _CLOCK = (
     "Seconds by which a sensor's clock in a table is ahead, such as radar=0.5; may be repeated."

@@ -21,15 +21,16 @@ _POSE = (
     " KISS-ICP; or a file of poses (KITTI, TUM)."
 )
 _MOUNTING = "Mounting of a sensor: PARENT FRAME x y z roll pitch yaw \\[m, rad]; may be repeated."
+_FIXED_FRAME = "Frame of the map; default: root of the transform tree."
 _SET = "Set a value: SECTION.NAME=VALUE, as in `config show`; may be repeated."
 _CONFIG = "TOML file; the run.toml of an earlier run is also accepted."
 _START = "Start this long after the first stamp \\[s]."
 _END = "End this long after the first stamp \\[s]."
 _MCAP = "Write run.mcap for viewers; default: yes, if the extra `viz` is installed."
 
-_POINT_TIME = "How points state their times: FIELD:UNIT:REFERENCE, auto or none."
+POINT_TIME = "Time of each point: FIELD:UNIT:REFERENCE such as t:ns:start, auto or none."
 _NO_RETURN = "What marks a ray without return: auto, zero, nan, max or none."
-_METADATA = "JSON metadata of an Ouster capture, if it is not beside the capture."
+METADATA = "JSON metadata of an Ouster capture, if it is not beside the capture."
 _RECOVER = (
     "Read the complete parts of an MCAP file that is cut off or was not closed, or of a folder with"
     " damaged files."
@@ -42,9 +43,9 @@ RecordingPath: TypeAlias = Annotated[Path, typer.Argument(help="File or folder t
 Output: TypeAlias = Annotated[
     Path, typer.Option("--output", "-o", help="Folder to write.", rich_help_panel=WRITTEN)
 ]
-PointTime: TypeAlias = Annotated[str | None, typer.Option(help=_POINT_TIME)]
+PointTime: TypeAlias = Annotated[str | None, typer.Option(help=POINT_TIME)]
 NoReturn: TypeAlias = Annotated[str | None, typer.Option(help=_NO_RETURN)]
-Metadata: TypeAlias = Annotated[str | None, typer.Option(help=_METADATA)]
+Metadata: TypeAlias = Annotated[str | None, typer.Option(help=METADATA)]
 Stamps: TypeAlias = Annotated[str | None, typer.Option(help=_STAMPS, rich_help_panel=READ)]
 ScanRate: TypeAlias = Annotated[float | None, typer.Option(help=_SCAN_RATE, rich_help_panel=READ)]
 Recover: TypeAlias = Annotated[bool, typer.Option("--recover", help=_RECOVER)]
@@ -55,9 +56,7 @@ Odom: TypeAlias = Annotated[
     typer.Option(help="Topic of the poses.", rich_help_panel=READ, autocompletion=completion.POSES),
 ]
 PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE, rich_help_panel=READ)]
-FixedFrame: TypeAlias = Annotated[
-    str | None, typer.Option(help="Frame of the map.", rich_help_panel=READ)
-]
+FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help=_FIXED_FRAME, rich_help_panel=READ)]
 Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING, rich_help_panel=READ)]
 ChosenMode: TypeAlias = Annotated[
     Mode, typer.Option(help="best: what works best; paper: as published.")

@@ -70,7 +70,12 @@ def write_tum(folder: str | Path, tracks: Iterable[Tracks]) -> list[Path]:
     Returns
     -------
     paths : list of Path
-        Files that were written, by track.
+        Files that were written, in the order of the numbers of the tracks.
+
+    Notes
+    -----
+    Times are in seconds, positions in metres in the frame of the tracks. The orientation is always
+    the identity, 0 0 0 1.
     """
     return write_trajectories(folder, ((step.stamp_ns, step.id, step.position) for step in tracks))
 

@@ -235,8 +235,8 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
     is_live : bool
         The items come once, from a robot. They are written to `NAME.partial.mcap` beside `path`,
         which stays there if the process is killed or an error ends the block: recordings opened
-        with `recover` read all of it but the last scan, or the last 256 KiB of smaller ones. An
-        older partial file is replaced.
+        with `recover` read all scans except the last one, or, if scans are smaller than 256 KiB,
+        except up to 256 KiB of the last ones. An older partial file is replaced.
 
     Raises
     ------

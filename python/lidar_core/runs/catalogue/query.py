@@ -35,7 +35,7 @@ _ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
 
 
 def read_table(path: str | Path) -> Columns:
-    """A table, all tables of a folder together, the events of a batch, or those of a run.
+    """Read a table of events or objects: arrays of equal length by the names of the columns.
 
     Parameters
     ----------

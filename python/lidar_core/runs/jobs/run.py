@@ -98,10 +98,26 @@ def run_job(
     threads: int,
     build: str,
 ) -> JobRecord:
-    """Run the commands of a job and return its record.
+    """Run the commands of a job, one after the other, and return the record of the job.
 
-    The output of the commands goes into log.txt. Files of other machines are fetched first. All
-    objects of the runs go into one table.
+    Files on other machines are fetched first. The output of the commands is written to log.txt, and
+    the objects of all runs to one table. An error of a command does not raise: the record then has
+    the status "failed" and the text of the error.
+
+    Parameters
+    ----------
+    record : JobRecord
+        The job before its start.
+    commands : sequence of sequence of str
+        Commands with their arguments, without `lidar-core`.
+    workplace : Workplace
+        Folder of the results.
+    place : Path
+        Folder that becomes the working directory.
+    threads : int
+        Threads of each command.
+    build : str
+        Build that the job is for; with another build of this package, the job fails.
     """
     # What goes to another machine is only passed through the disk of this one.
     with nullcontext() if workplace.remote is None else unsynced():

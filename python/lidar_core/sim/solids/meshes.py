@@ -38,7 +38,7 @@ def sphere_mesh(radius: float, *, rings: int, sectors: int) -> Triangles:
 
 
 def hexacopter_mesh(radius: float) -> Triangles:
-    """Make a hub, six arms with rotor discs, and two skids, inside a sphere of `radius`.
+    """Make a hub, six arms with rotor discs, and two skids, inside a sphere of `radius` [m].
 
     The discs are solid: a LiDAR sees turning rotors only now and then, so that this is the most
     that a drone of the size returns.
@@ -47,7 +47,9 @@ def hexacopter_mesh(radius: float) -> Triangles:
 
 
 def quadcopter_mesh(radius: float) -> Triangles:
-    """Make the same with four arms in an X and larger rotors.
+    """Make a quadcopter inside a sphere of `radius` [m]: hub, arms in an X, rotor discs, skids.
+
+    The discs are solid, as those of `hexacopter_mesh`.
 
     Examples
     --------

@@ -209,7 +209,7 @@ impl CirclePipeline {
         }
     }
 
-    /// Update the map with the circles of a prepared sweep, one per segment.
+    /// Update the map with one circle per segment of a prepared sweep, in its level frame [m].
     ///
     /// # Errors
     /// [`Error::Length`] for a wrong number of circles, and the errors of

@@ -26,6 +26,8 @@ pub(super) struct Scanner {
 }
 
 impl Scanner {
+    /// Prepare the memory of one scanner: its bearings and fitters.
+    ///
     /// # Errors
     /// [`Error::Limit`] for too many rays, [`Error::Parameter`] for values that cannot work.
     pub(super) fn new(

@@ -34,6 +34,8 @@ impl Default for ShapeParameters {
 }
 
 impl ShapeParameters {
+    /// Check the ranges of the parameters.
+    ///
     /// # Errors
     /// [`Error::Parameter`] for a parameter outside its range.
     pub(super) fn check(&self) -> Result<(), Error> {

@@ -71,6 +71,8 @@ pub fn box_probability(
     Ok((share * problem.inside(0, [0.0; 3])).clamp(0.0, 1.0))
 }
 
+/// Check that a matrix is a covariance.
+///
 /// # Errors
 /// [`Error::NotPositiveDefinite`] unless the matrix is a covariance, up to rounding.
 fn check(covariance: &[[f64; 3]; 3]) -> Result<(), Error> {

@@ -44,7 +44,8 @@ pub struct SigmaRule {
 }
 
 impl SigmaRule {
-    /// Rule for `states` states; `spread` > 0. With `spread` = `states` it is the cubature rule.
+    /// Rule for this number of states. The points lie sqrt(`spread`) standard deviations from the
+    /// mean; `spread` > 0. With `spread` = `states` it is the cubature rule.
     #[must_use]
     pub fn new(states: usize, spread: f64) -> Self {
         Self { spread, center: 1.0 - states as f64 / spread, around: 0.5 / spread }

@@ -121,6 +121,8 @@ impl FlyingParameters {
         self.few_returns_distance.filter(|_| has_kinds)
     }
 
+    /// Check that the parameters of all stages fit together.
+    ///
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work together.
     pub(super) fn check(&self) -> Result<(), Error> {

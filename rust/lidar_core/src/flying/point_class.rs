@@ -28,11 +28,12 @@ impl From<PointClass> for u8 {
 
 /// Classes from an array of their numbers.
 ///
-/// A copy, not a view: whoever owns the bytes may write to them while the result is in use. Only
-/// valid class numbers may become a `PointClass`.
+/// The result is a copy: another thread could write an invalid number into `numbers` while a view of
+/// them is in use.
 ///
 /// # Errors
-/// [`Error::Limit`] for too many, [`Error::Value`] if a number is not a class.
+/// [`Error::Limit`] for more points than a scan may have, [`Error::Value`] if a number is not a class
+/// (0 to 4).
 pub fn classes_from_numbers(numbers: &[u8]) -> Result<Vec<PointClass>, Error> {
     check_points(numbers.len())?;
     if let Some(index) = numbers.iter().position(|&number| number > PointClass::Moving.into()) {

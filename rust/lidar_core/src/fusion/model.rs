@@ -1,6 +1,8 @@
 //! The motion models that a filter may use: the only list of their names and states.
 //!
-//! A new model needs a file in `models/`, and here its variant, its entry and its motion.
+//! A new model needs a file in `models/`, and here its variant, its entry and its motion; in space
+//! also [`Model::is_in_space`] and a name that ends in `-3d`; for mixtures also [`MIXABLE`], and
+//! `with_mixable` or `with_mixable_in_space`.
 
 use super::filter::paper::Paper;
 use super::models::cartesian::{ConstantAcceleration, ConstantVelocity, CoordinatedTurn};

@@ -22,6 +22,9 @@ pub struct Lattice {
 }
 
 impl Lattice {
+    /// Make a lattice of voxels with this edge [m]; `origin` [m] is the lowest corner of
+    /// voxel (0, 0, 0).
+    ///
     /// # Errors
     /// [`Error::Parameter`] unless `voxel_size` is finite and > 0 and `origin` is finite.
     pub fn new(voxel_size: f64, origin: [f64; 3]) -> Result<Self, Error> {

@@ -17,6 +17,8 @@ pub struct ScanPoses<'a> {
 }
 
 impl<'a> ScanPoses<'a> {
+    /// Poses of a scan: one for all points, or several with their stamps [ns].
+    ///
     /// # Errors
     /// [`Error::Value`] or [`Error::Length`] if poses are not finite, or stamps are missing or not
     /// increasing.

@@ -89,7 +89,8 @@ impl EchoTrace {
         }
     }
 
-    /// Add later sights of the track and of the target.
+    /// Add a later observation at `stamp_ns` [ns]: `own` is the place of the track, `target` that of
+    /// the target at this time, both relative to the radar. Call it in the order of the times.
     pub fn take(&mut self, stamp_ns: i64, own: PolarPlace, target: PolarPlace) {
         let [first, of_target] = self.first;
         let apart = turn(target.bearing, own.bearing);

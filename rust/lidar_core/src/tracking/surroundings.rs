@@ -87,8 +87,8 @@ impl Surroundings {
         self.clutter += clutter;
     }
 
-    /// Count how many unexplained measurements were the first ones of a target: `first` is the sum
-    /// of the probabilities of existence of all tracks that began with them.
+    /// Replace the expected number of unexplained measurements that were the first one of a target:
+    /// `first` is the sum of the probabilities of existence of all tracks that began with them.
     pub fn count_first(&mut self, first: f64) {
         self.first = first;
     }

@@ -110,6 +110,8 @@ pub struct Fitter {
 }
 
 impl Fitter {
+    /// Make a fitter with these parameters.
+    ///
     /// # Errors
     /// [`Error::Parameter`] for a parameter outside its range.
     pub fn new(parameters: FitParameters) -> Result<Self, Error> {

@@ -104,7 +104,13 @@ pub fn describe(
     Ok(frame)
 }
 
-/// Circle and covariance from the output of the network.
+/// Circle and covariance in the frame of the scan [m, m^2], from the output `answer` of the network
+/// for the window `frame`.
+///
+/// The first three numbers are the offsets of the centre, along and across the axis of the window,
+/// and of the radius, in units of `frame.scale`. The others are a lower triangle L with the
+/// covariance L L': the logarithms of its diagonal, in these units, and its entries (1, 0), (2, 0)
+/// and (2, 1) over the diagonal entry of their row.
 #[must_use]
 pub fn circle_of(frame: &WindowFrame, answer: &[f32; ANSWER]) -> CircleEstimate {
     let a = answer.map(f64::from);

@@ -48,6 +48,8 @@ pub(super) trait State: Clone {
     /// Predict the state.
     fn predict(&mut self, step: &ElementStep);
 
+    /// Correct the state with a measurement.
+    ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
     fn correct(&mut self, seen: &Self::Measurement, rules: &Rules) -> Result<(), Error>;

@@ -20,6 +20,8 @@ pub(super) struct Rules {
 }
 
 impl Rules {
+    /// Derive the rules from parameters, a gate probability and a speed [m/s].
+    ///
     /// # Errors
     /// [`Error::Parameter`] for a probability outside 0 to 1.
     pub(super) fn new(

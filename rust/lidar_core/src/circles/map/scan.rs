@@ -93,6 +93,8 @@ impl KeptScan {
             && self.from.view.as_ref().is_none_or(SortedView::is_sound)
     }
 
+    /// Place the objects of a scan in the world.
+    ///
     /// # Errors
     /// [`Error::Value`] for a pose or an object that cannot be used, [`Error::Limit`] for too many.
     pub(super) fn new(scan: &CircleScan<'_>) -> Result<Self, Error> {

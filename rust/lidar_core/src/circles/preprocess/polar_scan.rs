@@ -31,6 +31,8 @@ impl PolarScan {
         self.ranges.is_empty()
     }
 
+    /// Check that every range has a bearing.
+    ///
     /// # Errors
     /// [`Error::Length`] if ranges and bearings differ in number.
     pub(crate) fn check_lengths(&self) -> Result<(), Error> {

@@ -101,6 +101,8 @@ const LEAST_HITS: usize = 6;
 const LEAST_GAIN: f64 = 1.8;
 
 impl ShapeFitter {
+    /// Make a fitter with these parameters; circles are always fitted with [`FitMethod::Expected`].
+    ///
     /// # Errors
     /// [`Error::Parameter`] for a parameter outside its range.
     pub fn new(parameters: FitParameters) -> Result<Self, Error> {
@@ -120,10 +122,12 @@ impl ShapeFitter {
         Ok(())
     }
 
-    /// Write one shape per segment of a scan to `shapes`, in their order.
+    /// Write one shape per segment of a scan to `shapes`, in their order and in the frame of the scan
+    /// [m, rad]; earlier contents are removed.
     ///
     /// # Errors
-    /// Errors of [`Fitter::fit`](super::fit::Fitter::fit).
+    /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
+    /// [`Error::Length`] if ranges and bearings differ in number.
     pub fn fit(
         &mut self,
         scan: &PolarScan,
@@ -133,10 +137,13 @@ impl ShapeFitter {
         self.fit_both(scan, segments, &mut Vec::new(), shapes)
     }
 
-    /// Write one shape per segment to `shapes`, and the best circle of each segment to `circles`.
+    /// Write one shape per segment to `shapes`, and the best fitting circle of each segment to
+    /// `circles`, also of segments with another shape. Both are in the frame of the scan [m, rad], in
+    /// the order of the segments; earlier contents are removed.
     ///
     /// # Errors
-    /// Errors of [`ShapeFitter::fit`].
+    /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
+    /// [`Error::Length`] if ranges and bearings differ in number.
     pub fn fit_both(
         &mut self,
         scan: &PolarScan,

@@ -33,8 +33,10 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
+    /// Plan the rays of a scan, in parts of equal size on all threads of the pool.
+    ///
     /// # Errors
-    /// Of several the first in the order of the input.
+    /// The first error in the order of the input.
     pub(crate) fn fill(
         &mut self,
         pool: Option<&ThreadPool>,

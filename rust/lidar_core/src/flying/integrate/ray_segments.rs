@@ -165,6 +165,8 @@ impl Source<'_> {
         }
     }
 
+    /// Check that both ends of every ray have a voxel.
+    ///
     /// # Errors
     /// [`Error::PointOutOfRange`] for the first ray of which an end cannot be indexed.
     #[cold]

@@ -88,6 +88,8 @@ impl LocalMap {
         }
     }
 
+    /// Restore a map from its saved parts.
+    ///
     /// # Errors
     /// As [`VoxelMap::from_state`].
     pub(crate) fn restored(saved: SavedLocalMap) -> Result<Self, Error> {

@@ -128,6 +128,8 @@ impl MapParameters {
         })
     }
 
+    /// Check the ranges of the parameters.
+    ///
     /// # Errors
     /// [`Error::Parameter`] if a size is not positive or a bound is out of order.
     pub(super) fn check(&self) -> Result<(), Error> {
@@ -185,6 +187,8 @@ impl Separation {
         Neighbours::within(self.max_gap / voxel_size)
     }
 
+    /// Check the gap for voxels of this size [m].
+    ///
     /// # Errors
     /// [`Error::Parameter`] if `max_gap` is not a distance of 0 to 64 voxels.
     pub(crate) fn check(&self, voxel_size: f64) -> Result<(), Error> {

@@ -169,6 +169,8 @@ impl StaticMapper {
         StaticMapperState { views, n_scans: *n_scans, spacing_log2: *spacing_log2, points, hits }
     }
 
+    /// Restore a mapper from its saved parts.
+    ///
     /// # Errors
     /// [`Error::Format`] for a state that no mapper has.
     pub(crate) fn restored(saved: SavedStaticMapper) -> Result<Self, Error> {

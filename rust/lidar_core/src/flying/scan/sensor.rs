@@ -165,6 +165,8 @@ impl Sensor {
         self.last_stamp_ns.map(|last| stamp_ns.saturating_sub(last) as f64 * 1e-9)
     }
 
+    /// Check that a scan is newer than all others of this sensor.
+    ///
     /// # Errors
     /// [`Error::Time`] unless `stamp_ns` is newer than every scan of this sensor before.
     pub(crate) fn check_stamp(&self, name: &str, stamp_ns: i64) -> Result<(), Error> {

@@ -182,6 +182,8 @@ impl Sensors {
     }
 }
 
+/// Check that `len` sensors are not too many; the last one is `name`.
+///
 /// # Errors
 /// [`Error::Limit`] for more sensors than are remembered.
 fn check_count(len: usize, name: &str) -> Result<(), Error> {

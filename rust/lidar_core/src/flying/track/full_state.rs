@@ -79,6 +79,8 @@ impl PointCloudTracker {
         TrackerState { clouds, keeps_points, tracks, standing, next_id, births, visits, earlier }
     }
 
+    /// Replace the tracks by those of a saved state.
+    ///
     /// # Errors
     /// [`Error::Format`] for a state that no tracker has.
     pub(crate) fn restore(&mut self, saved: SavedTracker) -> Result<(), Error> {

@@ -277,6 +277,8 @@ impl PointCloudTracker {
         stamp_ns
     }
 
+    /// Check that there is room for this number of new tracks.
+    ///
     /// # Errors
     /// [`Error::Limit`] if so many more tracks might be too many.
     pub(crate) fn check_room(&self, count: usize) -> Result<(), Error> {

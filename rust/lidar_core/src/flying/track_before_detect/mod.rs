@@ -266,6 +266,8 @@ impl TrackBeforeDetect {
         SavedTrackBeforeDetect { seen, returns, hypotheses }
     }
 
+    /// Restore the stage from its saved parts.
+    ///
     /// # Errors
     /// [`Error::Format`] for a state that no scans leave.
     pub(crate) fn restored(saved: SavedTrackBeforeDetect) -> Result<Self, Error> {

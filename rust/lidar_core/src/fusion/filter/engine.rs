@@ -51,7 +51,8 @@ impl Innovation {
         Self { values, count: y.len(), nis, log_determinant, variances }
     }
 
-    /// The values that are recorded.
+    /// The values that results store: all of them, but of a measurement with more than
+    /// [`MAX_INNOVATION`] (the radar of the published model) the first three.
     #[must_use]
     pub fn recorded(&self) -> &[f64] {
         let count = if self.count > MAX_INNOVATION { OF_PAPER } else { self.count };

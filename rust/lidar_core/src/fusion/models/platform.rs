@@ -112,7 +112,8 @@ impl Platform {
         }
     }
 
-    /// Store a reading of the gyro at `stamp_ns`: a turn rate [rad/s] and its variance.
+    /// Store a reading of the gyro at `stamp_ns` [ns]: the turn rate about the vertical, positive
+    /// counter-clockwise from above [rad/s], and its variance [rad^2/s^2].
     pub fn read_gyro(&mut self, stamp_ns: i64, rate: f64, variance: f64) {
         let last = self.gyro;
         let gap = last.map_or(0.0, |last| seconds(last.stamp_ns, stamp_ns));

@@ -75,8 +75,9 @@ impl SpacePose {
         Self { velocity, rates: rotation_vector(&turned) / dt, ..self }
     }
 
-    /// The sensor at `stamp_ns`, `lever` away from the platform's origin: the pose is extrapolated
-    /// at its velocity and with its covariance.
+    /// Pose of the sensor in the world at `stamp_ns` [ns]; `lever` is its position in the axes of the
+    /// platform [m]. The pose of the platform is extrapolated with its velocity and turn rates; its
+    /// covariance stays as it is.
     #[must_use]
     pub fn sensor_at(&self, stamp_ns: i64, lever: [f64; 3]) -> SpaceSensorPose {
         let dt = stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9;
@@ -95,7 +96,8 @@ impl SpacePose {
     }
 }
 
-/// Rotation from the axes of a platform with this roll, pitch and yaw into those of the world.
+/// Rotation from the axes of a platform into those of the world, Rz(yaw) Ry(pitch) Rx(roll), of the
+/// `attitude` roll, pitch, yaw [rad].
 #[must_use]
 pub fn rotation(attitude: &Vector3<f64>) -> Matrix3<f64> {
     let [[cr, sr], [cp, sp], [cy, sy]] = attitude.data.0[0].map(direction);

@@ -173,6 +173,8 @@ impl Bands {
         self.ends.len()
     }
 
+    /// Sort the points into bands of range, each with a gap of its own.
+    ///
     /// # Errors
     /// [`Error::Interrupted`].
     fn fill(&mut self, points: &[[f32; 3]], gap: &AngularGap, fixed: f64) -> Result<(), Error> {

@@ -78,6 +78,8 @@ impl Linker {
     }
 }
 
+/// Check that the points can be indexed with cells for this largest gap [m].
+///
 /// # Errors
 /// Those of [`Linker::linked`].
 pub(super) fn check_extent(points: &[[f32; 3]], largest: f64) -> Result<(), Error> {

@@ -84,6 +84,8 @@ impl JointMap {
         self.state.landmarks.iter().map(|landmark| landmark.id)
     }
 
+    /// Check that a scan may follow the scans before it.
+    ///
     /// # Errors
     /// [`Error::Time`] for a scan that is older than the last one, or the sensor's second of one
     /// stamp.

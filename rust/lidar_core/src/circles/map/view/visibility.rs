@@ -212,8 +212,9 @@ impl SortedView {
         parts.sum()
     }
 
-    /// Visibility of a line in the frame of the scan. Its front is on the left of the direction
-    /// from its first end to its second.
+    /// Visibility of a line between two ends in the frame of the scan [m]. Its front is on the left of
+    /// the direction from its first end to its second. It is out of view if the scanner is behind it,
+    /// nearer to it than the smallest range, or too few rays show it.
     #[must_use]
     pub fn of_line(&self, ends: [[f64; 2]; 2], test: &VisibilityTest) -> CircleVisibility {
         let [[x, y], [to_x, to_y]] = ends;

@@ -265,6 +265,8 @@ impl Accumulator {
         other.clear(Some(pool));
     }
 
+    /// Check that there was room for all blocks of the scan.
+    ///
     /// # Errors
     /// [`Error::Limit`] if the scan touches too many blocks, [`Error::Memory`] if there is none for
     /// them; its marks are of no use then.

@@ -292,6 +292,8 @@ impl Tracks {
     }
 }
 
+/// Check a number of measurements or tracks; `what` names them in the error.
+///
 /// # Errors
 /// [`Error::Limit`] for more than [`MAX_TARGETS`].
 pub fn within(what: &'static str, count: usize) -> Result<(), Error> {

@@ -14,7 +14,7 @@ from lidar_core.flying import FlyingConfig, SensorConfig
 from lidar_core.fusion import FusionConfig
 from lidar_core.parameters import MODELS, model_named
 from lidar_core.reproduce.circles.runs import MapRun, config_of, mapped
-from lidar_core.uses import USES, use_named
+from lidar_core.use_cases import USES, use_named
 
 SEED = 1107
 
