@@ -180,6 +180,32 @@ def region(points):
     return (low + high) / 2, np.linalg.norm(high - low) / 2
 
 
+def ends_at_edge(points, origins, passing, hiding):
+    """Whether the nearest ray beside points ends in front of them, in a sector other than below."""
+    middle, _ = region(points)
+    first = np.lexsort(points.T[::-1])[0]
+    sight = middle - np.broadcast_to(origins, points.shape)[first]
+    sight = sight / np.linalg.norm(sight)
+    left = np.cross([0, 0, 1], sight)
+    left = left / np.linalg.norm(left)
+    axes = np.stack([left, np.cross(sight, left)])
+
+    def by_sector(places):
+        flat = places @ axes.T
+        turns = np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5
+        return np.minimum((8 * turns).astype(int), 7), np.linalg.norm(flat, axis=1)
+
+    own = Rays(origins, points - origins)
+    sectors, away = by_sector(-own.aside(middle))
+    reach = [away[sectors == sector].max(initial=0) for sector in range(8)]
+
+    def nearest(rays, sector):
+        sectors, away = by_sector(-rays.aside(middle))
+        return away[(sectors == sector) & (away > reach[sector])].min(initial=np.inf)
+
+    return any(nearest(hiding, sector) < nearest(passing, sector) for sector in (0, 3, 4, 5, 6, 7))
+
+
 def target_outline(points, origins, passing):
     """What `outline` says; `origins` of the hits, `passing` as `Rays`."""
     points = np.asarray(points, float)

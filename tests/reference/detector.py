@@ -18,6 +18,7 @@ from reference.tracker import Tracker
 from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
 
 RAYS_TO_CUT = 2  # so many that end in front of a target may hide a part of it
+LOOKS_PAST, LONGEST_PAUSE = 0.5, 1.0  # [m/s] across the line of sight, [s]
 RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
 POINTS_HALF_SURE = 3.0
 MOVING, GROUND_KIND = 4, 2
@@ -85,6 +86,7 @@ class Detector:
         self.tracker = SeeingTracker(config.tracker)
         self.scans = 0
         self.has_background = False
+        self.last = None  # stamp and place of the sensor
 
     def process(
         self, points, poses, stamp, no_return=None, directions=None, times=None, pose_stamps=None
@@ -105,6 +107,10 @@ class Detector:
         if times is not None:
             delays = ((times - stamp) * 1e-9).astype(np.float32)
 
+        self.velocity, last = np.zeros(3), self.last
+        if last is not None and 0 < (stamp - last[0]) * 1e-9 <= LONGEST_PAUSE:
+            self.velocity = (origin - last[1]) / ((stamp - last[0]) * 1e-9)
+        self.last = stamp, origin
         gate = self.gate()
         self.see(cloud, places, rays, no_return)
         labels = cluster_points(cloud, **self.c.cluster.model_dump(include=CLUSTERING))
@@ -202,7 +208,10 @@ class Detector:
         lengths, margin = self.lengths[self.known], reach + center.MARGIN
         past = (along > 0) & (lengths > along + margin)
         beside = (along > 0) & (near.distance(middle) <= margin)
-        is_cut = np.count_nonzero(beside & (lengths < along - margin)) >= RAYS_TO_CUT
+        hides = beside & (lengths < along - margin)
+        is_cut = np.count_nonzero(hides) >= RAYS_TO_CUT
+        sides = near.those(past & beside), near.those(hides)
+        self.is_at_edge = is_cut and center.ends_at_edge(own, origins, *sides)
         found = center.target_center(own, origins, near.those(past), self.c.range_std)
         self.outline = center.target_outline(own, origins, near.those(past))
         return *found, is_cut
@@ -231,9 +240,14 @@ class Detector:
                 covariance += (diagonal(own) / 4) ** 2 * np.outer(sight, sight)
                 covariance += self.c.range_std**2 * np.eye(3)
                 radius = least = diagonal(own) / 2
-                self.outline = np.nan, None
+                self.outline, self.is_at_edge = (np.nan, None), False
             else:
                 place, covariance, radius, least, _ = self.center_of(own)
+            sight = own.mean(axis=0) - origin
+            ahead = self.velocity @ sight / np.linalg.norm(sight)
+            is_uncovered = (
+                self.is_at_edge and self.velocity @ self.velocity - ahead**2 > LOOKS_PAST**2
+            )
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
             place_of_shadow = origin if self.c.classify.shadow == "own" else None
             clear = clearance(self.map, own, seen_from=place_of_shadow)
@@ -246,7 +260,7 @@ class Detector:
                     "n_points": len(own),
                     "confidence": clear * sure * (label not in only_tracked),
                     "delay": delays[labels == label].astype(float).mean(),
-                    "shape": (len(own), radius, least, *self.outline, False),
+                    "shape": (len(own), radius, least, *self.outline, False, is_uncovered),
                 }
             )
         return found

@@ -61,6 +61,8 @@ MEMORY, TARGETS, FEWEST = 300, 0.05, 0.02
 RECURS = np.array([0.2, 0.02, 1, 1, 1])  # where things came and went before
 HANGS = np.array([0.3, 0.1, 0.3, 1, 1])  # beside structure, where it began
 STOOD = np.array([6, 0.02, 1, 2, 1])  # where something stood before it began
+UNCOVERED = np.array([6, 0.02, 1, 2, 1])  # at an edge that the sensor looks past
+FIRST = 3  # so many first detections
 OF_TRACK = 0.5  # m
 VISIT_REACH, VISITS_HALF = 0.5, 2  # m; visits
 VISIT_BEFORE, VISIT, VISITS_KEPT = 10**9, 2 * 10**9, 60 * 10**9  # ns
@@ -203,10 +205,12 @@ class Track:
     recurs: Mean = field(default_factory=Mean)
     hangs: Mean = field(default_factory=Mean)
     stood: Mean = field(default_factory=Mean)
+    uncovered: Mean = field(default_factory=Mean)
+    began_uncovered: bool = False
     places: Stood = None
     filled: MeanLog = field(default_factory=MeanLog)
     # of its first detection: number of points, radius, radius by its points, filled share,
-    # whether free below, whether over unseen space
+    # whether free below, whether over unseen space, whether at an edge that the sensor looks past
     shape: tuple = None
     shape_before: tuple = None
 
@@ -234,7 +238,10 @@ class Track:
         sways = hangs / (1 + np.exp(self.agility))
         stands = self.stood.mean * min(2 / (1 + np.exp(self.agility)), 1)
         after = weighed(weighed(after, RECURS**self.recurs.mean), HANGS**sways)
-        return weighed(after, STOOD**stands)
+        uncovered = 1.0 if self.began_uncovered else self.uncovered.mean
+        if self.has_moved:
+            uncovered = max(2 * self.uncovered.mean - 1, 0)
+        return weighed(weighed(after, UNCOVERED**uncovered), STOOD**stands)
 
     def feel(self, expected, seconds):
         """Enter its acceleration: likelihood of the measured part if it manoeuvres, over if not."""
@@ -252,7 +259,9 @@ class Track:
         """Enter the shape of a detection."""
         if shape is None:
             return
-        points, radius, least, filled, is_free_below, is_over_unseen = shape
+        points, radius, least, filled, is_free_below, is_over_unseen, is_uncovered = shape
+        self.began_uncovered |= is_uncovered and self.uncovered.count < FIRST
+        self.uncovered.add(float(is_uncovered))
         self.radius.add(radius, points)
         self.least_radius.add(least, points)
         self.filled.add(filled, points)
@@ -728,7 +737,8 @@ class Tracker:
             "made_of": [other.id],
         }
         changes |= {"radius": MeanLog(), "least_radius": MeanLog(), "filled": MeanLog()}
-        changes |= {"recurs": Mean(), "hangs": Mean(), "stood": Mean()}
+        changes |= {"recurs": Mean(), "hangs": Mean(), "stood": Mean(), "uncovered": Mean()}
+        changes |= {"began_uncovered": False}
         x = np.r_[r, velocity, np.zeros(3)]
         return [replace(new, x=x, P=P, aged=P, history=[True], **changes)]
 
@@ -959,6 +969,8 @@ class Tracker:
                 agility=best.agility,
                 radius=best.radius,
                 filled=best.filled,
+                uncovered=best.uncovered,
+                began_uncovered=best.began_uncovered,
             )
             self.tracks = [track for track in self.tracks if track is not other]
         self.tracks.sort(key=lambda track: track.id)

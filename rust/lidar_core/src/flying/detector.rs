@@ -228,7 +228,9 @@ impl FlyingObjectDetector {
                     let things = classifier.unknown_things(&input);
                     let origin = scan.pose.translation;
                     let (points, class) = (scan.points.as_slice(), classifier.class());
-                    let to_search = ScanOfMovers { points, class, origin, things: &things };
+                    let maybe_own = &scan.maybe_own[..];
+                    let to_search =
+                        ScanOfMovers { points, class, maybe_own, origin, things: &things };
                     movers.find(&to_search, &local.map, stamp_ns)?;
                     classifier.lift(&input, movers.in_air(), movers.over_unseen());
                 }

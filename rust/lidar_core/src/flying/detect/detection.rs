@@ -42,6 +42,9 @@ pub struct Detection {
     /// True if it has moved over space that was never seen, or something in front of it hides what is below it: it
     /// may stand on something.
     pub is_over_unseen: bool,
+    /// True if it ends at the edge of something nearer that the moving sensor looks past: it may be a part of what
+    /// stands behind that.
+    pub is_uncovered: bool,
 }
 
 /// A known flying object that is not to be reported.
@@ -91,6 +94,7 @@ impl Detection {
             filled_share: f64::NAN,
             is_free_below: None,
             is_over_unseen: classification.is_over_unseen,
+            is_uncovered: false,
         }
     }
 
@@ -111,8 +115,16 @@ impl Detection {
     /// meet.
     pub(crate) fn shape(&self) -> TargetShape {
         let Self { n_points, radius, least_radius, filled_share, is_free_below, .. } = *self;
-        let is_over_unseen = self.is_over_unseen;
-        TargetShape { n_points, radius, least_radius, filled_share, is_free_below, is_over_unseen }
+        let Self { is_over_unseen, is_uncovered, .. } = *self;
+        TargetShape {
+            n_points,
+            radius,
+            least_radius,
+            filled_share,
+            is_free_below,
+            is_over_unseen,
+            is_uncovered,
+        }
     }
 
     /// Detection in another frame.

@@ -15,11 +15,14 @@ use crate::flying::parameters::FlyingParameters;
 use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::source::SkySource;
-use crate::geometry::transform::{Transform, minus, norm};
+use crate::geometry::transform::{Transform, dot, minus, norm};
 
 /// Free space that only the sky supports is less certain than what returns have shown: a target
 /// with nothing but sky around it has this share of the confidence.
 const ONLY_SKY: f64 = 0.7;
+/// From this speed across the line of sight on a sensor looks past what is nearer [m/s]: poses of a sensor that
+/// stands are wrong by centimetres from scan to scan.
+const LOOKS_PAST: f64 = 0.5;
 
 /// Inputs of the detection of flying objects in a scan.
 #[derive(Clone, Copy)]
@@ -96,6 +99,7 @@ fn centered(
     cluster: &Cluster<'_>,
 ) -> Detection {
     let mut detection = detection.at(center);
+    detection.is_uncovered = center.is_at_edge && looks_past(scan, cluster);
     if detection.is_free_below == Some(false) {
         if is_free_below_rest(scan, cluster) {
             detection.is_free_below = Some(true);
@@ -110,6 +114,13 @@ fn centered(
         detection.filled_share = share_of_expected(scan, cluster);
     }
     detection
+}
+
+/// True if the sensor moves across the line of sight to a cluster, so that the edge of what is nearer moves before it.
+fn looks_past(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
+    let sight = minus(cluster.centroid, scan.pose.translation);
+    let along = dot(scan.velocity, sight) / norm(sight).max(f64::MIN_POSITIVE);
+    dot(scan.velocity, scan.velocity) - along * along > LOOKS_PAST * LOOKS_PAST
 }
 
 /// For every flying cluster the centre behind its points, if centres are asked for.

@@ -151,6 +151,7 @@ impl RaySource for ScanView<'_> {
             for (all, mut more) in around.iter_mut().zip(part) {
                 all.passing.append(&mut more.passing);
                 all.n_blocked += more.n_blocked;
+                all.hiding.append(&mut more.hiding);
             }
         }
         around
@@ -161,6 +162,7 @@ impl ScanView<'_> {
     /// For every region, the rays of some rows that come near it.
     fn around_in(&self, rows: Range<usize>, regions: &[TargetRegion]) -> Vec<PassingRays> {
         let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
+        let is_own = |row: usize| self.scan.maybe_own.get(row).copied().unwrap_or(false);
         let ball = |region: &TargetRegion| TestedBall {
             middle: region.middle.into(),
             radius: region.reach(),
@@ -170,13 +172,19 @@ impl ScanView<'_> {
         for row in self.rows_near(rows, &balls) {
             let Some((way, squared)) = self.way(row) else { continue };
             let origin = self.scan.origin(row);
+            let ray = || {
+                let (origin, way) = (Vector3::from(origin), Vector3::from(way));
+                TargetRay { origin, direction: way.normalize() }
+            };
             for (ball, rays) in balls.iter().zip(&mut around) {
                 match ball.end(origin, way, squared) {
-                    Some(End::Behind) if casts(row) => {
-                        let (origin, way) = (Vector3::from(origin), Vector3::from(way));
-                        rays.passing.push(TargetRay { origin, direction: way.normalize() });
+                    Some(End::Behind) if casts(row) => rays.passing.push(ray()),
+                    Some(End::InFront) if !self.scan.no_return[row] => {
+                        rays.n_blocked += 1;
+                        if !is_own(row) {
+                            rays.hiding.push(ray());
+                        }
                     }
-                    Some(End::InFront) if !self.scan.no_return[row] => rays.n_blocked += 1,
                     _ => {}
                 }
             }

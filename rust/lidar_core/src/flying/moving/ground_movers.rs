@@ -120,6 +120,8 @@ impl PointsByVoxel {
 pub(crate) struct ScanOfMovers<'a> {
     pub(crate) points: &'a [[f32; 3]],
     pub(crate) class: &'a [PointClass],
+    /// Rows whose points may be on the robot itself; none if no row is.
+    pub(crate) maybe_own: &'a [bool],
     /// Position of the sensor.
     pub(crate) origin: [f64; 3],
     /// Rows of the points of each thing of unknown class that is no larger than a target.
@@ -308,13 +310,15 @@ impl GroundMovers {
         map: &VoxelMap,
         space: &mut FreeSpace<'_>,
     ) -> PointsByVoxel {
-        let (ScanOfMovers { points, class, .. }, lattice) = (*scan, map.lattice());
+        let (ScanOfMovers { points, class, maybe_own, .. }, lattice) = (*scan, map.lattice());
+        let is_own = |row: u32| maybe_own.get(row as usize).copied().unwrap_or(false);
         let mut found: Vec<(Voxel, u32)> = Vec::new();
         // Points beside each other in a scan are mostly in one voxel.
         let mut last: Option<(Voxel, bool)> = None;
         for (row, (&point, _)) in (0..)
             .zip(points.iter().zip(class))
             .filter(|(_, (_, class))| matches!(class, PointClass::Background | PointClass::Unknown))
+            .filter(|(row, _)| !is_own(*row))
         {
             let Some(voxel) = floor(lattice.scaled(wide(point))) else { continue };
             let is_chosen = match last {
@@ -411,7 +415,8 @@ mod tests {
     fn found(movers: &mut GroundMovers, map: &VoxelMap, up: i32) -> [usize; 2] {
         let points = target(map.lattice(), up);
         let class = &[PointClass::Background; 18];
-        let scan = ScanOfMovers { points: &points, class, origin: [0.0; 3], things: &[] };
+        let scan =
+            ScanOfMovers { points: &points, class, maybe_own: &[], origin: [0.0; 3], things: &[] };
         assert!(movers.find(&scan, map, 0).is_ok());
         [movers.in_air().len(), movers.rows().len()]
     }
@@ -464,6 +469,7 @@ mod tests {
         let scan = ScanOfMovers {
             points: &points,
             class: &[PointClass::Unknown; 3],
+            maybe_own: &[],
             origin: [0.125; 3],
             things: &[&[0, 1], &[2]],
         };
@@ -493,7 +499,8 @@ mod tests {
                 (0..40).map(|_| middle.map(|value: f32| value + random(1.2))).collect();
             let rows: Vec<u32> = (0..40).collect();
             let class = &[PointClass::Unknown; 40];
-            let scan = ScanOfMovers { points: &points, class, origin, things: &[&rows] };
+            let scan =
+                ScanOfMovers { points: &points, class, maybe_own: &[], origin, things: &[&rows] };
             let things = Things::of(&scan, &lattice);
             let wide_points: Vec<[f64; 3]> = points.iter().map(|&point| wide(point)).collect();
             let shadow = Shadow::of(&wide_points, origin, &lattice);

@@ -66,7 +66,7 @@ pub(crate) struct Body {
     voxels: Vec<u32>,
     /// A bit per voxel of the robot, and per voxel beside one; none while nothing was found.
     mask: Vec<u64>,
-    /// Voxels that may be of the robot, before the sensor has moved.
+    /// Voxels that may be of the robot, before the sensor has moved far enough.
     maybe: Vec<u64>,
     /// The voxels come from an earlier run, and no motion in this run has confirmed them yet.
     is_recalled: bool,
@@ -123,7 +123,7 @@ impl Body {
         self.contains(point) && norm(point) > LEAST_RANGE
     }
 
-    /// True if a point may be on the robot, as long as the sensor has not moved.
+    /// True if a point may be on the robot, as long as the sensor has not moved far enough.
     #[inline]
     pub(crate) fn may_contain(&self, point: [f64; 3]) -> bool {
         !self.maybe.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.maybe, voxel))
@@ -134,7 +134,7 @@ impl Body {
         !self.mask.is_empty()
     }
 
-    /// True if voxels of the robot may be found, as long as the sensor has not moved.
+    /// True if voxels of the robot may be found, as long as the sensor has not moved far enough.
     pub(crate) fn may_be_found(&self) -> bool {
         !self.maybe.is_empty()
     }
@@ -205,6 +205,8 @@ impl Body {
         }
         if self.may_tell() && is_next && self.n_places.is_multiple_of(PLACES_PER_SEARCH) {
             self.search_moved();
+        } else if is_still && is_next && self.n_places > 1 {
+            self.search_first_places();
         } else if is_still && self.n_scans >= FIRST_SCANS && self.number.is_multiple_of(FIRST_SCANS)
         {
             self.search_still();
@@ -219,6 +221,13 @@ impl Body {
         self.places = places;
         self.is_recalled = false;
         (self.scans, self.maybe) = (Vec::new(), Vec::new());
+    }
+
+    /// Look for what may be the robot, from the first places: a sensor that drives off at once tells no more yet.
+    fn search_first_places(&mut self) {
+        let places = std::mem::take(&mut self.places);
+        self.maybe = beside(&self.found(&places, self.n_places));
+        self.places = places;
     }
 
     /// Look for what may be the robot, before the sensor has moved.
@@ -432,6 +441,21 @@ mod tests {
             }
         }
         assert!(!body.may_contain([1.5, 0.2, 0.5]));
+    }
+
+    #[test]
+    fn a_sensor_that_drives_off_at_once_knows_after_two_places_what_may_be_the_robot() {
+        let mut body = Body::default();
+        for step in 0..4 {
+            let pose = pose(1.2 * f64::from(step), 0.0);
+            body.learn(&scan(&pose), None, &pose);
+            assert_eq!(body.may_contain([-1.8, 0.0, -0.4]), step > 0);
+            assert!(!body.is_found());
+            // The opposites: the wall along the way, the ground, and what is nowhere.
+            for other in [[0.0, 1.5, 0.5], [3.0, 0.0, -2.0], [1.0, 0.0, 0.5]] {
+                assert!(!body.may_contain(other), "{other:?}");
+            }
+        }
     }
 
     #[test]

@@ -38,6 +38,8 @@ pub(crate) struct Prepared {
     pub(crate) delays: Option<Vec<f32>>,
     /// Pose in the middle of the scan.
     pub(crate) pose: Transform,
+    /// Velocity of the sensor since its last scan, frame of the map [m/s]; 0 if that is not known.
+    pub(crate) velocity: [f64; 3],
     pub(crate) rebuilt: usize,
     /// Class of every row, while none is known.
     pub(crate) unknown: Vec<PointClass>,
@@ -92,6 +94,7 @@ impl Prepared {
     ) {
         self.rows = raw.points.len();
         self.pose = poses.middle;
+        self.velocity = sensor.velocity(&self.pose, raw.stamp_ns);
         (self.sky, self.sky_share, self.rebuilt) = (SkySource::Unknown, 0.0, 0);
         (self.reach, self.directions) = (None, None);
         (self.ground, self.low) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
@@ -177,7 +180,7 @@ impl Prepared {
         observation.directions.iter().map(turned).zip(observation.reach.iter().copied()).collect()
     }
 
-    /// Note the rows that may be on the robot, before the sensor has moved.
+    /// Note the rows that may be on the robot, before the sensor has moved far enough.
     fn take_body(&mut self, raw: &RawScan<'_>, sensor: &Sensor) {
         self.maybe_own.clear();
         if let Some(body) = sensor.body.as_ref().filter(|body| body.may_be_found()) {

@@ -7,13 +7,16 @@ use crate::flying::map::saved_body::SavedBody;
 use crate::flying::sky::source::SkySource;
 use crate::flying::sky::{Beams, RayPattern, ScanToObserve, Sky, SkyObservation};
 use crate::geometry::lattice::wide;
-use crate::geometry::transform::{Transform, norm};
+use crate::geometry::transform::{Transform, minus, norm};
 use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 
 /// A direction range in the lidar frame [rad]: azimuth from, to, elevation from, to. A range of
 /// azimuth may cross +-pi: "from" is larger than "to" then.
 pub type Sector = [f64; 4];
+
+/// Longest time between two scans that tell a velocity [s].
+const LONGEST_PAUSE: f64 = 1.0;
 
 /// Parameters of one LiDAR.
 #[derive(Clone, Debug, PartialEq)]
@@ -289,6 +292,19 @@ impl Sensor {
     ) {
         let needs_directions = raw.organised && raw.no_return.is_some() && raw.directions.is_none();
         self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
+    }
+
+    /// Velocity from the pose of its last scan to another pose, frame of the map [m/s]; 0 if that scan is not known or
+    /// too long ago.
+    pub(super) fn velocity(&self, pose: &Transform, stamp_ns: i64) -> [f64; 3] {
+        let (Some(last), Some(last_stamp_ns)) = (self.last_pose, self.last_stamp_ns) else {
+            return [0.0; 3];
+        };
+        let seconds = stamp_ns.saturating_sub(last_stamp_ns) as f64 * 1e-9;
+        if seconds <= 0.0 || seconds > LONGEST_PAUSE {
+            return [0.0; 3];
+        }
+        minus(pose.translation, last.translation).map(|way| way / seconds)
     }
 
     /// Learn properties of the sensor from an accepted scan.

@@ -131,11 +131,18 @@ impl OpenFrame {
         Start { center: self.centroid + self.sight * (BALL_SHIFT * radius), radius }
     }
 
-    pub(super) fn into_center(self, is_cut: bool) -> Center {
-        let Self { position, radius, least_radius, .. } = self;
-        let Self { covariance, filled_share, is_free_below, .. } = self;
-        let covariance = symmetrised(covariance);
-        Center { position, covariance, radius, least_radius, filled_share, is_free_below, is_cut }
+    pub(super) fn into_center(self, observation: &TargetObservation) -> Center {
+        let Self { position, radius, least_radius, filled_share, is_free_below, .. } = self;
+        Center {
+            position,
+            covariance: symmetrised(self.covariance),
+            radius,
+            least_radius,
+            filled_share,
+            is_free_below,
+            is_cut: observation.is_cut,
+            is_at_edge: observation.is_at_edge,
+        }
     }
 }
 

@@ -47,6 +47,8 @@ pub struct Center {
     pub is_free_below: Option<bool>,
     /// Whether something nearer may hide a part of the target.
     pub is_cut: bool,
+    /// Whether it ends at the edge of something nearer, to a side or above.
+    pub is_at_edge: bool,
 }
 
 /// Squared residuals per degree of freedom at which ball and frame are equally likely.
@@ -94,7 +96,8 @@ pub fn target_center(
     };
     let near = |ray: &TargetRay| ray.aside(&region.middle).norm() <= region.reach();
     let passing = passing.iter().map(ray).filter(near).collect();
-    Ok(Center::of(&TargetObservation::new(hits, PassingRays { passing, n_blocked: 0 }), range_std))
+    let around = PassingRays { passing, ..PassingRays::default() };
+    Ok(Center::of(&TargetObservation::new(hits, around), range_std))
 }
 
 fn check_finite(
@@ -124,7 +127,7 @@ impl Center {
     pub(crate) fn of(observation: &TargetObservation, range_std: f64) -> Self {
         let frame = OpenFrame::of(observation, range_std);
         let fitted = Sphere::fit(observation, &frame.start(), range_std);
-        let Some(ball) = fitted else { return frame.into_center(observation.is_cut) };
+        let Some(ball) = fitted else { return frame.into_center(observation) };
         let weight = ball_weight(&ball, &frame, observation.hits.len());
         let offset = ball.center - frame.position;
         Self {
@@ -140,6 +143,7 @@ impl Center {
             filled_share: frame.filled_share,
             is_free_below: frame.is_free_below,
             is_cut: observation.is_cut,
+            is_at_edge: observation.is_at_edge,
         }
     }
 }

@@ -9,6 +9,8 @@ pub(crate) const MARGIN: f64 = 0.4;
 const NEAR: f64 = 0.15;
 /// So many rays that end in front may hide a part of the target: one alone is a speck of dust.
 const ENOUGH_BLOCKED: usize = 2;
+/// Sectors around a target in which the nearest ray beside it is looked for.
+const SECTORS: usize = 8;
 
 /// A ray from a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +36,8 @@ pub(crate) struct TargetObservation {
     pub(crate) passing: Vec<TargetRay>,
     /// True if rays beside the points ended nearer, so that a part of the target may be hidden.
     pub(crate) is_cut: bool,
+    /// True if the nearest ray beside it, to a side or above, ends in front of it: it ends at the edge of that.
+    pub(crate) is_at_edge: bool,
     /// Number of these rays, the first ones, that are near the points.
     n_near: usize,
 }
@@ -47,13 +51,15 @@ pub(crate) struct TargetRegion {
     pub(crate) radius: f64,
 }
 
-/// Rays that pass near a region, and the number of those that end before it.
+/// Rays that pass near a region, and those that end before it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PassingRays {
     /// Rays that passed the target and went on behind it.
     pub(crate) passing: Vec<TargetRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
+    /// Those of them that do not end on the robot itself.
+    pub(crate) hiding: Vec<TargetRay>,
 }
 
 /// Rays of a scan, by target and by region.
@@ -108,14 +114,70 @@ impl TargetRegion {
     pub(crate) fn reach(&self) -> f64 {
         self.radius + MARGIN
     }
+
+    /// Sectors around the middle, with how far the points reach in each.
+    fn sectors_of(&self, hits: &[TargetHit]) -> Sectors<'_> {
+        let sight = (self.middle - hits[0].ray.origin).normalize();
+        let across = Vector3::z().cross(&sight).try_normalize(1e-6).unwrap_or(Vector3::x());
+        let mut sectors = Sectors {
+            middle: &self.middle,
+            axes: [across, sight.cross(&across)],
+            reach: [0.0; SECTORS],
+        };
+        for hit in hits {
+            let (sector, away) = sectors.of(&hit.ray);
+            sectors.reach[sector] = sectors.reach[sector].max(away);
+        }
+        sectors
+    }
+}
+
+/// Sectors around a place, across the line of sight.
+struct Sectors<'a> {
+    middle: &'a Vector3<f64>,
+    /// To the left, and up.
+    axes: [Vector3<f64>; 2],
+    /// Distance of the outermost point of the target in each sector [m].
+    reach: [f64; SECTORS],
+}
+
+impl Sectors<'_> {
+    /// Sector in which a ray passes the middle, and its distance from it [m].
+    fn of(&self, ray: &TargetRay) -> (usize, f64) {
+        let place = -ray.aside(self.middle);
+        let [left, up] = self.axes.map(|axis| axis.dot(&place));
+        let turn = libm::atan2(up, left) / std::f64::consts::TAU + 0.5; // from the right, by way of below
+        (((turn * SECTORS as f64) as usize).min(SECTORS - 1), libm::hypot(left, up))
+    }
+
+    /// Distance of the nearest ray beyond the points in each sector [m].
+    fn nearest(&self, rays: &[TargetRay]) -> [f64; SECTORS] {
+        let mut nearest = [f64::INFINITY; SECTORS];
+        for (sector, away) in rays.iter().map(|ray| self.of(ray)) {
+            if away > self.reach[sector] {
+                nearest[sector] = nearest[sector].min(away);
+            }
+        }
+        nearest
+    }
+
+    /// True if the nearest ray ends in front in a sector that does not point down: the ground in front of a low
+    /// target hides nothing of it.
+    fn is_any_hidden(&self, passing: &[TargetRay], hiding: &[TargetRay]) -> bool {
+        let (passing, hiding) = (self.nearest(passing), self.nearest(hiding));
+        let points_down = |sector: usize| sector == SECTORS / 4 - 1 || sector == SECTORS / 4;
+        (0..SECTORS).any(|sector| !points_down(sector) && hiding[sector] < passing[sector])
+    }
 }
 
 impl TargetObservation {
     /// An observation whose hits and rays are sorted: results do not depend on their order.
     pub(crate) fn new(mut hits: Vec<TargetHit>, around: PassingRays) -> Self {
-        let PassingRays { mut passing, n_blocked } = around;
+        let PassingRays { mut passing, n_blocked, hiding } = around;
         let region = TargetRegion::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
+        let is_at_edge = hiding.len() >= ENOUGH_BLOCKED
+            && region.sectors_of(&hits).is_any_hidden(&passing, &hiding);
         passing.sort_unstable_by(|one, other| {
             let by_origin = || order(&one.origin, &other.origin);
             order(&one.direction, &other.direction).then_with(by_origin)
@@ -125,7 +187,7 @@ impl TargetObservation {
         sorted.extend(passing.iter().filter(is_near));
         let n_near = sorted.len();
         sorted.extend(passing.iter().filter(|ray| !is_near(ray)));
-        Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, n_near }
+        Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, is_at_edge, n_near }
     }
 
     pub(super) fn near_passing(&self) -> &[TargetRay] {

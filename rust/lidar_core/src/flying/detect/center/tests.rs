@@ -41,7 +41,7 @@ impl<F: Fn(Vector3<f64>) -> Option<f64>> RaySource for Fan<F> {
         let near = |region: &TargetRegion| {
             let rays = self.rows().into_iter().filter(past).map(ray);
             let is_near = |ray: &TargetRay| ray.aside(&region.middle).norm() <= region.reach();
-            PassingRays { passing: rays.filter(is_near).collect(), n_blocked: 0 }
+            PassingRays { passing: rays.filter(is_near).collect(), ..PassingRays::default() }
         };
         regions.iter().map(near).collect()
     }
@@ -119,7 +119,10 @@ fn the_order_of_rays_does_not_matter() {
     let mut passing = observation.passing.clone();
     passing.reverse();
     assert_eq!(
-        Center::of(&TargetObservation::new(hits, PassingRays { passing, n_blocked: 0 }), STD),
+        Center::of(
+            &TargetObservation::new(hits, PassingRays { passing, ..PassingRays::default() }),
+            STD
+        ),
         Center::of(&observation, STD)
     );
 }
@@ -132,4 +135,29 @@ fn one_point_without_any_other_ray_is_a_place() -> Result<(), Error> {
     assert!((center.position.x - 5.0).abs() < 0.7 && center.position.y.abs() < 0.01);
     let factor = center.covariance.cholesky();
     factor.map(|_| ()).ok_or(Error::NotPositiveDefinite { matrix: "covariance" })
+}
+
+/// Whether a ball 8 m away is at an edge if the rays for which `is_hidden` is true, given where they cross the plane
+/// through its centre [m], end in front of it.
+fn is_at_edge(is_hidden: impl Fn(f64, f64) -> bool) -> bool {
+    let observation = Fan(ball(Vector3::new(8.0, 0.0, 0.0), 0.2)).observation();
+    let hides = |ray: &TargetRay| {
+        let at = ray.direction * (8.0 / ray.direction.x);
+        is_hidden(at.y, at.z)
+    };
+    let (hiding, passing): (Vec<_>, Vec<_>) =
+        observation.passing.iter().partition(|ray| hides(ray));
+    let around = PassingRays { n_blocked: hiding.len(), hiding, passing };
+    TargetObservation::new(observation.hits, around).is_at_edge
+}
+
+#[test]
+fn a_target_ends_at_an_edge_where_the_next_rays_beside_it_end_in_front() {
+    assert!(is_at_edge(|_, up| up > 0.15));
+    assert!(is_at_edge(|left, _| left < -0.15));
+    // The opposites: nothing in front, something further aside, the ground below, or a speck of dust.
+    assert!(!is_at_edge(|_, _| false));
+    assert!(!is_at_edge(|_, up| up > 0.3));
+    assert!(!is_at_edge(|_, up| up < -0.15));
+    assert!(!is_at_edge(|left, up| left.abs() < 0.02 && (0.2..0.24).contains(&up)));
 }

@@ -175,7 +175,7 @@ impl TrackBelief {
 
     /// Probabilities of what the target is.
     pub(in crate::flying::track) fn kinds(&self) -> KindBelief {
-        self.kinds.belief()
+        self.kinds.belief(self.has_moved)
     }
 
     /// Enter what a detection shows of the target itself.

@@ -65,6 +65,14 @@ const STOOD: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
 /// So many last detections.
 const LAST: f64 = 5.0;
 
+/// Of what ends at the edge of something nearer that a moving sensor looks past, at all of its detections: parts of what
+/// stands come out behind that edge in every scan, at another place each time. What flies is soon seen as a whole. What
+/// stands is, too: as long as a track that began there has not moved, all of its detections count. Of what has moved,
+/// half of them tell nothing, since targets pass behind things.
+const UNCOVERED: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
+/// So many first detections.
+const FIRST: f64 = 3.0;
+
 /// Properties of a target itself in one detection.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetShape {
@@ -80,6 +88,8 @@ pub struct TargetShape {
     pub is_free_below: Option<bool>,
     /// True if it has moved over space that was never seen, or something in front of it hides what is below it.
     pub is_over_unseen: bool,
+    /// True if it ends at the edge of something nearer that the moving sensor looks past.
+    pub is_uncovered: bool,
 }
 
 /// Mean and standard deviation of the natural logarithm of a value.
@@ -166,6 +176,10 @@ pub(in crate::flying::track) struct Kinds {
     hangs: Mean,
     /// Whether something stood where its last detections are, 0 to 1.
     stood: Mean,
+    /// Share of its detections that end at an edge which the sensor looks past.
+    uncovered: Mean,
+    /// Whether one of the first of them did.
+    began_uncovered: bool,
     /// Whether rays passed below it in the first look that told; None if none has told yet.
     was_free_at_first: Option<bool>,
     /// Whether the newest look that told anything found it above space that was never seen.
@@ -181,7 +195,7 @@ impl Kinds {
     pub(in crate::flying::track) fn new() -> Self {
         let [radius, least_radius, filled] = [Mean::default(); 3];
         let seen = KindBelief::prior(SHARES);
-        let [recurs, hangs, stood] = [Mean::default(); 3];
+        let [recurs, hangs, stood, uncovered] = [Mean::default(); 4];
         Self {
             seen,
             radius,
@@ -190,6 +204,8 @@ impl Kinds {
             recurs,
             hangs,
             stood,
+            uncovered,
+            began_uncovered: false,
             was_free_at_first: None,
             is_over_unseen: false,
             was_over_unseen: false,
@@ -220,6 +236,8 @@ impl Kinds {
         self.radius.add_log(shape.radius, shape.n_points);
         self.least_radius.add_log(shape.least_radius, shape.n_points);
         self.filled.add_log(shape.filled_share, shape.n_points);
+        self.began_uncovered |= shape.is_uncovered && self.uncovered.count < FIRST;
+        self.uncovered.add(f64::from(u8::from(shape.is_uncovered)));
         if shape.is_over_unseen && shape.is_free_below == Some(false) {
             if !self.was_over_unseen {
                 self.seen = self.seen.weighed(self.over_unseen());
@@ -282,8 +300,13 @@ impl Kinds {
         self.agility = self.agility.clamp(-MOST_AGILITY, MOST_AGILITY);
     }
 
-    /// Probabilities of the kinds.
-    pub(in crate::flying::track) fn belief(&self) -> KindBelief {
+    /// Probabilities of the kinds of a target that was seen away from where it began, or not.
+    pub(in crate::flying::track) fn belief(&self, has_moved: bool) -> KindBelief {
+        let uncovered = match (has_moved, self.began_uncovered) {
+            (true, _) => (2.0 * self.uncovered.mean - 1.0).max(0.0),
+            (false, true) => 1.0,
+            (false, false) => self.uncovered.mean,
+        };
         let hangs = self.hangs.mean;
         // Between leaves it is not known which rays passed. The spacing of the points tells the size there.
         let least = if self.least_radius.count > 0.0 { self.least_radius } else { self.radius };
@@ -308,6 +331,7 @@ impl Kinds {
             .weighed(moves)
             .weighed(power(RECURS, self.recurs.mean))
             .weighed(power(HANGS, hangs / (1.0 + times)))
+            .weighed(power(UNCOVERED, uncovered))
             .weighed(power(STOOD, self.stood.mean * (2.0 / (1.0 + times)).min(1.0)))
     }
 }
@@ -327,10 +351,11 @@ mod tests {
                 filled_share,
                 is_free_below: None,
                 is_over_unseen: false,
+                is_uncovered: false,
             };
             kinds.measure(shape, false);
         }
-        kinds.belief().kind()
+        kinds.belief(true).kind()
     }
 
     #[test]
@@ -362,10 +387,11 @@ mod tests {
                 filled_share: 0.75,
                 is_free_below: None,
                 is_over_unseen: false,
+                is_uncovered: false,
             };
             kinds.measure(shape, false);
         }
-        kinds.belief().kind()
+        kinds.belief(true).kind()
     }
 
     #[test]
@@ -387,24 +413,25 @@ mod tests {
             filled_share: 0.7,
             is_free_below: Some(false),
             is_over_unseen: false,
+            is_uncovered: false,
         };
         let drone = TargetShape { is_free_below: Some(true), ..person };
         let mut kinds = Kinds::new();
         for _ in 0..2 {
             kinds.measure(person, false);
-            assert_ne!(kinds.belief().kind(), TrackKind::Flying); // from the first look on
+            assert_ne!(kinds.belief(true).kind(), TrackKind::Flying); // from the first look on
         }
         // What has come in over the lower edge of the view flies once all of it is seen.
         let mut kinds_of_drone = kinds;
         (0..4).for_each(|_| kinds_of_drone.measure(drone, false));
-        assert_eq!(kinds_of_drone.belief().kind(), TrackKind::Flying);
+        assert_eq!(kinds_of_drone.belief(true).kind(), TrackKind::Flying);
         (0..4).for_each(|_| kinds.measure(person, false));
-        assert_eq!(kinds.belief().kind(), TrackKind::Ground);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Ground);
         // What was seen in the air for long flies on where the view ends below it.
         let mut kinds = Kinds::new();
         (0..20).for_each(|_| kinds.measure(drone, false));
         (0..5).for_each(|_| kinds.measure(person, false));
-        assert_eq!(kinds.belief().kind(), TrackKind::Flying);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Flying);
     }
 
     /// Kinds of what moves above space that was never seen, with an acceleration, for so many scans.
@@ -416,6 +443,7 @@ mod tests {
             filled_share: 0.8,
             is_free_below: Some(false),
             is_over_unseen: true,
+            is_uncovered: false,
         };
         let mut kinds = Kinds::new();
         for _ in 0..scans {
@@ -430,13 +458,13 @@ mod tests {
     fn what_manoeuvres_above_unseen_space_flies_and_what_walks_there_does_not() {
         for walks in [[0.0; 3], [1.0, -1.0, 0.0], [2.0, 0.0, 0.5]] {
             for scans in [1, 2, 5, 50] {
-                let kind = over_unseen(walks, scans).belief().kind();
+                let kind = over_unseen(walks, scans).belief(true).kind();
                 assert_ne!(kind, TrackKind::Flying, "{walks:?} {scans}");
             }
-            assert_eq!(over_unseen(walks, 50).belief().kind(), TrackKind::Ground);
+            assert_eq!(over_unseen(walks, 50).belief(true).kind(), TrackKind::Ground);
         }
-        assert_ne!(over_unseen([5.0, 4.0, 0.5], 1).belief().kind(), TrackKind::Flying);
-        assert_eq!(over_unseen([5.0, 4.0, 0.5], 10).belief().kind(), TrackKind::Flying);
+        assert_ne!(over_unseen([5.0, 4.0, 0.5], 1).belief(true).kind(), TrackKind::Flying);
+        assert_eq!(over_unseen([5.0, 4.0, 0.5], 10).belief(true).kind(), TrackKind::Flying);
         // Over a road that returns nothing it needs not, since nothing hides what is below it.
         let shape = TargetShape {
             n_points: 10,
@@ -445,10 +473,11 @@ mod tests {
             filled_share: 0.8,
             is_free_below: None,
             is_over_unseen: true,
+            is_uncovered: false,
         };
         let mut kinds = Kinds::new();
         (0..5).for_each(|_| kinds.measure(shape, false));
-        assert_eq!(kinds.belief().kind(), TrackKind::Flying);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Flying);
         // Once rays pass below it, it needs not manoeuvre; what stands on the ground may, for a while.
         let mut kinds = over_unseen([0.0; 3], 5);
         let seen = |is_free| TargetShape {
@@ -458,12 +487,13 @@ mod tests {
             filled_share: 0.8,
             is_free_below: Some(is_free),
             is_over_unseen: false,
+            is_uncovered: false,
         };
         (0..5).for_each(|_| kinds.measure(seen(true), false));
-        assert_eq!(kinds.belief().kind(), TrackKind::Flying);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Flying);
         let mut kinds = over_unseen([5.0, 4.0, 0.5], 10);
         (0..5).for_each(|_| kinds.measure(seen(false), false));
-        assert_eq!(kinds.belief().kind(), TrackKind::Ground);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Ground);
     }
 
     #[test]
@@ -475,6 +505,7 @@ mod tests {
             filled_share: 0.6,
             is_free_below: Some(false),
             is_over_unseen: true,
+            is_uncovered: false,
         };
         let arm = TargetShape { radius: 0.15, least_radius: 0.15, ..person };
         let free = TargetShape { is_free_below: Some(true), is_over_unseen: false, ..arm };
@@ -482,7 +513,7 @@ mod tests {
             let mut kinds = Kinds::new();
             (0..looks).for_each(|_| kinds.measure(free, false));
             (0..10).for_each(|_| kinds.measure(person, false));
-            kinds.belief().kind()
+            kinds.belief(true).kind()
         };
         assert_ne!(kind_after(1), TrackKind::Flying);
         // The opposite: what rays have passed below for a second flies on behind a wall.
@@ -498,11 +529,12 @@ mod tests {
             filled_share: 0.8,
             is_free_below: Some(is_free),
             is_over_unseen: !is_free,
+            is_uncovered: false,
         };
         let kind_of = |looks_free: &[bool]| {
             let mut kinds = Kinds::new();
             looks_free.iter().for_each(|&is_free| kinds.measure(looks(is_free), false));
-            kinds.belief().kind()
+            kinds.belief(true).kind()
         };
         assert_eq!(kind_of(&[true, true, true, false, true, true]), TrackKind::Flying);
         // The opposite: what stays behind it, such as a person behind a desk.
@@ -518,6 +550,7 @@ mod tests {
             filled_share: 0.8,
             is_free_below: Some(false),
             is_over_unseen: true,
+            is_uncovered: false,
         };
         let hidden = TargetShape { is_over_unseen: false, ..over_unseen };
         let seen_as = |shapes: [TargetShape; 2]| {
@@ -532,6 +565,35 @@ mod tests {
         // The opposite: where rays passed below at first, it is something else that hides it.
         let free = TargetShape { is_free_below: Some(true), ..hidden };
         assert_ne!(seen_as([free, over_unseen]), at_once);
+    }
+
+    #[test]
+    fn what_stays_at_an_edge_that_the_sensor_looks_past_does_not_fly() {
+        let open = TargetShape {
+            n_points: 10,
+            radius: 0.3,
+            least_radius: 0.3,
+            filled_share: 0.8,
+            is_free_below: Some(true),
+            is_over_unseen: false,
+            is_uncovered: false,
+        };
+        let at_edge = TargetShape { is_uncovered: true, ..open };
+        let kind_of = |parts: &[(TargetShape, usize)], has_moved: bool| {
+            let mut kinds = Kinds::new();
+            for &(shape, count) in parts {
+                (0..count).for_each(|_| kinds.measure(shape, false));
+            }
+            kinds.belief(has_moved).kind()
+        };
+        assert_ne!(kind_of(&[(at_edge, 1)], true), TrackKind::Flying);
+        assert_ne!(kind_of(&[(at_edge, 10)], true), TrackKind::Flying);
+        assert_ne!(kind_of(&[(at_edge, 1), (open, 20)], false), TrackKind::Flying);
+        // The opposites: what comes out from behind the edge and moves on, what passes behind one, and what comes
+        // to stand beside one.
+        assert_eq!(kind_of(&[(at_edge, 3), (open, 4)], true), TrackKind::Flying);
+        assert_eq!(kind_of(&[(open, 20), (at_edge, 5)], true), TrackKind::Flying);
+        assert_eq!(kind_of(&[(open, 20), (at_edge, 5)], false), TrackKind::Flying);
     }
 
     #[test]
@@ -559,6 +621,7 @@ mod tests {
             filled_share: 0.5,
             is_free_below: None,
             is_over_unseen: false,
+            is_uncovered: false,
         };
         let mut kinds = Kinds::new();
         for _ in 0..10 {
@@ -566,7 +629,7 @@ mod tests {
             kinds.visit(share, hangs);
             kinds.feel([[acceleration, 1.0]; 3], 3.0, 0.1);
         }
-        kinds.belief().kind()
+        kinds.belief(true).kind()
     }
 
     #[test]
@@ -588,8 +651,8 @@ mod tests {
     fn what_stands_is_static_and_what_moves_is_not() {
         let mut kinds = Kinds::new();
         (0..3).for_each(|_| kinds.see(0.1, 0.5));
-        assert_eq!(kinds.belief().kind(), TrackKind::Static);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Static);
         (0..5).for_each(|_| kinds.see(0.5, 0.1));
-        assert_eq!(kinds.belief().kind(), TrackKind::Flying);
+        assert_eq!(kinds.belief(true).kind(), TrackKind::Flying);
     }
 }
