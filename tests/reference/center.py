@@ -181,7 +181,7 @@ def region(points):
 
 
 def ends_at_edge(points, origins, passing, hiding):
-    """Whether the nearest ray beside points ends in front of them, in a sector other than below."""
+    """Whether in a sector the nearest ray, not below the points, ends in front, and another one."""
     middle, _ = region(points)
     first = np.lexsort(points.T[::-1])[0]
     sight = middle - np.broadcast_to(origins, points.shape)[first]
@@ -193,17 +193,22 @@ def ends_at_edge(points, origins, passing, hiding):
     def by_sector(places):
         flat = places @ axes.T
         turns = np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5
-        return np.minimum((8 * turns).astype(int), 7), np.linalg.norm(flat, axis=1)
+        return np.minimum((8 * turns).astype(int), 7), np.linalg.norm(flat, axis=1), flat[:, 1]
 
     own = Rays(origins, points - origins)
-    sectors, away = by_sector(-own.aside(middle))
+    sectors, away, up = by_sector(-own.aside(middle))
+    lowest = up.min()
     reach = [away[sectors == sector].max(initial=0) for sector in range(8)]
 
-    def nearest(rays, sector):
-        sectors, away = by_sector(-rays.aside(middle))
-        return away[(sectors == sector) & (away > reach[sector])].min(initial=np.inf)
+    def beyond(rays, sector):
+        sectors, away, up = by_sector(-rays.aside(middle))
+        return np.sort(away[(sectors == sector) & (away > reach[sector]) & (up >= lowest)])
 
-    return any(nearest(hiding, sector) < nearest(passing, sector) for sector in (0, 3, 4, 5, 6, 7))
+    for sector in range(8):
+        hidden, open_ones = beyond(hiding, sector), beyond(passing, sector)
+        if len(hidden) >= 2 and hidden[0] < open_ones.min(initial=np.inf):
+            return True
+    return False
 
 
 def target_outline(points, origins, passing):

@@ -18,7 +18,7 @@ from reference.tracker import Tracker
 from reference.voxel_map import BACKGROUND, FLYING, UNKNOWN, VoxelMap
 
 RAYS_TO_CUT = 2  # so many that end in front of a target may hide a part of it
-LOOKS_PAST, LONGEST_PAUSE = 0.5, 1.0  # [m/s] across the line of sight, [s]
+LOOKS_PAST, LONGEST_PAUSE = 0.1, 1.0  # [m] across the line of sight, [s]
 RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
 POINTS_HALF_SURE = 3.0
 MOVING, GROUND_KIND = 4, 2
@@ -107,9 +107,9 @@ class Detector:
         if times is not None:
             delays = ((times - stamp) * 1e-9).astype(np.float32)
 
-        self.velocity, last = np.zeros(3), self.last
-        if last is not None and 0 < (stamp - last[0]) * 1e-9 <= LONGEST_PAUSE:
-            self.velocity = (origin - last[1]) / ((stamp - last[0]) * 1e-9)
+        self.moved, last = np.zeros(3), self.last
+        if last is not None and (stamp - last[0]) * 1e-9 <= LONGEST_PAUSE:
+            self.moved = origin - last[1]
         self.last = stamp, origin
         gate = self.gate()
         self.see(cloud, places, rays, no_return)
@@ -211,7 +211,7 @@ class Detector:
         hides = beside & (lengths < along - margin)
         is_cut = np.count_nonzero(hides) >= RAYS_TO_CUT
         sides = near.those(past & beside), near.those(hides)
-        self.is_at_edge = is_cut and center.ends_at_edge(own, origins, *sides)
+        self.is_at_edge = center.ends_at_edge(own, origins, *sides)
         found = center.target_center(own, origins, near.those(past), self.c.range_std)
         self.outline = center.target_outline(own, origins, near.those(past))
         return *found, is_cut
@@ -244,10 +244,9 @@ class Detector:
             else:
                 place, covariance, radius, least, _ = self.center_of(own)
             sight = own.mean(axis=0) - origin
-            ahead = self.velocity @ sight / np.linalg.norm(sight)
-            is_uncovered = (
-                self.is_at_edge and self.velocity @ self.velocity - ahead**2 > LOOKS_PAST**2
-            )
+            ahead = self.moved @ sight / np.linalg.norm(sight)
+            looks_past = self.moved @ self.moved - ahead**2 > LOOKS_PAST**2
+            is_uncovered = self.is_at_edge and looks_past
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
             place_of_shadow = origin if self.c.classify.shadow == "own" else None
             clear = clearance(self.map, own, seen_from=place_of_shadow)

@@ -20,9 +20,9 @@ use crate::geometry::transform::{Transform, dot, minus, norm};
 /// Free space that only the sky supports is less certain than what returns have shown: a target
 /// with nothing but sky around it has this share of the confidence.
 const ONLY_SKY: f64 = 0.7;
-/// From this speed across the line of sight on a sensor looks past what is nearer [m/s]: poses of a sensor that
-/// stands are wrong by centimetres from scan to scan.
-const LOOKS_PAST: f64 = 0.5;
+/// A sensor that has moved this far across the line of sight since its last scan looks past what is nearer [m]: poses
+/// of a sensor that stands are wrong by centimetres from scan to scan.
+const LOOKS_PAST: f64 = 0.1;
 
 /// Inputs of the detection of flying objects in a scan.
 #[derive(Clone, Copy)]
@@ -116,11 +116,12 @@ fn centered(
     detection
 }
 
-/// True if the sensor moves across the line of sight to a cluster, so that the edge of what is nearer moves before it.
+/// True if the sensor has moved across the line of sight to a cluster since its last scan, so that edges of what is
+/// nearer have moved in front of it.
 fn looks_past(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let sight = minus(cluster.centroid, scan.pose.translation);
-    let along = dot(scan.velocity, sight) / norm(sight).max(f64::MIN_POSITIVE);
-    dot(scan.velocity, scan.velocity) - along * along > LOOKS_PAST * LOOKS_PAST
+    let along = dot(scan.moved, sight) / norm(sight).max(f64::MIN_POSITIVE);
+    dot(scan.moved, scan.moved) - along * along > LOOKS_PAST * LOOKS_PAST
 }
 
 /// For every flying cluster the centre behind its points, if centres are asked for.

@@ -181,7 +181,7 @@ impl ScanView<'_> {
                     Some(End::Behind) if casts(row) => rays.passing.push(ray()),
                     Some(End::InFront) if !self.scan.no_return[row] => {
                         rays.n_blocked += 1;
-                        if !is_own(row) {
+                        if casts(row) && !is_own(row) {
                             rays.hiding.push(ray());
                         }
                     }

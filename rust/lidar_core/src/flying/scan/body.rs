@@ -205,11 +205,11 @@ impl Body {
         }
         if self.may_tell() && is_next && self.n_places.is_multiple_of(PLACES_PER_SEARCH) {
             self.search_moved();
-        } else if is_still && is_next && self.n_places > 1 {
-            self.search_first_places();
         } else if is_still && self.n_scans >= FIRST_SCANS && self.number.is_multiple_of(FIRST_SCANS)
         {
             self.search_still();
+        } else if is_still && is_next && (2..=ENOUGH_PLACES).contains(&self.n_places) {
+            self.search_first_places();
         }
     }
 
@@ -226,8 +226,13 @@ impl Body {
     /// Look for what may be the robot, from the first places: a sensor that drives off at once tells no more yet.
     fn search_first_places(&mut self) {
         let places = std::mem::take(&mut self.places);
-        self.maybe = beside(&self.found(&places, self.n_places));
+        let found = beside(&self.found(&places, self.n_places));
         self.places = places;
+        if self.maybe.is_empty() {
+            self.maybe = found;
+        } else if !found.is_empty() {
+            self.maybe.iter_mut().zip(found).for_each(|(maybe, found)| *maybe |= found);
+        }
     }
 
     /// Look for what may be the robot, before the sensor has moved.

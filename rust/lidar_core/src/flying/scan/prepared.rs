@@ -38,8 +38,8 @@ pub(crate) struct Prepared {
     pub(crate) delays: Option<Vec<f32>>,
     /// Pose in the middle of the scan.
     pub(crate) pose: Transform,
-    /// Velocity of the sensor since its last scan, frame of the map [m/s]; 0 if that is not known.
-    pub(crate) velocity: [f64; 3],
+    /// Way of the sensor since its last scan, frame of the map [m]; 0 if that is not known.
+    pub(crate) moved: [f64; 3],
     pub(crate) rebuilt: usize,
     /// Class of every row, while none is known.
     pub(crate) unknown: Vec<PointClass>,
@@ -94,7 +94,7 @@ impl Prepared {
     ) {
         self.rows = raw.points.len();
         self.pose = poses.middle;
-        self.velocity = sensor.velocity(&self.pose, raw.stamp_ns);
+        self.moved = sensor.moved(&self.pose, raw.stamp_ns);
         (self.sky, self.sky_share, self.rebuilt) = (SkySource::Unknown, 0.0, 0);
         (self.reach, self.directions) = (None, None);
         (self.ground, self.low) = (f64::NEG_INFINITY, f64::NEG_INFINITY);

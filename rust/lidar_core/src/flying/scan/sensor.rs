@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// azimuth may cross +-pi: "from" is larger than "to" then.
 pub type Sector = [f64; 4];
 
-/// Longest time between two scans that tell a velocity [s].
+/// Longest time between two scans that tell how the sensor moves [s].
 const LONGEST_PAUSE: f64 = 1.0;
 
 /// Parameters of one LiDAR.
@@ -294,17 +294,14 @@ impl Sensor {
         self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
     }
 
-    /// Velocity from the pose of its last scan to another pose, frame of the map [m/s]; 0 if that scan is not known or
-    /// too long ago.
-    pub(super) fn velocity(&self, pose: &Transform, stamp_ns: i64) -> [f64; 3] {
-        let (Some(last), Some(last_stamp_ns)) = (self.last_pose, self.last_stamp_ns) else {
-            return [0.0; 3];
-        };
-        let seconds = stamp_ns.saturating_sub(last_stamp_ns) as f64 * 1e-9;
-        if seconds <= 0.0 || seconds > LONGEST_PAUSE {
-            return [0.0; 3];
+    /// Way from the pose of its last scan to another pose, frame of the map [m]; 0 if that scan is not known or too long
+    /// ago.
+    pub(super) fn moved(&self, pose: &Transform, stamp_ns: i64) -> [f64; 3] {
+        let is_recent = self.since_last(stamp_ns).is_some_and(|seconds| seconds <= LONGEST_PAUSE);
+        match self.last_pose.filter(|_| is_recent) {
+            Some(last) => minus(pose.translation, last.translation),
+            None => [0.0; 3],
         }
-        minus(pose.translation, last.translation).map(|way| way / seconds)
     }
 
     /// Learn properties of the sensor from an accepted scan.

@@ -2,6 +2,7 @@
 
 use super::Vector3;
 use std::cmp::Ordering;
+use std::f64::consts::TAU;
 
 /// Rays are looked at as far beside the points as this [m].
 pub(crate) const MARGIN: f64 = 0.4;
@@ -38,7 +39,7 @@ pub(crate) struct TargetObservation {
     pub(crate) is_cut: bool,
     /// True if the nearest ray beside it, to a side or above, ends in front of it: it ends at the edge of that.
     pub(crate) is_at_edge: bool,
-    /// Number of these rays, the first ones, that are near the points.
+    /// Number of `passing` rays, the first ones, that are near the points.
     n_near: usize,
 }
 
@@ -58,7 +59,7 @@ pub(crate) struct PassingRays {
     pub(crate) passing: Vec<TargetRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
-    /// Those of them that do not end on the robot itself.
+    /// Rays that end in front of the region and surely not on the robot itself.
     pub(crate) hiding: Vec<TargetRay>,
 }
 
@@ -119,14 +120,13 @@ impl TargetRegion {
     fn sectors_of(&self, hits: &[TargetHit]) -> Sectors<'_> {
         let sight = (self.middle - hits[0].ray.origin).normalize();
         let across = Vector3::z().cross(&sight).try_normalize(1e-6).unwrap_or(Vector3::x());
-        let mut sectors = Sectors {
-            middle: &self.middle,
-            axes: [across, sight.cross(&across)],
-            reach: [0.0; SECTORS],
-        };
+        let axes = [across, sight.cross(&across)];
+        let middle = &self.middle;
+        let mut sectors = Sectors { middle, axes, reach: [0.0; SECTORS], lowest: f64::INFINITY };
         for hit in hits {
-            let (sector, away) = sectors.of(&hit.ray);
+            let (sector, away, up) = sectors.of(&hit.ray);
             sectors.reach[sector] = sectors.reach[sector].max(away);
+            sectors.lowest = sectors.lowest.min(up);
         }
         sectors
     }
@@ -135,38 +135,43 @@ impl TargetRegion {
 /// Sectors around a place, across the line of sight.
 struct Sectors<'a> {
     middle: &'a Vector3<f64>,
-    /// To the left, and up.
+    /// Unit vectors across the line of sight: to the left, and upwards.
     axes: [Vector3<f64>; 2],
     /// Distance of the outermost point of the target in each sector [m].
     reach: [f64; SECTORS],
+    /// Height of its lowest point above the middle [m].
+    lowest: f64,
 }
 
 impl Sectors<'_> {
-    /// Sector in which a ray passes the middle, and its distance from it [m].
-    fn of(&self, ray: &TargetRay) -> (usize, f64) {
+    /// Sector in which a ray passes the middle, its distance from it, and its height above it [m].
+    fn of(&self, ray: &TargetRay) -> (usize, f64, f64) {
         let place = -ray.aside(self.middle);
         let [left, up] = self.axes.map(|axis| axis.dot(&place));
-        let turn = libm::atan2(up, left) / std::f64::consts::TAU + 0.5; // from the right, by way of below
-        (((turn * SECTORS as f64) as usize).min(SECTORS - 1), libm::hypot(left, up))
+        let turn = libm::atan2(up, left) / TAU + 0.5; // from the right, by way of below
+        (((turn * SECTORS as f64) as usize).min(SECTORS - 1), libm::hypot(left, up), up)
     }
 
-    /// Distance of the nearest ray beyond the points in each sector [m].
-    fn nearest(&self, rays: &[TargetRay]) -> [f64; SECTORS] {
-        let mut nearest = [f64::INFINITY; SECTORS];
-        for (sector, away) in rays.iter().map(|ray| self.of(ray)) {
-            if away > self.reach[sector] {
-                nearest[sector] = nearest[sector].min(away);
+    /// Rays beyond the points in each sector: the distance of the nearest [m], and their number. Rays below the lowest
+    /// point do not count: the ground in front of a low target, or a wall below it, hides nothing of it.
+    fn beyond(&self, rays: &[TargetRay]) -> [(f64, usize); SECTORS] {
+        let mut beyond = [(f64::INFINITY, 0); SECTORS];
+        for (sector, away, up) in rays.iter().map(|ray| self.of(ray)) {
+            if away > self.reach[sector] && up >= self.lowest {
+                let (nearest, count) = &mut beyond[sector];
+                (*nearest, *count) = (nearest.min(away), *count + 1);
             }
         }
-        nearest
+        beyond
     }
 
-    /// True if the nearest ray ends in front in a sector that does not point down: the ground in front of a low
-    /// target hides nothing of it.
+    /// True if in a sector the nearest ray ends in front, and not only that one.
     fn is_any_hidden(&self, passing: &[TargetRay], hiding: &[TargetRay]) -> bool {
-        let (passing, hiding) = (self.nearest(passing), self.nearest(hiding));
-        let points_down = |sector: usize| sector == SECTORS / 4 - 1 || sector == SECTORS / 4;
-        (0..SECTORS).any(|sector| !points_down(sector) && hiding[sector] < passing[sector])
+        let (passing, hiding) = (self.beyond(passing), self.beyond(hiding));
+        hiding
+            .iter()
+            .zip(passing)
+            .any(|(hiding, passing)| hiding.1 >= ENOUGH_BLOCKED && hiding.0 < passing.0)
     }
 }
 
@@ -176,8 +181,7 @@ impl TargetObservation {
         let PassingRays { mut passing, n_blocked, hiding } = around;
         let region = TargetRegion::of(&hits);
         hits.sort_by(|one, other| order(&one.point, &other.point));
-        let is_at_edge = hiding.len() >= ENOUGH_BLOCKED
-            && region.sectors_of(&hits).is_any_hidden(&passing, &hiding);
+        let is_at_edge = region.sectors_of(&hits).is_any_hidden(&passing, &hiding);
         passing.sort_unstable_by(|one, other| {
             let by_origin = || order(&one.origin, &other.origin);
             order(&one.direction, &other.direction).then_with(by_origin)

@@ -65,12 +65,13 @@ const STOOD: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
 /// So many last detections.
 const LAST: f64 = 5.0;
 
-/// Of what ends at the edge of something nearer that a moving sensor looks past, at all of its detections: parts of what
-/// stands come out behind that edge in every scan, at another place each time. What flies is soon seen as a whole. What
-/// stands is, too: as long as a track that began there has not moved, all of its detections count. Of what has moved,
-/// half of them tell nothing, since targets pass behind things.
+/// Likelihoods of detections that all end at the edge of something nearer which a moving sensor looks past. Parts of
+/// static objects appear behind such an edge in every scan, at another place each time. Targets are soon seen as a
+/// whole. Static objects are, too: a track of which one of the first `FIRST` detections was at an edge counts, until it
+/// has moved, as if all of them were. Of a track that has moved, only the share beyond one half counts, since targets
+/// pass behind things.
 const UNCOVERED: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
-/// So many first detections.
+/// Number of first detections that show whether a track began at an edge.
 const FIRST: f64 = 3.0;
 
 /// Properties of a target itself in one detection.
