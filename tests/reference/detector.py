@@ -107,6 +107,7 @@ class Detector:
         if times is not None:
             delays = ((times - stamp) * 1e-9).astype(np.float32)
 
+        self.uncovered = []  # whether each detection of the scan ends at an edge
         self.moved, last = np.zeros(3), self.last
         if last is not None and (stamp - last[0]) * 1e-9 <= LONGEST_PAUSE:
             self.moved = origin - last[1]
@@ -247,6 +248,7 @@ class Detector:
             ahead = self.moved @ sight / np.linalg.norm(sight)
             looks_past = self.moved @ self.moved - ahead**2 > LOOKS_PAST**2
             is_uncovered = self.is_at_edge and looks_past
+            self.uncovered.append(is_uncovered)
             sure = 1 - 2 ** (-len(own) / POINTS_HALF_SURE)
             place_of_shadow = origin if self.c.classify.shadow == "own" else None
             clear = clearance(self.map, own, seen_from=place_of_shadow)

@@ -153,6 +153,50 @@ def test_the_detector_does_what_the_specification_says(mode, stream):
     assert met["classes"] - {MOVING} == {0, BACKGROUND, FLYING, UNKNOWN}
 
 
+def past_an_edge(seed):
+    """Scans of a floor, a wall and a ball, from a sensor that looks past a nearer ball."""
+    rng, body = np.random.default_rng(seed), fan(18, 60)
+    start, turned = np.array([5.0, 8.0, 4.0]), np.eye(4)
+    turned[:3, :3] = Rotation.from_euler("z", rng.uniform(-3, 3)).as_matrix()
+    drift = rng.uniform(-0.5, 0.5, 3)
+    for k in range(12):
+        pose = turned.copy()
+        pose[:3, 3] = start + np.array([0.0, 0.15 * k, 0.0])
+        rays, places = body @ pose[:3, :3].T, np.broadcast_to(pose[:3, 3], body.shape)
+        hits = [
+            cast_plane(places, rays, [0, 0, 1], start[2] - 2.2),
+            cast_plane(places, rays, [1, 0, 0], start[0] + 4.0),
+        ]
+        near, far = np.array([0.8, 1.0, 0.1]), np.array([2.2, 1.4, 0.2]) + drift * 0.1 * k
+        for place, radius in ((near, 0.25), (far, 0.4)):
+            at = np.eye(4)
+            at[:3, 3] = start + place
+            hits.append(raycast.cast(raycast.sphere(radius), at, places, rays))
+        distance = np.min(hits, axis=0)
+        no_return = distance > 7.0
+        distance = distance + rng.normal(size=len(body)) * 0.01
+        yield {
+            "points": (body * np.where(no_return, np.nan, distance)[:, None]).astype(np.float32),
+            "poses": pose,
+            "stamp": 1_000 + k * STEP_NS,
+            "no_return": no_return,
+            "directions": body.astype(np.float32),
+        }
+
+
+def test_what_is_seen_past_an_edge_is_what_the_specification_says():
+    config, uncovered = small(FlyingConfig()), []
+    for seed in range(2):
+        detector, specification = FlyingObjectDetector(config), Specification(config)
+        for scan in past_an_edge(seed):
+            given = (scan["points"], scan["poses"], scan["stamp"])
+            named = {"no_return": scan["no_return"], "directions": scan["directions"]}
+            same(detector.process(*given, **named), specification.process(**scan))
+            uncovered += specification.uncovered
+    assert sum(uncovered) > 3
+    assert len(uncovered) - sum(uncovered) > 3
+
+
 def few_points(counts, *, speed, others=()):
     """Scans of a floor, a wall and a target of so many returns; others give one return each."""
     body, pose = fan(16, 40), np.eye(4)

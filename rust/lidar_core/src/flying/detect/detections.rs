@@ -170,3 +170,23 @@ impl ScanToDetect<'_> {
         self.teammates.iter().find(|mate| norm(offset(mate)) <= mate.radius)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sensor_looks_past_edges_where_it_moves_across_the_line_of_sight() {
+        let mut scan = Prepared::default();
+        scan.points = vec![[10.0, 0.0, 0.0]; 3];
+        let mut clusters = Clusters::default();
+        clusters.fill(&scan.points, &[0; 3]);
+        let mut looks = |moved| {
+            scan.moved = moved;
+            looks_past(&scan, &clusters.get(0))
+        };
+        assert!(looks([0.0, 0.2, 0.0]) && looks([0.5, 0.0, -0.2]));
+        // The opposites: towards the cluster, the noise of poses, and a sensor that stands.
+        assert!(!looks([0.5, 0.0, 0.0]) && !looks([0.0, 0.05, 0.05]) && !looks([0.0; 3]));
+    }
+}

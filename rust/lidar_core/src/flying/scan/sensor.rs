@@ -422,6 +422,16 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn the_way_since_the_last_scan_is_known_after_a_short_pause() {
+        let mut sensor = Sensor::new(parameters());
+        let at = |x: f64| Transform { translation: [x, 2.0, 0.0], ..Transform::IDENTITY };
+        assert_eq!(sensor.moved(&at(3.0), 0), [0.0; 3]); // no scan before
+        sensor.learn(0, &[], None, &at(3.0), None, false);
+        assert_eq!(sensor.moved(&at(3.5), 100_000_000), [0.5, 0.0, 0.0]);
+        assert_eq!(sensor.moved(&at(3.5), 2_000_000_000), [0.0; 3]); // too long ago
+    }
+
+    #[test]
     fn a_sector_may_cross_the_back() {
         let sector = [3.0, -3.0, -0.5, 0.5];
         assert!(is_inside(&sector, [-1.0, 0.01, 0.0]) && is_inside(&sector, [-1.0, -0.01, 0.0]));
