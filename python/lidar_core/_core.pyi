@@ -351,6 +351,13 @@ class PreparedSweep:
     ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]: ...
 
 @final
+class Misses:
+    def __new__(cls) -> Self: ...
+    def marked(
+        self, ranges: NDArray[np.float32], *, range_min: float, range_max: float, nearest: float
+    ) -> tuple[NDArray[np.float64], str]: ...
+
+@final
 class CirclePipeline:
     def __new__(cls, config: object, *, fit: object) -> Self: ...
     @staticmethod

@@ -152,7 +152,9 @@ class CirclePipeline(FullState):
             A scan of `lidar_core.io.posed_laser_scans` or of the simulator, with everything that
             is known about it; nothing but `scanner` may be given beside it. Or range of every ray
             [m]; +inf is a miss, NaN no information. What is nearer than the scanner's `range_min`
-            is no information, what is farther than `range_max` a miss.
+            is no information, what is not nearer than `range_max` a miss. A driver that gives zero
+            or NaN for a miss is recognised by its scans (see `CirclesHealth.no_return`); NaN on
+            rays that never had a range stays no information.
         world_from_lidar : array_like, shape (4, 4) or (K, 4, 4), float64
             Pose of the scanner, tilt included, or a stream of poses with `pose_stamps_ns`: with
             `ray_time_ns` the motion during the sweep is taken out.
@@ -222,6 +224,7 @@ class CirclePipeline(FullState):
                 self._health,
                 range_std_estimated=values["range_std"],
                 pose_offset_s=values["pose_offset"],
+                no_return=values["no_return"],
                 stuck_poses=self._health.stuck_poses + int(values["stuck_pose"]),
             )
 

@@ -107,6 +107,10 @@ class CirclesHealth:
         Delay of the poses of this scanner [s], estimated from static objects; None before the
         motion of the scanner determines it to 5 ms, and in paper mode. In best mode poses are
         corrected by a delay that clearly differs from zero.
+    no_return : str
+        What the driver of this scanner gives for a ray without return, learnt from the scans:
+        "inf", "zero" or "nan"; always "inf" in paper mode. Ranges at or beyond `range_max` are
+        misses, too.
     stuck_poses : int
         Scans with a `CircleFrame.stuck_pose`; more poses may be stuck.
     """
@@ -117,6 +121,7 @@ class CirclesHealth:
     reasons: Mapping[str, int] = field(default_factory=dict)
     range_std_estimated: float | None = None
     pose_offset_s: float | None = None
+    no_return: str = "inf"
     stuck_poses: int = 0
 
     def one_more(self, name: str, reason: str | None = None) -> Self:

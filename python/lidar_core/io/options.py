@@ -20,8 +20,8 @@ class ReadOptions(Config):
         default="auto",
         description="Mark of a ray without return, besides +inf in a 2D scan: zeros, NaN, in"
         " a 2D scan ranges of range_max or more (max), or nothing; auto decides by"
-        " the first scan with a mark, and never takes NaN in a 2D scan for one (no"
-        " unit).",
+        " the first cloud with a mark, and for 2D scans by the share of rays with each"
+        " mark so far (no unit).",
     )
     point_time: str = Field(
         default="auto",

@@ -21,6 +21,8 @@ mod _core {
     #[pymodule_export]
     use super::circles::map::PyCircleMap;
     #[pymodule_export]
+    use super::circles::misses::PyMisses;
+    #[pymodule_export]
     use super::circles::pipeline::{PyCirclePipeline, PyPreparedSweep};
     #[pymodule_export]
     use super::circles::samples::{circle_lattice, make_circle_samples};

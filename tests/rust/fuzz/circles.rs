@@ -11,10 +11,9 @@ use lidar_core::circles::map::{
 };
 use lidar_core::circles::parameters::PipelineParameters;
 use lidar_core::circles::pipeline::{CirclePipeline, RawSweep};
+use lidar_core::circles::preprocess::misses::{Misses, NoReturn};
 use lidar_core::circles::preprocess::polar_scan::PolarScan;
-use lidar_core::circles::preprocess::projection::{
-    Projection, directions, limit_range, project, within_reach,
-};
+use lidar_core::circles::preprocess::projection::{Projection, directions, limit_range, project};
 use lidar_core::circles::preprocess::sweep_poses::SweepPoses;
 use lidar_core::circles::segment::parameters::{Bound, SegmentParameters};
 use lidar_core::circles::segment::segmentation::segment;
@@ -137,7 +136,7 @@ pub fn functions(bytes: &[u8]) {
 
 fn stages(input: &mut Input<'_>) -> Result<(), Error> {
     let count = 1 + input.below(90);
-    let ranges: Vec<f64> = ranges(input, count).into_iter().map(f64::from).collect();
+    let ranges = ranges(input, count);
     let step = if input.rarely() { input.f64() } else { 0.02 };
     let bearings = input.beside(ranges.len(), |_| 0.0);
     let bearings: Vec<f64> = (0..bearings.len()).map(|ray| step * ray as f64).collect();
@@ -150,7 +149,10 @@ fn stages(input: &mut Input<'_>) -> Result<(), Error> {
         SweepPoses::new(&motion, 0, None)?
     };
     let _ = (sweep.at_stamp(), sweep.is_moving(), sweep.world_from_level());
-    let near = within_reach(&ranges, input.f64(), input.f64());
+    let mut misses = Misses::default();
+    (0..input.below(30)).for_each(|_| misses.add(&ranges));
+    let near = misses.marked(&ranges, [input.f64(), input.f64()], input.f64());
+    assert!(near.len() == ranges.len() && misses.no_return() != NoReturn::Nan);
     let limited = limit_range(&near, &ways, &sweep, &input.many(2, |input| input.f64s()));
     let raw = PolarScan { ranges: limited.unwrap_or(near), bearings };
     let level = project(&raw, &ways, &sweep, input.one_of(&[Projection::Exact, Projection::Paper]));

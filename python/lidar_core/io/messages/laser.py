@@ -1,16 +1,16 @@
 """2D scans of drivers: the meaning of ranges and times, by REP-117.
 
-Conventions are detected on the first scan that shows them, kept for the rest of the topic, and
-stated as a verdict; options override them.
+Conventions are learnt from the scans of a topic and stated as a verdict; options override them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core import _core
 from lidar_core.errors import FormatError
 from lidar_core.io.files.guard import check_size
 from lidar_core.io.messages.conventions import LONGEST_SCAN_S, SHORTEST_SCAN_S
@@ -19,59 +19,73 @@ from lidar_core.io.records import Findings
 from lidar_core.messages import LaserScan
 
 FULL_TURN = 2 * np.pi * 1.01  # a hundredth more than a turn is the rounding of a driver
+NEAR = 0.1
+"""Invalid rays beside a range nearer to `range_min` than this may have met it too near [m]."""
 
 
-@dataclass(slots=True)
 class RangeRule:
-    """Mark of a ray without return in the scans of one topic."""
+    """Meaning of the ranges in the scans of one topic."""
 
-    options: ReadOptions
-    convention: str | None = None
-    verdict: str = ""
+    def __init__(self, options: ReadOptions) -> None:
+        self._option = options.no_return
+        self._misses = _core.Misses()
+        self._seen = ""
+        self.verdict = "none seen: no range is +inf, zero, or range_max or more"
 
     def apply(self, scan: LaserScan) -> NDArray[np.float32]:
-        """Convert ranges of REP-117: +inf is no return; NaN and -inf are no information.
+        """Convert ranges to REP-117: +inf is no return; NaN and -inf are no information.
 
-        A range above `range_max` is no return within range; a range below `range_min` is no
-        measurement.
+        A range of `range_max` or more is no return within range; a range below `range_min` is no
+        measurement. With the option "auto" zeros, and NaN on rays that have worked, are no return
+        as soon as the scans tell so.
         """
         ranges = scan.ranges.astype(np.float32)
+        if self._option == "auto":
+            return self._learnt(ranges, scan)
+        self.verdict = f"{self._option}, set by the option no_return"
         with np.errstate(invalid="ignore"):
-            zero, infinite = ranges == 0, np.isposinf(ranges)
-            far = np.isfinite(ranges) & (ranges >= np.float32(scan.range_max))
+            zero = ranges == 0
+            far = np.isfinite(ranges) & (ranges > np.float32(scan.range_max))
+            if self._option == "max":
+                far |= ranges == np.float32(scan.range_max)
             near = np.isfinite(ranges) & ((ranges < scan.range_min) | (ranges <= 0))
-        self._decide(zero, infinite, far)
         broken = np.isnan(ranges)
-        if self.convention != "max":
-            far &= ranges > np.float32(scan.range_max)
         ranges[near] = np.nan
-        ranges[far] = np.nan if self.convention == "none" else np.inf
-        if self.convention == "zero":
+        ranges[far] = np.nan if self._option == "none" else np.inf
+        if self._option == "zero":
             ranges[zero] = np.inf
-        if self.convention == "nan":
+        if self._option == "nan":
             ranges[broken] = np.inf
         return ranges
 
-    def _decide(
-        self, zero: NDArray[np.bool_], infinite: NDArray[np.bool_], far: NDArray[np.bool_]
-    ) -> None:
-        if self.convention is not None:
-            return
-        if self.options.no_return != "auto":
-            self.convention = self.options.no_return
-            self.verdict = f"{self.convention}, set by the option no_return"
-            return
-        seen = (
-            ("inf", infinite, "are +inf"),
-            ("zero", zero, "are zero"),
-            ("max", far, "are range_max or more"),
+    def _learnt(self, ranges: NDArray[np.float32], scan: LaserScan) -> NDArray[np.float32]:
+        """Convert ranges by what the scans so far, this one included, show."""
+        with np.errstate(invalid="ignore"):
+            at_limit = np.isfinite(ranges) & (ranges >= np.float32(scan.range_max))
+        stated = np.where(at_limit, np.float32(np.inf), ranges)
+        marked, name = self._misses.marked(
+            stated,
+            range_min=scan.range_min,
+            range_max=scan.range_max,
+            nearest=scan.range_min + NEAR,
         )
-        for name, mask, text in seen:
-            if mask.any():
-                self.convention = name
-                self.verdict = f"{name}: {int(mask.sum())} of {len(mask)} ranges of a scan {text}"
-                return
-        self.verdict = "none seen: no range is +inf, zero, or range_max or more"
+        self._tell(name, ranges, at_limit)
+        marked[np.isneginf(ranges)] = -np.inf
+        return marked.astype(np.float32)
+
+    def _tell(self, learnt: str, ranges: NDArray[np.float32], at_limit: NDArray[np.bool_]) -> None:
+        """State the convention with the numbers of the scan that first showed it."""
+        infinite = np.isposinf(ranges)
+        name, rays, text = {
+            "zero": ("zero", ranges == 0, "are zero"),
+            "nan": ("nan", np.isnan(ranges), "are NaN"),
+            "inf": ("inf", infinite, "are +inf")
+            if infinite.any()
+            else ("max", at_limit, "are range_max or more"),
+        }[learnt]
+        if rays.any() and name != self._seen and not (name == "max" and self._seen == "inf"):
+            self._seen = name
+            self.verdict = f"{name}: {int(rays.sum())} of {len(rays)} ranges of a scan {text}"
 
 
 class LaserDecoder:

@@ -184,6 +184,7 @@ class CirclesRun:
             "ms_per_scan": self._times.ms_per_scan,
             "range_std_estimated": health.range_std_estimated,
             "pose_offset_s": health.pose_offset_s,
+            "no_return": health.no_return,
             "stuck_poses": health.stuck_poses,
         }
 

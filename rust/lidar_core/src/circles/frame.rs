@@ -2,7 +2,9 @@
 
 use super::fit::circle::CircleEstimate;
 use super::map::{MapElement, MapShape, MapStats, PoseCovariance};
+use super::preprocess::misses::{Misses, NoReturn};
 use super::preprocess::projection::LevelScan;
+use super::scanner::NEAR;
 use super::segment::segments::{Segments, Side};
 use super::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;
@@ -27,14 +29,12 @@ pub struct PreparedSweep {
     pub(super) range_limits: [f64; 2],
     /// Standard deviation of its ranges [m].
     pub(super) range_std: f64,
+    /// What stands for its rays without return, this sweep included.
+    pub(super) misses: Misses,
     /// Pose at the stamp as it was given.
     pub(super) given: Transform,
     pub(super) timing: CircleTiming,
 }
-
-/// Distance above the nearest range, in standard deviations, within which neighbours of a hit may
-/// be too near to be measured.
-const NEAR: f64 = 10.0;
 
 impl PreparedSweep {
     /// Measurement time of every segment [ns].
@@ -120,6 +120,8 @@ pub struct CircleFrame {
     pub map_shapes: Vec<MapShape>,
     /// Standard deviation of the scanner's ranges, once it is estimated [m].
     pub range_std: Option<f64>,
+    /// What stands for the scanner's rays without return.
+    pub no_return: NoReturn,
     /// How late the poses of the scanner are, once it is known [s].
     pub pose_offset: Option<f64>,
     /// Time per stage.

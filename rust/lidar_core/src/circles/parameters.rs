@@ -88,8 +88,8 @@ impl PipelineParameters {
 }
 
 impl PipelineParameters {
-    /// True if the noise of ranges is estimated; the stages as published do not estimate it.
-    pub(super) fn estimates_noise(&self) -> bool {
+    /// True if properties of scanners are learnt from their scans; the stages as published do not.
+    pub(super) fn learns(&self) -> bool {
         matches!(self.map.filter, ElementFilter::Independent(_)) && !self.fit.method.is_algebraic()
     }
 }

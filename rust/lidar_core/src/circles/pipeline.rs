@@ -8,6 +8,7 @@ use super::map::{CircleMap, CircleScan, MapElement, MapShape, MapStats, ScanWith
 use super::map_input::{ByKind, Parts, standing};
 use super::parameters::PipelineParameters;
 use super::pose_offset::PoseOffset;
+use super::preprocess::misses::Misses;
 use super::preprocess::projection;
 use super::preprocess::sweep_poses::SweepPoses;
 use super::range_noise::RangeNoise;
@@ -31,6 +32,9 @@ const MAX_SCANNERS: usize = 64;
 const ROOM_OF_RAY: usize = 384;
 /// Cosine of the largest tilt of a scan plane that can be projected to the ground: 88.9 degrees.
 const STEEPEST: f64 = 0.02;
+
+/// Name and learnt properties of a scanner.
+type SavedScanner = (String, RangeNoise, Misses, PoseOffset);
 
 /// Pipeline from sweeps to a map of circles.
 pub struct CirclePipeline {
@@ -63,10 +67,10 @@ impl CirclePipeline {
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
     pub fn to_state(&self) -> Result<Vec<u8>, Error> {
-        let saved =
-            |(name, one): &'_ (String, Scanner)| (name.clone(), one.noise, one.offset.clone());
-        let scanners: Vec<(String, RangeNoise, PoseOffset)> =
-            self.scanners.iter().map(saved).collect();
+        let saved = |(name, one): &'_ (String, Scanner)| {
+            (name.clone(), one.noise, one.misses.clone(), one.offset.clone())
+        };
+        let scanners: Vec<SavedScanner> = self.scanners.iter().map(saved).collect();
         sealed(KIND, &self.parameters, &(scanners, self.map.state()))
     }
 
@@ -77,10 +81,10 @@ impl CirclePipeline {
     /// [`CirclePipeline::to_state`] did not make, [`Error::Parameter`] for the state of a pipeline
     /// with other parameters.
     pub fn from_state(parameters: PipelineParameters, bytes: &[u8]) -> Result<Self, Error> {
-        let (scanners, map): (Vec<(String, RangeNoise, PoseOffset)>, SavedCircleMap) =
+        let (scanners, map): (Vec<SavedScanner>, SavedCircleMap) =
             opened(KIND, &parameters, bytes)?;
         let mut pipeline = Self::new(parameters)?;
-        for (place, (name, noise, offset)) in scanners.into_iter().enumerate() {
+        for (place, (name, noise, misses, offset)) in scanners.into_iter().enumerate() {
             match pipeline.number(&name) {
                 Some(known) if known == place => {}
                 None if pipeline.scanners.len() == place => {
@@ -92,8 +96,13 @@ impl CirclePipeline {
             if !noise.is_sound() {
                 return Err(impossible("a noise of ranges that is not positive"));
             }
-            pipeline.scanners[place].1.hear(noise)?;
-            pipeline.scanners[place].1.offset = offset;
+            let (_, scanner) = &mut pipeline.scanners[place];
+            if !misses.is_sound(scanner.bearings.len()) {
+                return Err(impossible("counts of rays without return that are not possible"));
+            }
+            scanner.hear(noise)?;
+            scanner.misses = misses;
+            scanner.offset = offset;
         }
         pipeline.map.restore(map)?;
         Ok(pipeline)
@@ -142,7 +151,11 @@ impl CirclePipeline {
             .map_err(|error| with_name(error, number, raw.scanner))?;
         let (given, sweep) = scanner.sweep(raw)?;
         let upright = upright(&sweep)?;
-        let (level, seen) = scanner.level(raw, &sweep, parameters)?;
+        let mut misses = scanner.misses.clone();
+        if parameters.learns() {
+            misses.add(raw.ranges);
+        }
+        let (level, seen) = scanner.level(raw, &misses, &sweep, parameters)?;
         let prepare = clock.lap();
         let [near, far] = scanner.range_limits;
         let range_limits = [near, (far * upright).max(2.0 * near)];
@@ -162,6 +175,7 @@ impl CirclePipeline {
             number,
             range_limits,
             range_std,
+            misses,
             given,
             timing: CircleTiming { prepare, segment: clock.lap(), ..CircleTiming::default() },
         })
@@ -186,11 +200,12 @@ impl CirclePipeline {
         self.take_in(prepared, circles, shapes)
     }
 
-    /// Learn the noise of the scanner's ranges from a sweep; the stages as published do not.
+    /// Learn the properties of the scanner from a sweep; the stages as published do not.
     fn listen(&mut self, prepared: &mut PreparedSweep) -> Result<(), Error> {
         let (_, scanner) = &mut self.scanners[prepared.number];
-        if self.parameters.estimates_noise() {
+        if self.parameters.learns() {
             scanner.listen(&prepared.level.scan, &prepared.segments)?;
+            scanner.misses.clone_from(&prepared.misses);
         }
         prepared.range_std = scanner.noise.std();
         Ok(())
@@ -246,7 +261,7 @@ impl CirclePipeline {
         let map = self.map.map_at(prepared.stamp_ns);
         let map_shapes = self.map.shapes_at(prepared.stamp_ns);
         let (_, scanner) = &mut self.scanners[prepared.number];
-        if self.parameters.estimates_noise() {
+        if self.parameters.learns() {
             let standing = standing(&map, &elements, &circles);
             scanner.offset.add(prepared.stamp_ns, &prepared.given, standing);
         }
@@ -254,6 +269,7 @@ impl CirclePipeline {
         Ok(CircleFrame {
             pose_offset: scanner.offset.known(),
             range_std: noise.is_known().then(|| noise.estimate()),
+            no_return: scanner.misses.no_return(),
             circles_world: in_world(&circles, &prepared.world_from_level),
             times_ns: prepared.times_ns(),
             level: prepared.level,
@@ -355,10 +371,12 @@ impl CirclePipeline {
         if number == known {
             self.scanners.push((scanner.into(), self.new_scanner(scanner)?));
         }
-        let noise = self.scanners[number].1.noise;
+        let (_, known_scanner) = &self.scanners[number];
+        let (noise, misses) = (known_scanner.noise, known_scanner.misses.clone());
         let frame = take(self, number);
         if frame.is_err() {
             self.scanners[number].1.hear(noise)?;
+            self.scanners[number].1.misses = misses;
             self.scanners.truncate(known);
         }
         frame

@@ -3,6 +3,7 @@
 use super::fit::{FitParameters, Fitter};
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::pose_offset::PoseOffset;
+use super::preprocess::misses::Misses;
 use super::preprocess::polar_scan::PolarScan;
 use super::preprocess::projection::{self, LevelScan};
 use super::preprocess::sweep_poses::SweepPoses;
@@ -22,8 +23,13 @@ pub(super) struct Scanner {
     pub(super) fitter: Fitter,
     pub(super) shaper: ShapeFitter,
     pub(super) noise: RangeNoise,
+    pub(super) misses: Misses,
     pub(super) offset: PoseOffset,
 }
+
+/// Distance above the nearest range that the scanner measures, in standard deviations, within which
+/// neighbours of a hit may be too near to be measured.
+pub(super) const NEAR: f64 = 10.0;
 
 impl Scanner {
     /// Prepare the memory of one scanner: its bearings and fitters.
@@ -45,6 +51,7 @@ impl Scanner {
             fitter: Fitter::new(FitParameters { range_limits, ..parameters.fit })?,
             shaper: ShapeFitter::new(FitParameters { range_limits, ..parameters.fit })?,
             noise: RangeNoise::new(parameters.fit.range_std),
+            misses: Misses::default(),
             offset: PoseOffset::default(),
         })
     }
@@ -86,19 +93,19 @@ impl Scanner {
     }
 
     /// Scan in the level frame, limited to the volume, and the ranges before that limitation, if
-    /// any.
+    /// any. Rays without return have the meaning of `misses`.
     ///
     /// # Errors
     /// Errors of [`projection::limit_range`].
     pub(super) fn level(
         &self,
         raw: &RawSweep<'_>,
+        misses: &Misses,
         sweep: &SweepPoses,
         parameters: &PipelineParameters,
     ) -> Result<(LevelScan, Option<Vec<f64>>), Error> {
-        let [near, far] = self.range_limits;
-        let wide: Vec<f64> = raw.ranges.iter().map(|&range| f64::from(range)).collect();
-        let ranges = projection::within_reach(&wide, near, far);
+        let nearest = self.range_limits[0] + NEAR * self.noise.std();
+        let ranges = misses.marked(raw.ranges, self.range_limits, nearest);
         let limited = match parameters.planes.as_slice() {
             [] => None,
             planes => Some(projection::limit_range(&ranges, &self.directions, sweep, planes)?),

@@ -3,6 +3,7 @@
 pub(crate) mod config;
 pub(crate) mod fit;
 pub(crate) mod map;
+pub(crate) mod misses;
 pub(crate) mod pipeline;
 pub(crate) mod samples;
 pub(crate) mod stages;

@@ -6,6 +6,7 @@ use crate::circles::fit::{CircleArrays, circle_arrays, shape_arrays};
 use crate::circles::map::{
     CircleMapConfig, Elements, MapShapes, element_arrays, estimates, event_arrays, map_shape_arrays,
 };
+use crate::circles::misses::no_return_name;
 use crate::circles::stages::{LevelArrays, PROJECTIONS, SegmentArrays, segment_arrays};
 use crate::errors::BorderError;
 use crate::guard::{Guarded, detached};
@@ -233,6 +234,7 @@ fn frame_dict(py: Python<'_>, frame: CircleFrame) -> Result<Bound<'_, PyDict>, B
     values.set_item("events", event_arrays(py, frame.stats)?)?;
     values.set_item("range_std", frame.range_std)?;
     values.set_item("pose_offset", frame.pose_offset)?;
+    values.set_item("no_return", no_return_name(frame.no_return))?;
     let timing_ms = PyDict::new(py);
     let timing = frame.timing;
     for (stage, milliseconds) in [

@@ -77,11 +77,51 @@ def test_nothing_beyond_the_range_tells_nothing_where_no_mark_is_wanted():
     np.testing.assert_array_equal(scan.ranges, [1, NAN])
 
 
-def test_the_first_mark_holds_for_the_topic():
+def test_zeros_after_misses_are_no_information():
     decoder = LaserDecoder("/scan", ReadOptions(), Findings())
     assert not np.isinf(decoder.scan(sweep([1, 2]), place="a").ranges).any()
     assert np.isinf(decoder.scan(sweep([1, INF]), place="b").ranges[1])
     assert np.isnan(decoder.scan(sweep([1, 0]), place="c").ranges[1])
+
+
+def rays_with(value, *, at=(), others=2.0):
+    """100 rays at `others`, those `at` some places with `value`."""
+    ranges = np.full(100, others)
+    ranges[list(at)] = value
+    return sweep(ranges, angle_increment=0.01)
+
+
+def test_one_value_of_another_kind_does_not_change_the_meaning():
+    """A zero of a bad ray in the first scan is no miss; one +inf later does not stop zeros."""
+    findings = Findings()
+    decoder = LaserDecoder("/scan", ReadOptions(), findings)
+    assert np.isnan(decoder.scan(rays_with(0, at=[5]), place="a").ranges[5])
+    assert findings.no_return["/scan"].startswith("none seen")
+    for _ in range(5):
+        scan = decoder.scan(rays_with(0, at=range(20, 50)), place="b")
+        assert np.isposinf(scan.ranges[20:50]).all()
+    mixed = rays_with(0, at=range(20, 50))
+    mixed.ranges[60] = INF
+    scan = decoder.scan(mixed, place="c")
+    assert np.isposinf(scan.ranges[[*range(20, 50), 60]]).all()
+    assert findings.no_return["/scan"] == "zero: 30 of 100 ranges of a scan are zero"
+
+
+def test_nan_of_rays_that_work_is_no_return_and_a_mask_is_not():
+    """A robot drives off: other rays have no return in every scan; ten rays never have one."""
+    findings = Findings()
+    decoder = LaserDecoder("/scan", ReadOptions(), findings)
+    for number in range(60):
+        gap = {(number + ray) % 90 for ray in range(30)}
+        scan = decoder.scan(rays_with(NAN, at=gap | set(range(90, 100))), place="a")
+    assert findings.no_return["/scan"].startswith("nan: ")
+    assert np.isposinf(scan.ranges[sorted(gap - set(range(80, 90)))]).all()
+    assert np.isnan(scan.ranges[90:]).all()
+    masked = LaserDecoder("/scan", ReadOptions(), findings)
+    for _ in range(60):
+        scan = masked.scan(rays_with(NAN, at=range(90, 100)), place="b")
+    assert np.isnan(scan.ranges[90:]).all()
+    assert findings.no_return["/scan"].startswith("none seen")
 
 
 @given(
@@ -497,8 +537,8 @@ BAGS = {
     "leg_tracker/positive_6.bag": {"/rear_scan": (355, 768, "zero")},
     "leg_tracker/positive_6_extracted.bag": {"/training_scan": (187, 768, "zero")},
     "obstacle_detector/scans_demo.bag": {
-        "/front_scan": (331, 726, "none"),
-        "/rear_scan": (330, 726, "none"),
+        "/front_scan": (331, 726, "nan"),
+        "/rear_scan": (330, 726, "nan"),
     },
     "sick_rms_lms/rms_1xxx_lms_1xx_movement_off.bag": {"/sick_lms_1xx/scan": (89, 541, "zero")},
     "radish/aces.clf.bz2": {"FLASER": (7374, 180, "max")},

@@ -29,18 +29,6 @@ pub fn directions(bearings: &[f64]) -> Vec<[f64; 2]> {
     bearings.iter().map(|&bearing| [libm::cos(bearing), libm::sin(bearing)]).collect()
 }
 
-/// Apply the range limits of the scanner: below `range_min` is no information, above `range_max` a
-/// miss.
-#[must_use]
-pub fn within_reach(ranges: &[f64], range_min: f64, range_max: f64) -> Vec<f64> {
-    let limited = |&range: &f64| match range {
-        near if near < range_min => f64::NAN,
-        far if far > range_max => f64::INFINITY,
-        range => range,
-    };
-    ranges.iter().map(limited).collect()
-}
-
 /// Limit the ranges to the operating volume a x + b y + c z <= d of all `planes` (world frame), eq.
 /// 4.
 ///

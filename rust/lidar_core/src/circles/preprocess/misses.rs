@@ -1,0 +1,233 @@
+//! Rays without return, as the drivers of 2D scanners give them.
+
+use serde::{Deserialize, Serialize};
+
+/// Share of the rays that are invalid if invalid values stand for misses. A surface that is too
+/// dark or too slanting makes fewer.
+const MANY: f64 = 0.05;
+/// Most values of a better known kind beside one that stands for misses, as a share of it.
+const RARE: f64 = 0.05;
+/// Scans that the counts remember, and scans before NaN can stand for misses.
+const MEMORY: f64 = 200.0;
+const FIRST: f64 = 20.0;
+
+/// Value that stands for a ray without return.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NoReturn {
+    /// +inf, as REP-117 has it, or a range at or beyond the limit of the scanner.
+    #[default]
+    Infinite,
+    /// Zero.
+    Zero,
+    /// NaN.
+    Nan,
+}
+
+/// What the scans of one scanner tell about its rays without return.
+///
+/// REP-117 has +inf for a ray that met nothing within reach and NaN for an erroneous one. Many
+/// drivers have zero or NaN for both: then a scan has no +inf, but many zeros or NaN. NaN on rays
+/// that never had a range may be the mask of somebody who knows them, such as for parts of the
+/// robot. It stays no information.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Misses {
+    no_return: NoReturn,
+    scans: f64,
+    rays: f64,
+    infinite: f64,
+    zero: f64,
+    /// NaN on rays that worked before.
+    nan: f64,
+    /// Rays that had a range at least once.
+    worked: Vec<bool>,
+}
+
+impl Misses {
+    /// What stands for a ray without return, as far as the scans tell.
+    #[must_use]
+    pub fn no_return(&self) -> NoReturn {
+        self.no_return
+    }
+
+    /// Take in the ranges of one more scan [m].
+    pub fn add(&mut self, ranges: &[f32]) {
+        self.worked.resize(ranges.len(), false);
+        let [mut infinite, mut zero, mut nan] = [0_u32; 3];
+        for (worked, &range) in self.worked.iter_mut().zip(ranges) {
+            infinite += u32::from(range == f32::INFINITY);
+            zero += u32::from(range == 0.0);
+            nan += u32::from(range.is_nan() && *worked);
+            *worked |= range.is_finite() && range > 0.0;
+        }
+        let kept = 1.0 - 1.0 / MEMORY;
+        let sums =
+            [&mut self.scans, &mut self.rays, &mut self.infinite, &mut self.zero, &mut self.nan];
+        let news = [1.0, ranges.len() as f64, f64::from(infinite), f64::from(zero), f64::from(nan)];
+        for (sum, new) in sums.into_iter().zip(news) {
+            *sum = kept * *sum + new;
+        }
+        self.no_return = self.meaning();
+    }
+
+    /// What stands for a miss by the counts; the last answer where they tell nothing new.
+    fn meaning(&self) -> NoReturn {
+        let is_many = |count: f64| count > 0.0 && count >= MANY * self.rays;
+        let can_be_zero = self.infinite <= RARE * self.zero;
+        let can_be_nan = self.infinite + self.zero <= RARE * self.nan;
+        if can_be_zero && (is_many(self.zero) || self.no_return == NoReturn::Zero) {
+            NoReturn::Zero
+        } else if can_be_nan
+            && (is_many(self.nan) && self.scans >= FIRST || self.no_return == NoReturn::Nan)
+        {
+            NoReturn::Nan
+        } else {
+            NoReturn::Infinite
+        }
+    }
+
+    /// True if these can be the counts and flags of a scanner with this many rays.
+    pub(in crate::circles) fn is_sound(&self, rays: usize) -> bool {
+        let counts = [self.scans, self.rays, self.infinite, self.zero, self.nan];
+        counts.iter().all(|count| count.is_finite() && *count >= 0.0)
+            && (self.worked.is_empty() || self.worked.len() == rays)
+    }
+
+    /// Ranges of a scan with +inf for a miss and NaN for no information.
+    ///
+    /// Below `range_min` is no information, at or above `range_max` a miss. Invalid rays beside a
+    /// range below `nearest` stay no information: they may have met the same surface too near. All
+    /// in metres.
+    #[must_use]
+    pub fn marked(
+        &self,
+        ranges: &[f32],
+        [range_min, range_max]: [f64; 2],
+        nearest: f64,
+    ) -> Vec<f64> {
+        let limit = range_max as f32;
+        let limited = |&range: &f32| match f64::from(range) {
+            near if near < range_min => f64::NAN,
+            _ if range >= limit => f64::INFINITY,
+            range => range,
+        };
+        let mut marked: Vec<f64> = ranges.iter().map(limited).collect();
+        let is_invalid: fn(&f32) -> bool = match self.no_return {
+            NoReturn::Infinite => return marked,
+            NoReturn::Zero => |&range| range == 0.0,
+            NoReturn::Nan => |range| range.is_nan(),
+        };
+        let mut start = 0;
+        for run in ranges.chunk_by(|one, next| is_invalid(one) == is_invalid(next)) {
+            let rays = start..start + run.len();
+            start = rays.end;
+            if !is_invalid(&run[0]) {
+                continue;
+            }
+            let beside = [rays.start.wrapping_sub(1), rays.end];
+            let is_near = beside.iter().any(|&ray| marked.get(ray).is_some_and(|&r| r < nearest));
+            let can_be_masked = self.no_return == NoReturn::Nan;
+            for ray in rays.filter(|_| !is_near) {
+                if !can_be_masked || self.worked.get(ray) == Some(&true) {
+                    marked[ray] = f64::INFINITY;
+                }
+            }
+        }
+        marked
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: [f64; 2] = [0.1, 10.0];
+
+    /// Rays of `value`, but for five at 3 m from ray `first` on.
+    fn scan(value: f32, first: usize) -> Vec<f32> {
+        (0..40).map(|ray| if (first..first + 5).contains(&ray) { 3.0 } else { value }).collect()
+    }
+
+    fn after<'a>(scans: impl IntoIterator<Item = &'a [f32]>) -> Misses {
+        let mut misses = Misses::default();
+        scans.into_iter().for_each(|ranges| misses.add(ranges));
+        misses
+    }
+
+    fn marked(misses: &Misses, ranges: &[f32]) -> Vec<f64> {
+        misses.marked(ranges, LIMITS, 0.2)
+    }
+
+    #[test]
+    fn limits_of_the_scanner_hold() {
+        let ranges = [0.05, 3.0, 10.0, 9.999_999, 12.0, f32::INFINITY, f32::NAN, 0.0, -1.0];
+        let found = marked(&Misses::default(), &ranges);
+        assert_eq!((found[1], found[3].is_finite()), (3.0, true));
+        assert!([2, 4, 5].iter().all(|&ray| found[ray] == f64::INFINITY));
+        assert!([0, 6, 7, 8].iter().all(|&ray| found[ray].is_nan()));
+    }
+
+    #[test]
+    fn zeros_are_misses_where_nothing_else_is() {
+        let zeros = scan(0.0, 10);
+        let misses = after([&zeros[..]]);
+        assert_eq!(misses.no_return, NoReturn::Zero);
+        let expected: Vec<f64> = scan(f32::INFINITY, 10).into_iter().map(f64::from).collect();
+        assert_eq!(marked(&misses, &zeros), expected);
+    }
+
+    #[test]
+    fn zeros_beside_misses_are_no_information() {
+        let mut ranges = scan(f32::INFINITY, 10);
+        ranges[20..24].fill(0.0);
+        let misses = after([&ranges[..]]);
+        assert_eq!(misses.no_return, NoReturn::Infinite);
+        assert!(marked(&misses, &ranges)[20..24].iter().all(|range| range.is_nan()));
+        // A driver that is learnt wrongly at first.
+        let mut misses = after([&scan(0.0, 10)[..]]);
+        assert_eq!(misses.no_return, NoReturn::Zero);
+        (0..5).for_each(|_| misses.add(&ranges));
+        assert_eq!(misses.no_return, NoReturn::Infinite);
+    }
+
+    #[test]
+    fn few_invalid_rays_are_no_information() {
+        let mut ranges = [3.0; 40];
+        ranges[7] = 0.0;
+        let mut misses = Misses::default();
+        (0..100).for_each(|_| misses.add(&ranges));
+        assert_eq!(misses.no_return, NoReturn::Infinite);
+        // Later many: the robot has left the room. Back in a room they mean the same.
+        (0..20).for_each(|_| misses.add(&scan(0.0, 10)));
+        assert_eq!(misses.no_return, NoReturn::Zero);
+        (0..1000).for_each(|_| misses.add(&ranges));
+        assert_eq!(misses.no_return, NoReturn::Zero);
+    }
+
+    #[test]
+    fn a_mask_of_nan_stays_no_information() {
+        let mut misses = Misses::default();
+        let mut masked = [7.0; 40];
+        masked[..4].fill(f32::NAN);
+        masked[30..].fill(f32::NAN);
+        (0..50).for_each(|_| misses.add(&masked));
+        assert_eq!(misses.no_return, NoReturn::Infinite);
+        // Outside the mask the rays work, and their NaN are misses.
+        for count in 0..50 {
+            masked[4..30].fill(f32::NAN);
+            masked[4 + count % 20..][..5].fill(3.0);
+            misses.add(&masked);
+        }
+        assert_eq!(misses.no_return, NoReturn::Nan);
+        let found = marked(&misses, &masked);
+        assert!(found[..4].iter().chain(&found[30..]).all(|range| range.is_nan()));
+        assert!(found[4..30].iter().all(|range| !range.is_nan()));
+    }
+
+    #[test]
+    fn rays_that_may_have_met_something_too_near_are_no_information() {
+        let mut ranges = scan(0.0, 10);
+        ranges[10..15].fill(0.15);
+        let misses = after([&ranges[..]]);
+        assert!(marked(&misses, &ranges)[..10].iter().all(|range| range.is_nan()));
+    }
+}
