@@ -15,6 +15,7 @@ __all__ = [
     "FusionStep",
     "Measurement",
     "Measurements",
+    "Misses",
     "MultiTargetTracker",
     "PlantedPanic",
     "PointCloudTracker",

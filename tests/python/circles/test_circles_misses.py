@@ -79,7 +79,9 @@ def test_nan_of_a_few_bad_rays_and_of_a_mask_is_no_information():
 
 
 def test_the_stages_as_published_take_ranges_as_they_are():
-    pipeline, frames = run(open_field(), marked(0.0), CirclesConfig.paper(scanner=SCANNER, detector="taubin"))
+    pipeline, frames = run(
+        open_field(), marked(0.0), CirclesConfig.paper(scanner=SCANNER, detector="taubin")
+    )
     assert pipeline.health().no_return == "inf"
     assert not np.isposinf(frames[-1].ranges).any()
 

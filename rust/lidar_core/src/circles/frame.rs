@@ -2,9 +2,8 @@
 
 use super::fit::circle::CircleEstimate;
 use super::map::{MapElement, MapShape, MapStats, PoseCovariance};
-use super::preprocess::misses::{Misses, NoReturn};
+use super::preprocess::misses::{Misses, NEAR, NoReturn};
 use super::preprocess::projection::LevelScan;
-use super::scanner::NEAR;
 use super::segment::segments::{Segments, Side};
 use super::shape::ShapeEstimate;
 use crate::geometry::transform::Transform;

@@ -150,15 +150,10 @@ impl CirclePipeline {
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;
         let (given, sweep) = scanner.sweep(raw)?;
-        let upright = upright(&sweep)?;
-        let mut misses = scanner.misses.clone();
-        if parameters.learns() {
-            misses.add(raw.ranges);
-        }
+        let range_limits = scanner.horizontal_limits(upright(&sweep)?);
+        let misses = scanner.misses_with(raw, parameters);
         let (level, seen) = scanner.level(raw, &misses, &sweep, parameters)?;
         let prepare = clock.lap();
-        let [near, far] = scanner.range_limits;
-        let range_limits = [near, (far * upright).max(2.0 * near)];
         let range_std = scanner.noise.std();
         let bound = parameters.segment.bound.for_noise(range_std);
         let segmenting = SegmentParameters { bound, range_limits, ..parameters.segment };

@@ -3,7 +3,7 @@
 use super::fit::{FitParameters, Fitter};
 use super::parameters::{PipelineParameters, ScannerParameters};
 use super::pose_offset::PoseOffset;
-use super::preprocess::misses::Misses;
+use super::preprocess::misses::{Misses, NEAR};
 use super::preprocess::polar_scan::PolarScan;
 use super::preprocess::projection::{self, LevelScan};
 use super::preprocess::sweep_poses::SweepPoses;
@@ -26,10 +26,6 @@ pub(super) struct Scanner {
     pub(super) misses: Misses,
     pub(super) offset: PoseOffset,
 }
-
-/// Distance above the nearest range that the scanner measures, in standard deviations, within which
-/// neighbours of a hit may be too near to be measured.
-pub(super) const NEAR: f64 = 10.0;
 
 impl Scanner {
     /// Prepare the memory of one scanner: its bearings and fitters.
@@ -90,6 +86,25 @@ impl Scanner {
         self.shaper.set_range_std(noise.std())?;
         self.noise = noise;
         Ok(())
+    }
+
+    /// Range limits from above, for the smallest ratio of horizontal to full length over all rays.
+    pub(super) fn horizontal_limits(&self, upright: f64) -> [f64; 2] {
+        let [near, far] = self.range_limits;
+        [near, (far * upright).max(2.0 * near)]
+    }
+
+    /// What stands for a ray without return, a sweep included if it may be learnt.
+    pub(super) fn misses_with(
+        &self,
+        raw: &RawSweep<'_>,
+        parameters: &PipelineParameters,
+    ) -> Misses {
+        let mut misses = self.misses.clone();
+        if parameters.learns() {
+            misses.add(raw.ranges);
+        }
+        misses
     }
 
     /// Scan in the level frame, limited to the volume, and the ranges before that limitation, if

@@ -11,6 +11,10 @@ const RARE: f64 = 0.05;
 const MEMORY: f64 = 200.0;
 const FIRST: f64 = 20.0;
 
+/// Distance above the nearest range that the scanner measures, in standard deviations, within which
+/// neighbours of a hit may be too near to be measured.
+pub(in crate::circles) const NEAR: f64 = 10.0;
+
 /// Value that stands for a ray without return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NoReturn {
