@@ -142,6 +142,7 @@ impl CirclePipeline {
         number: usize,
         scanner: &Scanner,
     ) -> Result<PreparedSweep, Error> {
+        // Longer than other functions: one field per line of what the later stages need.
         let mut clock = Clock::start();
         let parameters = &self.parameters;
         raw.check(scanner.bearings.len())?;
