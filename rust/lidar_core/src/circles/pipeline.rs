@@ -10,7 +10,6 @@ use super::parameters::PipelineParameters;
 use super::pose_offset::PoseOffset;
 use super::preprocess::misses::Misses;
 use super::preprocess::projection;
-use super::preprocess::sweep_poses::SweepPoses;
 use super::range_noise::RangeNoise;
 pub use super::raw_sweep::RawSweep;
 use super::raw_sweep::delays;
@@ -30,8 +29,6 @@ const KIND: &str = "circle pipeline";
 const MAX_SCANNERS: usize = 64;
 /// Memory that a ray may take, all stages together [bytes].
 const ROOM_OF_RAY: usize = 384;
-/// Cosine of the largest tilt of a scan plane that can be projected to the ground: 88.9 degrees.
-const STEEPEST: f64 = 0.02;
 
 /// Name and learnt properties of a scanner.
 type SavedScanner = (String, RangeNoise, Misses, PoseOffset);
@@ -142,7 +139,6 @@ impl CirclePipeline {
         number: usize,
         scanner: &Scanner,
     ) -> Result<PreparedSweep, Error> {
-        // Longer than other functions: one field per line of what the later stages need.
         let mut clock = Clock::start();
         let parameters = &self.parameters;
         raw.check(scanner.bearings.len())?;
@@ -151,7 +147,7 @@ impl CirclePipeline {
             .check_stamp(raw.stamp_ns, number as u32)
             .map_err(|error| with_name(error, number, raw.scanner))?;
         let (given, sweep) = scanner.sweep(raw)?;
-        let range_limits = scanner.horizontal_limits(upright(&sweep)?);
+        let range_limits = scanner.horizontal_limits(projection::upright(&sweep)?);
         let misses = scanner.misses_with(raw, parameters);
         let (level, seen) = scanner.level(raw, &misses, &sweep, parameters)?;
         let prepare = clock.lap();
@@ -384,20 +380,6 @@ fn with_name(error: Error, number: usize, name: &str) -> Error {
     let Error::Time { what } = error else { return error };
     let named = format!("from scanner {name:?}");
     Error::Time { what: what.replace(&format!("from sensor {number}"), &named) }
-}
-
-/// Smallest ratio of horizontal to full length over all rays.
-fn upright(sweep: &SweepPoses) -> Result<f64, Error> {
-    let cosine = sweep.at_stamp().rotation[2][2].abs();
-    if cosine < STEEPEST {
-        return Err(Error::Value {
-            name: "world_from_lidar",
-            expected: "a scan plane that is not nearly vertical",
-            index: 0,
-            got: format!("a tilt of {:.1} deg", libm::acos(cosine).to_degrees()),
-        });
-    }
-    Ok(cosine)
 }
 
 /// Transform circles from the level frame to the world.

@@ -5,6 +5,9 @@ use super::sweep_poses::SweepPoses;
 use crate::Error;
 use crate::geometry::transform::{Transform, dot};
 
+/// Cosine of the largest tilt of a scan plane that can be projected to the ground: 88.9 degrees.
+const STEEPEST: f64 = 0.02;
+
 /// Projection of a tilted scan to the horizontal plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Projection {
@@ -78,6 +81,23 @@ pub(crate) fn check_planes(planes: &[[f64; 4]]) -> Result<(), Error> {
         }
         None => Ok(()),
     }
+}
+
+/// Smallest ratio of horizontal to full length over all rays.
+///
+/// # Errors
+/// [`Error::Value`] for a scan plane that is nearly vertical.
+pub(in crate::circles) fn upright(sweep: &SweepPoses) -> Result<f64, Error> {
+    let cosine = sweep.at_stamp().rotation[2][2].abs();
+    if cosine < STEEPEST {
+        return Err(Error::Value {
+            name: "world_from_lidar",
+            expected: "a scan plane that is not nearly vertical",
+            index: 0,
+            got: format!("a tilt of {:.1} deg", libm::acos(cosine).to_degrees()),
+        });
+    }
+    Ok(cosine)
 }
 
 /// Interval of a ray inside all planes [m]; the first value is larger if there is none.
