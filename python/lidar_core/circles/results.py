@@ -43,7 +43,7 @@ class CircleFrame(ShortRepr):
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
-        Number of the map element that every segment belongs to; -1 for a segment that the map does
+        ID of the map element that every segment belongs to; -1 for a segment that the map does
         not use: it is not a circle, its hits do not lie on the fitted circle, or the object is too
         near.
     too_near : ndarray, shape (C,), bool
