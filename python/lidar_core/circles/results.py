@@ -60,7 +60,7 @@ class CircleFrame(ShortRepr):
     events : MapEvents
         Changes of the map by this scan.
     stuck_pose : bool
-        True if the scanner moved although earlier scans, up to 2 s before, have exactly the same
+        True if the scanner moved although earlier scans, 0.4 to 2.2 s before, have exactly the same
         pose: the source of the poses stopped, and static objects seem to move. False as well if so
         many objects move that no decision is possible. Always False in paper mode.
     timing_ms : dict
