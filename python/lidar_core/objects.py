@@ -137,12 +137,12 @@ class ObjectTable:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Boxes(ObjectTable):
-    """Boxes with numbers at one time: as much of tracks as viewers show.
+    """Boxes with IDs at one time: as much of tracks as viewers show.
 
     Attributes
     ----------
     id : ndarray, shape (T,), int64
-        Numbers of the tracks.
+        IDs of the tracks.
     position, velocity : ndarray, shape (T, 3), float64
         Position [m] and velocity [m/s].
     extent : ndarray, shape (T, 3), float64
@@ -160,12 +160,12 @@ class Boxes(ObjectTable):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Tracks(Boxes):
-    """Tracks at one time, by ascending number, in the world frame.
+    """Tracks at one time, by ascending ID, in the world frame.
 
     Attributes
     ----------
     id : ndarray, shape (T,), int64
-        Number of the track, never reused.
+        ID of the track, never reused.
     position, velocity, acceleration : ndarray, shape (T, 3), float64
         Position [m], velocity [m/s] and acceleration [m/s^2].
     covariance : ndarray, shape (T, 9, 9), float64
@@ -242,13 +242,13 @@ class FlyingDetections(ObjectTable):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CircleElements(ObjectTable):
-    """Elements of the map at one time, by ascending number, in the world frame.
+    """Elements of the map at one time, by ascending ID, in the world frame.
 
     Attributes
     ----------
     id : ndarray, shape (M,), int64
-        Number of the element, never reused: an element that was removed gets another number if a
-        late scan shows it again.
+        ID of the element, never reused: an element that was removed gets another ID if a late scan
+        shows it again.
     center, velocity : ndarray, shape (M, 2), float64
         Centre [m] and velocity [m/s].
     radius : ndarray, shape (M,), float64
@@ -295,13 +295,13 @@ class CircleElements(ObjectTable):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ShapeElements(ObjectTable):
-    """Lines, ellipses and rectangles of the map at one time, by number, in the world frame.
+    """Lines, ellipses and rectangles of the map at one time, by ID, in the world frame.
 
     Attributes
     ----------
     id : ndarray, shape (K,), int64
-        Number of the element, never reused. An ellipse or rectangle that is not large is also a
-        circle of the map. It keeps its number if its shape changes.
+        ID of the element, never reused. An ellipse or rectangle that is not large is also a circle
+        of the map. It keeps its ID if its shape changes.
     kind : ndarray, shape (K,), uint8
         A `ShapeKind`.
     center, velocity : ndarray, shape (K, 2), float64
@@ -360,7 +360,7 @@ class TargetTracks(ObjectTable):
     stamp_ns : int
         Time of the states [ns].
     id : ndarray, shape (T,), int64
-        Numbers, never given again.
+        IDs, never given again.
     states : ndarray, shape (T, n)
         States in the order of the model.
     covariances : ndarray, shape (T, n, n)
@@ -412,7 +412,7 @@ class TargetTruth(ObjectTable):
     Attributes
     ----------
     id : ndarray, shape (T,), int32
-        Number of the target, as in `SimulatedScan.label`.
+        ID of the target, as in `SimulatedScan.label`.
     position, velocity : ndarray, shape (T, 3), float64
         Position [m] and velocity [m/s] of the centre.
     radius : ndarray, shape (T,), float64
@@ -442,7 +442,7 @@ class ObjectTruth(ObjectTable):
     Attributes
     ----------
     id : ndarray, shape (T,), int32
-        Number of the target, as in `SimulatedSweep.label`.
+        ID of the target, as in `SimulatedSweep.label`.
     kind : tuple of str
         Kinds of shape.
     center, velocity : ndarray, shape (T, 2), float64
@@ -476,7 +476,7 @@ class Objects(ObjectTable):
     Attributes
     ----------
     id : ndarray, shape (K,), int64
-        Numbers.
+        IDs.
     position, velocity : ndarray, shape (K, 3), float64
         Position [m] and velocity [m/s]; heights are zero in the plane.
     covariance : ndarray, shape (K, 3, 3), float64

@@ -239,7 +239,7 @@ class CirclePipeline(FullState):
         return shape_elements_of(self._pipeline.shapes_at(stamp), stamp)
 
     def reset(self) -> None:
-        """Forget the map; numbers of elements are still not reused, health is kept."""
+        """Forget the map; IDs of elements are still not reused, health is kept."""
         self._pipeline.reset()
 
     def health(self) -> CirclesHealth:

@@ -43,7 +43,7 @@ class CircleFrame(ShortRepr):
     shapes : Shapes
         One shape per segment, in the level frame; empty if `shapes` of the configuration is off.
     element : ndarray, shape (C,), int64
-        Number of the map element that every segment belongs to; -1 for a segment that the map does
+        ID of the map element that every segment belongs to; -1 for a segment that the map does
         not use: it is not a circle, its hits do not lie on the fitted circle, or the object is too
         near.
     too_near : ndarray, shape (C,), bool
@@ -60,7 +60,7 @@ class CircleFrame(ShortRepr):
     events : MapEvents
         Changes of the map by this scan.
     stuck_pose : bool
-        True if the scanner moved although earlier scans, up to 2 s before, have exactly the same
+        True if the scanner moved although earlier scans, 0.4 to 2.2 s before, have exactly the same
         pose: the source of the poses stopped, and static objects seem to move. False as well if so
         many objects move that no decision is possible. Always False in paper mode.
     timing_ms : dict

@@ -19,7 +19,7 @@ class Truth:
     stamp_ns : ndarray, shape (R,), int64
         Time of the scan [ns].
     id : ndarray, shape (R,), int64
-        Number of the target.
+        ID of the target.
     position : ndarray, shape (R, 3), float64
         Centre of the target at that time [m], world frame.
     is_eligible : ndarray, shape (R,), bool
@@ -52,7 +52,7 @@ class Estimates:
     position : ndarray, shape (E, 3), float64
         Reported position [m], world frame.
     id : ndarray, shape (E,), int64, optional
-        Number of the track; detections have none.
+        ID of the track; detections have none.
     velocity : ndarray, shape (E, 3), float64, optional
         Reported velocity [m/s].
     covariance : ndarray, shape (E, 3, 3) or (E, 6, 6), float64, optional

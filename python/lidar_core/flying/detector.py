@@ -311,7 +311,7 @@ class FlyingObjectDetector(FullState):
         return self._detector.reanchor()
 
     def reset(self) -> None:
-        """Forget map, tracks and poses; track numbers continue, health is kept.
+        """Forget map, tracks and poses; track IDs continue, health is kept.
 
         Learnt properties of the sensors stay until other sensors need their places: 64 are kept.
         """

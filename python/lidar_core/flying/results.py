@@ -11,7 +11,7 @@ from lidar_core.objects import FlyingDetections, Tracks
 
 @dataclass(frozen=True, slots=True)
 class TrackEvents:
-    """Numbers of the tracks that one call changed, including unconfirmed ones.
+    """IDs of the tracks that one call changed, including unconfirmed ones.
 
     Attributes
     ----------

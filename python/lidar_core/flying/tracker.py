@@ -219,7 +219,7 @@ class PointCloudTracker(FullState):
         return tracks_from(arrays, stamp, self._origin, confirmed=confirmed)
 
     def reset(self) -> None:
-        """Forget all tracks and clouds; numbers are still not reused."""
+        """Forget all tracks and clouds; IDs are still not reused."""
         self._tracker.reset()
         self._origin = None
         self._occupied = np.empty((0, 3), np.float32)

@@ -40,7 +40,7 @@ class TargetFilter(FullState):
     The state is in the frame of the sensor if the sensor stands still or the model moves it
     (ctrv-drone). It is in the world after a measurement "pose", or "pose-3d" for a model in space.
     The model names the states and their order: x, y, z, vx, vy, vz of cv-3d; these and ax, ay, az
-    of ca-3d; x, y, z, horizontal speed, heading, turn rate and climb of ctrv-3d.
+    of ca-3d; x, y, z, horizontal speed, heading, turn rate and vertical speed of ctrv-3d.
 
     Parameters
     ----------

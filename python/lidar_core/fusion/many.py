@@ -29,7 +29,7 @@ class ScanResult(ShortRepr):
     Attributes
     ----------
     id : ndarray, shape (K,), int64
-        Number of the track of every measurement, confirmed or not; -1 for none. With joint
+        ID of the track of every measurement, confirmed or not; -1 for none. With joint
         probabilities, the track whose probability is above one half.
     innovations : ndarray, shape (K, 3)
         Measured minus expected values of that track; NaN for values that were not compared, and for
@@ -124,7 +124,7 @@ class MultiTargetTracker(FullState):
 
         Scans may come late: a scan that is at most `config.target.buffer_time` older than the
         newest is processed at its time, and the scans after it are processed again; tracks keep
-        their numbers. A scan that was already processed changes nothing.
+        their IDs. A scan that was already processed changes nothing.
 
         Parameters
         ----------

@@ -113,7 +113,7 @@ def windy_trees(
 def encounter(
     sensor: str, flier: Flier = "quadcopter", seed: int = 0, *, scans: int = 200
 ) -> Scene:
-    """Make a drone that circles within 12 m of a sensor at rest, before open sky and houses.
+    """Make a drone that circles within 12 m of a sensor at rest, in front of open sky and houses.
 
     The LiDAR delivers scans like its driver; for sensors that look ahead the circle lies ahead.
 

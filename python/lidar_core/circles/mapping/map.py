@@ -20,7 +20,7 @@ _MOST_SENSORS = 2**32
 
 @dataclass(frozen=True, slots=True)
 class MapEvents:
-    """Numbers of the elements that one scan changed, including unconfirmed ones.
+    """IDs of the elements that one scan changed, including unconfirmed ones.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class MapEvents:
     elements : ndarray, shape (C,), int64
         Element of every circle of the scan; it may have been merged or removed since.
     born, confirmed, removed : ndarray, shape (K,), int64
-        Numbers of the elements that this scan created, that are reported from this scan on, and
-        that this scan removed.
+        IDs of the elements that this scan created, that are reported from this scan on, and that
+        this scan removed.
     merged : ndarray, shape (K, 2), int64
         Pairs of the element that stays and the one that was merged into it; when late scans are
         processed again, only new pairs.
@@ -170,7 +170,7 @@ class CircleMap(FullState):
         return elements_of(self._map.map_at(stamp), stamp)
 
     def reset(self) -> None:
-        """Forget all elements; numbers are still not reused."""
+        """Forget all elements; IDs are still not reused."""
         self._map.reset()
 
 

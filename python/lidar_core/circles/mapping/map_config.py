@@ -184,9 +184,9 @@ class CircleMapConfig(Config):
 
     @classmethod
     def posts(cls) -> Self:
-        """Return a configuration for static objects: elements out of view keep numbers.
+        """Return a configuration for static objects: elements out of view keep IDs.
 
-        Circles that move get new numbers all the time.
+        Circles that move get new IDs all the time.
         """
         return cls(
             initial_speed=0.01,

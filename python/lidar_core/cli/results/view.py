@@ -55,7 +55,7 @@ def command(
         Path | None, typer.Option(help="Draw the run as a film: .gif, or .mp4 (needs ffmpeg).")
     ] = None,
 ) -> None:
-    """Show RUN: classified scans, objects with numbers, 2 sigma ellipses, velocities and trails."""
+    """Show RUN: classified scans, objects with IDs, 2 sigma ellipses, velocities and trails."""
     from lidar_core.cli.shared.common import consoles, shown_progress
     from lidar_core.errors import ConfigError
     from lidar_core.viz.playback import Playback

@@ -10,8 +10,8 @@ from lidar_core.evaluation.metrics.continuity import histories
 def longest_segment(paired: Paired) -> float | None:
     """Return the share of sightings that belong to the most frequent track of each target.
 
-    1 if every target is one track from its first sighting to its last; identity changes and gaps
-    lower it. None without sightings or numbers of tracks.
+    1 if every target is one track from its first sighting to its last; ID switches and gaps
+    lower it. None without sightings or IDs of tracks.
 
     Notes
     -----
