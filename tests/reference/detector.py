@@ -21,7 +21,8 @@ RAYS_TO_CUT = 2  # so many that end in front of a target may hide a part of it
 LOOKS_PAST, LONGEST_PAUSE = 0.1, 1.0  # [m] across the line of sight, [s]
 RAYS_TO_SEE = 3  # a target that fewer rays meet may give no return
 POINTS_HALF_SURE = 3.0
-MOVING, GROUND_KIND = 4, 2
+MOVING, FLYING_KIND, GROUND_KIND = 4, 1, 2
+MAYBE = 7.81  # 95 % of chi-square of 3 degrees of freedom
 OWN_RADIUS, ALONE_RADIUS = 0.75, 2.0  # what belongs to a few points, and what may not be there
 
 
@@ -73,9 +74,19 @@ class SeeingTracker(Tracker):
     def reported(self, stamp):
         newest = self.buffer[-1][0]
         coast = self.c.report_coast if self.c.ageing == "visible" else np.inf
-        for track in self.tracks:
-            if track.confirmed and (newest - track.seen) * 1e-9 <= coast:
-                x, P = self.at(track, stamp)
+        told = [
+            (track, *self.at(track, stamp))
+            for track in self.tracks
+            if track.confirmed and (newest - track.seen) * 1e-9 <= coast
+        ]
+        flying = [(track.seen, x) for track, x, _ in told if track.kind == FLYING_KIND]
+        for track, x, P in told:
+            # one target of which two tracks were seen, and one is not seen any more
+            away = [other[:3] - x[:3] for seen, other in flying if seen > track.seen]
+            is_double = any(one @ np.linalg.solve(P[:3, :3], one) <= MAYBE for one in away)
+            if not (
+                is_double and track.kind == FLYING_KIND and self.c.report_existence is not None
+            ):
                 yield track.id, x, P, track.n_detections, track.kinds
 
 

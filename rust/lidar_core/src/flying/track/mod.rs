@@ -231,6 +231,9 @@ impl PointCloudTracker {
         let standing = self.standing.iter().map(|target| target.track(stamp_ns, is_recent));
         let mut all: Vec<Track> = moving.chain(standing).collect();
         all.sort_by_key(|track| track.id);
+        if matches!(self.parameters().confirmation, Confirmation::Existence { .. }) {
+            output::leave_out_doubles(&mut all);
+        }
         all
     }
 

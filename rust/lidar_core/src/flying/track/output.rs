@@ -1,9 +1,9 @@
 //! Output of the tracker: tracks at a time, changes by a call, and places to look for targets.
 
-use crate::estimation::kalman::{Gaussian, symmetrised};
+use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::tracking::kind::{KINDS, TrackKind};
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// A track, predicted to one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,6 +36,10 @@ pub struct Track {
 }
 
 impl Track {
+    fn place(&self) -> Vector3<f64> {
+        self.state.mean.fixed_rows::<3>(0).into_owned()
+    }
+
     /// The track in another frame.
     #[must_use]
     pub fn moved(&self, target_from_source: &Transform) -> Self {
@@ -51,6 +55,32 @@ impl Track {
         }
         let covariance = symmetrised(turns * self.state.covariance * turns.transpose());
         Self { state: Gaussian { mean, covariance }, ..self.clone() }
+    }
+}
+
+/// Squared distance within which the target of a track may be: 95 % of chi-square of 3 degrees of
+/// freedom.
+const MAYBE: f64 = 7.81;
+
+/// Do not report a flying track that was not measured where one is that was measured since: the rows
+/// of a sparse sensor can make two detections of one target, and only one track goes on.
+pub(super) fn leave_out_doubles(tracks: &mut [Track]) {
+    let flies = |track: &Track| track.reported && track.kind == TrackKind::Flying;
+    let seen: Vec<(i64, Vector3<f64>)> = tracks
+        .iter()
+        .filter(|track| flies(track))
+        .map(|track| (track.seen_ns, track.place()))
+        .collect();
+    let newest = seen.iter().map(|(seen_ns, _)| *seen_ns).max();
+    for track in tracks.iter_mut().filter(|track| flies(track) && Some(track.seen_ns) < newest) {
+        let covariance = track.state.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let is_near = |place: &Vector3<f64>| {
+            mahalanobis(&(place - track.place()), &covariance)
+                .is_ok_and(|distance| distance.squared <= MAYBE)
+        };
+        let is_double =
+            seen.iter().any(|(seen_ns, place)| *seen_ns > track.seen_ns && is_near(place));
+        track.reported = !is_double;
     }
 }
 
@@ -105,4 +135,57 @@ pub struct Stats {
     pub merged: Vec<[i64; 2]>,
     /// Measurements that could not be used because a covariance was not positive definite.
     pub rejected: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::SVector;
+
+    /// A track at `x`, known to `std` [m], that was measured at `seen_ns`.
+    fn track(x: f64, std: f64, seen_ns: i64) -> Track {
+        let mut mean = SVector::<f64, 9>::zeros();
+        mean[0] = x;
+        Track {
+            id: 0,
+            stamp_ns: 100,
+            state: Gaussian { mean, covariance: SMatrix::identity() * (std * std) },
+            extent: [0.3; 3],
+            n_detections: 5,
+            age: 1.0,
+            seen_ns,
+            confirmed: true,
+            reported: true,
+            existence: 0.99,
+            kind: TrackKind::Flying,
+            kind_probability: [0.0, 1.0, 0.0, 0.0, 0.0],
+        }
+    }
+
+    fn reported<const N: usize>(mut tracks: [Track; N]) -> [bool; N] {
+        leave_out_doubles(&mut tracks);
+        tracks.map(|track| track.reported)
+    }
+
+    #[test]
+    fn of_two_tracks_at_one_place_the_measured_one_is_reported() {
+        assert_eq!(reported([track(0.0, 0.05, 100), track(0.5, 0.3, 50)]), [true, false]);
+        assert_eq!(reported([track(0.5, 0.3, 50), track(0.0, 0.05, 100)]), [false, true]);
+    }
+
+    /// The opposite: two targets that are known apart, and both of two that are measured or hidden.
+    #[test]
+    fn two_targets_are_reported() {
+        assert_eq!(reported([track(0.0, 0.05, 100), track(0.5, 0.1, 50)]), [true; 2]);
+        assert_eq!(reported([track(0.0, 0.3, 100), track(0.1, 0.3, 100)]), [true; 2]);
+        assert_eq!(reported([track(0.0, 0.3, 50), track(0.1, 0.3, 50)]), [true; 2]);
+    }
+
+    #[test]
+    fn only_flying_targets_that_are_reported_hide_others() {
+        let still = Track { kind: TrackKind::Static, ..track(0.0, 0.05, 100) };
+        assert_eq!(reported([still, track(0.1, 0.3, 50)]), [true; 2]);
+        let hidden = Track { reported: false, ..track(0.0, 0.05, 100) };
+        assert_eq!(reported([hidden, track(0.1, 0.3, 50)]), [false, true]);
+    }
 }
