@@ -150,8 +150,9 @@ fn stages(input: &mut Input<'_>) -> Result<(), Error> {
     };
     let _ = (sweep.at_stamp(), sweep.is_moving(), sweep.world_from_level());
     let mut misses = Misses::default();
-    (0..input.below(30)).for_each(|_| misses.add(&ranges));
-    let near = misses.marked(&ranges, [input.f64(), input.f64()], input.f64());
+    let limits = [input.f64(), input.f64()];
+    (0..input.below(30)).for_each(|_| misses.add(&ranges, limits));
+    let near = misses.marked(&ranges, limits, input.f64());
     assert!(near.len() == ranges.len() && misses.no_return() != NoReturn::Nan);
     let limited = limit_range(&near, &ways, &sweep, &input.many(2, |input| input.f64s()));
     let raw = PolarScan { ranges: limited.unwrap_or(near), bearings };

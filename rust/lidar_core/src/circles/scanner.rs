@@ -102,7 +102,7 @@ impl Scanner {
     ) -> Misses {
         let mut misses = self.misses.clone();
         if parameters.learns() {
-            misses.add(raw.ranges);
+            misses.add(raw.ranges, self.range_limits);
         }
         misses
     }

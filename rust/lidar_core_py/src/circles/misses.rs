@@ -40,8 +40,9 @@ impl PyMisses {
     ) -> Result<(Bound<'py, PyArray1<f64>>, &'static str), BorderError> {
         let ranges = arrays::flat("ranges", &ranges)?;
         let (marked, value) = self.0.with(py, |misses| {
-            misses.add(ranges);
-            let marked = misses.marked(ranges, [range_min, range_max], nearest);
+            let limits = [range_min, range_max];
+            misses.add(ranges, limits);
+            let marked = misses.marked(ranges, limits, nearest);
             Ok::<_, Error>((marked, misses.no_return()))
         })?;
         Ok((marked.into_pyarray(py), no_return_name(value)))

@@ -53,15 +53,21 @@ impl Misses {
         self.no_return
     }
 
-    /// Take in the ranges of one more scan [m].
-    pub fn add(&mut self, ranges: &[f32]) {
+    /// Take in the ranges of one more scan [m]. A scan without any range tells nothing: scanners
+    /// give such ones while they start.
+    pub fn add(&mut self, ranges: &[f32], [range_min, range_max]: [f64; 2]) {
+        let (least, limit) = (range_min as f32, range_max as f32);
+        let is_hit = |range: f32| range.is_finite() && range > 0.0 && range >= least;
+        if !ranges.iter().any(|&range| is_hit(range)) {
+            return;
+        }
         self.worked.resize(ranges.len(), false);
         let [mut infinite, mut zero, mut nan] = [0_u32; 3];
         for (worked, &range) in self.worked.iter_mut().zip(ranges) {
-            infinite += u32::from(range == f32::INFINITY);
+            infinite += u32::from(range == f32::INFINITY || range == limit);
             zero += u32::from(range == 0.0);
             nan += u32::from(range.is_nan() && *worked);
-            *worked |= range.is_finite() && range > 0.0;
+            *worked |= is_hit(range);
         }
         let kept = 1.0 - 1.0 / MEMORY;
         let sums =
@@ -76,7 +82,7 @@ impl Misses {
     /// What stands for a miss by the counts; the last answer where they tell nothing new.
     fn meaning(&self) -> NoReturn {
         let is_many = |count: f64| count > 0.0 && count >= MANY * self.rays;
-        let can_be_zero = self.infinite <= RARE * self.zero;
+        let can_be_zero = self.infinite.max(RARE * RARE * self.nan) <= RARE * self.zero;
         let can_be_nan = self.infinite + self.zero <= RARE * self.nan;
         if can_be_zero && (is_many(self.zero) || self.no_return == NoReturn::Zero) {
             NoReturn::Zero
@@ -110,7 +116,7 @@ impl Misses {
     ) -> Vec<f64> {
         let limit = range_max as f32;
         let limited = |&range: &f32| match f64::from(range) {
-            near if near < range_min => f64::NAN,
+            near if near < range_min || near <= 0.0 => f64::NAN,
             _ if range >= limit => f64::INFINITY,
             range => range,
         };
@@ -120,17 +126,19 @@ impl Misses {
             NoReturn::Zero => |&range| range == 0.0,
             NoReturn::Nan => |range| range.is_nan(),
         };
-        let mut start = 0;
-        for run in ranges.chunk_by(|one, next| is_invalid(one) == is_invalid(next)) {
-            let rays = start..start + run.len();
-            start = rays.end;
-            if !is_invalid(&run[0]) {
+        let can_be_masked = self.no_return == NoReturn::Nan;
+        // From a valid ray on, once around: the last ray may be the neighbour of the first.
+        let first = ranges.iter().position(|range| !is_invalid(range)).unwrap_or(0);
+        let around: Vec<usize> = (first..ranges.len()).chain(0..first).collect();
+        let mut before = f64::NAN;
+        for run in around.chunk_by(|a, b| is_invalid(&ranges[*a]) == is_invalid(&ranges[*b])) {
+            let after = around[(run[run.len() - 1] + around.len() + 1 - first) % around.len()];
+            let is_near = before < nearest || marked[after] < nearest;
+            before = marked[run[run.len() - 1]];
+            if !is_invalid(&ranges[run[0]]) || is_near {
                 continue;
             }
-            let beside = [rays.start.wrapping_sub(1), rays.end];
-            let is_near = beside.iter().any(|&ray| marked.get(ray).is_some_and(|&r| r < nearest));
-            let can_be_masked = self.no_return == NoReturn::Nan;
-            for ray in rays.filter(|_| !is_near) {
+            for &ray in run {
                 if !can_be_masked || self.worked.get(ray) == Some(&true) {
                     marked[ray] = f64::INFINITY;
                 }
@@ -153,7 +161,7 @@ mod tests {
 
     fn after<'a>(scans: impl IntoIterator<Item = &'a [f32]>) -> Misses {
         let mut misses = Misses::default();
-        scans.into_iter().for_each(|ranges| misses.add(ranges));
+        scans.into_iter().for_each(|ranges| misses.add(ranges, LIMITS));
         misses
     }
 
@@ -189,7 +197,7 @@ mod tests {
         // A driver that is learnt wrongly at first.
         let mut misses = after([&scan(0.0, 10)[..]]);
         assert_eq!(misses.no_return, NoReturn::Zero);
-        (0..5).for_each(|_| misses.add(&ranges));
+        (0..5).for_each(|_| misses.add(&ranges, LIMITS));
         assert_eq!(misses.no_return, NoReturn::Infinite);
     }
 
@@ -198,13 +206,34 @@ mod tests {
         let mut ranges = [3.0; 40];
         ranges[7] = 0.0;
         let mut misses = Misses::default();
-        (0..100).for_each(|_| misses.add(&ranges));
+        (0..100).for_each(|_| misses.add(&ranges, LIMITS));
         assert_eq!(misses.no_return, NoReturn::Infinite);
         // Later many: the robot has left the room. Back in a room they mean the same.
-        (0..20).for_each(|_| misses.add(&scan(0.0, 10)));
+        (0..20).for_each(|_| misses.add(&scan(0.0, 10), LIMITS));
         assert_eq!(misses.no_return, NoReturn::Zero);
-        (0..1000).for_each(|_| misses.add(&ranges));
+        (0..1000).for_each(|_| misses.add(&ranges, LIMITS));
         assert_eq!(misses.no_return, NoReturn::Zero);
+    }
+
+    /// A scanner that starts with zeros, and a driver that gives NaN from then on.
+    #[test]
+    fn what_a_scanner_gives_while_it_starts_is_forgotten() {
+        let mut misses = Misses::default();
+        misses.add(&[0.0; 40], LIMITS);
+        assert_eq!(misses.no_return, NoReturn::Infinite);
+        misses.add(&scan(0.0, 10), LIMITS);
+        assert_eq!(misses.no_return, NoReturn::Zero);
+        (0..300).for_each(|count| misses.add(&scan(f32::NAN, count % 35), LIMITS));
+        assert_eq!(misses.no_return, NoReturn::Nan);
+    }
+
+    #[test]
+    fn ranges_at_the_limit_are_misses_and_zeros_beside_them_are_not() {
+        let mut ranges = scan(10.0, 10);
+        ranges[20..24].fill(0.0);
+        let misses = after([&ranges[..]]);
+        assert_eq!(misses.no_return, NoReturn::Infinite);
+        assert!(marked(&misses, &ranges)[20..24].iter().all(|range| range.is_nan()));
     }
 
     #[test]
@@ -213,13 +242,13 @@ mod tests {
         let mut masked = [7.0; 40];
         masked[..4].fill(f32::NAN);
         masked[30..].fill(f32::NAN);
-        (0..50).for_each(|_| misses.add(&masked));
+        (0..50).for_each(|_| misses.add(&masked, LIMITS));
         assert_eq!(misses.no_return, NoReturn::Infinite);
         // Outside the mask the rays work, and their NaN are misses.
         for count in 0..50 {
             masked[4..30].fill(f32::NAN);
             masked[4 + count % 20..][..5].fill(3.0);
-            misses.add(&masked);
+            misses.add(&masked, LIMITS);
         }
         assert_eq!(misses.no_return, NoReturn::Nan);
         let found = marked(&misses, &masked);
@@ -233,5 +262,10 @@ mod tests {
         ranges[10..15].fill(0.15);
         let misses = after([&ranges[..]]);
         assert!(marked(&misses, &ranges)[..10].iter().all(|range| range.is_nan()));
+        // Across the seam of a full turn.
+        let mut ranges = scan(0.0, 20);
+        ranges[35..].fill(0.15);
+        let found = marked(&misses, &ranges);
+        assert!(found[..20].iter().chain(&found[25..35]).all(|range| range.is_nan()));
     }
 }
