@@ -17,6 +17,7 @@ from lidar_core.io.messages.foxglove import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCAN
 from lidar_core.io.messages.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.write.circle_scene import CircleScene
+from lidar_core.io.write.item import checked_message
 from lidar_core.io.write.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
@@ -59,8 +60,11 @@ class FoxgloveLog:
         Raises
         ------
         InputError
-            A time before 1970, or point times more than two seconds from the scan's stamp.
+            A time before 1970, point times more than two seconds from the scan's stamp, something
+            else than these, or a value of another shape or type.
         """
+        if not isinstance(item, Boxes):
+            item = checked_message(item, also="Tracks")
         _check_stamp(item.stamp_ns)
         if isinstance(item, Scan):
             self._write_scan(item)
@@ -313,6 +317,8 @@ def write_mcap(
 
     Raises
     ------
+    InputError
+        An item that `McapWriter.write` refuses.
     MissingExtraError
         foxglove-sdk is not installed.
     """
