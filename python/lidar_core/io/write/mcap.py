@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import fields as fields_of
 from errno import EIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -63,7 +64,7 @@ class FoxgloveLog:
             A time before 1970, point times more than two seconds from the scan's stamp, something
             else than these, or a value of another shape or type.
         """
-        if not isinstance(item, Boxes):
+        if not all(hasattr(item, one.name) for one in fields_of(Boxes)):  # any object with these
             item = checked_message(item, also="Tracks")
         _check_stamp(item.stamp_ns)
         if isinstance(item, Scan):

@@ -29,8 +29,9 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
     MissingExtraError
         The format needs a package that is not installed.
     """
-    if isinstance(items, Message):
-        kind = type(items).__name__
+    given: object = items
+    if isinstance(given, Message):
+        kind = type(given).__name__
         raise InputError(f"items: expected a list of messages, got one {kind}; put it in a list")
     place = Path(path)
     writer_of(place, "messages")(place, items)
