@@ -40,8 +40,8 @@ def as_points(points: ArrayLike, *, name: str = "points") -> Points:
     if array.ndim == 3 and array.shape[2] == 3:
         array = array.reshape(-1, 3)
     if array.ndim != 2 or array.shape[1] != 3:
-        hint = "; slice the coordinates first" if array.ndim >= 2 and array.shape[-1] > 3 else ""
-        raise InputError(f"{name}: expected shape (N, 3), got {array.shape}{hint}")
+        cure = _cure(array.shape, name)
+        raise InputError(f"{name}: expected shape (N, 3), got {array.shape}{cure}")
     with np.errstate(over="ignore"):  # beyond float32 is infinite: no point
         return np.ascontiguousarray(array, dtype=np.float32)
 
@@ -54,7 +54,8 @@ def as_rows(
     expected = ("N" if rows is None else rows, *shape)
     if array.shape[1:] != shape or array.ndim != 1 + len(shape) or rows not in (None, len(array)):
         text = "(" + ", ".join(map(str, expected)) + (",)" if len(expected) == 1 else ")")
-        raise InputError(f"{name}: expected shape {text}, got {array.shape}")
+        cure = _cure(array.shape, name) if expected == ("N", 3) else ""
+        raise InputError(f"{name}: expected shape {text}, got {array.shape}{cure}")
     if np.issubdtype(dtype, np.integer) and not np.issubdtype(array.dtype, np.integer):
         raise InputError(f"{name}: expected integers, got dtype {array.dtype}")
     if np.issubdtype(dtype, np.integer) and array.size:
@@ -154,6 +155,17 @@ def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, got dtype {array.dtype}")
     return array
+
+
+def _cure(shape: tuple[int, ...], name: str) -> str:
+    """How to make rows of three coordinates of an array of another shape, if that is clear."""
+    if len(shape) < 2 or shape[-1] <= 3:
+        return ""
+    transpose, slice_it = f"transpose it: {name}.T", "slice the coordinates first"
+    if len(shape) > 2 or shape[0] != 3:
+        return f"; {slice_it}"
+    # Three rows of four to six values are also three points with more columns.
+    return f"; {transpose}" if shape[1] > 6 else f"; {transpose}, or {slice_it}"
 
 
 def __dir__() -> list[str]:

@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
-from inspect import formatannotation, signature
+from inspect import Signature, formatannotation, signature
 from pathlib import Path
 from typing import Any, ClassVar, ParamSpec, Self, TypeVar, get_args
 
@@ -152,7 +152,11 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> T:
         problems = []
-        for name, value in parameters.bind(*args, **kwargs).arguments.items():
+        try:
+            bound = parameters.bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}({_required(parameters)}): {error}") from None
+        for name, value in bound.arguments.items():
             plain = value.item() if getattr(value, "shape", None) == () else value  # of numpy
             wanted = f"expected {_annotated(parameters.parameters[name].annotation)}"
             try:
@@ -171,6 +175,13 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
         return function(*args, **kwargs)
 
     return called
+
+
+def _required(parameters: Signature) -> str:
+    """The arguments of a function that have no default, in their order."""
+    names = [one.name for one in parameters.parameters.values() if one.default is one.empty]
+    has_more = len(names) < len(parameters.parameters)
+    return ", ".join([*names, "..."] if has_more else names)
 
 
 def _annotated(annotation: Any) -> str:

@@ -333,7 +333,7 @@ def _arrays_of(
     scan, stamps = posed.scan, posed.pose_stamps_ns
     if not isinstance(scan, LaserScan):
         raise InputError(f"scan: expected a LaserScan, got {type(scan).__name__}")
-    rays = np.arange(len(scan.ranges), dtype=np.int64)
+    rays = np.arange(np.size(scan.ranges), dtype=np.int64)
     return {
         "ranges": scan.ranges,
         "world_from_lidar": posed.world_from_lidar,

@@ -109,7 +109,6 @@ def _version(name: str) -> str | None:
 
 def _print(report: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     console = Console()
@@ -122,12 +121,15 @@ def _print(report: dict[str, Any]) -> None:
     console.print(f"vector unit of the core: {cpu['vector_unit']}", markup=False)
     console.print(_recordings_text(recordings), markup=False, highlight=False, soft_wrap=True)
     console.print(f"core: {report['core']}", style=None if report["core"] == "works" else "red")
-    table = Table("extra", "packages", "to install")
-    table.add_row("-", _listed(report["packages"]), "")
+    table = Table("extra", "packages")
+    table.add_row("-", _listed(report["packages"]))
     for extra, packages in report["extras"].items():
-        cure = install_command(extra) if None in packages.values() else ""
-        table.add_row(extra, _listed(packages), escape(cure))
+        table.add_row(extra, _listed(packages))
     console.print(table)
+    for extra, packages in report["extras"].items():
+        if None in packages.values():  # on a line that a terminal can copy: no cell of the table
+            cure = f"to install {extra}: {install_command(extra)}"
+            console.print(cure, markup=False, highlight=False, soft_wrap=True)
 
 
 def _recordings_text(recordings: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ import typer
 
 from lidar_core.cli.shared.common import INTERRUPTED, help_text
 from lidar_core.errors import MissingExtraError
+from lidar_core.extras import TRAIN, install_command
 from lidar_core.files import check_regular
 
 app = typer.Typer(name="train", no_args_is_help=True, help="Train neural networks.")
@@ -29,7 +30,7 @@ def training(module: str) -> Any:
     except ImportError as error:
         raise MissingExtraError(
             f"training needs the distribution lidar-core-training, which brings torch ({error}):"
-            " in a checkout of lidar_core, pip install . ./training"
+            f" {install_command(TRAIN)}"
         ) from error
 
 

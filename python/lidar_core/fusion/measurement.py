@@ -25,6 +25,10 @@ MEASURES = ("range", "bearing", "elevation", "range_rate")
 """What a radar may measure, in the order of its values."""
 FLAT = ("range", "bearing", "range_rate")
 """What it measures with three values."""
+_UNNAMED = (
+    "; three values of a radar are range, bearing and range rate: name other ones, such as"
+    ' measures=["range", "bearing"]'
+)
 
 
 class Measurement:
@@ -98,11 +102,12 @@ class Measurement:
         self.sensor = sensor
         self.values = as_real(values, name="values").astype(np.float64)
         self.values.flags.writeable = False
-        self.measures = _measures(sensor, measures, len(self.values))
+        self.measures = _measures(sensor, measures, self.values.size)
         counts = VALUES[sensor] if measures is None else (len(self.measures or ()),)
         if self.values.shape not in [(count,) for count in counts]:
             expected = " or ".join(f"({count},)" for count in counts)
-            raise InputError(f"values: expected shape {expected}, got {self.values.shape}")
+            cure = _UNNAMED if sensor == "radar" and measures is None else ""
+            raise InputError(f"values: expected shape {expected}, got {self.values.shape}{cure}")
         size = NOISY.get(sensor, len(self.measures or self.values))
         self.covariance = None if covariance is None else _covariance(covariance, size)
         self.seen_from = None if seen_from is None else _radar_place(seen_from, sensor)

@@ -183,6 +183,9 @@ class PoseOptions(Span):
         return [mounting_of(text) for text in self.mounting]
 
 
+_MOUNTING = "expected texts PARENT FRAME x y z roll pitch yaw"
+
+
 def mounting_of(text: str) -> Pose:
     """Static pose that a text PARENT FRAME x y z roll pitch yaw states.
 
@@ -193,10 +196,12 @@ def mounting_of(text: str) -> Pose:
     """
     words = text.split()
     try:
-        x, y, z, *angles = (float(word) for word in words[2:])
-        roll, pitch, yaw = angles
-    except ValueError:
-        raise ValueError("expected texts PARENT FRAME x y z roll pitch yaw") from None
+        numbers = [float(word) for word in words[2:]]
+    except ValueError as error:
+        raise ValueError(f"{_MOUNTING}; in {text!r}: {error}") from None
+    if len(numbers) != 6:
+        raise ValueError(f"{_MOUNTING}; {text!r} has {len(numbers)} numbers, expected 6")
+    x, y, z, roll, pitch, yaw = numbers
     if not np.isfinite([x, y, z, roll, pitch, yaw]).all():
         raise ValueError("expected finite numbers")
     matrix = pose_matrix(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))

@@ -1,19 +1,31 @@
 """Configuration of a run: a mode, a file, single values."""
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
-from lidar_core.config import Config, as_config, in_file, toml_values
+from lidar_core.config import Config, as_config, in_file, tables_at, toml_values
 from lidar_core.errors import ConfigError
 from lidar_core.files import read_whole
 from lidar_core.parameters import MODELS, model_named
 
 ConfigT = TypeVar("ConfigT", bound=Config)
 Mode: TypeAlias = Literal["best", "paper"]
+COMMANDS = {
+    "flying": "`detect`",
+    "circles": "`circles`",
+    "fusion": "`fuse`",
+    "fusion_many": "`fuse --many`",
+    "evaluation": "`evaluate`",
+    "scene": "the scene of `simulate`",
+    "circle_dataset": "the data of `train`",
+}
+"""Commands by the models that they take values of."""
+_MEANT = re.compile(r"; did you mean [\w.]+\?$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +141,39 @@ def run_config(
                 f" [config.{section}], as a run.toml has them"
             )
         loaded(type(base), values, file)
-    return type(base).load(with_assignments(values, assignments))
+    values = with_assignments(values, assignments)
+    try:
+        return type(base).load(values)
+    except ConfigError as error:
+        raise _with_commands(error, type(base), values) from error
+
+
+def _with_commands(error: ConfigError, model: type[Config], values: dict[str, Any]) -> ConfigError:
+    """The error with the commands whose configurations have the parameters that are unknown."""
+    lines = str(error).splitlines()
+    for number, line in enumerate(lines):
+        name, _, problem = line.partition(": ")
+        if name in model.model_fields or not problem.startswith("no such parameter"):
+            continue
+        known = [
+            command
+            for section, command in COMMANDS.items()
+            if _has(model_named(section), name, values.get(name))
+        ]
+        if known:
+            told = _MEANT.sub("", line)  # a similar name of this model is less probable
+            lines[number] = f"{told}; it is a parameter of {' and '.join(known)}"
+    return ConfigError("\n".join(lines))
+
+
+def _has(model: type[Config], name: str, value: Any) -> bool:
+    """True if a model has this parameter and, of a table, each of its entries."""
+    if name not in model.model_fields:
+        return False
+    inner = tables_at(model, [name])
+    return not isinstance(value, dict) or any(
+        value.keys() <= one.model_fields.keys() for one in inner
+    )
 
 
 def loaded(model: type[ConfigT], values: dict[str, Any], file: Path) -> ConfigT:

@@ -84,8 +84,16 @@ BAD = {
         "expected shape (N, 3), got (5, 4); slice the coordinates first",
     ),
     "transposed": (
-        np.zeros((3, 5)),
-        "expected shape (N, 3), got (3, 5); slice the coordinates first",
+        np.zeros((3, 100)),
+        "expected shape (N, 3), got (3, 100); transpose it: points.T",
+    ),
+    "transposed, or three points with intensity": (
+        np.zeros((3, 4)),
+        "expected shape (N, 3), got (3, 4); transpose it: points.T, or slice the coordinates first",
+    ),
+    "wide organised cloud": (
+        np.zeros((3, 5, 4)),
+        "expected shape (N, 3), got (3, 5, 4); slice the coordinates first",
     ),
     "four axes": (np.zeros((1, 1, 1, 3)), "expected shape (N, 3), got (1, 1, 1, 3)"),
     "scalar": (1.0, "expected shape (N, 3), got ()"),

@@ -103,8 +103,24 @@ def test_what_is_no_table_or_no_such_text_is_told_in_plain_words():
     with pytest.raises(ConfigError) as refusal:
         PoseOptions(mounting=("a b 1 2",))
     assert str(refusal.value) == (
-        "mounting: expected texts PARENT FRAME x y z roll pitch yaw, got ('a b 1 2',)"
+        "mounting: expected texts PARENT FRAME x y z roll pitch yaw; 'a b 1 2' has 2 numbers,"
+        " expected 6, got ('a b 1 2',)"
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("base laser 0 0 0 0 0", "has 5 numbers, expected 6"),
+        ("base laser 0 0 0 0 0 0 0", "has 7 numbers, expected 6"),
+        ("base", "has 0 numbers, expected 6"),
+        ("base laser 0 0 0 0 0 left", "could not convert string to float: 'left'"),
+    ],
+)
+def test_a_mounting_with_missing_numbers_says_how_many(text, told):
+    with pytest.raises(ConfigError, match=told):
+        PoseOptions(mounting=(text,))
+    PoseOptions(mounting=("base laser 0 0 0 0 0 0",))
 
 
 @pytest.mark.parametrize(

@@ -80,3 +80,28 @@ def test_hint_of_a_missing_extra_of_a_checkout_that_is_only_on_the_path(monkeypa
     assert told() == "pip install 'lidar-core[viz]'"
     (tmp_path / "pyproject.toml").touch()
     assert told() == f"pip install '{tmp_path}[viz]'"
+
+
+@pytest.mark.parametrize("editable", [True, False])
+def test_training_is_installed_from_the_checkout(comes_from, tmp_path, editable):
+    checkout = tmp_path / "with space"
+    (checkout / "training").mkdir(parents=True)
+    (checkout / "training/pyproject.toml").touch()
+    comes_from({"url": checkout.as_uri(), "dir_info": {"editable": editable}})
+    assert extras.install_command("train") == f"pip install '{checkout}/training'"
+
+
+def test_training_without_a_checkout_says_where_it_is(comes_from, tmp_path):
+    for note in (None, {"url": tmp_path.as_uri(), "dir_info": {}}, {"url": "https://a.org/b.whl"}):
+        comes_from(note)
+        told = "pip install . ./training (in a checkout of lidar_core)"
+        assert extras.install_command("train") == told
+
+
+def test_training_of_a_checkout_that_is_only_on_the_path_brings_the_package(monkeypatch):
+    def missing():
+        raise extras.PackageNotFoundError
+
+    monkeypatch.setattr(extras, "_distribution", missing)
+    checkout = extras._checkout()
+    assert extras.install_command("train") == f"pip install {checkout} {checkout}/training"

@@ -294,6 +294,17 @@ def test_schema_is_the_models_own(name):
     assert shown == model_named(name).model_json_schema()
 
 
+def test_doctor_prints_commands_that_can_be_copied(monkeypatch):
+    cure = f"pip install '/{'long/' * 30}lidar-core[train]'"
+    report = doctor._report() | {"extras": {"train": {"torch": None}, "io": {"mcap": "1.6"}}}
+    monkeypatch.setattr(doctor, "_report", lambda: report)
+    monkeypatch.setattr(doctor, "install_command", lambda extra: cure)
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = CliRunner().invoke(app, ["doctor"]).output.splitlines()
+    assert lines[-1] == f"to install train: {cure}"
+    assert not any("to install io" in line for line in lines)
+
+
 def test_doctor_reports_versions_and_extras():
     report = json.loads(output_of("doctor", "--json"))
     assert report["core"] == "works"

@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 
 from lidar_core.cli import app
 from lidar_core.errors import MissingExtraError
+from lidar_core.extras import install_command
 
 
 @pytest.mark.parametrize(
@@ -18,4 +19,4 @@ def test_the_error_says_how_to_install_it(arguments, monkeypatch):
     monkeypatch.setitem(sys.modules, "lidar_core_training", None)
     result = CliRunner().invoke(app, arguments)
     assert isinstance(result.exception, MissingExtraError)
-    assert "pip install . ./training" in str(result.exception)
+    assert str(result.exception).endswith(f": {install_command('train')}")

@@ -652,6 +652,10 @@ def test_wrong_arguments_are_named():
         Measurement(0, "sonar", [1.0, 2.0])
     with pytest.raises(InputError, match=r"values: expected shape \(2,\) or \(3,\), got \(4,\)"):
         Measurement(0, "lidar", [1.0, 2.0, 3.0, 4.0])
+    with pytest.raises(InputError, match=r"got \(2,\); three values .* measures=\["):
+        Measurement(0, "radar", [5.0, 0.1])
+    with pytest.raises(InputError, match=r"values: expected shape \(1,\) or \(3,\), got \(\)$"):
+        Measurement(0, "gyro", 0.1)
     with pytest.raises(InputError, match=r"values: expected shape \(1,\) or \(3,\)"):
         Measurement(0, "gyro", [1.0, 2.0])
     with pytest.raises(InputError, match="positive definite"):

@@ -53,8 +53,26 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
 
 
 def test_a_missing_argument_is_a_type_error(tmp_path):
-    with pytest.raises(TypeError, match="output"):
-        runs.detect(tmp_path / "none.npz", None)
+    told = r"detect\(recording, config, output, \.\.\.\): missing a required argument: 'output'"
+    with pytest.raises(TypeError, match=told):
+        runs.detect(tmp_path / "none.npz", "run")
+
+
+@pytest.mark.parametrize(
+    ("run", "value", "told"),
+    [
+        (runs.circles, "voxel_map.voxel_size=.5", r"got \{'voxel_size': '.5'\}.*of `detect`$"),
+        (runs.circles, "burn_in_scans=2", "got 2; it is a parameter of `evaluate`$"),
+        (runs.detect, "map.max_coast=1", r"got \{'max_coast': 1\}; .* of `circles`$"),
+        (runs.detect, "lidar_std=1", "got 1; it is a parameter of `fuse`$"),
+        (runs.circles, "voxel_map.nope=1", r"got \{'nope': 1\}$"),
+        (runs.circles, "map.nope=1", r"map\.nope: no such parameter, got 1$"),
+        (runs.detect, "voxel_sise=1", r"got 1; did you mean voxel_map\.voxel_size\?$"),
+    ],
+)
+def test_a_parameter_of_another_command_names_it(tmp_path, run, value, told):
+    with pytest.raises(ConfigError, match=told):
+        run(tmp_path / "none.npz", ConfigChoice(values=(value,)), tmp_path / "run")
 
 
 def test_a_choice_takes_a_path_as_text(tmp_path):

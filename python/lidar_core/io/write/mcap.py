@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import fields as fields_of
 from errno import EIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,6 +18,7 @@ from lidar_core.io.messages.foxglove import FOXGLOVE_TYPES, OWN_HEIGHT, OWN_SCAN
 from lidar_core.io.messages.own_cloud import packed
 from lidar_core.io.rotations import quaternion_from_matrix
 from lidar_core.io.write.circle_scene import CircleScene
+from lidar_core.io.write.item import checked_message
 from lidar_core.io.write.topics import LASER_TOPIC, POSE_TOPIC, SCAN_TOPIC, STATIC_TOPIC
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
@@ -59,8 +61,11 @@ class FoxgloveLog:
         Raises
         ------
         InputError
-            A time before 1970, or point times more than two seconds from the scan's stamp.
+            A time before 1970, point times more than two seconds from the scan's stamp, something
+            else than these, or a value of another shape or type.
         """
+        if not all(hasattr(item, one.name) for one in fields_of(Boxes)):  # any object with these
+            item = checked_message(item, also="Tracks")
         _check_stamp(item.stamp_ns)
         if isinstance(item, Scan):
             self._write_scan(item)
@@ -313,6 +318,8 @@ def write_mcap(
 
     Raises
     ------
+    InputError
+        An item that `McapWriter.write` refuses.
     MissingExtraError
         foxglove-sdk is not installed.
     """

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.formats.npz import LAYOUT, OPTIONAL, SCANNER
+from lidar_core.io.write.item import checked_message
 from lidar_core.io.writers import register_writer
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 
@@ -26,6 +27,11 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
     messages : iterable of Scan, LaserScan and Pose
         Written as they come: a generator is not gathered in memory.
 
+    Raises
+    ------
+    InputError
+        Something else than a message, or a value of another shape or type.
+
     Examples
     --------
     >>> write_npz("scans.npz", [Scan(0, np.zeros((3, 3), np.float32))])  # doctest: +SKIP
@@ -34,7 +40,8 @@ def write_npz(path: str | Path, messages: Iterable[Message]) -> None:
     lasers: list[LaserScan] = []
     poses: list[Pose] = []
     with written_whole(path) as temporary, ZipFile(temporary, "w") as archive:
-        for message in messages:
+        for item in messages:
+            message = checked_message(item)
             if isinstance(message, Pose):
                 poses.append(message)
                 continue

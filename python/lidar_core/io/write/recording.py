@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from lidar_core.errors import InputError
 from lidar_core.io.writers import writer_of
 from lidar_core.messages import Message
 
@@ -23,9 +24,14 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
     ConfigError
         Another ending.
     InputError
-        The format cannot store a value.
+        Something else than a message, a value of another shape or type, or one that the format
+        cannot store.
     MissingExtraError
         The format needs a package that is not installed.
     """
+    given: object = items
+    if isinstance(given, Message):
+        kind = type(given).__name__
+        raise InputError(f"items: expected a list of messages, got one {kind}; put it in a list")
     place = Path(path)
     writer_of(place, "messages")(place, items)

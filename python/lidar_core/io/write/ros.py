@@ -14,6 +14,7 @@ from lidar_core.io.messages.cloud import ROS_TYPES
 from lidar_core.io.messages.own_cloud import packed
 from lidar_core.io.messages.ros_types import ros_store
 from lidar_core.io.rotations import quaternion_from_matrix
+from lidar_core.io.write.item import checked_message
 from lidar_core.io.write.topics import (
     LASER_TOPIC,
     ODOMETRY_TOPIC,
@@ -210,8 +211,10 @@ class RosWriter(WrittenInBlock):
         Raises
         ------
         InputError
-            ROS cannot represent a time, or point times are more than two seconds from the stamp.
+            ROS cannot represent a time, point times are more than two seconds from the stamp, it is
+            no message, or a value has another shape or type.
         """
+        item = checked_message(item)
         if isinstance(item, Pose) and item.is_static and not self._is_started:
             self._waiting.append(item)
             return
@@ -297,7 +300,7 @@ def write_ros(path: str | Path, items: Iterable[Message]) -> None:
     Raises
     ------
     InputError
-        The folder exists, or ROS cannot represent a time.
+        The folder exists, or an item is one that `RosWriter.write` refuses.
     MissingExtraError
         rosbags is not installed.
     """
