@@ -88,6 +88,43 @@ def test_scans_and_poses_without_topics_are_two_streams(tmp_path):
     assert sorted((topic.kind, topic.count) for topic in topics) == [("planar", 2), ("pose", 2)]
 
 
+def recipe(path, numbers):
+    """A file of own arrays as the guide writes it: nothing names a topic."""
+    points = np.random.default_rng(0).uniform(-9, 9, (len(numbers), 500, 3)).astype(np.float32)
+    messages = []
+    for number, cloud_points in zip(numbers, points, strict=True):
+        stamp_ns = number * 100_000_000
+        messages.append(lc.io.Pose(stamp_ns, "world", "lidar", np.eye(4)))
+        messages.append(lc.io.Scan(stamp_ns, cloud_points, frame_id="lidar"))
+    lc.io.write_recording(path, messages)
+
+
+def test_a_folder_of_own_arrays_is_read_with_its_poses(tmp_path):
+    folder = tmp_path / "four"
+    folder.mkdir()
+    recipe(folder / "c0.npz", range(20))
+    recipe(folder / "c1.npz", range(20, 40))
+    with lc.io.open_recording(folder) as recording:
+        found = [(topic.name, topic.kind, topic.count) for topic in recording.topics()]
+        posed = list(lc.io.posed_scans(recording))
+    assert found == [("", "pose", 40), ("", "scan", 40)]
+    assert [item.scan.stamp_ns for item in posed] == [number * 10**8 for number in range(40)]
+    done = CliRunner().invoke(app, ["info", str(folder)])
+    assert f"next: lidar-core detect {folder} -o run/\n" in done.stdout
+    words = ["detect", str(folder), "-o", str(tmp_path / "run"), "--no-picture", "--no-mcap"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+
+
+def test_a_folder_of_named_topics_adds_them_up(tmp_path):
+    for number in range(2):
+        path = tmp_path / f"{number}.npz"
+        lc.io.write_recording(path, [cloud(number, "/front"), cloud(number, "/rear")])
+    with lc.io.open_recording(tmp_path) as recording:
+        found = [(topic.name, topic.kind, topic.count) for topic in recording.topics()]
+    assert found == [("/front", "scan", 2), ("/rear", "scan", 2)]
+
+
 @pytest.mark.parametrize("storage", ["sqlite3"])
 def test_a_pose_without_a_frame_of_its_own_is_the_sensors(tmp_path, storage):
     ros = Ros(2)
