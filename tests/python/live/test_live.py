@@ -244,6 +244,24 @@ def test_a_slow_pipeline_gets_the_newest_scan_and_drops_are_counted():
     assert summary["rejected"] == {"refused by the test": len(pipeline.taken)}
 
 
+class Late(Slow):
+    """Rejects every scan with its own stamp, and every third one for its size."""
+
+    def take(self, item, frame_id):
+        self.taken.append(item.scan.stamp_ns)
+        if item.scan.stamp_ns % 3 == 0:
+            return f"ranges: expected {item.scan.stamp_ns} rays"
+        return f"stamp_ns: expected a stamp after 1796, got {item.scan.stamp_ns}"
+
+
+def test_reasons_that_differ_in_their_numbers_are_printed_and_counted_once():
+    told = []
+    items = [(None, record(LASER, laser(stamp))) for stamp in range(1, 10)]
+    summary = run_loop(Played(*items), Late(0), on_reason=told.append)
+    assert told == ["stamp_ns: expected a stamp after 1796, got 1", "ranges: expected 3 rays"]
+    assert summary["rejected"] == {told[0]: 6, told[1]: 3}
+
+
 def test_a_scan_waits_for_its_pose_and_not_for_ever():
     pipeline = Slow(0)
     stamps = [10**9, 2 * 10**9, 3 * 10**9]
