@@ -2,6 +2,7 @@
 
 import errno
 import io as bytes_io
+import shlex
 import struct
 import subprocess
 import sys
@@ -487,12 +488,46 @@ def test_scans_of_the_other_sort_name_their_command(tmp_path):
         lc.io.posed_laser_scans(recording)
 
 
-def test_a_folder_of_folders_names_them(tmp_path):
+def test_a_folder_of_folders_names_those_with_recordings(tmp_path):
     with pytest.raises(FormatError, match=r"no recording in this folder, found no files; readable"):
         lc.io.open_recording(tmp_path)
-    for name in ("ouster", "hesai"):
-        (tmp_path / name).mkdir()
-    with pytest.raises(FormatError, match=r"name one of the folders in it: hesai, ouster$"):
+    for name in ("ouster/a.pcap", "hesai/days/1/b.bag", "packed/c.tar.xz", "pictures/d.png"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FormatError, match=r"name one of the folders in it: hesai, ouster, packed$"):
+        lc.io.open_recording(tmp_path)
+
+
+def test_a_folder_of_archives_says_how_they_are_unpacked(tmp_path):
+    """Archives come first: they may hold the scans, and the other folders hold none."""
+    place = tmp_path / "a day"
+    (place / "pictures").mkdir(parents=True)
+    (place / "pictures" / "1.png").write_bytes(b"x")
+    for name in ("01.npz.xz", "notes.txt"):
+        (place / name).write_bytes(b"x")
+    lc.io.write_recording(tmp_path / "c0.npz", [make_scan()])
+    packing = ["tar", "cf", place / "scans.tar", "c0.npz"]
+    subprocess.run(packing, cwd=tmp_path, check=True, timeout=60)
+    with zipfile.ZipFile(place / "more.zip", "w") as archive:
+        archive.write(tmp_path / "c0.npz", "c1.npz")
+    with pytest.raises(FormatError) as told:
+        lc.io.open_recording(place)
+    commands = str(told.value).partition("; unpack first: ")[2].split("; ")
+    assert commands == [
+        f"unzip '{place}/more.zip' -d '{place}'",
+        f"tar xf '{place}/scans.tar' -C '{place}'",
+        f"unxz '{place}/01.npz.xz'",
+    ]
+    subprocess.run(shlex.split(commands[1]), check=True, timeout=60)
+    with lc.io.open_recording(place) as recording:
+        assert [topic.count for topic in recording.topics()] == [1]
+
+
+def test_a_folder_of_many_packed_files_names_a_few(tmp_path):
+    for number in range(9):
+        (tmp_path / f"{number}.pcd.gz").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"gunzip [^;]*0\.pcd\.gz; .*3\.pcd\.gz; 5 more$"):
         lc.io.open_recording(tmp_path)
 
 
