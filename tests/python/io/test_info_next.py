@@ -3,6 +3,7 @@
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,9 +59,38 @@ def test_scans_without_poses_are_taken_to_stand(tmp_path):
     assert step.endswith("--pose static  (if the sensor moved: --pose kiss, or --pose FILE)")
 
 
-def test_several_topics_ask_for_one(tmp_path):
+def test_several_topics_ask_for_one_and_name_the_others(tmp_path):
     steps = next_of(tmp_path / "a.npz", pose(0), cloud(0, "/front"), cloud(1, "/rear"), pose(1))
-    assert steps == [f"lidar-core detect {tmp_path}/a.npz -o run/ --cloud /front"]
+    assert steps == [
+        f"lidar-core detect {tmp_path}/a.npz -o run/ --cloud /front"
+        "  (left out: /rear; --cloud can be repeated)"
+    ]
+    names = [f"/lidar{number}" for number in range(6)]
+    (step,) = next_of(tmp_path / "b.npz", *(cloud(0, name) for name in names))
+    assert step.endswith(
+        "; left out: /lidar1, /lidar2, /lidar3, 2 more; --cloud can be repeated, each with"
+        " --mounting 'robot FRAME x y z roll pitch yaw')"
+    )
+
+
+def test_several_scanners_at_one_place_are_told_how_each_is_mounted(tmp_path):
+    path = tmp_path / "a.npz"
+    sides = ("front", "rear")
+    scans = [replace(sweep(n), topic=f"/{side}", frame_id=side) for n in range(3) for side in sides]
+    (step,) = next_of(path, *scans)
+    assert "left out: /rear; --scan can be repeated, each with --mounting" in step
+    words = ["circles", str(path), "-o", str(tmp_path / "run"), "--pose", "static"]
+    words += ["--scan", "/front", "--scan", "/rear", "--no-picture"]
+    done = CliRunner().invoke(app, words)
+    assert str(done.exception).startswith(
+        "pose: static would put several LiDARs at one place; give the mounting of each, such as"
+        " --mounting 'robot front x y z roll pitch yaw' --mounting 'robot rear x y z roll pitch"
+        " yaw', or leave pose out"
+    )
+    for side in sides:
+        words += ["--mounting", f"robot {side} 0.2 0 0 0 0 0"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
 
 
 def test_a_sensor_that_nothing_carries_needs_its_mounting(tmp_path):
