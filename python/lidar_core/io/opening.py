@@ -10,6 +10,7 @@ from lidar_core.files import check_regular, check_regular_or_folder
 from lidar_core.io.chain import ChainedRecording
 from lidar_core.io.child.recording import ChildRecording
 from lidar_core.io.child.trust import is_trusted
+from lidar_core.io.files.beginnings import likeness
 from lidar_core.io.hints import hint_for, unpacker, unpacking
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import (
@@ -123,7 +124,8 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
     if (hint := hint_for(path)) is not None:
         raise FormatError(f"{path}: {hint}")
     raise FormatError(
-        f"{path}: unknown format {path.suffix.lower()!r}; readable are: {known_formats()}"
+        f"{path}: unknown format {path.suffix.lower()!r}{likeness(path)};"
+        f" readable are: {known_formats()}"
     )
 
 

@@ -283,6 +283,40 @@ def test_a_file_that_is_not_what_its_name_says_is_told_by_its_first_bytes(tmp_pa
     assert str(told.value) == f"{path}: {text}"
 
 
+def contents_of(folder):
+    """A small file of each format, by its ending."""
+    lc.io.write_recording(folder / "whole.npz", [make_scan()])
+    with (folder / "whole.mcap").open("wb") as stream:
+        writer = McapFile(stream)
+        writer.start()
+        writer.finish()
+    return {
+        ".npz": (folder / "whole.npz").read_bytes(),
+        ".mcap": (folder / "whole.mcap").read_bytes(),
+        ".bag": ros_file(folder, 1, "bag", 1).read_bytes(),
+        ".pcap": b"\xd4\xc3\xb2\xa1" + bytes(40),
+        ".zst": zstandard.ZstdCompressor().compress(b"a scan"),
+        ".zip": b"PK\x03\x04" + bytes(26) + b"scans.csv",
+    }
+
+
+def test_a_file_with_the_ending_of_another_format_is_told_its_own(tmp_path):
+    contents = contents_of(tmp_path)
+    for ending in (".mcap", ".bag", ".db3", ".pcd", ".pcap", ".npz", ".unknown"):
+        for real, data in contents.items():
+            path = tmp_path / f"wrong{ending}"
+            path.write_bytes(data)
+            text, _ = outcome(path, FormatError)
+            if real == ending or (real, ending) == (".zip", ".npz"):  # an .npz is a zip, too
+                assert text is None or "its content" not in text
+                continue
+            assert f"; its content looks like {real}: give the file this ending" in text
+            right = tmp_path / f"right{real}"
+            path.rename(right)
+            text, _ = outcome(right, FormatError)
+            assert text is None or "its content" not in text
+
+
 def test_a_header_that_lacks_lines_or_holds_nonsense_is_told_in_one_line(tmp_path):
     path = tmp_path / "a.pcd"
     known = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
