@@ -3,6 +3,7 @@
 import heapq
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -37,14 +38,18 @@ class ChainedRecording(Recording):
         self.format = f"folder of {self._parts[0].format}"
 
     def topics(self) -> list[Topic]:
-        """Streams of all files, by name, with their messages added up."""
-        merged: dict[str, Topic] = {}
+        """Streams of all files, by name and kind, with their messages added up.
+
+        The kind tells scans from poses where streams share a name, or have none.
+        """
+        merged: dict[tuple[str, str], Topic] = {}
         for topic in (topic for part in self._parts for topic in part.topics()):
-            before = merged.get(topic.name)
+            key = topic.name, topic.kind
+            before = merged.get(key)
             known = topic.count is not None and (before is None or before.count is not None)
             count = (topic.count or 0) + (before.count or 0 if before else 0) if known else None
-            merged[topic.name] = Topic(topic.name, topic.type, topic.kind, count, topic.note)
-        return [merged[name] for name in sorted(merged)]
+            merged[key] = replace(topic, count=count)
+        return [merged[key] for key in sorted(merged)]
 
     def noticed(self) -> Findings:
         """Findings of all files so far: detected conventions and skipped messages."""

@@ -1,9 +1,11 @@
 """Advice for files that are not recordings, from their names and first bytes."""
 
 import shlex
+from collections.abc import Iterable
 from pathlib import Path
 
-_PACKED = "compressed; unpack it first: "
+_FIRST = "unpack it first: "
+_PACKED = f"compressed; {_FIRST}"
 _TABLE = (
     "a table holds no scans; measurements are for `lidar-core fuse`, and own arrays of scans become"
     " a recording with `lidar_core.io.write_recording`"
@@ -21,13 +23,15 @@ _HINTS = {
     ".yaml": "not a recording; of a ROS 2 recording open the folder",
     ".bz2": f"{_PACKED}bunzip2 FILE",
     ".gz": f"{_PACKED}gunzip FILE",
-    ".tar": "an archive; unpack it first: tar xf FILE",
+    ".tar": f"an archive; {_FIRST}tar xf FILE",
     ".xz": f"{_PACKED}unxz FILE",
     ".zip": f"{_PACKED}unzip FILE",
     ".zst": f"{_PACKED}unzstd FILE",
     ".zstd": f"{_PACKED}unzstd FILE",
 }
-_ARCHIVE = "compressed; unpack it first: tar xf FILE"
+_ARCHIVE = f"compressed; {_FIRST}tar xf FILE"
+_INTO = {"tar": "-C", "unzip": "-d"}
+"""Tools that unpack archives of several files, and their options for the folder to fill."""
 _LOOKED_AT = 4096  # bytes
 POSE_NUMBERS = (8, 12)
 """Numbers in a row of poses: TUM, KITTI."""
@@ -41,16 +45,33 @@ def recovering(path: Path) -> str:
     return f"to save the rest: {command} (in Python: recover=True)"
 
 
-def packed_hint(path: Path) -> str | None:
-    """Advice for a compressed file; None for others."""
-    hint = hint_for(path)
-    return hint if hint is not None and hint.startswith(("compressed", "an archive")) else None
+def unpacker(path: Path) -> str | None:
+    """Command that unpacks a file, which it calls FILE, by its name; None for other files."""
+    hint = _ARCHIVE if _is_tar(path) else _HINTS.get(path.suffix.lower(), "")
+    return hint.partition(_FIRST)[2] or None
+
+
+def unpacking(files: Iterable[Path]) -> list[str]:
+    """Return the commands that unpack the packed ones of some files where they are."""
+    packed = [(file, command.split()) for file in files if (command := unpacker(file))]
+    packed.sort(key=lambda one: one[1][0] not in _INTO)  # archives may hold all the scans
+    commands = []
+    for file, words in packed:
+        into = [_INTO[words[0]], str(file.parent)] if words[0] in _INTO else []
+        commands.append(shlex.join([*words[:-1], str(file), *into]))
+    return commands
+
+
+def _is_tar(path: Path) -> bool:
+    """Whether a name is that of a packed tar archive."""
+    is_packed = Path(path.stem).suffix.lower() == ".tar"
+    return is_packed or path.suffix.lower() in (".tgz", ".tbz2", ".txz")
 
 
 def hint_for(path: Path) -> str | None:
     """Advice for a regular file; None if its kind is unknown."""
     suffix = path.suffix.lower()
-    if Path(path.stem).suffix.lower() == ".tar" or suffix in (".tgz", ".tbz2", ".txz"):
+    if _is_tar(path):
         return _ARCHIVE
     if suffix in _LOOKERS:
         with path.open("rb") as file:

@@ -1,5 +1,7 @@
 """Selection of the reader for a path, by its content if possible, otherwise by its name."""
 
+import os
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,8 @@ from lidar_core.files import check_regular, check_regular_or_folder
 from lidar_core.io.chain import ChainedRecording
 from lidar_core.io.child.recording import ChildRecording
 from lidar_core.io.child.trust import is_trusted
-from lidar_core.io.hints import hint_for, packed_hint
+from lidar_core.io.files.beginnings import likeness
+from lidar_core.io.hints import hint_for, unpacker, unpacking
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import (
     READERS,
@@ -25,6 +28,10 @@ HOME = "lidar_core.io.formats."
 """Modules of the readers whose libraries a child uses; those of plugins it may not know."""
 MOST_FOLDERS = 12
 """Folders that are named where one without a recording was given."""
+MOST_FILES = 5_000
+"""Files that are looked at for each of these folders, by their names."""
+MOST_COMMANDS = 4
+"""Commands to unpack files that are told."""
 
 
 def open_recording(
@@ -117,7 +124,8 @@ def _open_file(path: Path, options: ReadOptions) -> Recording:
     if (hint := hint_for(path)) is not None:
         raise FormatError(f"{path}: {hint}")
     raise FormatError(
-        f"{path}: unknown format {path.suffix.lower()!r}; readable are: {known_formats()}"
+        f"{path}: unknown format {path.suffix.lower()!r}{likeness(path)};"
+        f" readable are: {known_formats()}"
     )
 
 
@@ -167,14 +175,28 @@ def _open_subfolder(path: Path, files: list[Path], options: ReadOptions) -> Reco
             if scans:
                 return reader.opened(path, options, scans)
     found = ", ".join(sorted({file.suffix or file.name for file in files})) or "no files"
-    folders = sorted(one.name for one in path.iterdir() if one.is_dir())[:MOST_FOLDERS]
-    if folders:
-        raise FormatError(
-            f"{path}: no recording in this folder, found {found}; name one of the"
-            f" folders in it: {', '.join(folders)}"
-        )
-    cure = next((f"{one.name} is {hint}" for one in files if (hint := packed_hint(one))), None)
-    raise FormatError(
-        f"{path}: no recording in this folder, found {found};"
-        f" {cure or f'readable are: {known_formats()}'}"
-    )
+    raise FormatError(f"{path}: no recording in this folder, found {found}; {_advice(path, files)}")
+
+
+def _advice(path: Path, files: list[Path]) -> str:
+    """What to do with a folder that holds no recording itself: archives may hold the scans."""
+    packed = unpacking(files)
+    named = packed[:MOST_COMMANDS]
+    more = [f"{len(packed) - MOST_COMMANDS} more"] if len(packed) > MOST_COMMANDS else []
+    told = [f"unpack first: {'; '.join(named + more)}"] if packed else []
+    if folders := _folders_to_name(path):
+        told.append(f"name one of the folders in it: {', '.join(folders)}")
+    return "; or ".join(told) or f"readable are: {known_formats()}"
+
+
+def _folders_to_name(path: Path) -> list[str]:
+    """Names of the folders in which, or below which, there are files to read or to unpack."""
+    names = sorted(one.name for one in path.iterdir() if one.is_dir())
+    return [name for name in names if _holds_any(path / name)][:MOST_FOLDERS]
+
+
+def _holds_any(folder: Path) -> bool:
+    """Whether one of the first files of a folder, or below it, is to be read or to be unpacked."""
+    below = (Path(place, name) for place, _, names in os.walk(folder) for name in names)
+    regular = (file for file in islice(below, MOST_FILES) if file.is_file())
+    return any(suffix_of(file) is not None or unpacker(file) for file in regular)

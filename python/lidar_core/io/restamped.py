@@ -1,5 +1,6 @@
 """Recordings with unusable stamps: replaces the stamps of the scans."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -50,13 +51,13 @@ class RestampedRecording(Recording):
                 yield _at(record, record.time_ns)
             return
         step_ns = round(NS / self.options.scan_rate)
-        counts, last_ns = dict[str, int](), 0
+        counts, last_ns = Counter[tuple[str, str]](), 0
         # All kinds are passed through, so that poses have the same times whoever asks for them.
         for record in self._recording.records():
             if record.topic.kind in SCAN_KINDS:
-                number = counts.get(record.topic.name, 0)
-                counts[record.topic.name] = number + 1
-                last_ns = number * step_ns
+                stream = record.topic.name, record.topic.kind
+                last_ns = counts[stream] * step_ns
+                counts[stream] += 1
             if kinds is None or record.topic.kind in kinds:
                 yield _at(record, last_ns)
 

@@ -17,6 +17,7 @@ from lidar_core.live.sources.source import Source
 from lidar_core.live.stats import LiveStats, Report, within_limit
 from lidar_core.live.tape import Tape
 from lidar_core.messages import Message, Pose, ScanT
+from lidar_core.util.reasons import first_of_kind
 
 IDLE_S = 0.05  # longest sleep while nothing arrives
 SILENCE_S = 1.2  # without a scan, after which is told what there is instead
@@ -281,8 +282,11 @@ class LiveLoop(Generic[ScanT]):
         self._count(self.stats.rejected, reason)
 
     def _count(self, reasons: Counter[str], reason: str) -> None:
-        """Count a scan that is not processed, and tell a reason when it first occurs."""
-        reason = within_limit(reasons, reason)
+        """Count a scan that is not processed, and tell a reason when it first occurs.
+
+        Later ones that differ only in their numbers, such as stamps, count as the first one.
+        """
+        reason = within_limit(reasons, first_of_kind(reasons, reason))
         if reason not in reasons:
             self._on_reason(reason)
         reasons[reason] += 1

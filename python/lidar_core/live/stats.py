@@ -107,7 +107,8 @@ class LiveStats:
         Scans that went through the pipeline.
     dropped, without_pose, rejected, ignored : Counter
         Counts of scans: replaced by newer ones, by topic; without a pose, by the missing frame;
-        rejected by pipeline or output, by reason; of topics that were not requested, by topic.
+        rejected by pipeline or output, by reason (the first of those that differ only in numbers);
+        of topics that were not requested, by topic.
     from_stamp, from_arrival : LatencyLog
         Latencies to the end of the outputs: from the stamp of the scan, and from its arrival.
     """

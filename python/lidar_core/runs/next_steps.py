@@ -11,6 +11,7 @@ from lidar_core.io.poses.nameless import UnclearCarrierError
 from lidar_core.io.recording import Recording
 from lidar_core.io.records import POSE_KINDS, SCAN_KINDS, Record, Topic
 from lidar_core.io.restamped import RestampedRecording
+from lidar_core.io.scan_topics import NAMELESS
 from lidar_core.messages import LaserScan, Pose, Scan
 
 COMMANDS = (
@@ -24,7 +25,10 @@ TRIED_S = 20.0
 AT_ORIGIN = "0 0 0 0 0 0"
 STANDS = {"detect": "--pose kiss, or --pose FILE", "circles": "--pose FILE"}
 """Poses of a sensor that moved, where the recording has none."""
-MOUNTED = "zeros: the sensor sits at the origin of {}; else put x y z roll pitch yaw, in m and rad"
+PLACED = "x y z roll pitch yaw"
+MOUNTED = f"zeros: the sensor sits at the origin of {{}}; else put {PLACED}, in m and rad"
+MOST_OTHERS = 3
+"""Topics that are named beside the one of a command."""
 
 UNCLEAR = "if the poses are those of {}: the recording does not say"
 
@@ -60,13 +64,15 @@ def next_steps(recording: Recording, info: RecordingInfo) -> Iterator[str]:
         stamps = info.stamps.get(topic.name)
         times = [] if stamps is None else ["--stamps", stamps]
         poses, remark = _poses(recording, info, topic, stamps)
+        remarks = [one for one in (remark, _others(topics, topic, option, poses)) if one]
         own = [
             word
             for pair in zip(read[::2], read[1::2], strict=True)
             for word in pair
             if command == "detect" or pair[0] != "--metadata"
         ]
-        yield _command_line(command, info.path, *choice, *own, *times, *poses) + remark
+        line = _command_line(command, info.path, *choice, *own, *times, *poses)
+        yield f"{line}  ({'; '.join(remarks)})" if remarks else line
     if any(topic.type.startswith(RADAR) for topic in info.topics):
         yield _command_line("fuse", info.path)
 
@@ -110,9 +116,20 @@ def _poses(
                 for text in found
             ]
         elif found:
-            return one.words(), f"  ({one.remark})" if one.remark else ""
+            return one.words(), one.remark
     command = "circles" if topic.kind.startswith("planar") else "detect"
-    return ["--pose", "static"], f"  (if the sensor moved: {STANDS[command]})"
+    return ["--pose", "static"], f"if the sensor moved: {STANDS[command]}"
+
+
+def _others(topics: list[TopicInfo], chosen: TopicInfo, option: str, poses: list[str]) -> str:
+    """Remark on the topics with scans that a command leaves out; empty if there are none."""
+    names = sorted(one.name or NAMELESS for one in topics if one is not chosen)
+    if not names:
+        return ""
+    more = [f"{len(names) - MOST_OTHERS} more"] if len(names) > MOST_OTHERS else []
+    mounting = f", each with --mounting 'robot FRAME {PLACED}'" if "static" in poses else ""
+    listed = ", ".join([*names[:MOST_OTHERS], *more])
+    return f"left out: {listed}; {option} can be repeated{mounting}"
 
 
 class _Remembered(Recording):

@@ -159,6 +159,20 @@ def test_counted_times_are_those_of_the_rate_for_scans_and_their_poses(tmp_path)
         assert recording.first_stamp() == 0
 
 
+def test_clouds_and_2d_scans_without_topics_are_counted_apart(tmp_path):
+    ranges = np.ones(30, np.float32)
+    messages = []
+    for _ in range(3):
+        messages.append(Scan(0, np.ones((2, 3), np.float32)))
+        messages.append(LaserScan(0, ranges, 0.0, 0.1, 0.1, 10.0))
+    write_recording(tmp_path / "a.npz", messages)
+    with open_recording(tmp_path / "a.npz", stamps="counted") as recording:
+        found = list(recording)
+    for kind in (Scan, LaserScan):
+        stamps = [message.stamp_ns for message in found if isinstance(message, kind)]
+        assert stamps == [0, STEP_NS, 2 * STEP_NS]
+
+
 def test_times_of_points_move_with_their_scan(tmp_path):
     times = np.array([5, 15], np.int64)
     scans = [Scan(5, np.ones((2, 3), np.float32), point_time_ns=times) for _ in range(2)]

@@ -244,6 +244,24 @@ def test_a_slow_pipeline_gets_the_newest_scan_and_drops_are_counted():
     assert summary["rejected"] == {"refused by the test": len(pipeline.taken)}
 
 
+class Late(Slow):
+    """Rejects every scan with its own stamp, and every third one for its size."""
+
+    def take(self, item, frame_id):
+        self.taken.append(item.scan.stamp_ns)
+        if item.scan.stamp_ns % 3 == 0:
+            return f"ranges: expected {item.scan.stamp_ns} rays"
+        return f"stamp_ns: expected a stamp after 1796, got {item.scan.stamp_ns}"
+
+
+def test_reasons_that_differ_in_their_numbers_are_printed_and_counted_once():
+    told = []
+    items = [(None, record(LASER, laser(stamp))) for stamp in range(1, 10)]
+    summary = run_loop(Played(*items), Late(0), on_reason=told.append)
+    assert told == ["stamp_ns: expected a stamp after 1796, got 1", "ranges: expected 3 rays"]
+    assert summary["rejected"] == {told[0]: 6, told[1]: 3}
+
+
 def test_a_scan_waits_for_its_pose_and_not_for_ever():
     pipeline = Slow(0)
     stamps = [10**9, 2 * 10**9, 3 * 10**9]
@@ -842,11 +860,16 @@ def test_a_topic_that_zenoh_does_not_have_is_told_within_three_seconds(circles, 
 
 
 def test_a_stream_of_which_nothing_ever_came_ends_with_status_three_after_ctrl_c():
-    with live("--in", f"udp:{free_udp_port()}", "--pose", "static") as process:
-        assert "has: nothing" in wait_for_line(process, "no scan yet of any topic with clouds or")
+    port = free_udp_port()
+    with live("--in", f"velodyne:{port}", "--pose", "static") as process:
+        told = wait_for_line(process, "no scan yet")
         process.send_signal(signal.SIGINT)
         status, summary, _ = ended(process)
     assert (status, summary["processed"]) == (3, 0)
+    assert told == (
+        f"no scan yet: no packet came to port {port}; check the destination address and port that"
+        " are set in the sensor, and the firewall of this machine\n"
+    )
 
 
 def free_udp_port():
@@ -1343,44 +1366,66 @@ def test_a_port_in_use_is_an_error_with_its_cure(circles):
         ([], "--in, --replay: expected one of them"),
         (["--in", "zenoh", "--replay", "a.bag"], "--in, --replay: expected one of them"),
         (["--in", "mqtt"], r"--in mqtt: expected one of zenoh\["),
+        (["--in", "udp:2368"], r"--in udp:2368: expected one of zenoh.* velodyne\[:PORT\],"),
         (["--in", "hesai:2368"], "one of zenoh.*; of this sensor run the driver, and listen to"),
         (
             ["--in", "ouster", "--pose", "kiss"],
             "--in ouster: expected ouster:HOST or ouster:FILE.json",
         ),
         (["--in", "livox:0"], "carry no poses; add --pose static .* or --pose kiss for poses"),
-        (["--in", "udp:0", "--pose", "static", "--metrics", "a:b"], "metrics: expected a port"),
-        (["--in", "udp:0", "--rate", "2"], "--rate: does not apply to a stream"),
         (
-            ["--in", "udp:nowhere", "--pose", "static"],
-            "--in udp: expected a port from 0 to 65535, got 'nowhere'",
+            ["--in", "velodyne:0", "--pose", "static", "--metrics", "a:b"],
+            "metrics: expected a port",
+        ),
+        (["--in", "velodyne:0", "--rate", "2"], "--rate: does not apply to a stream"),
+        (
+            ["--in", "velodyne:nowhere", "--pose", "static"],
+            "--in velodyne: expected a port from 0 to 65535, got 'nowhere'",
         ),
         (
-            ["--in", "udp:0", "--pose", "static", "--out", "paper"],
+            ["--in", "velodyne:0", "--pose", "static", "--out", "paper"],
             r"--out paper: expected one of foxglove\[",
         ),
-        (["--in", "udp:0", "--pose", "static", "--out", "mcap"], "--out mcap: expected one of"),
         (
-            ["--in", "udp:0", "--pose", "static", "--out", "rerun:web:x"],
+            ["--in", "velodyne:0", "--pose", "static", "--out", "mcap"],
+            "--out mcap: expected one of",
+        ),
+        (
+            ["--in", "velodyne:0", "--pose", "static", "--out", "rerun:web:x"],
             "--out rerun:web: expected a port",
         ),
-        (["--in", "udp:0", "--allow-origin", "*"], "allow-origin: expected the scheme and the"),
-        (["--in", "udp:0", "--pose", "a.txt"], "expected auto, static or kiss for a live stream"),
-        (["--in", "udp:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one kind"),
-        (["--in", "udp:0", "--scan", "/b", "--capability", "flying"], "flying does not read /b"),
-        (["--in", "udp:0", "--map", "a.pcd", "--scan", "/b"], "map: applies only to flying objec"),
-        (["--in", "udp:0", "--map", "a.pcd", "--capability", "circles"], "map: applies only to f"),
+        (
+            ["--in", "velodyne:0", "--allow-origin", "*"],
+            "allow-origin: expected the scheme and the",
+        ),
+        (
+            ["--in", "velodyne:0", "--pose", "a.txt"],
+            "expected auto, static or kiss for a live stream",
+        ),
+        (["--in", "velodyne:0", "--cloud", "/a", "--scan", "/b"], "expected topics of one kind"),
+        (
+            ["--in", "velodyne:0", "--scan", "/b", "--capability", "flying"],
+            "flying does not read /b",
+        ),
+        (
+            ["--in", "velodyne:0", "--map", "a.pcd", "--scan", "/b"],
+            "map: applies only to flying objec",
+        ),
+        (
+            ["--in", "velodyne:0", "--map", "a.pcd", "--capability", "circles"],
+            "map: applies only to f",
+        ),
         (["--in", "foxglove:http://a"], "expected an address such as ws://.*, got 'http://a'"),
         (
-            ["--in", "udp:0", "--stream", "bogus=1"],
+            ["--in", "velodyne:0", "--stream", "bogus=1"],
             "--stream bogus: .*; known names: pose_wait, max_",
         ),
         (
-            ["--in", "udp:0", "--stream", "bogus"],
+            ["--in", "velodyne:0", "--stream", "bogus"],
             "--stream bogus: expected name=value, such as pose",
         ),
-        (["--in", "udp:0", "--stream", "domain=999"], "--stream domain: .* 232"),
-        (["--in", "udp:0", "--domain", "999"], "^domain: .* 232"),
+        (["--in", "velodyne:0", "--stream", "domain=999"], "--stream domain: .* 232"),
+        (["--in", "velodyne:0", "--domain", "999"], "^domain: .* 232"),
     ],
 )
 def test_options_that_make_no_sense_are_refused_in_words(arguments, text):

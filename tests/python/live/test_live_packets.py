@@ -63,6 +63,7 @@ def test_packets_of_a_velodyne_become_scans(recordings):
         with pytest.raises(LinkError, match=f"port {source.port} cannot be opened.*livox:PORT$"):
             UdpSource(source.port, make, kind="livox")
         source.start(inbox)
+        assert source.silence().startswith(f"no packet came to port {source.port}; check the dest")
         send(source, [b"no packet"])
         found = received(
             source,
@@ -70,6 +71,7 @@ def test_packets_of_a_velodyne_become_scans(recordings):
             [packet for _, packet in packets[:200]],
             lambda scans: any(15_000 < len(scan.points) < 20_000 for scan in scans),
         )
+    assert source.silence() == f"packets come to port {source.port}, but no scan is complete"
     assert inbox.rejected == {source.name: 1}
     (note,) = source.findings.notes
     assert note.endswith("other sensors need their drivers")

@@ -15,6 +15,7 @@ import typer
 
 from lidar_core.cli.shared.voice import Pace, tell, voice
 from lidar_core.errors import LidarCoreError
+from lidar_core.util.reasons import kind_of
 from lidar_core.util.rows import Row
 from lidar_core.util.threads import all_threads
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from lidar_core.runs.result import OnProgress, RunResult
 
 SLOW_MS = 10.0  # times below are printed with more digits
-_VALUE = re.compile(r"(?<![\w/])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")  # no part of a name
 REASONS = 3  # that a table shows for rejected scans
 NOTHING_CAME = 3
 """Exit status of a live run to which no scan ever came."""
@@ -302,7 +302,7 @@ def told_reasons(counts: Mapping[str, int]) -> str:
     """Return the most frequent reasons; those that differ only in numbers count as one."""
     kinds, examples = Counter[str](), dict[str, str]()
     for reason, count in counts.items():
-        kind = _VALUE.sub("#", reason)
+        kind = kind_of(reason)
         kinds[kind] += count
         examples.setdefault(kind, reason)
     told = [f"{count} x {examples[kind]}" for kind, count in kinds.most_common(REASONS)]

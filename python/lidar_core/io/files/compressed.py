@@ -8,9 +8,9 @@ from typing import Any, BinaryIO
 
 from lidar_core.errors import FormatError, LimitError
 from lidar_core.extras import require
+from lidar_core.io.files.beginnings import ZSTD
 from lidar_core.io.files.guard import reading
 
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MOST_ZSTD_HEAD, ZSTD_BLOCK_HEAD = 18, 3
 """Bytes in front of a frame, at most, and in front of each of its blocks (RFC 8878)."""
 MOST_RATIO, FREE_BYTES = 1000, 2**20
@@ -111,7 +111,7 @@ def _check_zstd(file: BinaryIO, place: str) -> None:
     if not is_last or end > size:
         raise FormatError(f"{place}: compressed data ends early")
     file.seek(end)
-    if file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC:
+    if file.read(len(ZSTD)) == ZSTD:
         raise FormatError(f"{place}: compressed in several pieces; unpack it first: unzstd FILE")
 
 

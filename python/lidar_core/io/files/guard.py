@@ -3,7 +3,6 @@
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from pydantic import ValidationError
 
@@ -47,20 +46,6 @@ def _one_line(error: Exception) -> str:
         problems = error.errors(include_url=False, include_context=False)
         return "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in problems)
     return " ".join(str(error).split()).rstrip(".")
-
-
-def check_beginning(path: Path, expected: bytes, what: str) -> None:
-    """Refuse a file that does not begin as `what`, whatever its name says.
-
-    Raises
-    ------
-    FormatError
-        It begins with other bytes.
-    """
-    with path.open("rb") as file:
-        head = file.read(len(expected))
-    if head != expected:
-        raise FormatError(f"{path}: not {what}: it begins with {head!r}")
 
 
 def check_size(place: str, size: int, *, limit: int, key: str, what: str) -> None:

@@ -13,14 +13,9 @@ from typing import Any
 
 from lidar_core.errors import FormatError
 from lidar_core.io.files import pcapng
+from lidar_core.io.files.beginnings import PCAP_ORDERS, not_a
 from lidar_core.io.files.pcapng import CutEnd, Packet
 
-_ORDERS = {
-    b"\xd4\xc3\xb2\xa1": "<",
-    b"\x4d\x3c\xb2\xa1": "<",
-    b"\xa1\xb2\xc3\xd4": ">",
-    b"\xa1\xb2\x3c\x4d": ">",
-}
 _NANOSECONDS = frozenset({b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d"})
 _FILE_HEADER, _PACKET_HEADER = 24, 16
 _LINK_AT, _LINK_BITS = 20, 0xFFFF
@@ -57,7 +52,7 @@ def packets(path: Path) -> Iterator[Packet]:
     if magic == pcapng.MAGIC:
         yield from pcapng.packets(path)
         return
-    order, unit = _ORDERS[magic], 1 if magic in _NANOSECONDS else 1000
+    order, unit = PCAP_ORDERS[magic], 1 if magic in _NANOSECONDS else 1000
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         for position, captured in _places(path, data, order):
             seconds, rest = struct.unpack_from(f"{order}II", data, position - _PACKET_HEADER)
@@ -83,14 +78,14 @@ def readable(path: Path) -> Any:
 def _magic(path: Path) -> bytes:
     with path.open("rb") as file:
         magic = file.read(4)
-    if magic != pcapng.MAGIC and magic not in _ORDERS:
-        raise FormatError(f"{path}: not a packet capture: it begins with {magic!r}")
+    if magic != pcapng.MAGIC and magic not in PCAP_ORDERS:
+        raise not_a(path, "a packet capture", magic)
     return magic
 
 
 def _pcap_sizes(path: Path, magic: bytes, cut: CutEnd) -> Counter[int]:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return Counter(captured for _, captured in _places(path, data, _ORDERS[magic], cut))
+        return Counter(captured for _, captured in _places(path, data, PCAP_ORDERS[magic], cut))
 
 
 def _places(

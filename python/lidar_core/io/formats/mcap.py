@@ -11,7 +11,8 @@ from typing import IO, Any
 
 from lidar_core.errors import FormatError, LidarCoreError, LimitError
 from lidar_core.extras import require
-from lidar_core.io.files.guard import check_beginning, check_size, reading
+from lidar_core.io.files.beginnings import MCAP, check_beginning
+from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.files.mcap_chunk import CHUNK_CODE, RECORD_HEAD, chunk_records
 from lidar_core.io.files.mcap_salvage import Salvage
 from lidar_core.io.formats.ros import MAX_TOPICS
@@ -25,7 +26,6 @@ from lidar_core.io.recording import Recording
 from lidar_core.io.records import Kind, Record, Topic
 from lidar_core.messages import Message
 
-_MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
 
 
@@ -47,7 +47,7 @@ class McapRecording(Recording):
         self._mcap = require("mcap.stream_reader", extra="io", purpose="reading MCAP")
         self._records = require("mcap.records", extra="io", purpose="reading MCAP")
         require("mcap.reader", extra="io", purpose="reading MCAP")
-        check_beginning(path, _MAGIC, "an MCAP file")
+        check_beginning(path, MCAP, "an MCAP file")
         self._file: IO[bytes] = path.open("rb")
         try:
             self._summary = self._read_summary()
@@ -175,10 +175,10 @@ class McapRecording(Recording):
 
     def _check_end(self) -> None:
         """Refuse a file without its end: the library would take other bytes for its summary."""
-        self._file.seek(-len(_MAGIC), os.SEEK_END)
+        self._file.seek(-len(MCAP), os.SEEK_END)
         end, size = self._file.read(), self._file.tell()
         self._file.seek(0)
-        if end != _MAGIC:
+        if end != MCAP:
             raise FormatError(
                 f"{self.path}, byte {size}: the file ends before its summary: it was"
                 f" cut, or not closed; {recovering(self.path)}"
@@ -211,7 +211,7 @@ class McapRecording(Recording):
         """
         position = self._file.tell()
         try:
-            self._file.seek(max(place, len(_MAGIC)))
+            self._file.seek(max(place, len(MCAP)))
             while (head := self._file.read(RECORD_HEAD.size))[:1] != CHUNK_CODE:
                 self._file.seek(RECORD_HEAD.unpack(head)[1], os.SEEK_CUR)
             offset = self._file.tell() - RECORD_HEAD.size
@@ -258,7 +258,7 @@ class McapRecording(Recording):
     def _stream(self) -> Any:
         return self._mcap.StreamReader(
             self._file,
-            skip_magic=self._file.tell() >= len(_MAGIC),
+            skip_magic=self._file.tell() >= len(MCAP),
             emit_chunks=True,
             record_size_limit=self.options.max_record_bytes,
         )

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from lidar_core.arrays import as_mask, as_points, as_pose, as_rows
 from lidar_core.errors import FormatError, InputError
+from lidar_core.io.files.beginnings import ZIP, check_beginning
 from lidar_core.io.files.guard import reading
 from lidar_core.io.files.npy import array_in
 from lidar_core.io.messages.own_cloud import OWN_VERDICT
@@ -59,6 +60,7 @@ class NpzRecording(Recording):
         super().__init__(path, options)
         limit = options.max_record_bytes
         self._array = partial(array_in, what="array", limit=limit, key="max_record_bytes")
+        check_beginning(path, ZIP, "an .npz file")
         with reading(str(path)), ZipFile(path) as archive:
             self._names = {name.removesuffix(".npy") for name in archive.namelist()}
             self._has_index = "layout" in self._names

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
+from lidar_core.io.files.beginnings import not_a
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.formats.sequence import SequenceRecording
 from lidar_core.io.readers import register_reader
@@ -87,7 +88,7 @@ def _check_keys(file: Path, lines: list[str]) -> None:
     words = {line.partition(" ")[0] for line in lines}
     if words.isdisjoint(KEYS):
         with file.open("rb") as stream:
-            raise FormatError(f"{file}: not a PCD file: it begins with {stream.read(8)!r}")
+            raise not_a(file, "a PCD file", stream.read(8))
     missing = [key for key in KEYS if key not in words]
     if missing:
         raise FormatError(f"{file}: the header has no {', '.join(missing)} line")

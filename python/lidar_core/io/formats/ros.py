@@ -11,8 +11,9 @@ from typing import Any
 
 from lidar_core.errors import FormatError
 from lidar_core.extras import require
+from lidar_core.io.files.beginnings import BAG, DATABASE, check_beginning
 from lidar_core.io.files.compressed import bounded_decompressor
-from lidar_core.io.files.guard import check_beginning, check_size, reading
+from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.messages.ouster import OusterTopics
 from lidar_core.io.messages.ros import RosDecoder, kind_of, note_of
 from lidar_core.io.options import ReadOptions
@@ -21,7 +22,6 @@ from lidar_core.io.recording import Recording
 from lidar_core.io.records import Record, Topic
 
 MAX_TOPICS = 4096
-BAG_MAGIC, DATABASE_MAGIC = b"#ROSBAG V", b"SQLite format 3\0"
 
 
 class RosRecording(Recording):
@@ -68,7 +68,7 @@ class RosRecording(Recording):
             _check_database(file, self.options)
             with reading(str(file)):
                 return stack.enter_context(module.Reader(file))
-        check_beginning(file, BAG_MAGIC, "a ROS 1 bag")
+        check_beginning(file, BAG, "a ROS 1 bag")
         with reading(str(file)):
             try:
                 reader = stack.enter_context(module.Reader(file))
@@ -170,7 +170,7 @@ def open_database(path: Path, options: ReadOptions, files: list[Path]) -> RosRec
 
 def _check_database(file: Path, options: ReadOptions) -> None:
     """Refuse a message larger than the limit before rosbags loads it."""
-    check_beginning(file, DATABASE_MAGIC, "an SQLite database")
+    check_beginning(file, DATABASE, "an SQLite database")
     with reading(str(file)):
         database = sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)
         try:

@@ -5,6 +5,7 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ MOST_NAMED = 10
 """Damaged files that a text names."""
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 _NANOSECONDS = re.compile(r"^\d{18,19}$")
+_NUMBERED = re.compile(r"^(.*?)(\d+)(\D*)$")
 _SECONDS = re.compile(r"^(\d{9,10})[._](\d{1,9})$")
 
 
@@ -141,12 +143,31 @@ class SequenceRecording(Recording):
         stamps = [stamp for stamp in named if stamp is not None]
         if len(stamps) == len(named):
             return stamps
-        if len(named) > 1:
-            self.findings.note(
-                f"no times.txt and no times in the names: {self.options.scan_rate:g} Hz assumed"
-                " (scan_rate)"
+        return self._assumed_stamps()
+
+    def _assumed_stamps(self) -> list[int]:
+        """Times by the rate: from the numbers in the names if they count scans, else counted."""
+        rate, numbers = self.options.scan_rate, _numbers(self._stored)
+        counted = list(range(len(self._stored)))
+        steps = {b - a for a, b in pairwise(numbers)}
+        told = f"{rate:g} Hz assumed, scan_rate=RATE states another"
+        if steps - {1}:
+            told += (
+                f"; {len(numbers)} files have numbers from {numbers[0]} to {numbers[-1]}:"
+                f" {numbers[-1] - numbers[0] + 1 - len(numbers)} numbers are missing"
             )
-        return [round(number * 1e9 / self.options.scan_rate) for number in range(len(named))]
+            # Numbers that count scans have neighbours; others may be times of any unit.
+            if min(steps) == 1 and numbers[-1] - numbers[0] <= LONGEST * rate:
+                counted = [number - numbers[0] for number in numbers]
+                told += ", and the times have these gaps; a file times.txt can state other times"
+            else:
+                told += (
+                    ", but the files are counted without gaps; if that is wrong, state their times"
+                    " in a file times.txt"
+                )
+        if len(self._stored) > 1:
+            self.findings.note(f"no times.txt and no times in the names: {told}")
+        return [round(number * NS / rate) for number in counted]
 
     def _find_poses(self) -> NDArray[np.float64]:
         """Poses of the LiDAR from poses.txt; KITTI's are of a camera, which calib.txt places."""
@@ -174,6 +195,16 @@ def _natural_key(file: Path) -> tuple[int, str]:
     """Numbers by value, so that 2.pcd comes before 10.pcd."""
     digits = re.sub(r"\D", "", file.stem)
     return (int(digits) if digits else 0, file.name)
+
+
+def _numbers(files: list[Path]) -> list[int]:
+    """Increasing numbers of files whose names differ in nothing else; none for other names."""
+    found = [_NUMBERED.match(file.stem) for file in files]
+    parts = [match.groups() for match in found if match]
+    numbers = [int(number) for _, number, _ in parts]
+    is_one_name = len({(before, after) for before, _, after in parts}) == 1
+    is_increasing = all(a < b for a, b in pairwise(numbers))
+    return numbers if len(numbers) == len(files) and is_one_name and is_increasing else []
 
 
 def _stamp_of(file: Path) -> int | None:

@@ -26,6 +26,7 @@ TIME_FIELDS = (
     "point_time",
 )
 SHORTEST_SCAN_S, LONGEST_SCAN_S = 0.002, 1.1  # a factor below 1000: at most one unit fits
+FEWEST_SAME, SAME_SHARE = 20, 0.05  # rows of a scan that are its nearest point: a placeholder
 NEAR_STAMP_S = 60.0  # an absolute point time lies this close to its scan's stamp
 
 
@@ -42,14 +43,22 @@ class NoReturnRule:
         x, y, z = points.T  # columns: reducing over an axis of three is five times slower
         finite: NDArray[np.bool_] = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
         zero: NDArray[np.bool_] = (x == 0) & (y == 0) & (z == 0)
-        self._decide(int(zero.sum()), int((~finite).sum()), len(points), organised=organised)
+        self._decide(points, zero, ~finite, organised=organised)
         if zero.any() or not finite.all():
             points[zero | ~finite] = np.nan
         if self.convention == "zero":
             return zero
         return ~finite if self.convention == "nan" else None
 
-    def _decide(self, zeros: int, broken: int, rows: int, *, organised: bool) -> None:
+    def _decide(
+        self,
+        points: NDArray[np.float32],
+        zero: NDArray[np.bool_],
+        is_broken: NDArray[np.bool_],
+        *,
+        organised: bool,
+    ) -> None:
+        zeros, broken, rows = int(zero.sum()), int(is_broken.sum()), len(points)
         if self.convention is not None or rows == 0:
             return
         if self.options.no_return != "auto":
@@ -61,8 +70,21 @@ class NoReturnRule:
         elif broken and organised:
             self.convention = "nan"
             self.verdict = f"nan: {broken} of {rows} rows of an organised scan are NaN"
-        else:
-            self.verdict = "none seen: the driver seems to drop rays without return"
+        elif not self.verdict:  # the first scan tells as much as all: placeholders are in each
+            self.verdict = _placeholder(points[~is_broken], rows)
+
+
+def _placeholder(points: NDArray[np.float32], rows: int) -> str:
+    """Verdict on a cloud without marks: some recorders write one near point instead of them."""
+    nearest = points[np.abs(points).max(axis=1).argmin()] if len(points) else None
+    count = 0 if nearest is None else int((points == nearest).all(axis=1).sum())
+    if nearest is None or count < max(FEWEST_SAME, SAME_SHARE * rows):
+        return "none seen: the driver seems to drop rays without return"
+    point = ", ".join(f"{value:g}" for value in nearest)
+    return (
+        f"none marked: {count} of {rows} rows of a scan are the point ({point}), probably rays"
+        " without return; `detect` uses points from sensor.min_range on"
+    )
 
 
 @dataclass(slots=True)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
-from lidar_core.io.files.compressed import ZSTD_MAGIC, zstd_data
+from lidar_core.io.files.beginnings import ZSTD
+from lidar_core.io.files.compressed import zstd_data
 from lidar_core.io.files.guard import check_size, reading
 from lidar_core.io.messages.cloud import ROS_TYPES, CloudDecoder, Field, Layout, unpack
 from lidar_core.io.messages.laser import LaserDecoder, ros_laser_scan
@@ -149,7 +150,7 @@ class RosDecoder:
     def _plain(self, raw: bytes, place: str) -> bytes:
         """A message as ROS serialised it; `ros2 bag record` can compress each one."""
         self._check_size(raw, place)
-        if self._version == 1 or not raw.startswith(ZSTD_MAGIC):
+        if self._version == 1 or not raw.startswith(ZSTD):
             return raw
         with reading(place):
             return zstd_data(raw, place, self._options.max_record_bytes)

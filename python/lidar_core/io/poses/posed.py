@@ -118,7 +118,8 @@ class PosedScans(Generic[ScanT]):
             latest = (latest_ns - first_ns) / NS
             raise InputError(f"{self._recording.path}: no scans {span}; they end at {latest:g} s")
 
-    def _first_frame(self) -> str:
+    def first_frame(self) -> str:
+        """Frame of the first scan; empty without scans."""
         return next((scan.frame_id for _, scan in self._scans()), "")
 
     def _standing(self) -> Iterator[PosedScan[ScanT]]:
@@ -159,7 +160,7 @@ class PosedScans(Generic[ScanT]):
         self.source = f"{path}, {len(matrices)} poses"
         if stamps is not None:
             buffer = self._buffer()
-            frame = self._first_frame() if self._options.mounting else ""
+            frame = self.first_frame() if self._options.mounting else ""
             carrier = self._carrier(frame)
             for stamp, matrix in zip(stamps.tolist(), matrices, strict=True):
                 buffer.add(Pose(stamp, WORLD_FRAME, carrier, matrix))
@@ -185,7 +186,7 @@ class PosedScans(Generic[ScanT]):
             raise FormatError(f"{path}: {poses} poses for {scans} scans of {self._recording.path}")
 
     def _from_buffer(self) -> Iterator[PosedScan[ScanT]]:
-        frame = self._first_frame()
+        frame = self.first_frame()
         buffer = self._fill_buffer(frame)
         root = self._options.fixed_frame or buffer.root_of(frame)
         try:

@@ -63,6 +63,10 @@ class Source(ABC):
         """Reason for waiting, in words; empty while connected."""
         return ""
 
+    def silence(self) -> str:
+        """Probable reason why no scan came, with the cure; empty if topics tell it."""
+        return ""
+
     def advertised(self) -> list[str]:
         """Available topics with their types; empty if they are unknown."""
         return []

@@ -75,6 +75,7 @@ class UdpSource(Source):
         self.port = int(self._socket.getsockname()[1])
         self.name = f"{kind}, port {self.port}"
         self._heard = time.monotonic()
+        self._n_packets = 0
         self._ended = Event()
         self._thread: Thread | None = None
 
@@ -96,6 +97,15 @@ class UdpSource(Source):
         is_silent = time.monotonic() - self._heard > SILENCE_S
         return f"no packets on port {self.port}" if is_silent else ""
 
+    def silence(self) -> str:
+        """Whether packets came without a scan, or none: then the sensor sends elsewhere."""
+        if self._n_packets:
+            return f"packets come to port {self.port}, but no scan is complete"
+        return (
+            f"no packet came to port {self.port}; check the destination address and port that are"
+            " set in the sensor, and the firewall of this machine"
+        )
+
     def _listen(self, inbox: Inbox) -> None:
         try:
             while not self._ended.is_set():
@@ -104,6 +114,7 @@ class UdpSource(Source):
                 except TimeoutError:
                     continue
                 self._heard = time.monotonic()
+                self._n_packets += 1
                 self._take(packet, inbox)
         except Exception as error:  # whatever it is, the loop raises it where the user is
             inbox.fail(error)

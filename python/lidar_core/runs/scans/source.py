@@ -19,6 +19,8 @@ from lidar_core.io.recording import Recording
 from lidar_core.messages import Scan, ScanT
 
 STAMP = attrgetter("scan.stamp_ns")
+ROBOT = "robot"
+"""Name in examples for the frame that LiDARs are mounted on."""
 JUMP = 0.1
 """Way from the last place of a sensor to its first one from which on it is told [m]."""
 
@@ -68,12 +70,6 @@ class ScanSource(Generic[ScanT]):
             raise ConfigError(
                 f"topic {twice[0]!r}: expected once, it is given {clouds.count(twice[0])} times"
             )
-        if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
-            raise ConfigError(
-                "pose: static would put several LiDARs at one place; give the mounting of each"
-                " with mounting=..., or leave pose out and give the frame that they are mounted"
-                " on with fixed_frame=FRAME"
-            )
         self._read = read
         self._repeat = repeat
         self._jump = 0.0
@@ -84,6 +80,8 @@ class ScanSource(Generic[ScanT]):
                 recording = stack.enter_context(open_recording(path, read))
                 chosen = pose.model_copy(update={"cloud": cloud})
                 self._lidars.append(_Lidar(recording, PosedScans(recording, chosen, sort)))
+            if len(clouds) > 1 and pose.pose == "static" and not pose.mounting:
+                raise self._at_one_place()
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -117,6 +115,16 @@ class ScanSource(Generic[ScanT]):
             most = max(count.values())
             period = (last_ns - first_ns) // (most - 1) if most > 1 else 0
             shift_ns = last_ns - first_ns + (period or round(1e9 / self._read.scan_rate))
+
+    def _at_one_place(self) -> ConfigError:
+        """Refusal of several LiDARs without mountings, with what to give for each frame."""
+        frames = dict.fromkeys(lidar.scans.first_frame() or "FRAME" for lidar in self._lidars)
+        given = " ".join(f"mounting='{ROBOT} {frame} x y z roll pitch yaw'" for frame in frames)
+        return ConfigError(
+            "pose: static would put several LiDARs at one place; give the mounting of each, such as"
+            f" {given}, or leave pose out and give the frame that they are mounted on with"
+            " fixed_frame=FRAME"
+        )
 
     @property
     def total(self) -> int | None:

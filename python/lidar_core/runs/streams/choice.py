@@ -71,15 +71,17 @@ class PipelineChoice:
         """Return the topics to request from a stream."""
         return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
 
-    def silence(self, name: str, advertised: Sequence[str]) -> str:
-        """Return a message: the source `name` brings no wanted scan, and its topics."""
+    def silence(self, source: Source, advertised: Sequence[str]) -> str:
+        """Return a message: the source brings no wanted scan, and why, or its topics."""
+        if reason := source.silence():
+            return f"no scan yet: {reason}"
         sorts = " or ".join(
             what
             for what, wanted in (("clouds", self.wants_clouds), ("2D scans", self.wants_scans))
             if wanted
         )
         named = ", ".join((*self.clouds, *self.scans)) or f"any topic with {sorts}"
-        return f"no scan yet of {named}; {name} has: {'; '.join(advertised) or 'nothing'}"
+        return f"no scan yet of {named}; {source.name} has: {'; '.join(advertised) or 'nothing'}"
 
     def pipeline(self, sort: type) -> LivePipeline[Any] | None:
         """Return the pipeline for scans of a kind; None if it is not wanted."""
@@ -140,7 +142,7 @@ def open_source(
         from lidar_core.live.sources.foxglove import DEFAULT_ADDRESS, FoxgloveSource
 
         return FoxgloveSource(place or DEFAULT_ADDRESS, topics, read, live)
-    if kind in ("udp", "velodyne", "ouster", "livox"):
+    if kind in ("velodyne", "ouster", "livox"):
         if pose == "auto":
             raise ConfigError(
                 f'source: {text}: packets of a sensor carry no poses; add pose="static" for a'
@@ -156,7 +158,7 @@ def open_source(
 
 
 def _open_packets(kind: str, place: str, read: ReadOptions) -> Source:
-    """Source of the packets of a sensor; `udp` is Velodyne's."""
+    """Source of the packets of a sensor."""
     from lidar_core.live.sources.udp import UdpSource
 
     what = f"source: {kind}"

@@ -188,7 +188,7 @@ def live(
             topics=(*clouds, *scans),
             tape=tape,
             on_report=reported,
-            on_silence=lambda there: on_message(chosen.silence(listening.name, there)),
+            on_silence=lambda there: on_message(chosen.silence(listening, there)),
             on_reason=lambda reason: on_message(f"not processed: {reason}"),
         )
         address = None if server is None else server.address

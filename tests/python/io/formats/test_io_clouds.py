@@ -252,7 +252,7 @@ def test_files_that_are_no_recordings_are_told_apart(tmp_path, name, cure):
 
 @pytest.mark.parametrize(
     ("name", "cure"),
-    [("a.bag.xz", "a.bag.xz is compressed; unpack it first: unxz FILE"), ("a.dat", "readable are")],
+    [("a.bag.xz", "unpack first: unxz "), ("a.dat", "readable are")],
 )
 def test_a_folder_of_packed_recordings_says_how_they_are_unpacked(tmp_path, name, cure):
     (tmp_path / name).write_bytes(b"x")
@@ -297,6 +297,51 @@ def cut_folder(place, count, cut, ending=".pcd"):
         file = folder / f"{number}{ending}"
         file.write_bytes(file.read_bytes()[:-300])
     return folder
+
+
+def numbered(folder, names):
+    """Stamps of a folder of clouds with these names [0.1 s], and the note about its times."""
+    folder.mkdir()
+    for name in names:
+        lc.io.write_cloud(folder / f"{name}.pcd", np.ones((3, 3)))
+    with lc.io.open_recording(folder) as recording:
+        stamps = [scan.stamp_ns / 1e8 for scan in recording]
+        (note,) = recording.noticed().notes
+    return stamps, note.removeprefix("no times.txt and no times in the names: ")
+
+
+def test_times_follow_numbers_with_gaps_and_a_note_says_so(tmp_path):
+    names = ["run2_000199", "run2_000200", "run2_000202", "run2_000439"]
+    stamps, note = numbered(tmp_path / "a", names)
+    assert stamps == [0, 1, 3, 240]
+    assert note == (
+        "10 Hz assumed, scan_rate=RATE states another; 4 files have numbers from 199 to 439: 237"
+        " numbers are missing, and the times have these gaps; a file times.txt can state other"
+        " times"
+    )
+    (tmp_path / "a" / "times.txt").write_text("0\n1\n2\n3\n")
+    with lc.io.open_recording(tmp_path / "a") as recording:
+        assert [scan.stamp_ns / 1e9 for scan in recording] == [0, 1, 2, 3]
+        assert recording.noticed().notes == []
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["7", "8", "9", "10"], ""),
+        (["a_10", "b_11", "c_13"], ""),
+        (["1", "one", "3"], ""),
+        (["000000", "000005", "000010"], "0 to 10: 8 numbers are missing, but the files are count"),
+        (["1574859771700", "1574859771801", "1574859771899"], "missing, but the files are count"),
+        (["0", "1", "999999999999999999"], "missing, but the files are counted without gaps"),
+    ],
+    ids=["consecutive", "other names", "no number", "every fifth", "milliseconds", "centuries"],
+)
+def test_numbers_that_do_not_count_scans_give_no_times(tmp_path, names, told):
+    stamps, note = numbered(tmp_path / "a", names)
+    assert stamps == list(range(len(names)))
+    assert ("files" in note) == bool(told)
+    assert told in note
 
 
 def test_a_folder_of_damaged_files_alone_is_refused_and_not_all_are_named(tmp_path):

@@ -2,6 +2,7 @@
 
 import errno
 import io as bytes_io
+import shlex
 import struct
 import subprocess
 import sys
@@ -282,6 +283,40 @@ def test_a_file_that_is_not_what_its_name_says_is_told_by_its_first_bytes(tmp_pa
     assert str(told.value) == f"{path}: {text}"
 
 
+def contents_of(folder):
+    """A small file of each format, by its ending."""
+    lc.io.write_recording(folder / "whole.npz", [make_scan()])
+    with (folder / "whole.mcap").open("wb") as stream:
+        writer = McapFile(stream)
+        writer.start()
+        writer.finish()
+    return {
+        ".npz": (folder / "whole.npz").read_bytes(),
+        ".mcap": (folder / "whole.mcap").read_bytes(),
+        ".bag": ros_file(folder, 1, "bag", 1).read_bytes(),
+        ".pcap": b"\xd4\xc3\xb2\xa1" + bytes(40),
+        ".zst": zstandard.ZstdCompressor().compress(b"a scan"),
+        ".zip": b"PK\x03\x04" + bytes(26) + b"scans.csv",
+    }
+
+
+def test_a_file_with_the_ending_of_another_format_is_told_its_own(tmp_path):
+    contents = contents_of(tmp_path)
+    for ending in (".mcap", ".bag", ".db3", ".pcd", ".pcap", ".npz", ".unknown"):
+        for real, data in contents.items():
+            path = tmp_path / f"wrong{ending}"
+            path.write_bytes(data)
+            text, _ = outcome(path, FormatError)
+            if real == ending or (real, ending) == (".zip", ".npz"):  # an .npz is a zip, too
+                assert text is None or "its content" not in text
+                continue
+            assert f"; its content looks like {real}: give the file this ending" in text
+            right = tmp_path / f"right{real}"
+            path.rename(right)
+            text, _ = outcome(right, FormatError)
+            assert text is None or "its content" not in text
+
+
 def test_a_header_that_lacks_lines_or_holds_nonsense_is_told_in_one_line(tmp_path):
     path = tmp_path / "a.pcd"
     known = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
@@ -487,12 +522,46 @@ def test_scans_of_the_other_sort_name_their_command(tmp_path):
         lc.io.posed_laser_scans(recording)
 
 
-def test_a_folder_of_folders_names_them(tmp_path):
+def test_a_folder_of_folders_names_those_with_recordings(tmp_path):
     with pytest.raises(FormatError, match=r"no recording in this folder, found no files; readable"):
         lc.io.open_recording(tmp_path)
-    for name in ("ouster", "hesai"):
-        (tmp_path / name).mkdir()
-    with pytest.raises(FormatError, match=r"name one of the folders in it: hesai, ouster$"):
+    for name in ("ouster/a.pcap", "hesai/days/1/b.bag", "packed/c.tar.xz", "pictures/d.png"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FormatError, match=r"name one of the folders in it: hesai, ouster, packed$"):
+        lc.io.open_recording(tmp_path)
+
+
+def test_a_folder_of_archives_says_how_they_are_unpacked(tmp_path):
+    """Archives come first: they may hold the scans, and the other folders hold none."""
+    place = tmp_path / "a day"
+    (place / "pictures").mkdir(parents=True)
+    (place / "pictures" / "1.png").write_bytes(b"x")
+    for name in ("01.npz.xz", "notes.txt"):
+        (place / name).write_bytes(b"x")
+    lc.io.write_recording(tmp_path / "c0.npz", [make_scan()])
+    packing = ["tar", "cf", place / "scans.tar", "c0.npz"]
+    subprocess.run(packing, cwd=tmp_path, check=True, timeout=60)
+    with zipfile.ZipFile(place / "more.zip", "w") as archive:
+        archive.write(tmp_path / "c0.npz", "c1.npz")
+    with pytest.raises(FormatError) as told:
+        lc.io.open_recording(place)
+    commands = str(told.value).partition("; unpack first: ")[2].split("; ")
+    assert commands == [
+        f"unzip '{place}/more.zip' -d '{place}'",
+        f"tar xf '{place}/scans.tar' -C '{place}'",
+        f"unxz '{place}/01.npz.xz'",
+    ]
+    subprocess.run(shlex.split(commands[1]), check=True, timeout=60)
+    with lc.io.open_recording(place) as recording:
+        assert [topic.count for topic in recording.topics()] == [1]
+
+
+def test_a_folder_of_many_packed_files_names_a_few(tmp_path):
+    for number in range(9):
+        (tmp_path / f"{number}.pcd.gz").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"gunzip [^;]*0\.pcd\.gz; .*3\.pcd\.gz; 5 more$"):
         lc.io.open_recording(tmp_path)
 
 

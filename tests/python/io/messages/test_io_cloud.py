@@ -124,6 +124,34 @@ def test_zero_rows_are_rays_without_return():
     assert findings.no_return["/points"] == "zero: 1 of 4 rows of a scan are zeros"
 
 
+def test_a_near_point_that_repeats_is_told_as_a_placeholder():
+    """It stays a point: the detector leaves it out, because it is near."""
+    points = np.random.default_rng(0).uniform(2, 9, (1000, 3)).astype(np.float32)
+    points[::3] = 0.1
+    points[1] = np.nan
+    scan, findings = decode(rows_of(points))
+    assert findings.no_return["/points"] == (
+        "none marked: 334 of 1000 rows of a scan are the point (0.1, 0.1, 0.1), probably rays"
+        " without return; `detect` uses points from sensor.min_range on"
+    )
+    assert scan.no_return is None
+    assert np.isfinite(scan.points).all(axis=1).sum() == 999
+
+
+def test_coarse_coordinates_and_points_far_away_are_no_placeholders():
+    rng = np.random.default_rng(0)
+    coarse = np.round(rng.uniform(1, 9, (5000, 3)) * 8) / 8
+    walls = rng.uniform(2, 9, (5000, 3))
+    walls[::3] = 120.0
+    for points in (coarse, walls, np.full((9, 3), 0.1), np.full((50, 3), np.nan)):
+        _, findings = decode(rows_of(points))
+        assert findings.no_return["/points"].startswith("none seen")
+    marked = np.full((50, 3), 0.1)
+    marked[:30] = 0
+    _, findings = decode(rows_of(marked))
+    assert findings.no_return["/points"].startswith("zero: 30 of 50")
+
+
 def test_nan_rows_are_rays_without_return_in_an_organised_cloud_only():
     cloud = CLOUD.copy()
     cloud[0, 1] = np.nan

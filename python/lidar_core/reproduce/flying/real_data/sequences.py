@@ -6,7 +6,6 @@ temporary files, under its hash.
 
 import hashlib
 import os
-import re
 import shutil
 import tarfile
 import tempfile
@@ -19,6 +18,8 @@ from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, LimitError
 from lidar_core.io import PosedScan, ReadOptions, open_recording, posed_scans
+from lidar_core.io.recording import Recording
+from lidar_core.io.records import SCAN_KINDS
 from lidar_core.messages import Scan
 from lidar_core.reproduce.recordings import recording
 
@@ -28,8 +29,6 @@ LARGEST = 2**30
 CSV_ROW = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")]
 )
-FILE_SPACING_NS = 100_000_000
-"""What the reader takes for the time between two files of a folder that state none."""
 LAYOUT = 2
 """Of an unpacked folder; another number unpacks again."""
 
@@ -47,7 +46,8 @@ class RealSequence:
     pose : str
         static, kiss for KISS-ICP, or a poses file within the folder of recordings.
     spacing : float, optional
-        Time between two scans [s]; None: the number in a file's name counts tenths of a second.
+        Time between two files of a folder [s]; None: that of the reader, which follows the numbers
+        in their names at 10 Hz.
     range_max : float
         Largest range in the data sheet of the sensor [m].
     azimuth_deg, elevation_deg : tuple of float
@@ -146,26 +146,20 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
         Poses by KISS-ICP need the extra `odometry`.
     """
     path = _unpack(recording(sequence.source))
-    times = _times(sequence, path)
     with open_recording(path, ReadOptions()) as opened:
+        times = _times(sequence, opened)
         for item in posed_scans(opened, pose=_poses(sequence, static)):
-            if times is None:
-                yield item
-                continue
-            number = round(item.scan.stamp_ns / FILE_SPACING_NS)
             # files of these sequences state no times of points, which would have to move, too
-            yield replace(item, scan=replace(item.scan, stamp_ns=times[number]))
+            stamp_ns = times.get(item.scan.stamp_ns, item.scan.stamp_ns)
+            yield replace(item, scan=replace(item.scan, stamp_ns=stamp_ns))
 
 
-def _times(sequence: RealSequence, path: Path) -> list[int] | None:
-    """Stamps of the scans [ns] of a folder, which states none."""
-    if not path.is_dir():
-        return None
-    files = sorted(path.glob("*.pcd"))
-    if sequence.spacing is not None:
-        return [round(number * sequence.spacing * 1e9) for number in range(len(files))]
-    tenths = [int(re.sub(r"\D", "", file.stem)) for file in files]
-    return [(one - tenths[0]) * 100_000_000 for one in tenths]
+def _times(sequence: RealSequence, opened: Recording) -> dict[int, int]:
+    """Stamps of the scans [ns] by those of the reader, for a folder that states none."""
+    if sequence.spacing is None or not opened.path.is_dir():
+        return {}
+    own = (record.time_ns for record in opened.records(SCAN_KINDS))
+    return {stamp: round(number * sequence.spacing * 1e9) for number, stamp in enumerate(own)}
 
 
 def _poses(sequence: RealSequence, static: bool) -> str:
