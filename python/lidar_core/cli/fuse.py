@@ -55,7 +55,7 @@ FIT = (
     "First fit the noise of motion and sensors to the measurements, like `config fit`. If neither"
     " model nor method is given, the fit also chooses the model (ct or ctrv)."
 )
-FORCE = "Continue even if the NIS of the measurements is implausible."
+FORCE = "Continue even if the NIS of the measurements or the unit of their times is implausible."
 
 
 def command(

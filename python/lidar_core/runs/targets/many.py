@@ -16,6 +16,7 @@ from lidar_core.fusion import (
     MultiTargetConfig,
     MultiTargetTracker,
     ScanResult,
+    TableOptions,
     TargetTracks,
     empty_gospa,
     mean_gospa,
@@ -148,7 +149,9 @@ class ManyRun:
             if scan.source in TARGET_SENSORS:
                 seen.setdefault(scan.source, []).extend([scan.stamp_ns] * len(scan.measurements))
         known = {source: np.array(stamps, np.int64) for source, stamps in seen.items()}
-        return doubtful_times(known, of_many=True)
+        options = self.reading.get("fusion_table")
+        told = options.time_unit if isinstance(options, TableOptions) else "ns"
+        return doubtful_times(known, of_many=True, time_unit=told)
 
     @property
     def configs(self) -> dict[str, Config]:

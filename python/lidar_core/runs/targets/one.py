@@ -107,7 +107,8 @@ class TargetRun:
         """Return what is wrong with the times of a table."""
         sensors, stamps = self.sensors, self.stamps
         seen = {one: stamps[sensors == one] for one in TARGET_SENSORS if one in sensors}
-        return doubtful_times(seen) if is_of_table(self.log.format) else None
+        told = self.log.options.time_unit
+        return doubtful_times(seen, time_unit=told) if is_of_table(self.log.format) else None
 
     @property
     def configs(self) -> dict[str, Config]:
