@@ -68,6 +68,7 @@ class FuseJob:
             chosen,
             reading,
             source=found.source,
+            unused=found.unused,
             checkpoints=checkpoints(decides),
             begin=begin,
         )
@@ -105,7 +106,7 @@ class FuseJob:
         if tabular and not self.force:
             self._check_times(log)
         if tabular and self._of_many:
-            return TargetScans(scans_of(log), log.format), reading
+            return TargetScans(scans_of(log), log.format, log.unused), reading
         return log, reading
 
     def _check_times(self, log: MeasurementLog) -> None:

@@ -21,7 +21,7 @@ from lidar_core.fusion import (
     run,
     smooth,
 )
-from lidar_core.fusion.measurement import measured_place
+from lidar_core.fusion.measurement import MEASURES, measured_place
 from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
@@ -99,7 +99,11 @@ class TargetRun:
     @property
     def doubts(self) -> list[str]:
         """Return warnings about suspicious measurements, which may be right."""
-        found = [self.implausible or geographic_poses(self.log.measurements), self.doubtful_times]
+        found = [
+            self.implausible or geographic_poses(self.log.measurements),
+            self.doubtful_times,
+            self.log.unused,
+        ]
         return [text for text in found if text]
 
     @property
@@ -172,6 +176,7 @@ class TargetRun:
             "method": self.config.method,
             "lag": self.lag,
             "measurements": dict(Counter(sensors.tolist())),
+            "measured": measured_values(self.log.measurements),
             "outcomes": dict(Counter(self.result.outcomes.tolist())),
             "invalid": reasons(self.log.measurements, self.result.outcomes, self.config),
             "duration": duration,
@@ -373,6 +378,17 @@ def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray
             if np.isfinite(place).all():
                 found.setdefault(m.sensor, []).append(place)
     return {sensor: np.array(places) for sensor, places in found.items()}
+
+
+def measured_values(measurements: Iterable[Measurement]) -> dict[str, list[str]]:
+    """Names of the values that LiDAR and radar measured at least once."""
+    found: dict[str, set[str]] = {}
+    for m in measurements:
+        if m.sensor in TARGET_SENSORS:
+            names = "xyz"[: len(m.values)] if m.measures is None else m.measures
+            found.setdefault(m.sensor, set()).update(names)
+    order = (*"xyz", *MEASURES)
+    return {sensor: [name for name in order if name in names] for sensor, names in found.items()}
 
 
 def _in_order(log: MeasurementLog) -> MeasurementLog:
