@@ -12,6 +12,7 @@ from lidar_core.config import as_config
 from lidar_core.errors import InputError
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement
+from lidar_core.fusion.run import NO_TIME
 from lidar_core.fusion.states import told_stds
 from lidar_core.util.full_state import FullState
 
@@ -32,6 +33,30 @@ class FilterHealth:
     lidar_std_estimated: NDArray[np.float64]
     radar_std: NDArray[np.float64]
     radar_std_estimated: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class EarlyStep:
+    """A `FusionStep` before the target was seen: there is no state, and nothing was compared.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the measurement [ns].
+    outcome : str
+        See `TargetFilter.step`.
+    accepted : bool
+        Whether the measurement was used.
+    state, covariance, innovation, nis : None
+    """
+
+    stamp_ns: int
+    outcome: str
+    accepted: bool
+    state: None = None
+    covariance: None = None
+    innovation: None = None
+    nis: None = None
 
 
 class TargetFilter(FullState):
@@ -67,7 +92,7 @@ class TargetFilter(FullState):
         self.config = as_config(config, FusionConfig)
         self._filter = _core.TargetFilter(self.config)
 
-    def step(self, measurement: Measurement) -> _core.FusionStep:
+    def step(self, measurement: Measurement) -> _core.FusionStep | EarlyStep:
         """Process one measurement.
 
         Parameters
@@ -76,15 +101,22 @@ class TargetFilter(FullState):
 
         Returns
         -------
-        step : FusionStep
-            `stamp_ns`; `state` (n,) and `covariance` (n, n) after the step, None before the target
-            was seen; `innovation` (k,) and `nis`, None if nothing was compared; `accepted`; and
-            `outcome`: "updated", "started", "restarted" (the filter had lost the target), "told"
-            (motion of the platform), "gated", "invalid" (unusable values), "late" (older than
-            `config.buffer_time` allows), "duplicate", "singular" (a covariance could not be
-            factorised). After the last four the filter is unchanged; after "gated" it is only
-            predicted. A late measurement within the buffer is processed at its own time:
-            `innovation` then belongs to that time, the state to the newest.
+        step : FusionStep, or EarlyStep without a state
+            `stamp_ns`: time of the state, or of the measurement before the target was seen [ns];
+            `state` (n,) and `covariance` (n, n) after the step, None before the target was seen;
+            `innovation` (k,) and `nis`, None if nothing was compared; `accepted`; and `outcome`:
+            "updated", "started", "restarted" (the filter had lost the target), "told" (motion of
+            the platform), "gated", "invalid", "late" (older than `config.buffer_time` allows),
+            "duplicate", "singular" (a covariance could not be factorised). After the last four the
+            filter is unchanged; after "gated" it is only predicted. A late measurement within the
+            buffer is processed at its own time: `innovation` then belongs to that time, the state
+            to the newest.
+
+            "invalid" means that the filter cannot use the values: one is not finite, a range is 0
+            or less, no value says anything about the state (an elevation alone in the plane, or a
+            target straight overhead), or there is no state yet and the measurement has no position
+            to start from (a range or a bearing alone; in space, one without a height). The next
+            measurements are processed as if it had not come.
 
         Raises
         ------
@@ -95,7 +127,10 @@ class TargetFilter(FullState):
             raise InputError(
                 f"measurement: expected a Measurement, got {type(measurement).__name__}"
             )
-        return self._filter.step(measurement._core)
+        step = self._filter.step(measurement._core)
+        if step.stamp_ns == NO_TIME:
+            return EarlyStep(measurement.stamp_ns, step.outcome, step.accepted)
+        return step
 
     def _state(self) -> tuple[bytes, dict[str, Any]]:
         return self._filter.to_state(), {}

@@ -21,7 +21,7 @@ from lidar_core.fusion import (
     run,
     smooth,
 )
-from lidar_core.fusion.measurement import MEASURES, measured_place
+from lidar_core.fusion.measurement import measured_place, measured_values
 from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
@@ -309,13 +309,18 @@ class TargetRun:
         line = PlanarLine(stamps[rows], self.states[:, :2], result.covariances[rows][:, :2, :2])
         moving = {m.sensor for m in self.log.measurements} & YAWS.keys()
         return FusionView(
-            title=f"{name}: {self.config.model}, {self.config.method}",
+            title=f"{name}: {self.config.model}, {self.config.method}{self._restarts()}",
             seen=self._seen_in_world(),
             tracks={0: line} if rows.any() else {},
             truth={} if truth is None else {0: PlanarLine(stamps, truth.position)},
             nis=nis_ratios(self.nis()),
             sensor=self._sensor_poses()[self.last, :2] if moving else np.empty((0, 2)),
         )
+
+    def _restarts(self) -> str:
+        """How often the filter had lost the target, for a title."""
+        count = int((self.result.outcomes == "restarted").sum())
+        return f", {count} restart{'s' * (count > 1)}" if count else ""
 
     def _sensor_poses(self) -> NDArray[np.float64]:
         """x, y and yaw (N, 3) of the sensor at every measurement."""
@@ -378,17 +383,6 @@ def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray
             if np.isfinite(place).all():
                 found.setdefault(m.sensor, []).append(place)
     return {sensor: np.array(places) for sensor, places in found.items()}
-
-
-def measured_values(measurements: Iterable[Measurement]) -> dict[str, list[str]]:
-    """Names of the values that LiDAR and radar measured at least once."""
-    found: dict[str, set[str]] = {}
-    for m in measurements:
-        if m.sensor in TARGET_SENSORS:
-            names = "xyz"[: len(m.values)] if m.measures is None else m.measures
-            found.setdefault(m.sensor, set()).update(names)
-    order = (*"xyz", *MEASURES)
-    return {sensor: [name for name in order if name in names] for sensor, names in found.items()}
 
 
 def _in_order(log: MeasurementLog) -> MeasurementLog:
