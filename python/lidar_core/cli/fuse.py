@@ -55,7 +55,7 @@ FIT = (
     "First fit the noise of motion and sensors to the measurements, like `config fit`. If neither"
     " model nor method is given, the fit also chooses the model (ct or ctrv)."
 )
-FORCE = "Continue even if the NIS of the measurements is implausible."
+FORCE = "Continue even if the NIS of the measurements or the unit of their times is implausible."
 
 
 def command(
@@ -168,7 +168,7 @@ def _nis_rows(summary: Mapping[str, Any]) -> list[Row]:
 
 
 def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
-    counts = summary["measurements"]
+    counts, values = summary["measurements"], summary["measured"]
     outcomes = ", ".join(f"{count} {what}" for what, count in summary["outcomes"].items())
     rows: list[Row | None] = [
         Row(
@@ -176,6 +176,7 @@ def _one_rows(summary: Mapping[str, Any]) -> list[Row | None]:
             str(sum(counts.values())),
             ", ".join(f"{count} {sensor}" for sensor, count in counts.items()),
         ),
+        *(Row(f"{sensor} measured", "", ", ".join(names)) for sensor, names in values.items()),
         Row("time", f"{summary['duration']:.1f} s", ""),
         Row("what became of them", "", outcomes),
         *(Row("invalid", str(count), reason) for reason, count in summary["invalid"].items()),

@@ -77,14 +77,21 @@ class TargetFilter(FullState):
         Returns
         -------
         step : FusionStep
-            `stamp_ns`; `state` (n,) and `covariance` (n, n) after the step, None before the target
-            was seen; `innovation` (k,) and `nis`, None if nothing was compared; `accepted`; and
-            `outcome`: "updated", "started", "restarted" (the filter had lost the target), "told"
-            (motion of the platform), "gated", "invalid" (unusable values), "late" (older than
-            `config.buffer_time` allows), "duplicate", "singular" (a covariance could not be
-            factorised). After the last four the filter is unchanged; after "gated" it is only
-            predicted. A late measurement within the buffer is processed at its own time:
-            `innovation` then belongs to that time, the state to the newest.
+            `stamp_ns`: time of the state, or of the measurement before the target was seen [ns];
+            `state` (n,) and `covariance` (n, n) after the step, None before the target was seen;
+            `innovation` (k,) and `nis`, None if nothing was compared; `accepted`; and `outcome`:
+            "updated", "started", "restarted" (the filter had lost the target), "told" (motion of
+            the platform), "gated", "invalid", "late" (older than `config.buffer_time` allows),
+            "duplicate", "singular" (a covariance could not be factorised). After the last four the
+            filter is unchanged; after "gated" it is only predicted. A late measurement within the
+            buffer is processed at its own time: `innovation` then belongs to that time, the state
+            to the newest.
+
+            "invalid" means that the filter cannot use the values: one is not finite, a range is 0
+            or less, no value says anything about the state (an elevation alone in the plane, or a
+            target straight overhead), or there is no state yet and the measurement has no position
+            to start from (a range or a bearing alone; in space, one without a height). The next
+            measurements are processed as if it had not come.
 
         Raises
         ------

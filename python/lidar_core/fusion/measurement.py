@@ -261,6 +261,17 @@ def measured_place(m: Measurement) -> list[float]:
     return [far * np.cos(bearing), far * np.sin(bearing)]
 
 
+def measured_values(measurements: Iterable[Measurement]) -> dict[str, list[str]]:
+    """Names of the values that LiDAR and radar measured at least once."""
+    found: dict[str, set[str]] = {}
+    for m in measurements:
+        if m.sensor in ("lidar", "radar"):
+            names = "xyz"[: len(m.values)] if m.measures is None else m.measures
+            found.setdefault(m.sensor, set()).update(names)
+    order = (*"xyz", *MEASURES)
+    return {sensor: [name for name in order if name in names] for sensor, names in found.items()}
+
+
 def _measures(sensor: str, measures: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
     """What the values of a radar are; None for other sensors."""
     if sensor != "radar":

@@ -11,6 +11,7 @@ from lidar_core.estimation import chi2_quantile
 from lidar_core.fusion.config import FusionConfig
 from lidar_core.fusion.measurement import Measurement, Measurements, SensorName, as_measurements
 from lidar_core.fusion.places import HEAD, LEAST, MAY_BE_FALSE, geographic, several
+from lidar_core.fusion.range_rates import rate_repairs
 from lidar_core.fusion.recordings.table import TableOptions
 from lidar_core.fusion.repairs import LATE, Change, later, lengths, repairs
 from lidar_core.fusion.run import Run, run
@@ -29,6 +30,8 @@ KEPT_SPREAD = 1.6
 """Relative variance of that part over that of the whole sum: 1.57, 1.38 and 1.31 for one, two and
 three values, by the variance of values that are cut at their 80 % quantile."""
 TURN = 2 * np.pi
+PLACES = ("lidar", "x and y of the LiDAR")
+"""The sensor whose places may be latitude and longitude, and what they are called."""
 SUSPICIOUS = 2.0
 """Ratio above which a mistake is named that makes it ten times less: noise does not explain both,
 the measurements as they are and as they would be."""
@@ -53,7 +56,7 @@ class Implausible:
     shown : tuple of str
         Causes that the data shows.
     possible : tuple of str
-        Other causes.
+        Likely causes if the data shows none.
     """
 
     n_compared: int
@@ -66,19 +69,16 @@ class Implausible:
         """What is wrong, what the data shows of it, and what else it may be."""
         how = f"{self.ratio:.3g} times what is expected"
         bound = (
-            "and ten times less without a mistake"
-            if SUSPICIOUS < self.ratio <= self.limit
-            else f"at most {self.limit:.3g} with noise {FACTOR:g} times larger than told"
-            if self.ratio > 1
-            else "far less than any target at rest would give"
+            "far less than any target at rest would give"
+            if self.limit < 1
+            else f"up to {self.limit:.3g} would still be accepted"
+            if self.ratio > self.limit
+            else "and less if one mistake is corrected"
         )
         text = f"after {self.n_compared} measurements the NIS is {how}, {bound}"
         if self.shown:
-            text += f". The data shows: {'; '.join(self.shown)}"
-        if self.possible:
-            text += f". {'Also likely' if self.shown else 'Likely causes'}: "
-            text += "; ".join(self.possible)
-        return text
+            return f"{text}. The data shows: {either(self.shown)}"
+        return f"{text}. Likely causes: {'; '.join(self.possible)}" if self.possible else text
 
 
 def implausible(
@@ -121,7 +121,9 @@ def implausible(
     times the configured one, which multiplies the sum by nine; a fifth of the measurements, those
     with the largest NIS, is left out, and with it about half of the sum (`KEPT_SUM`). The rest is
     implausible above the quantile of 1 - 1e-6 of a chi-square variable with its variance. If one of
-    the known mistakes makes a sum ten times larger, it is refused from `SUSPICIOUS` on. A sum, or a
+    the known mistakes makes a sum ten times larger, it is refused from `SUSPICIOUS` on. Range rates
+    that are not the changes of the ranges, but would be in another unit, are refused with any sum
+    that this unit makes less: this comparison does not depend on the configured noise. A sum, or a
     scatter of LiDAR positions, below the quantile of 1e-6 with noise 30 times smaller than
     configured is refused only if positions look like geographic coordinates: simulated measurements
     without noise are correct.
@@ -149,21 +151,37 @@ def implausible(
         return None
     ratio, degrees, count = found
     limit = FACTOR**2 * _quantile(1 - PROBABILITY, degrees)
-    on_earth = geographic(measurements[:HEAD], "lidar", "x and y of the LiDAR")
-    if ratio > limit:
-        head = measurements[:HEAD]
-        # Wrong angles make places jump, too: jumps say something where nothing else explains them.
-        shown = _repairs(head, config, told, ratio, limit) + on_earth or several(head)
-        likely = [text for word, text in CAUSES.items() if not any(word in one for one in shown)]
-        return Implausible(count, ratio, limit, tuple(shown), tuple(likely))
-    if ratio > SUSPICIOUS and not on_earth:
-        shown = _repairs(measurements[:HEAD], config, told, ratio, limit)
-        if shown:
-            return Implausible(count, ratio, limit, tuple(shown), ())
+    head = measurements[:HEAD]
+    shown = _shown(head, config, told, ratio, limit)
+    if shown or ratio > limit:
+        return Implausible(count, ratio, limit, tuple(shown), () if shown else ANY_CAUSE)
     least = _quantile(PROBABILITY, degrees) / (10 * FACTOR) ** 2
+    on_earth = geographic(head, *PLACES)
     if on_earth and min(ratio, _scatter(measurements, config)) < least:
         return Implausible(count, ratio, least, tuple(on_earth), ())
     return None
+
+
+def _shown(
+    measurements: Sequence[Measurement],
+    config: FusionConfig,
+    options: TableOptions,
+    ratio: float,
+    limit: float,
+) -> list[str]:
+    """Causes that the data shows, of a sum of NIS that is too large, or may be."""
+    rates = _rates(measurements, config, options, limit)
+    if rates:
+        return rates
+    on_earth = geographic(measurements, *PLACES)
+    if ratio > limit:
+        # Wrong angles make places jump, too: jumps say something where nothing else explains them.
+        return _repairs(measurements, config, options, ratio, limit) + on_earth or several(
+            measurements
+        )
+    if ratio > SUSPICIOUS and not on_earth:
+        return _repairs(measurements, config, options, ratio, limit)
+    return []
 
 
 def _by_time(measurements: Iterable[Measurement]) -> list[Measurement]:
@@ -208,7 +226,14 @@ def mistaken_for_noise(
         shown = (
             f"bearings with a noise of {bearing:.3g} rad tell nothing. Likely causes: {likely}",
         )
-    return "; ".join(shown) or None
+    return either(shown) or None
+
+
+def either(causes: Sequence[str]) -> str:
+    """Return causes that fit equally well as one text."""
+    if len(causes) < 2:
+        return "".join(causes)
+    return f"either {', or '.join(causes)}: the data cannot tell which"
 
 
 def _ratio(result: Run) -> tuple[float, int, int] | None:
@@ -259,8 +284,10 @@ def _repairs(
     """Mistakes without which the NIS is within reason, and a tenth of what it was: the best."""
     known = {m.sensor for m in measurements}
     found = []
-    # Of a sensor alone a smaller unit makes every error smaller: it would explain all mistakes.
-    of_lengths = lengths(options) if {"lidar", "radar"} <= known else []
+    # Without lengths of another sensor a smaller unit makes every error smaller: it would explain
+    # all mistakes.
+    has_ranges = any("range" in (m.measures or ()) for m in measurements)
+    of_lengths = lengths(options) if "lidar" in known and has_ranges else []
     for sensor, text, change in [*repairs(options), *of_lengths]:
         if sensor in known:
             again = _ratio(run(_changed(measurements, sensor, change), config))
@@ -294,6 +321,22 @@ def _repairs(
             ' (angle_unit="deg")'
         )
     return shown
+
+
+def _rates(
+    measurements: Sequence[Measurement], config: FusionConfig, options: TableOptions, limit: float
+) -> list[str]:
+    """Units of range rates that the ranges show, and with which the NIS is less, within reason."""
+    changes = rate_repairs(measurements, options)
+    before = _ratio(run(measurements, config)) if changes else None
+    if before is None:
+        return []
+    found = []
+    for text, change in changes:
+        again = _ratio(run(_changed(measurements, "radar", change), config))
+        if again is not None and again[0] <= min(limit, before[0]):
+            found.append((again[0], text))
+    return [text for _, text in sorted(found)]
 
 
 def _clock_text(sensor: SensorName, further: float, told: float) -> str:
@@ -335,7 +378,9 @@ CAUSES: Mapping[str, str] = {
     "latitude": "latitude and longitude taken as metres",
     "noise": "noise of the sensors, or of the target's motion, that is set much too small"
     " (set lidar_std=..., or find it with `config fit`)",
+    "unit": 'a column in another unit, of lengths or speeds (scale={"COLUMN": FACTOR})',
     "platform": "a platform that moves or turns, of which no pose or gyro tells",
     "clock": "clocks of the sensors that differ",
 }
-"""What is likely, by a word that says that the data shows it."""
+"""What is likely, by a short name."""
+ANY_CAUSE = tuple(CAUSES.values())

@@ -18,8 +18,8 @@ _AngleChange: TypeAlias = Callable[[float], float]
 _PLACES = {"pose": {"yaw": 2}, "pose-3d": {"yaw": 5}, "gyro": {"rate": 0}}
 
 
-def _of(name: str, new: Callable[[float], float]) -> Change:
-    """A change of one value, by its name; of nothing in measurements without it."""
+def of_value(name: str, new: Callable[[float], float]) -> Change:
+    """Return a change of one value, by its name; of nothing in measurements without it."""
 
     def changed(m: Measurement) -> Measurement:
         named = {n: k for k, n in enumerate(m.measures or ())} or _PLACES.get(m.sensor, {})
@@ -131,11 +131,11 @@ def _rates(told: TableOptions) -> tuple[str, Change]:
         else "turn rates are clockwise: they fit with the other sign"
     )
     (option,) = _way("turn_rate", before, None if before else "clockwise")
-    return f"{text} ({option})", _of("rate", lambda rate: -rate)
+    return f"{text} ({option})", of_value("rate", lambda rate: -rate)
 
 
-def _scales(told: TableOptions, factor: float, *names: str) -> str:
-    """The option that multiplies columns, together with the factors that they have already."""
+def factor_option(told: TableOptions, factor: float, *names: str) -> str:
+    """Return the option that multiplies columns, told factors included."""
     factors = [f'"{name}": {told.scale.get(name, 1.0) * factor:g}' for name in names]
     return f"scale={{{', '.join(factors)}}}"
 
@@ -149,11 +149,11 @@ def repairs(told: TableOptions) -> list[Repair]:
     """Return the mistakes in measurements that were read with these options, but for lengths."""
     return [
         *(
-            ("radar", f"bearings are {what}", _of("bearing", change))
+            ("radar", f"bearings are {what}", of_value("bearing", change))
             for what, change in _angles(told, "bearing")
         ),
         *(
-            (sensor, f"yaws of the platform are {what}", _of("yaw", change))
+            (sensor, f"yaws of the platform are {what}", of_value("yaw", change))
             for sensor in ("pose", "pose-3d")
             for what, change in _angles(told, "pose_yaw")
         ),
@@ -162,30 +162,45 @@ def repairs(told: TableOptions) -> list[Repair]:
         (
             "radar",
             "range rates are positive when the range shrinks: they fit with the other sign"
-            f" ({_scales(told, -1, 'range_rate')})",
-            _of("range_rate", lambda rate: -rate),
+            f" ({factor_option(told, -1, 'range_rate')})",
+            of_value("range_rate", lambda rate: -rate),
         ),
     ]
 
 
 def lengths(told: TableOptions) -> list[Repair]:
-    """Return the mistakes about units of lengths."""
-    return [
-        *(
+    """Return the mistakes about units of lengths: of a sensor, or of one column of places."""
+    found: list[Repair] = []
+    for unit, factor in _LENGTHS.items():
+        fits = f"times {factor:g} ("
+        option = factor_option(told, factor, "range")
+        found += [
             (
                 "radar",
-                f"ranges are {unit}: they fit times {factor:g} ({_scales(told, factor, 'range')})",
-                _of("range", factor.__mul__),
-            )
-            for unit, factor in _LENGTHS.items()
-        ),
-        *(
+                f"ranges are {unit}: they fit {fits}{option})",
+                of_value("range", factor.__mul__),
+            ),
             (
                 "lidar",
-                f"places of the LiDAR are {unit}: they fit times {factor:g}"
-                f" ({_scales(told, factor, 'x', 'y')}; a column z likewise)",
+                f"places of the LiDAR are {unit}: they fit {fits}"
+                f"{factor_option(told, factor, 'x', 'y')}; a column z likewise)",
                 _scaled(factor),
+            ),
+        ]
+        # Directions that were told have exchanged the columns x and y.
+        columns = "yxz" if told.azimuth.get("lidar") == "compass" else "xyz"
+        found += [
+            (
+                "lidar",
+                f"{name} of the LiDAR alone is in {unit}: it fits {fits}"
+                f"{factor_option(told, factor, name)})",
+                _one_scaled(place, factor),
             )
-            for unit, factor in _LENGTHS.items()
-        ),
-    ]
+            for place, name in enumerate(columns)
+        ]
+    return found
+
+
+def _one_scaled(place: int, factor: float) -> Change:
+    """One value times a factor; nothing where there is no such value."""
+    return _with(lambda v: np.where(np.arange(len(v)) == place, factor * v, v))

@@ -86,7 +86,8 @@ def fuse(
     fit_noise : bool
         Find the noise of motion and sensors from the measurements first, as `fit_config` does.
     force : bool
-        Continue with implausible measurements of one target.
+        Continue with implausible measurements of one target, or times of a table that cannot be in
+        their unit.
     mcap, picture, overwrite
         See `detect`.
     checkpoint, resume
@@ -99,7 +100,8 @@ def fuse(
     Raises
     ------
     InputError
-        No measurements in `span`, or their NIS is beyond reason; the text names likely causes.
+        No measurements in `span`, their NIS is beyond reason, or the times of a table cannot be in
+        their unit; the text names likely causes.
     ConfigError
         A value that cannot be used, or that has no meaning for this recording.
     FormatError, FileExistsError, MissingExtraError
@@ -260,7 +262,8 @@ def fit_config(
         clock=clock,
         scale=scale,
     )
-    jobs = [FuseJob(Path(place), config, {}, read, span or Span()) for place in places]
+    within = span or Span()
+    jobs = [FuseJob(Path(place), config, {}, read, within, force=force) for place in places]
     logs = [(job.recording, job.log()) for job in jobs]
     ways = _given_values(model=model, method=method)
     chosen = config_of_run(with_ways(config, ways), FusionConfig, "fusion")

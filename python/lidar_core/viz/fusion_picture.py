@@ -24,8 +24,11 @@ from lidar_core.viz.figure import (
 from lidar_core.viz.views import FusionView, PlanarLine
 
 SIZE, DPI = (12.0, 7.0), 90
-SENSORS = {"lidar": "#64748b", "radar": "#f59e0b"}
-OTHER = "#94a3b8"
+SENSORS = {"lidar": ("#334155", "o"), "radar": ("#c2410c", "^")}
+OTHER = ("#64748b", "s")
+"""Colours and markers of measurements."""
+LARGEST, SMALLEST_MARK, CROWD = 16.0, 5.0, 5000.0
+"""Areas of a marker [points^2]: of few measurements, of many, and of all together."""
 SIGMAS, CORNERS = 2.0, 36
 ELLIPSES = 20  # along a track, at most
 SMALLEST = 4.0  # least width and height of what is shown [m]
@@ -71,14 +74,18 @@ def _above(axes: Any, view: FusionView) -> None:
     ways = [line.position for line in (*view.tracks.values(), *view.truth.values())]
     window = window_over(ways or view.seen.values(), panel_tallness(axes), smallest=SMALLEST)
     window.apply(axes)
+    count = sum(len(places) for places in view.seen.values())
+    area = float(np.clip(CROWD / max(1, count), SMALLEST_MARK, LARGEST))
     for sensor, places in view.seen.items():
+        colour, marker = SENSORS.get(sensor, OTHER)
         axes.scatter(
             places[:, 0],
             places[:, 1],
-            s=4,
-            c=SENSORS.get(sensor, OTHER),
+            s=area,
+            c=colour,
+            marker=marker,
             linewidths=0,
-            alpha=0.5,
+            alpha=0.75,
             zorder=2,
             label=sensor,
             rasterized=True,
@@ -200,12 +207,14 @@ def _at(line: PlanarLine, stamps: NDArray[np.int64], axis: int) -> NDArray[np.fl
 def _consistency(axes: Any, view: FusionView, first: int) -> None:
     top = 2.0
     for sensor, (stamps, ratio) in view.nis.items():
+        colour, marker = SENSORS.get(sensor, OTHER)
         axes.plot(
             (stamps - first) * 1e-9,
             ratio,
-            ".",
-            ms=2.5,
-            color=SENSORS.get(sensor, OTHER),
+            marker,
+            ms=3.0,
+            mew=0,
+            color=colour,
             label=f"{sensor}: {100 * np.mean(ratio <= 1):.0f} % below" if len(ratio) else sensor,
         )
         top = max(top, 1.2 * float(np.percentile(ratio, 98))) if len(ratio) else top
@@ -213,7 +222,7 @@ def _consistency(axes: Any, view: FusionView, first: int) -> None:
     axes.set(title="NIS over its 95 % limit", xlabel="time [s]", ylim=(0, top))
     axes.grid(visible=True)
     if view.nis:
-        axes.legend(fontsize=8, loc="upper right", ncols=2)
+        opaque_legend(axes, "upper right", ncols=2)
 
 
 def _counts(axes: Any, view: FusionView, first: int) -> None:

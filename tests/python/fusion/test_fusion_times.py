@@ -1,4 +1,4 @@
-"""Times of a table that cannot be meant: a note names the option. Right ones give none."""
+"""Times of a table that cannot be meant: an error or a note names the option. Right ones do not."""
 
 from functools import partial
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from commands import invoke
 
-from lidar_core.runs import fuse
+from lidar_core.errors import InputError
+from lidar_core.runs import fit_config, fuse
 from lidar_core.runs.targets.times import doubtful_times
 
 command = partial(invoke, "fuse")
@@ -28,9 +29,7 @@ def notes(path, folder, **options):
     [
         ([5] * 30, "all 30 measurements have the same time", 'columns={"t_ns": "NAME"}'),
         ([f"{0.01 * k:.2f}" for k in range(30)], "all 30 measurements", 'time_unit="s"'),
-        ([f"{0.1 * k:.1f}" for k in range(30)], "advance by 1 ns", 'time_unit="s"'),
-        (range(1_700_000_000, 1_700_000_030), "advance by 1 ns", 'time_unit="s"'),
-        (range(0, 3000, 100), "advance by 100 ns", 'time_unit="s"'),
+        (range(0, 30 * 50_000, 50_000), "advance by 50 us", 'time_unit="us"'),
         ([k // 10 * 10**9 for k in range(30)], "is too coarse", 'association="integrated"'),
     ],
 )
@@ -38,6 +37,41 @@ def test_times_that_hardly_advance_are_told_with_the_option(tmp_path, times, tol
     found = notes(table(tmp_path, times), tmp_path)
     assert told in found
     assert cure in found
+
+
+@pytest.mark.parametrize(
+    ("times", "step", "unit", "name"),
+    [
+        ([f"{0.1 * k:.1f}" for k in range(30)], 1, "s", "seconds"),
+        ([f"{0.05 * k:.2f}" for k in range(200)], 1, "s", "seconds"),
+        (range(1_700_000_000, 1_700_000_030), 1, "s", "seconds"),
+        (range(0, 3000, 100), 100, "ms", "milliseconds"),
+        (range(0, 600, 20), 20, "ms", "milliseconds"),
+    ],
+)
+def test_times_in_another_unit_are_refused_with_the_one_that_fits(
+    tmp_path, times, step, unit, name
+):
+    path = table(tmp_path, times)
+    told = (
+        f"table.csv: the times of the lidar advance by {step} ns: the column of times is not in"
+        f' nanoseconds; {name} fit (time_unit="{unit}"). force=True continues anyway'
+    )
+    for many in ({}, {"association": "integrated"}):
+        with pytest.raises(InputError) as refused:
+            notes(path, tmp_path, **many)
+        assert str(refused.value).endswith(told)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(InputError, match=f'time_unit="{unit}"'):
+        fit_config(path)
+    assert f'{name} fit (time_unit="{unit}")' in notes(path, tmp_path, force=True)
+    assert notes(path, tmp_path, time_unit=unit, mcap=False, overwrite=True) == ""
+
+
+def test_a_told_unit_that_is_wrong_is_replaced(tmp_path):
+    path = table(tmp_path, [f"{0.1 * k:.1f}" for k in range(30)])
+    with pytest.raises(InputError, match=r'is not in microseconds; seconds fit .time_unit="s"'):
+        notes(path, tmp_path, time_unit="us")
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
@@ -79,6 +113,13 @@ def test_the_command_names_its_options(tmp_path):
     done = command(table(tmp_path, [5] * 30), "-o", tmp_path / "run", "--no-picture")
     assert done.exit_code == 0
     assert "--column t_ns=NAME, or state its unit with --time-unit s, ms or us" in done.stderr
+
+
+def test_the_command_ends_with_status_2_for_another_unit(tmp_path):
+    done = command(table(tmp_path, range(0, 3000, 100)), "-o", tmp_path / "run", "--no-picture")
+    assert isinstance(done.exception, InputError)
+    text = "milliseconds fit (--time-unit ms). --force continues anyway"
+    assert str(done.exception).endswith(text)
 
 
 def test_an_implausible_run_also_tells_of_its_times(tmp_path):

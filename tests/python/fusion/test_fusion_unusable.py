@@ -7,7 +7,15 @@ import pytest
 from commands import invoke, json_of
 
 from lidar_core.errors import InputError
-from lidar_core.fusion import FusionConfig, Measurement, Measurements, run, run_batch, smooth
+from lidar_core.fusion import (
+    FusionConfig,
+    Measurement,
+    Measurements,
+    TargetFilter,
+    run,
+    run_batch,
+    smooth,
+)
 from lidar_core.fusion.unusable import lacks_heights, reasons
 from lidar_core.io.tables.columns import read_columns
 from lidar_core.runs import fuse
@@ -112,3 +120,24 @@ def test_rows_before_the_first_state_have_the_times_of_their_measurements():
         assert one.stamps_ns.tolist() == expected
     kept = Measurements.from_arrays([7, 5], ["lidar"] * 2, [[np.nan, 1.0], [np.nan, 2.0]])
     assert run(kept, config).stamps_ns.tolist() == [5, 7]
+
+
+@pytest.mark.parametrize(
+    ("measurement", "outcome", "accepted"),
+    [
+        (Measurement(7 * STEP, "radar", [5, np.nan, 0]), "invalid", False),
+        (Measurement(7 * STEP, "radar", [0.1], measures=["bearing"]), "invalid", False),
+        (Measurement(7 * STEP, "gyro", [0.1]), "told", True),
+    ],
+)
+def test_a_step_before_the_first_state_has_the_time_of_its_measurement(
+    measurement, outcome, accepted
+):
+    flt = TargetFilter(FusionConfig(model="cv"))
+    step = flt.step(measurement)
+    assert (step.stamp_ns, step.outcome, step.accepted) == (7 * STEP, outcome, accepted)
+    assert (step.state, step.covariance, step.innovation, step.nis) == (None,) * 4
+    first = flt.step(Measurement(8 * STEP, "lidar", [1.0, 2.0]))
+    assert (first.stamp_ns, first.outcome) == (8 * STEP, "started")
+    # With a state, it is the time of that state.
+    assert flt.step(Measurement(9 * STEP, "lidar", [np.nan, 2.0])).stamp_ns == 8 * STEP

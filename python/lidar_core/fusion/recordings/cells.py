@@ -13,6 +13,7 @@ from lidar_core.io.tables.columns import Columns, at_row
 
 POSITION, VELOCITY = ("true_x", "true_y"), ("true_vx", "true_vy")
 TRUE_ID = "true_id"
+POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
 MAX_SECONDS = 9e9
 """Largest time that int64 nanoseconds hold [s]."""
 
@@ -122,3 +123,19 @@ def targets_in(place: Path, columns: Columns, rows: NDArray[np.int64]) -> NDArra
         return None
     numbers = numbers_in(place, columns, TRUE_ID)[rows]
     return np.where(np.isfinite(numbers), numbers, -1).astype(np.int64)
+
+
+def pose_covariances(place: Path, columns: Columns, angle: float) -> dict[int, NDArray[np.float64]]:
+    """Covariance of the pose by row, where all its deviations are above zero."""
+    if not set(POSE_STD) <= set(columns):
+        return {}
+    scales = (1.0, 1.0, angle)
+    stds = np.stack(
+        [
+            numbers_in(place, columns, name) * scale
+            for name, scale in zip(POSE_STD, scales, strict=True)
+        ],
+        axis=1,
+    )
+    whole = np.isfinite(stds).all(axis=1) & (stds > 0).all(axis=1)
+    return {row: np.diag(stds[row] ** 2) for row in np.flatnonzero(whole).tolist()}

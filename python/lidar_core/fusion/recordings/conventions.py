@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
+from lidar_core.fusion.measurement import SensorName
 from lidar_core.io.tables.columns import at_row
 
 Azimuth: TypeAlias = Literal["clockwise", "compass"]
@@ -16,6 +17,18 @@ A_TIME = "a time (a number, or ISO 8601 such as 2026-11-26T08:00:00Z)"
 """What cells of times hold, for errors."""
 SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563
 """Of the ellipsoid of WGS84: [m], and no unit."""
+WORDS: dict[str, SensorName] = {
+    "lidar": "lidar",
+    "laser": "lidar",
+    "l": "lidar",
+    "radar": "radar",
+    "r": "radar",
+    "gyro": "gyro",
+    "imu": "gyro",
+    "pose": "pose",
+    "odometry": "pose",
+}
+"""What a column of sensors may say, in any case."""
 
 
 def turned(values: NDArray[np.float64], azimuth: Azimuth | None) -> NDArray[np.float64]:

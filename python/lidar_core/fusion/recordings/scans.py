@@ -11,10 +11,14 @@ from lidar_core.fusion.recordings.table import MeasurementLog
 
 @dataclass(frozen=True, slots=True)
 class TargetScans:
-    """Detections of many targets, with the kind of their recording."""
+    """Detections of many targets, with the kind of their recording.
+
+    `unused` names columns of a table that give no detection.
+    """
 
     scans: list[DetectionScan]
     source: str
+    unused: str | None = None
 
 
 def scans_of(log: MeasurementLog) -> list[DetectionScan]:

@@ -13,22 +13,26 @@ from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
 from lidar_core.fusion.recordings.cells import (
+    POSE_STD,
     POSITION,
     TRUE_ID,
     VELOCITY,
     numbers_in,
+    pose_covariances,
     scaled,
     stamps_in,
     targets_in,
     truth_in,
 )
 from lidar_core.fusion.recordings.conventions import (
+    WORDS,
     Azimuth,
     Turned,
     local_places,
     turned,
 )
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
+from lidar_core.fusion.recordings.unused import unused_columns, unused_note
 from lidar_core.io.tables.columns import Columns, at_row, read_columns
 
 VALUES: dict[SensorName, tuple[str, ...]] = {
@@ -42,7 +46,8 @@ IN_SPACE = {"lidar": ("z",), "radar": ("elevation",), "pose": ("pose_z", "pose_r
 POSE_IN_SPACE = ("pose_x", "pose_y", "pose_z", "pose_roll", "pose_pitch", "pose_yaw")
 ON_EARTH = {"": ("x", "y", "z"), "pose_": ("pose_x", "pose_y", "pose_z")}
 """What latitude, longitude and altitude are turned into, by the start of their names."""
-POSE_STD = ("pose_std_x", "pose_std_y", "pose_std_yaw")
+NOT_VALUES = ("t_ns", "sensor", *POSE_STD, *POSITION, *VELOCITY, TRUE_ID)
+"""Columns that are no value of a sensor."""
 NAMES = (
     "t_ns",
     "sensor",
@@ -57,18 +62,6 @@ NAMES = (
 """Columns that a table may have."""
 SCALABLE = tuple(name for name in NAMES if name not in ("t_ns", "sensor", TRUE_ID))
 """Columns whose numbers a factor may change; times have a unit of their own."""
-WORDS: dict[str, SensorName] = {
-    "lidar": "lidar",
-    "laser": "lidar",
-    "l": "lidar",
-    "radar": "radar",
-    "r": "radar",
-    "gyro": "gyro",
-    "imu": "gyro",
-    "pose": "pose",
-    "odometry": "pose",
-}
-"""What a column of sensors may say, in any case."""
 UNITS_NS = {"ns": 1, "us": 1000, "ms": 1_000_000, "s": 1_000_000_000}
 TABLES = (".csv", ".npz", ".parquet", ".tsv")
 """Endings of tables, in lower case."""
@@ -139,6 +132,8 @@ class MeasurementLog:
         Number of the target of each measurement, -1 for none, if the file states it.
     options : TableOptions
         Options with which a table was read; the defaults for other files.
+    unused : str or None
+        Columns of a table that give no measurement, and what they may be, as text.
     """
 
     measurements: list[Measurement]
@@ -147,6 +142,7 @@ class MeasurementLog:
     origin: tuple[float, float, float] | None = None
     targets: NDArray[np.int64] | None = None
     options: TableOptions = field(default_factory=TableOptions)
+    unused: str | None = None
 
     def rows(self, chosen: list[int]) -> "MeasurementLog":
         """Return the measurements with these indices, in this order."""
@@ -187,7 +183,8 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     if not is_table(place):
         recording = read_laser_radar(place)
         return MeasurementLog(recording.measurements, recording.truth, "L/R text")
-    columns = _renamed(place, read_columns(place), options.columns)
+    table = read_columns(place)
+    columns = _renamed(place, table, options.columns)
     columns = scaled(place, columns, options.scale)
     if not any(len(column) for column in columns.values()):
         raise FormatError(f"{place}: no rows below the names of columns")
@@ -196,7 +193,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     angle = np.pi / 180 if options.angle_unit == "deg" else 1.0
     values = _values(place, columns, angle, options.azimuth)
     rows = _rows_of_sensors(place, columns, values, len(stamps))
-    spread = _pose_covariances(place, columns, angle)
+    spread = pose_covariances(place, columns, angle)
     ahead = {sensor: round(seconds * 1e9) for sensor, seconds in options.clock.items()}
     made = [
         (row, _measurement(int(stamps[row]) - ahead.get(sensor, 0), sensor, values, row, spread))
@@ -208,7 +205,23 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
     truth = truth_in(place, columns, stamps, kept)
     kind = f"{_FORMAT}{place.suffix[1:].lower()})"
     targets = targets_in(place, columns, kept)
-    return MeasurementLog([m for _, m in made], truth, kind, origin, targets, options)
+    unused = _unused(tuple(table), set(columns), set(values), options)
+    return MeasurementLog([m for _, m in made], truth, kind, origin, targets, options, unused)
+
+
+def _unused(
+    table: tuple[str, ...], columns: set[str], sensors: set[SensorName], options: TableOptions
+) -> str | None:
+    """What to say about columns of a table that do not count; `columns` are named as ours."""
+    used = set(NOT_VALUES) & columns
+    for sensor in sensors:
+        further = set(IN_SPACE.get(sensor, ()))
+        used |= {*VALUES[sensor], *(further if sensor == "radar" or further <= columns else ())}
+    for start, places in ON_EARTH.items():
+        if {f"{start}lat", f"{start}lon"} <= columns and set(places[:2]) <= used:
+            used |= {f"{start}lat", f"{start}lon", f"{start}alt"}
+    used &= columns
+    return unused_note(unused_columns(table, used, options.columns), used, SCALABLE)
 
 
 def is_of_table(log_format: str) -> bool:
@@ -337,24 +350,6 @@ def _values(
             ' name them with columns={"OURS": "THEIRS"}'
         )
     return found
-
-
-def _pose_covariances(
-    place: Path, columns: Columns, angle: float
-) -> dict[int, NDArray[np.float64]]:
-    """Covariance of the pose by row, where all its deviations are above zero."""
-    if not set(POSE_STD) <= set(columns):
-        return {}
-    scales = (1.0, 1.0, angle)
-    stds = np.stack(
-        [
-            numbers_in(place, columns, name) * scale
-            for name, scale in zip(POSE_STD, scales, strict=True)
-        ],
-        axis=1,
-    )
-    whole = np.isfinite(stds).all(axis=1) & (stds > 0).all(axis=1)
-    return {row: np.diag(stds[row] ** 2) for row in np.flatnonzero(whole).tolist()}
 
 
 def _rows_of_sensors(

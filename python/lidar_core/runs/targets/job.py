@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lidar_core.config import Config
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.fusion import (
@@ -28,7 +30,8 @@ from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.settings import ConfigChoice, config_of_run, with_assignments
 from lidar_core.runs.targets.many import ManyRun
 from lidar_core.runs.targets.noise import fitted, names_told
-from lidar_core.runs.targets.one import TargetRun
+from lidar_core.runs.targets.one import TARGET_SENSORS, TargetRun
+from lidar_core.runs.targets.times import wrong_unit
 
 BAGS = (".bag", ".db3", ".mcap")
 
@@ -65,6 +68,7 @@ class FuseJob:
             chosen,
             reading,
             source=found.source,
+            unused=found.unused,
             checkpoints=checkpoints(decides),
             begin=begin,
         )
@@ -99,9 +103,21 @@ class FuseJob:
         self._check_read(*(("a table", of_tables) if tabular else ("L/R text", ())))
         options = TableOptions.load(dict(self.read))
         log, reading = read_measurements(recording, options), {"fusion_table": options}
+        if tabular and not self.force:
+            self._check_times(log)
         if tabular and self._of_many:
-            return TargetScans(scans_of(log), log.format), reading
+            return TargetScans(scans_of(log), log.format, log.unused), reading
         return log, reading
+
+    def _check_times(self, log: MeasurementLog) -> None:
+        """Refuse times of a table that are in another unit than told."""
+        stamps = {
+            sensor: np.array([m.stamp_ns for m in log.measurements if m.sensor == sensor])
+            for sensor in TARGET_SENSORS
+        }
+        known = {sensor: own for sensor, own in stamps.items() if len(own)}
+        if wrong := wrong_unit(known, log.options.time_unit):
+            raise InputError(f"{self.recording}: {wrong}. force=True continues anyway")
 
     @property
     def _of_many(self) -> bool:

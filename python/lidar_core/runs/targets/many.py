@@ -16,6 +16,7 @@ from lidar_core.fusion import (
     MultiTargetConfig,
     MultiTargetTracker,
     ScanResult,
+    TableOptions,
     TargetTracks,
     empty_gospa,
     mean_gospa,
@@ -74,6 +75,8 @@ class ManyRun:
         Time that each scan took [s].
     tracker : list of MultiTargetTracker
         The tracker; a run that continues replaces it.
+    unused : str or None
+        Columns of a table that give no detection, as text.
     """
 
     scans: list[DetectionScan]
@@ -86,6 +89,7 @@ class ManyRun:
     results: list[ScanResult] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     tracker: list[MultiTargetTracker] = field(default_factory=list)
+    unused: str | None = None
 
     @classmethod
     def of(
@@ -95,14 +99,16 @@ class ManyRun:
         reading: Mapping[str, Config],
         *,
         source: str,
+        unused: str | None,
         checkpoints: Checkpoints,
         begin: Callable[[], None],
     ) -> "ManyRun":
-        """Track targets in scans; `source` is the kind of recording.
+        """Track targets in scans; `source` is the kind of recording, `unused` its unread columns.
 
         Calls `begin` before the first checkpoint is written.
         """
-        made = cls(scans, config, reading, source, tracker=[MultiTargetTracker(config)])
+        made = cls(scans, config, reading, source, unused=unused)
+        made.tracker.append(MultiTargetTracker(config))
         done = checkpoints.resume(made)
         begin()
         for number, scan in enumerate(made.scans[done:], done + 1):
@@ -135,10 +141,11 @@ class ManyRun:
 
     @property
     def doubts(self) -> list[str]:
-        """Return warnings about poses of the platform and times, which may be right."""
+        """Return warnings about poses of the platform, times and columns, which may be right."""
         found = [
             geographic_poses([m for scan in self.scans for m in scan.measurements]),
             self._doubtful_times() if is_of_table(self.format) else None,
+            self.unused,
         ]
         return [text for text in found if text]
 
@@ -148,7 +155,9 @@ class ManyRun:
             if scan.source in TARGET_SENSORS:
                 seen.setdefault(scan.source, []).extend([scan.stamp_ns] * len(scan.measurements))
         known = {source: np.array(stamps, np.int64) for source, stamps in seen.items()}
-        return doubtful_times(known, of_many=True)
+        options = self.reading.get("fusion_table")
+        told = options.time_unit if isinstance(options, TableOptions) else "ns"
+        return doubtful_times(known, of_many=True, time_unit=told)
 
     @property
     def configs(self) -> dict[str, Config]:

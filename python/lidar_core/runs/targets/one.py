@@ -21,7 +21,7 @@ from lidar_core.fusion import (
     run,
     smooth,
 )
-from lidar_core.fusion.measurement import measured_place
+from lidar_core.fusion.measurement import measured_place, measured_values
 from lidar_core.fusion.places import geographic_poses
 from lidar_core.fusion.recordings.table import is_of_table
 from lidar_core.fusion.states import dimensions, state_names, told_stds, velocities
@@ -99,7 +99,11 @@ class TargetRun:
     @property
     def doubts(self) -> list[str]:
         """Return warnings about suspicious measurements, which may be right."""
-        found = [self.implausible or geographic_poses(self.log.measurements), self.doubtful_times]
+        found = [
+            self.implausible or geographic_poses(self.log.measurements),
+            self.doubtful_times,
+            self.log.unused,
+        ]
         return [text for text in found if text]
 
     @property
@@ -107,7 +111,8 @@ class TargetRun:
         """Return what is wrong with the times of a table."""
         sensors, stamps = self.sensors, self.stamps
         seen = {one: stamps[sensors == one] for one in TARGET_SENSORS if one in sensors}
-        return doubtful_times(seen) if is_of_table(self.log.format) else None
+        told = self.log.options.time_unit
+        return doubtful_times(seen, time_unit=told) if is_of_table(self.log.format) else None
 
     @property
     def configs(self) -> dict[str, Config]:
@@ -171,6 +176,7 @@ class TargetRun:
             "method": self.config.method,
             "lag": self.lag,
             "measurements": dict(Counter(sensors.tolist())),
+            "measured": measured_values(self.log.measurements),
             "outcomes": dict(Counter(self.result.outcomes.tolist())),
             "invalid": reasons(self.log.measurements, self.result.outcomes, self.config),
             "duration": duration,
@@ -303,13 +309,18 @@ class TargetRun:
         line = PlanarLine(stamps[rows], self.states[:, :2], result.covariances[rows][:, :2, :2])
         moving = {m.sensor for m in self.log.measurements} & YAWS.keys()
         return FusionView(
-            title=f"{name}: {self.config.model}, {self.config.method}",
+            title=f"{name}: {self.config.model}, {self.config.method}{self._restarts()}",
             seen=self._seen_in_world(),
             tracks={0: line} if rows.any() else {},
             truth={} if truth is None else {0: PlanarLine(stamps, truth.position)},
             nis=nis_ratios(self.nis()),
             sensor=self._sensor_poses()[self.last, :2] if moving else np.empty((0, 2)),
         )
+
+    def _restarts(self) -> str:
+        """How often the filter had lost the target, for a title."""
+        count = int((self.result.outcomes == "restarted").sum())
+        return f", {count} restart{'s' * (count > 1)}" if count else ""
 
     def _sensor_poses(self) -> NDArray[np.float64]:
         """x, y and yaw (N, 3) of the sensor at every measurement."""

@@ -171,7 +171,11 @@ impl PyTargetFilter {
         measurement: PyRef<'_, PyMeasurement>,
     ) -> Result<PyFusionStep, BorderError> {
         let m = measurement.0;
-        Ok(PyFusionStep(self.filter.with(py, |filter| Ok(filter.step(&m)))?))
+        let mut step = self.filter.with(py, |filter| Ok(filter.step(&m)))?;
+        if step.output.is_none() {
+            step.stamp_ns = m.stamp_ns(); // there is no state yet whose time could be told
+        }
+        Ok(PyFusionStep(step))
     }
 
     /// Standard deviations of LiDAR and radar as the measurements show them.
