@@ -16,7 +16,7 @@ COLOURS = (
 )
 STANDS = "#6b7280"
 """Colour of what did not move."""
-MOST_CURVES = 6  # speeds over time: the movers seen longest
+MOST_CURVES = 6  # speeds over time: what moved in most scans
 
 
 def colour_of(number: int) -> str:
@@ -39,18 +39,17 @@ def draw_speeds(axes: Any, view: CirclesView, movers: Collection[int]) -> None:
         for number, speed in zip(state.id.tolist(), speeds_of(state), strict=True):
             if number in movers:
                 found.setdefault(number, []).append((scan, speed))
-    found = {
-        number: curve
-        for number, curve in found.items()
-        if max(speed for _, speed in curve) > SLOWEST
-    }
-    longest = sorted(found, key=lambda number: len(found[number]), reverse=True)[:MOST_CURVES]
+    times = {number: sum(speed > SLOWEST for _, speed in found[number]) for number in found}
+    moving = [number for number, count in times.items() if count]
+    longest = sorted(moving, key=lambda number: -times[number])[:MOST_CURVES]
     for number in sorted(longest):
-        scans, speed = np.array(found[number]).T
-        at, speed = time[scans.astype(np.intp)], np.where(speed > SLOWEST, speed, np.nan)
-        axes.plot(at, speed, color=colour_of(number), lw=1.3, label=str(number))
+        scans, speeds = np.array(found[number]).T
+        told = np.where(speeds > SLOWEST, speeds, np.nan)
+        axes.plot(
+            time[scans.astype(np.intp)], told, color=colour_of(number), lw=1.3, label=str(number)
+        )
     top = max((speed for number in longest for _, speed in found[number]), default=1.0)
-    more = f", {MOST_CURVES} longest of {len(found)}" if len(found) > MOST_CURVES else ""
+    more = f", {MOST_CURVES} longest of {len(moving)}" if len(moving) > MOST_CURVES else ""
     axes.set(title=f"speed of what moves{more}", ylabel="[m/s]", ylim=(0, 1.35 * top))
     axes.set_xlim(_span(time))
     axes.grid(visible=True)

@@ -122,7 +122,8 @@ def _compose(figure: Any, view: CirclesView) -> None:
     above.set_title(f"from above, 0 to {time[-1]:.1f} s" if len(time) else "from above")
     keys.set_axis_off()
     if view.maps:  # beside the map: elements and their numbers may be everywhere in it
-        keys.legend(*above.get_legend_handles_labels(), loc="lower left", fontsize=8, ncols=2)
+        style = {"fontsize": 8, "ncols": 2, "columnspacing": 1.2, "borderpad": 0.0}
+        keys.legend(*above.get_legend_handles_labels(), loc="lower left", **style)
     if movers:
         draw_speeds(figure.add_subplot(grid[0, 1]), view, movers)
     draw_counts(figure.add_subplot(grid[1, 1] if movers else grid[:2, 1]), view)
@@ -155,7 +156,8 @@ def _window(view: CirclesView, tall: float) -> Window:
 
 def _box(state: CircleElements, row: int) -> NDArray[np.float64]:
     """Corners (2, 2) around the circle of an element [m]."""
-    return state.center[row] + state.radius[row] * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    half = float(state.radius[row]) * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    return np.asarray(state.center[row] + half, np.float64)
 
 
 def _is_cut(box: NDArray[np.float64], window: Window) -> bool:
@@ -253,7 +255,7 @@ def _element_keys(axes: Any, state: CircleElements, movers: Collection[int]) -> 
     moving = [number for number in numbers if number in movers]
     stands = {"facecolor": (STANDS, 0.2), "edgecolor": STANDS, "lw": THIN}
     if len(moving) < len(numbers) or not numbers:
-        axes.scatter([], [], s=60, label="element that stands, 2σ ellipse", **stands)
+        axes.scatter([], [], s=60, label="stands, 2σ ellipse", **stands)
     if moving:
         colour = colour_of(moving[0])
         bold = {"facecolor": (colour, 0.2), "edgecolor": colour, "lw": WIDE}
@@ -279,7 +281,7 @@ def _gone(axes: Any, view: CirclesView, movers: Collection[int]) -> list[Label]:
         labels.append(Label(str(number), center, colour, opacity=GONE))
     left_out -= len(labels)
     if labels:
-        longest = f", {MOST_GONE} longest of {MOST_GONE + left_out}" if left_out else ""
+        longest = f", {MOST_GONE} of {MOST_GONE + left_out}" if left_out else ""
         key = {"facecolor": "none", "edgecolor": STANDS, "alpha": GONE, "lw": 1.0}
         axes.scatter([], [], s=60, label=f"no longer in the map{longest}", **key)
     return labels

@@ -207,11 +207,11 @@ def _seconds(view: FlyingView, stamps: NDArray[np.int64]) -> NDArray[np.float64]
 def _distances(axes: Any, view: FlyingView) -> None:
     """Distance of tracks, targets and what moves on the ground from the sensor, over time."""
     time = _seconds(view, view.stamp_ns)
-    rows = slice(None, None, max(1, -(-len(view.moving) // MOST_POINTS)))
-    scans = view.moving_scan[rows]
-    away = np.linalg.norm(view.moving[rows] - view.sensor[scans], axis=1)
-    if len(scans):
-        axes.scatter(time[scans], away, s=3, c=MOVING, linewidths=0, zorder=4, rasterized=True)
+    every = max(1, -(-len(view.moving) // MOST_POINTS))
+    moving, at = view.moving[::every], view.moving_scan[::every]
+    if len(moving):
+        away = np.linalg.norm(moving - view.sensor[at], axis=1)
+        axes.scatter(time[at], away, s=3, c=MOVING, linewidths=0, zorder=4, rasterized=True)
         axes.scatter([], [], s=24, c=MOVING, linewidths=0, label="moving on the ground")
     for way in view.truth.values():
         distance = np.linalg.norm(way - view.sensor, axis=1)

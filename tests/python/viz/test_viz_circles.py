@@ -158,7 +158,7 @@ def test_many_that_left_are_drawn_with_their_numbers_or_not_at_all(view):
     discs = [disc for disc in axes[0].patches if getattr(disc, "radius", 0) == 0.123]
     assert len(discs) == most
     assert len(numbers_in(axes[0])) == most + 2
-    assert f"no longer in the map, {most} longest of {most + 5}" in keys_of(axes)
+    assert f"no longer in the map, {most} of {most + 5}" in keys_of(axes)
 
 
 def test_what_moved_is_ground_or_went_some_way():
