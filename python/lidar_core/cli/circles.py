@@ -1,6 +1,6 @@
 """`lidar-core circles`: a map of the round obstacles in a recording of 2D scans."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
@@ -28,6 +28,7 @@ NO_RETURN = "What marks a ray without return, besides +inf: auto, zero, nan, max
 SWEEP = "Times of rays. auto: as the scans state them; none: all rays have the time of the scan."
 TRUST = "Run an ONNX file from elsewhere. A model is a program: use only files you trust."
 TrustModel: TypeAlias = Annotated[bool, typer.Option("--trust-model", help=TRUST)]
+MOST_MOVERS = 6  # named in the table
 FILM = "Also draw film.mp4, or film.gif if ffmpeg is not installed."
 
 
@@ -84,13 +85,21 @@ def _left_out(too_near: int) -> str:
     return "in all scans" + (f", {too_near} more too near" if too_near else "")
 
 
+def _told_movers(moving: Sequence[Mapping[str, Any]]) -> str:
+    """Numbers of the elements that move, with their speeds."""
+    told = [f"{one['id']} ({one['speed']:.1f} m/s)" for one in moving[:MOST_MOVERS]]
+    left = len(moving) - len(told)
+    return ", ".join(told) + (f", and {left} slower" if left else "")
+
+
 def _table(summary: Mapping[str, Any], name: str) -> "Table":
-    scans = summary["scans"]
+    scans, moving = summary["scans"], summary["moving_at_end"]
     rows = (
         Row("scans", str(scans["processed"]), ", ".join(left_out(summary))),
         Row("poses", "", summary["poses"]),
         Row("circles", str(summary["circles"]), _left_out(summary["too_near"])),
         Row("elements", str(summary["elements"]), f"{summary['elements_at_end']} at the end"),
+        Row("moving at the end", str(len(moving)), _told_movers(moving)),
         Row("persons", str(summary["persons"]), "elements that were probably persons for 1 s"),
         Row(
             "walls and other shapes",

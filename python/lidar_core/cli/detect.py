@@ -109,6 +109,12 @@ SKY = {
 """What `frame.status.sky` says, for people."""
 
 
+def _told_movers(summary: Mapping[str, Any]) -> str:
+    """In how many scans something moves on the ground: not all of that has a track."""
+    scans = summary["scans_moving"]
+    return f"moving points in {scans} of {summary['scans']['processed']} scans" if scans else ""
+
+
 def _table(summary: Mapping[str, Any], name: str) -> "Table":
     scans, gate, shares = summary["scans"], summary["gate"], summary["class_shares"]
     opened = f"since scan {gate['opened_at_scan']}" if gate["open"] else gate["reason"]
@@ -120,7 +126,8 @@ def _table(summary: Mapping[str, Any], name: str) -> "Table":
         Row("open sky", f"{100 * summary['sky_share']:.0f} %", SKY[summary["sky"]]),
         Row("own body", f"{100 * summary['own_body']:.1f} %", "of the rays"),
         Row("detections", str(summary["detections"]), ""),
-        Row("tracks", str(summary["tracks"]), ""),
+        Row("tracks, flying", str(summary["tracks"]), ""),
+        Row("tracks, on the ground", str(summary["tracks_ground"]), _told_movers(summary)),
         None,
         *stage_rows(summary["ms_per_scan"]),
         *map_rows(summary["map"]),

@@ -65,7 +65,11 @@ def command(
     overwrite: OverwriteFile = False,
     json: JsonFile = None,
 ) -> None:
-    """Simulate SCENE; write a recording and, beside it, truth.csv, scene.toml and run.toml."""
+    """Simulate SCENE; write a recording and, beside it, NAME.truth.csv, .scene.toml and .run.toml.
+
+    NAME is that of the recording without its ending: street.npz has street.truth.csv,
+    street.scene.toml and street.run.toml. overflight writes one .csv, which holds the truth.
+    """
     if scene == OVERFLIGHT:
         for name in given_options({"sensor": sensor, "threads": threads}):
             raise ConfigError(f"--{name}: does not apply to overflight")

@@ -1,6 +1,6 @@
 """Pictures of a run of the circle pipeline, with matplotlib: one PNG, or an animation."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,27 +11,23 @@ from lidar_core.extras import require
 from lidar_core.io.tables.shapes import outline
 from lidar_core.io.write.circle_scene import ellipse, label_of
 from lidar_core.objects import CircleElements, ShapeElements
+from lidar_core.viz.circles_panels import STANDS, colour_of, draw_counts, draw_speeds, seconds_of
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, scale_bar, sensor_mark
 from lidar_core.viz.figure import (
     INK,
-    PALE,
     PURPOSE,
     draw_truth,
-    opaque_legend,
     two_columns,
     write_figure,
 )
 from lidar_core.viz.film import write_film
+from lidar_core.viz.movers import SLOWEST, moved, speeds_of
 from lidar_core.viz.views import CirclesView
 
 SIZE, DPI = (12.0, 7.0), 90
 FILM_SIZE, FILM_DPI = (7.0, 7.0), 70
-COLOURS = (
-    *("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f"),
-    *("#4338ca", "#a16207", "#0891b2", "#86198f", "#57534e"),
-)  # as many as there are curves
 POINT, EARLIER, WALL = "#475569", "#dbe1e8", "#c2410c"
 MOVED = 1.0  # elements that moved this far are in the middle [m]
 SMALLEST = 4.0  # least width and height of what is shown [m]
@@ -39,10 +35,10 @@ REACH = 12.0  # from the sensor's way, at most: points further off only make the
 BULK = (0.01, 0.99)  # quantiles of the points that are shown at least
 MOST_POINTS = 30_000  # of earlier scans
 SIGMAS, CORNERS = 2.0, 36
-SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
-MOST_CURVES = 12  # radii over time: the elements seen longest
+WIDE, THIN = 2.4, 1.1  # outlines of what moved, and of what stands
 GONE = 0.45  # opacity of what is no longer in the map at the end
-MOST_LABELS = 40  # of elements that are no longer in the map, the longest ways: more hide the map
+MOST_GONE = 40  # elements that are no longer in the map, the longest ways: more hide the map
+TURNS = 4  # to make room for circles at the border, which may bring in others
 
 StateT = TypeVar("StateT", CircleElements, ShapeElements)
 
@@ -97,15 +93,15 @@ def animate_circles(
     """
     kept = [scan for scan, points in enumerate(view.points) if len(points)]
     picked = kept[:: max(1, -(-len(kept) // frames))] or [len(view.maps) - 1]
-    window = _window(view, 1.0)
+    window, movers = _window(view, 1.0), moved(view.maps)
 
     def paint(figure: Any) -> Iterator[None]:
         axes = figure.add_subplot()
         for number, scan in enumerate(picked):
             on_frame(number, len(picked))
             axes.clear()
-            _above(axes, view, scan, window)
-            axes.set_title(f"{view.title}: {_seconds(view)[scan]:.1f} s" if scan >= 0 else "")
+            _above(axes, view, scan, window, movers)
+            axes.set_title(f"{view.title}: {seconds_of(view)[scan]:.1f} s" if scan >= 0 else "")
             yield
         on_frame(len(picked), len(picked))
 
@@ -113,25 +109,31 @@ def animate_circles(
 
 
 def _compose(figure: Any, view: CirclesView) -> None:
-    grid = two_columns(figure, view.title, widths=(1.35, 1.0), heights=(1.3, 1.0), hspace=0.36)
-    above = figure.add_subplot(grid[:, 0])
+    heights = (1.2, 1.0, 0.5)
+    grid = two_columns(figure, view.title, widths=(1.35, 1.0), heights=heights, hspace=0.42)
+    above, keys = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[2, 1])
+    movers = moved(view.maps)
     _earlier(above, view)
     window = _window(view, panel_tallness(above))
-    _above(above, view, len(view.maps) - 1, window)
-    _gone(above, view)
+    _above(above, view, len(view.maps) - 1, window, movers, with_gone=True)
+    _gone_shapes(above, view)
     window.apply(above)
-    time = _seconds(view)
+    time = seconds_of(view)
     above.set_title(f"from above, 0 to {time[-1]:.1f} s" if len(time) else "from above")
-    if view.maps:
-        ways = [line[:, :2] for line in view.truth.values()]
-        places = [view.maps[-1].center, view.sensor[-1:], *_ways(view, len(view.maps) - 1).values()]
-        opaque_legend(above, window.corner_away_from([*places, *ways]))
-    _radii(figure.add_subplot(grid[0, 1]), view)
-    _counts(figure.add_subplot(grid[1, 1]), view)
+    keys.set_axis_off()
+    if view.maps:  # beside the map: elements and their numbers may be everywhere in it
+        style = {"fontsize": 8, "ncols": 2, "columnspacing": 1.2, "borderpad": 0.0}
+        keys.legend(*above.get_legend_handles_labels(), loc="lower left", **style)
+    if movers:
+        draw_speeds(figure.add_subplot(grid[0, 1]), view, movers)
+    draw_counts(figure.add_subplot(grid[1, 1] if movers else grid[:2, 1]), view)
 
 
 def _window(view: CirclesView, tall: float) -> Window:
-    """What is shown: elements that moved in the middle, with points, sensor and truth around."""
+    """What is shown: elements that moved in the middle, with points, sensor and truth around.
+
+    Circles that reach into it lie in it as a whole.
+    """
     points = np.concatenate([np.empty((0, 2)), *view.points])
     if len(view.sensor):
         low, high = view.sensor.min(axis=0) - REACH, view.sensor.max(axis=0) + REACH
@@ -141,7 +143,38 @@ def _window(view: CirclesView, tall: float) -> Window:
     focus = [seen, *ends, view.sensor, *view.truth.values()]
     ways = _ways(view, len(view.maps) - 1).values()
     moving = [way for way in ways if np.hypot(*np.ptp(way, axis=0)) > MOVED]
-    return window_over(focus, tall, smallest=SMALLEST, moving=moving)
+    window = window_over(focus, tall, smallest=SMALLEST, moving=moving)
+    boxes = [_box(*drawn) for drawn in _drawn_at_end(view).values()]
+    for _ in range(TURNS):
+        cut = [box for box in boxes if _is_cut(box, window)]
+        if not cut:
+            break
+        focus += cut
+        window = window_over(focus, tall, smallest=SMALLEST, moving=moving)
+    return window
+
+
+def _box(state: CircleElements, row: int) -> NDArray[np.float64]:
+    """Corners (2, 2) around the circle of an element [m]."""
+    half = float(state.radius[row]) * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    return np.asarray(state.center[row] + half, np.float64)
+
+
+def _is_cut(box: NDArray[np.float64], window: Window) -> bool:
+    """True if a part of a box is in the window, and a part is not."""
+    meets = bool(((box[1] > window.low) & (box[0] < window.high)).all())
+    return meets and not (window.holds(box[0]) and window.holds(box[1]))
+
+
+def _drawn_at_end(view: CirclesView) -> dict[int, tuple[CircleElements, int]]:
+    """States in which a picture shows the elements, and their rows there, by number.
+
+    Those of the last map, then those with the longest ways that are no longer in it.
+    """
+    last, ways = _last_rows(view.maps), _ways(view, len(view.maps) - 1)
+    there = set(view.maps[-1].id.tolist()) if view.maps else set()
+    gone = sorted(last.keys() - there, key=lambda number: (-len(ways[number]), number))
+    return {number: last[number] for number in (*sorted(there), *gone[:MOST_GONE])}
 
 
 def _earlier(axes: Any, view: CirclesView) -> None:
@@ -156,8 +189,11 @@ def _above(
     view: CirclesView,
     scan: int,
     window: Window,
+    movers: Collection[int],
+    *,
+    with_gone: bool = False,
 ) -> None:
-    """Scan, sensor and map at one time, with the ways up to it."""
+    """Scan, sensor and map at one time, with the ways up to it, and what is gone at the end."""
     window.apply(axes)
     if scan >= 0:
         points = view.points[scan]
@@ -166,7 +202,8 @@ def _above(
         axes.plot(way[:, 0], way[:, 1], color=INK, lw=1.4, zorder=4, label="sensor")
         sensor_mark(axes, window, way[-1])
         draw_truth(axes, (line[: scan + 1, :2] for line in view.truth.values()))
-        _elements(axes, view, scan)
+        gone = _gone(axes, view, movers) if with_gone else []
+        draw_labels(axes, [*_elements(axes, view, scan, movers), *gone], [])
         if view.shapes:
             _shapes(axes, view.shapes[scan])
     scale_bar(axes, window)
@@ -175,82 +212,89 @@ def _above(
     axes.grid(visible=True)
 
 
-def _elements(axes: Any, view: CirclesView, scan: int) -> None:
-    """Elements at one time: disc, 2 sigma ellipse, velocity, number, way."""
+def _elements(axes: Any, view: CirclesView, scan: int, movers: Collection[int]) -> list[Label]:
+    """Elements at one time; return their numbers. What moves is coloured, and has its speed."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     state, ways = view.maps[scan], _ways(view, scan)
+    speeds, labels = speeds_of(state), list[Label]()
     for row, number in enumerate(state.id.tolist()):
-        colour = colour_of(number)
-        center, seen = state.center[row], bool(state.visible[row])
-        disc = patches.Circle(center, state.radius[row])
-        disc.set(
-            facecolor=(colour, 0.2 if seen else 0.05),
-            edgecolor=colour,
-            lw=1.5,
-            ls="-" if seen else ":",
-            zorder=5,
-        )
-        axes.add_patch(disc)
+        does_move = number in movers
+        colour, center = colour_of(number) if does_move else STANDS, state.center[row]
+        _disc(axes, state, row, colour, does_move=does_move)
         around = center + ellipse(state.covariance[row][:2, :2], SIGMAS, CORNERS)
-        outline = patches.Polygon(around, closed=True, fill=False, ec=colour, lw=0.8, zorder=5)
-        axes.add_patch(outline)
-        axes.plot(*ways[number].T, color=colour, lw=1.0, alpha=0.7, zorder=4.5, gid=WAY)
-        _arrow(axes, center, state.velocity[row], colour)
-    draw_labels(
-        axes,
-        [
-            Label(label_of(state, row), center, colour_of(number))
-            for row, (number, center) in enumerate(
-                zip(state.id.tolist(), state.center, strict=True)
-            )
-        ],
-        [],
-    )
-    axes.scatter(
-        [],
-        [],
-        s=60,
-        facecolor=(COLOURS[0], 0.2),
-        edgecolor=COLOURS[0],
-        label="element, its way, 2σ ellipse, velocity",
-    )
+        band = patches.Polygon(around, closed=True, fill=False, ec=colour, lw=0.8, zorder=5)
+        axes.add_patch(band)
+        wide = 1.8 if does_move else 0.8
+        axes.plot(*ways[number].T, color=colour, lw=wide, alpha=0.8, zorder=4.5, gid=WAY)
+        text = label_of(state, row)
+        if does_move and speeds[row] > SLOWEST:
+            _arrow(axes, center, state.velocity[row], colour)
+            text += f" {speeds[row]:.1f} m/s"
+        labels.append(Label(text, center, colour))
+    _element_keys(axes, state, movers)
+    return sorted(labels, key=lambda label: label.colour == STANDS)  # movers: better places
 
 
-def _gone(axes: Any, view: CirclesView) -> None:
-    """Elements and shapes that are no longer in the map at the end, pale, where they were last."""
+def _disc(axes: Any, state: CircleElements, row: int, colour: str, *, does_move: bool) -> None:
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
-    last = _last_rows(view.maps)
-    there = set(view.maps[-1].id.tolist()) if view.maps else set()
-    ways, labels = _ways(view, len(view.maps) - 1), list[tuple[int, Label]]()
-    for number, (state, row) in last.items():
+    seen = bool(state.visible[row])
+    disc = patches.Circle(state.center[row], state.radius[row])
+    disc.set(
+        facecolor=(colour, 0.2 if seen else 0.05),
+        edgecolor=colour,
+        lw=WIDE if does_move else THIN,
+        ls="-" if seen else ":",
+        zorder=5.2 if does_move else 5,
+    )
+    axes.add_patch(disc)
+
+
+def _element_keys(axes: Any, state: CircleElements, movers: Collection[int]) -> None:
+    """Lines of the legend for the styles of elements that occur."""
+    numbers = state.id.tolist()
+    moving = [number for number in numbers if number in movers]
+    stands = {"facecolor": (STANDS, 0.2), "edgecolor": STANDS, "lw": THIN}
+    if len(moving) < len(numbers) or not numbers:
+        axes.scatter([], [], s=60, label="stands, 2σ ellipse", **stands)
+    if moving:
+        colour = colour_of(moving[0])
+        bold = {"facecolor": (colour, 0.2), "edgecolor": colour, "lw": WIDE}
+        axes.scatter([], [], s=60, label="moves: way, 2σ ellipse, velocity", **bold)
+    if not state.visible.all():
+        hidden = {**stands, "facecolor": (STANDS, 0.05), "ls": ":"}
+        axes.scatter([], [], s=60, label="in the map, out of sight", **hidden)
+
+
+def _gone(axes: Any, view: CirclesView, movers: Collection[int]) -> list[Label]:
+    """Elements that are no longer in the map at the end, pale, where they were last."""
+    patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
+    there, ways = set(view.maps[-1].id.tolist()), _ways(view, len(view.maps) - 1)
+    labels, left_out = list[Label](), len(_last_rows(view.maps)) - len(there)
+    for number, (state, row) in _drawn_at_end(view).items():
         if number in there:
             continue
-        colour, center = colour_of(number), state.center[row]
-        disc = patches.Circle(center, state.radius[row], fill=False, ec=colour, lw=1.0, ls=":")
+        colour, center = colour_of(number) if number in movers else STANDS, state.center[row]
+        disc = patches.Circle(center, state.radius[row], fill=False, ec=colour, lw=1.0)
         disc.set(alpha=GONE, zorder=4.6)
         axes.add_patch(disc)
         axes.plot(*ways[number].T, color=colour, lw=0.8, alpha=GONE, zorder=4.4, gid=WAY)
-        labels.append((len(ways[number]), Label(label_of(state, row), center, colour)))
-    longest = sorted(labels, key=lambda one: -one[0])[:MOST_LABELS]
-    draw_labels(axes, [label for _, label in longest], [])
+        labels.append(Label(str(number), center, colour, opacity=GONE))
+    left_out -= len(labels)
     if labels:
-        axes.scatter(
-            [],
-            [],
-            s=60,
-            facecolor="none",
-            edgecolor=COLOURS[0],
-            alpha=GONE,
-            ls=":",
-            label="no longer in the map",
-        )
-    walls = _last_rows(view.shapes)
+        longest = f", {MOST_GONE} of {MOST_GONE + left_out}" if left_out else ""
+        key = {"facecolor": "none", "edgecolor": STANDS, "alpha": GONE, "lw": 1.0}
+        axes.scatter([], [], s=60, label=f"no longer in the map{longest}", **key)
+    return labels
+
+
+def _gone_shapes(axes: Any, view: CirclesView) -> None:
+    """Walls and other shapes that are no longer in the map at the end, pale."""
     there = set(view.shapes[-1].id.tolist()) if view.shapes else set()
-    for number, (shapes, row) in walls.items():
+    for number, (shapes, row) in _last_rows(view.shapes).items():
         if number not in there:
             around = outline(shapes, row, CORNERS)
             closed = around if len(around) == 2 else np.vstack([around, around[:1]])
-            axes.plot(*closed.T, color=WALL, lw=1.2, ls=":", alpha=GONE, zorder=2.5)
+            axes.plot(*closed.T, color=WALL, lw=1.0, alpha=GONE, zorder=2.5)
 
 
 def _last_rows(states: Sequence[StateT]) -> dict[int, tuple[StateT, int]]:
@@ -279,20 +323,15 @@ def _shapes(axes: Any, shapes: ShapeElements) -> None:
 def _arrow(
     axes: Any, center: NDArray[np.float64], velocity: NDArray[np.float64], colour: str
 ) -> None:
-    if np.hypot(*velocity) > SLOWEST:
-        axes.annotate(
-            "",
-            center + velocity,
-            center,
-            zorder=7,
-            arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6},
-            annotation_clip=True,
-        )
-
-
-def colour_of(number: int) -> str:
-    """Colour of an element, the same in every picture."""
-    return COLOURS[number % len(COLOURS)]
+    """Velocity, as long as the way of one second."""
+    axes.annotate(
+        "",
+        center + velocity,
+        center,
+        zorder=7,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.8},
+        annotation_clip=True,
+    )
 
 
 def _ways(view: CirclesView, scan: int) -> Mapping[int, NDArray[np.float64]]:
@@ -302,63 +341,3 @@ def _ways(view: CirclesView, scan: int) -> Mapping[int, NDArray[np.float64]]:
         for row, number in enumerate(state.id.tolist()):
             found.setdefault(number, []).append(state.center[row])
     return {number: np.array(rows) for number, rows in found.items()}
-
-
-def _seconds(view: CirclesView) -> NDArray[np.float64]:
-    first = view.stamp_ns[0] if len(view.stamp_ns) else 0
-    seconds: NDArray[np.float64] = (view.stamp_ns - first) * 1e-9
-    return seconds
-
-
-def _radii(axes: Any, view: CirclesView) -> None:
-    """Radius of the elements over time, with its 2 sigma band."""
-    time, curves = _seconds(view), _curves(view)
-    longest = sorted(curves, key=lambda number: len(curves[number]), reverse=True)[:MOST_CURVES]
-    for number in sorted(longest):
-        scans, radius, spread = np.array(curves[number]).T
-        at = time[scans.astype(np.intp)]
-        axes.plot(at, radius, color=colour_of(number), lw=1.4, label=str(number))
-        axes.fill_between(
-            at,
-            radius - SIGMAS * spread,
-            radius + SIGMAS * spread,
-            color=colour_of(number),
-            alpha=0.15,
-            lw=0,
-        )
-    top = max((radius for curve in curves.values() for _, radius, _ in curve), default=1.0)
-    more = f": {MOST_CURVES} longest" if len(curves) > MOST_CURVES else ""
-    axes.set(title="radius, 2σ band" + more, ylabel="[m]", ylim=(0, 1.3 * top))
-    axes.grid(visible=True)
-    if longest:
-        axes.legend(fontsize=7, loc="upper right", ncols=6)
-    else:
-        axes.text(0.5, 0.5, "no elements", transform=axes.transAxes, ha="center", color=PALE)
-
-
-def _curves(view: CirclesView) -> dict[int, list[tuple[float, float, float]]]:
-    """Scan, radius and its standard deviation of every element."""
-    found: dict[int, list[tuple[float, float, float]]] = {}
-    for scan, state in enumerate(view.maps):
-        spread = np.sqrt(np.maximum(state.covariance[:, 4, 4], 0))
-        rows = zip(state.id.tolist(), state.radius.tolist(), spread.tolist(), strict=True)
-        for number, radius, deviation in rows:
-            found.setdefault(number, []).append((scan, radius, deviation))
-    return found
-
-
-def _counts(axes: Any, view: CirclesView) -> None:
-    time = _seconds(view)
-    elements = [len(state.id) for state in view.maps]
-    # Wide below narrow: where both counts are equal, both lines are seen.
-    for counts, name, colour, width in (
-        (view.n_circles, "circles found", "#f59e0b", 4.0),
-        (elements, "elements", COLOURS[0], 1.8),
-    ):
-        axes.plot(time, counts, color=colour, lw=width, label=name, drawstyle="steps-mid")
-    top = max([1, *elements, *view.n_circles.tolist()])
-    axes.set(
-        title="circles and elements per scan", xlabel="time [s]", ylim=(-0.05 * top, 1.3 * top)
-    )
-    axes.grid(visible=True)
-    axes.legend(fontsize=8, loc="upper left", ncols=2)

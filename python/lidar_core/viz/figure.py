@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.errors import ConfigError
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import written_whole
 
@@ -34,14 +35,30 @@ def write_figure(
 
     Raises
     ------
+    ConfigError
+        The file does not end in .png.
     MissingExtraError
         matplotlib is not installed.
     """
-    place = Path(path)
+    place = png_path(path)
     with figure_with_style(size=size, dpi=dpi) as figure:
         draw(figure)
         with written_whole(place) as temporary:
             figure.savefig(temporary, format="png")
+    return place
+
+
+def png_path(path: str | Path) -> Path:
+    """Return the file of a picture.
+
+    Raises
+    ------
+    ConfigError
+        It does not end in .png: pictures are PNG.
+    """
+    place = Path(path)
+    if place.suffix.lower() != ".png":
+        raise ConfigError(f"{place}: expected a picture that ends in .png")
     return place
 
 

@@ -40,7 +40,7 @@ CLOUDS = (
     ("background, last scan", "#64748b", 0.6),
     ("unknown, last scan", UNKNOWN, 2.5),
     ("own body, last scan", OWN, 2.5),
-    ("moving on the ground, last scan", MOVING, 2.5),
+    ("moving on the ground, all scans", MOVING, 1.5),
     ("flying, all scans", FLYING, 1.0),
 )
 """Name, colour and size of the points of each class."""
@@ -97,13 +97,16 @@ def _compose(figure: Any, view: FlyingView) -> None:
 
 
 def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
-    """What a panel shows: tracks in its middle, or else targets; the sensor, if that is near.
+    """What a panel shows: tracks in its middle, or else targets, or else what moves on the ground.
 
-    Where nothing moves, most of what the last scan measured and the sensor.
+    Also the sensor, if that is near. Where nothing moves, most of what the last scan measured and
+    the sensor.
     """
     columns = list(plane)
     tracks = [item.position[:, columns] for item in view.tracks]
     moving = tracks if sum(map(len, tracks)) else [way[:, columns] for way in view.truth.values()]
+    if not sum(map(len, moving)):
+        moving = [bulk_of(view.moving)[:, columns]]
     sensor = view.sensor[-1:, columns]
     if not sum(map(len, moving)):
         known = view.cloud if len(view.cloud) else view.occupied
@@ -131,7 +134,7 @@ def _map(
     window.apply(axes)
     draw_voxels(axes, view.occupied, view.voxel_size, plane, window, depth)
     for cloud, (name, colour, size) in zip(_by_class(view), CLOUDS, strict=True):
-        if colour in (OWN, MOVING) and not len(cloud):
+        if colour in (OWN, MOVING, FLYING) and not len(cloud):
             continue  # most robots hide nothing, and often nothing moves
         rows = visible_rows(cloud, plane, window, depth)
         rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
@@ -154,13 +157,9 @@ def _map(
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
     """Points in the order of `CLOUDS`."""
-    classes = (
-        ShownClass.BACKGROUND,
-        ShownClass.UNKNOWN,
-        ShownClass.OWN_BODY,
-        ShownClass.MOVING,
-    )
-    return [*(view.cloud[view.cloud_class == one] for one in classes), view.flying]
+    classes = (ShownClass.BACKGROUND, ShownClass.UNKNOWN, ShownClass.OWN_BODY)
+    last = (view.cloud[view.cloud_class == one] for one in classes)
+    return [*last, view.moving, view.flying]
 
 
 def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
@@ -206,8 +205,14 @@ def _seconds(view: FlyingView, stamps: NDArray[np.int64]) -> NDArray[np.float64]
 
 
 def _distances(axes: Any, view: FlyingView) -> None:
-    """Distance of tracks and targets from the sensor, over time."""
+    """Distance of tracks, targets and what moves on the ground from the sensor, over time."""
     time = _seconds(view, view.stamp_ns)
+    every = max(1, -(-len(view.moving) // MOST_POINTS))
+    moving, at = view.moving[::every], view.moving_scan[::every]
+    if len(moving):
+        away = np.linalg.norm(moving - view.sensor[at], axis=1)
+        axes.scatter(time[at], away, s=3, c=MOVING, linewidths=0, zorder=4, rasterized=True)
+        axes.scatter([], [], s=24, c=MOVING, linewidths=0, label="moving on the ground")
     for way in view.truth.values():
         distance = np.linalg.norm(way - view.sensor, axis=1)
         axes.plot(time, distance, color="black", lw=1.0, ls=(0, (4, 3)), zorder=6)
@@ -220,10 +225,10 @@ def _distances(axes: Any, view: FlyingView) -> None:
     axes.set(title="distance from the sensor", ylabel="[m]", xlim=_span(time), ylim=(0, None))
     axes.grid(visible=True)
     handles, labels = axes.get_legend_handles_labels()
-    if 0 < len(labels) <= len(TRACK_COLOURS):
+    if 0 < len(labels) <= len(TRACK_COLOURS) + 1:
         axes.legend(handles, labels, fontsize=8, loc="lower left", ncols=4)
     if not labels:
-        axes.text(0.5, 0.5, "no tracks", transform=axes.transAxes, ha="center", color=PALE)
+        axes.text(0.5, 0.5, "nothing moves", transform=axes.transAxes, ha="center", color=PALE)
 
 
 def _recall(axes: Any, view: FlyingView) -> None:
@@ -255,7 +260,7 @@ def _counts(axes: Any, view: FlyingView) -> None:
     # Wide below narrow: where both counts are equal, both lines are seen.
     for counts, name, colour, width in (
         (view.n_detections, "detections", UNKNOWN, 4.0),
-        (tracks, "tracks", TRACK_COLOURS[0], 1.8),
+        (tracks, "flying tracks", TRACK_COLOURS[0], 1.8),
     ):
         axes.plot(time, counts, color=colour, lw=width, label=name, drawstyle="steps-mid")
     top = max([1, *tracks, *view.n_detections.tolist()])

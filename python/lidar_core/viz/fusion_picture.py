@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.write.circle_scene import ellipse
-from lidar_core.viz.circles_picture import colour_of
+from lidar_core.viz.circles_panels import colour_of
 from lidar_core.viz.drawing.frame import panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark

@@ -15,7 +15,7 @@ from lidar_core.viz.drawing.frame import Window, bulk_of, panel_tallness, window
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import TRACK_COLOURS, WAY, ring, scale_bar, sensor_mark
 from lidar_core.viz.drawing.voxels import draw_voxels
-from lidar_core.viz.figure import INK, opaque_legend, write_figure
+from lidar_core.viz.figure import INK, opaque_legend, png_path, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback, Trails
 
@@ -38,10 +38,17 @@ MOST_NUMBERS, MOST_ROWS = 40, 12  # objects with a number, and lines of the list
 SLOWEST = 0.05  # drawn with an arrow, as long as the way of one second [m/s]
 SMALLEST = 4.0  # width of what is shown [m]
 MOVED = 1.0  # objects that moved this far are in the middle [m]
+ROUNDED = 0.01  # times are told with two digits [s]
 MARGINS = {"left": 0.065, "right": 0.985, "top": 0.88, "bottom": 0.1, "hspace": 0.32}
 
 
-def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> Path:
+def draw_moment(
+    run: Playback,
+    path: str | Path,
+    *,
+    at: float | None = None,
+    on_other_time: Callable[[float, float], None] = lambda drawn, last: None,
+) -> Path:
     """Draw the scan and the objects at one time, from above and, in 3D, from the side.
 
     Parameters
@@ -52,17 +59,25 @@ def draw_moment(run: Playback, path: str | Path, *, at: float | None = None) -> 
         PNG to write atomically.
     at : float, optional
         Time since the start [s]; without it the last time with a scan.
+    on_other_time : callable
+        Gets the time that is drawn and the last time [s], if none is near `at`.
 
     Raises
     ------
+    ConfigError
+        The file does not end in .png.
     FormatError
         A run without scans and estimates.
     MissingExtraError
         matplotlib is not installed.
     """
+    png_path(path)
     times, start_ns = _times(run)
     seconds = (np.array(times) - start_ns) * 1e-9
     number = len(times) - 1 if at is None else int(np.argmin(np.abs(seconds - at)))
+    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    if at is not None and abs(seconds[number] - at) > max(step, ROUNDED):
+        on_other_time(float(seconds[number]), float(seconds[-1]))
     moment, trails = shown = _followed(run, times[number : number + 1])[0]
     scene = _Scene.of(run, [shown])
     return write_figure(
@@ -269,8 +284,10 @@ def _panel(
         line = outline.points[:, axes]
         name = None if number else "wall or other shape"
         panel.plot(*line.T, "-" if outline.visible else ":", lw=2.0, color=WALL, label=name)
-    for row, name in enumerate(moment.objects.id.tolist()):
+    is_ringed = [
         _draw_object(panel, moment, row, list(axes), trails[name])
+        for row, name in enumerate(moment.objects.id.tolist())
+    ]
     names = moment.objects.id.tolist()[:MOST_NUMBERS]
     ways = [trails[name][:, axes] for name in names]
     draw_labels(
@@ -288,6 +305,9 @@ def _panel(
         panel.plot([], [], "-", color=BAND, label="2σ of the position")
         arrow = {"ls": "", "marker": r"$\rightarrow$", "ms": 12, "mew": 0.4}
         panel.plot([], [], color=INK, label="way of one second", **arrow)
+    if any(is_ringed):
+        colour = colour_of(int(moment.objects.id[is_ringed.index(True)]))
+        panel.plot([], [], "o", ms=9, mfc="none", mec=colour, label="ring: small object")
     window.apply(panel)
     panel.grid(visible=True)
 
@@ -317,8 +337,11 @@ def _draw_points(
 
 def _draw_object(
     panel: Any, moment: Moment, row: int, axes: list[int], trail: NDArray[np.float64]
-) -> None:
-    """Way, outline, 2 sigma ellipse, velocity, and a ring around what is small."""
+) -> bool:
+    """Way, outline, 2 sigma ellipse, velocity, and a ring around what is small.
+
+    Returns whether there is a ring.
+    """
     objects = moment.objects
     at, velocity = objects.position[row][axes], objects.velocity[row][axes]
     colour = colour_of(int(objects.id[row]))
@@ -328,10 +351,11 @@ def _draw_object(
     panel.plot(around[:, 0], around[:, 1], "-", lw=1.2, color=colour)
     band = at + ellipse(objects.covariance[row][np.ix_(axes, axes)], SIGMAS, CORNERS)
     panel.plot(*np.vstack([band, band[:1]]).T, "-", lw=1.0, color=BAND)
-    ring(panel, at, colour, size=float(np.ptp(around, axis=0).min()))
+    is_ringed = ring(panel, at, colour, size=float(np.ptp(around, axis=0).min()))
     if np.linalg.norm(velocity) > SLOWEST:
         arrow = {"arrowstyle": "->", "color": INK}
         panel.annotate("", at + velocity, at, arrowprops=arrow, annotation_clip=True)
+    return is_ringed
 
 
 def colour_of(number: int) -> str:

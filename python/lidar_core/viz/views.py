@@ -37,6 +37,8 @@ class FlyingView:
         True positions of every target [m]; NaN where unknown. Empty without truth.
     recall : mapping of str to pair of ndarray
         Per name, times [ns] and share of targets found.
+    moving, moving_scan : ndarray, shapes (M, 3), float64, and (M,), int64
+        Points that move on the ground, of all scans [m], and the number of their scan, from 0.
     """
 
     title: str
@@ -53,6 +55,8 @@ class FlyingView:
     recall: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = field(
         default_factory=dict
     )
+    moving: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    moving_scan: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,6 +82,22 @@ def test_the_folder_is_complete_and_noted(recording, run):
     assert result["elements"] == 1
 
 
+def test_the_table_names_what_moves_at_the_end(recording, tmp_path):
+    """In the first scans nothing is known to move."""
+    few, file = ("--no-picture", "--no-mcap", "--overwrite", "-o", tmp_path / "run"), tmp_path / "a"
+    out = run_command(recording, *few, "--json", file)
+    ((number, speed),) = (
+        tuple(one.values()) for one in json.loads(file.read_text())["moving_at_end"]
+    )
+    table = read_columns(next((tmp_path / "run").glob("circles.*")))
+    assert number == table["track_id"][-1]
+    assert speed == pytest.approx(np.hypot(table["vx"][-1], table["vy"][-1]))
+    assert f"{number} ({speed:.1f} m/s)" in out.output
+    none = run_command(recording, *few, "--json", file, "--end", 0.1)
+    assert json.loads(file.read_text())["moving_at_end"] == []
+    assert "m/s)" not in none.output
+
+
 def test_the_element_lies_where_the_truth_says(recording, run):
     folder, _ = run
     found = read_columns(folder / "circles.parquet")

@@ -172,6 +172,30 @@ def test_a_sensor_that_moves_and_is_said_to_stand_is_named(recordings, tmp_path)
         assert len(named) == expected, result["class_shares"]
 
 
+def test_people_on_the_ground_are_told_and_shown(recordings, run, tmp_path, monkeypatch):
+    """A person walks from 18 to 22 m; nothing flies."""
+    views = []
+    monkeypatch.setattr(
+        "lidar_core.runs.scans.flying.draw_flying", lambda view, path: views.append(view) or path
+    )
+    path = tmp_path / "hap"
+    with tarfile.open(recordings / "3d/sequences/livox_hap_outdoor/scans.tar.xz") as opened:
+        opened.extractall(path, filter="data")
+    out = run_command(path, "-o", tmp_path / "run", "--pose", "static", "--no-mcap")
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    scans = summary["scans_moving"]
+    assert (summary["tracks"], summary["tracks_ground"]) == (0, 0)
+    assert 5 < scans < 20
+    assert f"moving points in {scans} of 30 scans" in out.output
+    (view,) = views
+    assert view.title == f"hap: 30 scans, 0 flying tracks, 0 on the ground, movers in {scans} scans"
+    assert len(np.unique(view.moving_scan)) == scans
+    away = np.linalg.norm(view.moving - view.sensor[view.moving_scan], axis=1)
+    walks = view.moving_scan < 20
+    assert np.corrcoef(view.moving_scan[walks], away[walks])[0, 1] > 0.9
+    assert (run[1]["tracks_ground"], run[1]["scans_moving"]) == (0, 0)
+
+
 def test_repeating_opens_the_gate(recording, tmp_path):
     path = tmp_path / "short.npz"
     with open_recording(recording) as opened:

@@ -39,6 +39,16 @@ def test_the_command_writes_the_same_bytes_again(tmp_path):
     assert "1 scans, 98633 points" in out.output
 
 
+def test_the_help_names_the_files_that_are_written(tmp_path):
+    out = run_command("demo", "-o", tmp_path / "street.npz", "--scans", 1)
+    assert out.exit_code == 0, out.output
+    told = " ".join(run_command("--help").output.split())
+    names = {path.name for path in tmp_path.iterdir()} - {"street.npz"}
+    assert len(names) == 3
+    for name in names:
+        assert name in told
+
+
 def test_the_command_refuses_what_it_cannot_write(tmp_path):
     out = run_command("demo", "-o", tmp_path / "x.las")
     assert isinstance(out.exception, ConfigError)

@@ -317,8 +317,9 @@ def test_where_nothing_moves_the_measured_world_and_the_sensor_fill_the_picture(
     low, high = ([9.0, -10.0, -2.0], [60.0, 12.0, 8.0]) if ahead else ([-3.0] * 3, [3.0] * 3)
     cloud = rng.uniform(low, high, (3000, 3))
     cloud[:10] *= 40  # a few points far away
+    none = np.empty((0, 3))
     view = SimpleNamespace(
-        tracks=[], truth={}, sensor=np.zeros((1, 3)), cloud=cloud, occupied=np.empty((0, 3))
+        tracks=[], truth={}, sensor=np.zeros((1, 3)), cloud=cloud, occupied=none, moving=none
     )
     window = flying_picture._window(view, (0, 1), 1.0)
     assert window.holds(np.zeros(2))

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import shutil
 import signal
 import socket
@@ -20,8 +21,10 @@ from PIL import Image
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
-from lidar_core.viz import Objects, Playback, draw_film, draw_moment
+from lidar_core.viz import Objects, Playback, draw_film, draw_moment, playback_picture
+from lidar_core.viz.drawing.frame import Window
 from lidar_core.viz.drawing.marks import TRACK_COLOURS
+from lidar_core.viz.figure import write_figure
 from lidar_core.viz.film import film_ending, write_film
 from lidar_core.viz.playback import Moment
 from lidar_core.viz.rerun_log import RerunLog
@@ -249,6 +252,56 @@ def test_films_are_mp4_where_ffmpeg_is(circles, tmp_path):
         path = draw_film(Playback(circles), tmp_path / "a.mp4", frames=3)
     assert path.stat().st_size == 3 * 840 * 420 * 4
     assert {item.name for item in tmp_path.iterdir()} == {"a.mp4", "ffmpeg"}
+
+
+@pytest.mark.parametrize(
+    ("at", "told"),
+    [(None, None), (0.0, None), (0.43, None), (50.0, "where the run ends")],
+)
+def test_another_time_than_asked_for_is_told(circles, tmp_path, at, told):
+    more = () if at is None else ("--at", at)
+    done = invoke("view", circles, "--png", tmp_path / "a.png", *more)
+    assert done.exit_code == 0, done.output
+    assert ("note: --at 50: the picture shows" in done.stderr) == (told is not None)
+    assert (told or "") in done.stderr
+
+
+def test_a_gap_of_scans_is_told(monkeypatch, circles, tmp_path):
+    """The run keeps no scan for a second: the nearest one is drawn."""
+    run, told = Playback(circles), []
+    times = run.times()
+    monkeypatch.setattr(Playback, "times", lambda _: [times[0], *times[-3:]])
+    first, last = times[0], times[-1]
+    middle = (times[-3] - first) * 0.4e-9
+    draw_moment(run, tmp_path / "a.png", at=middle, on_other_time=lambda *one: told.append(one))
+    assert told == [pytest.approx((0.0, (last - first) * 1e-9))]
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a", "a.png.txt"])
+def test_a_picture_that_is_no_png_is_refused_by_name(circles, tmp_path, name):
+    refused = invoke("view", circles, "--png", tmp_path / name)
+    assert f"{name}: expected a picture that ends in .png" in str(refused.exception)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ConfigError, match=re.escape(f"{name}: expected a picture that ends")):
+        write_figure(tmp_path / name, lambda _: None, size=(1, 1))
+    assert write_figure(tmp_path / "a.PNG", lambda _: None, size=(1, 1)).read_bytes()[1:4] == b"PNG"
+
+
+@pytest.mark.parametrize(("size", "is_ringed"), [(0.05, True), (3.0, False)])
+def test_rings_around_small_objects_are_in_the_legend(size, is_ringed):
+    figure = pytest.importorskip("matplotlib.figure").Figure(figsize=(6, 6))
+    panel = figure.add_subplot()
+    objects = Objects(
+        id=np.array([1]),
+        position=np.zeros((1, 3)),
+        covariance=np.eye(3)[None] * 1e-4,
+        velocity=np.zeros((1, 3)),
+        size=np.full((1, 3), size),
+    )
+    moment = Moment(0, np.empty((0, 3), np.float32), np.empty(0, np.uint8), objects)
+    window, depth = Window(np.array([-8.0, -8.0]), np.array([8.0, 8.0])), (-9.0, 9.0)
+    playback_picture._panel(panel, moment, {1: np.zeros((2, 3))}, (0, 1), window, depth=depth)
+    assert ("ring: small object" in panel.get_legend_handles_labels()[1]) == is_ringed
 
 
 def test_one_way_to_look_at_a_time(circles, tmp_path):

@@ -10,8 +10,9 @@ from matplotlib.image import imread
 
 from lidar_core import MissingExtraError, TrackKind
 from lidar_core.extras import install_command
-from lidar_core.flying import Tracks
-from lidar_core.viz import FlyingView, draw_flying
+from lidar_core.flying import FlyingObjectDetector, Tracks
+from lidar_core.runs.scans.flying import FlyingRun
+from lidar_core.viz import FlyingView, draw_flying, flying_picture
 
 SHAPE = (902, 1540)
 FLYING = np.array([0xFB, 0x71, 0x85]) / 255
@@ -110,3 +111,64 @@ def test_without_matplotlib_the_extra_is_named(view, tmp_path, monkeypatch):
     with pytest.raises(MissingExtraError, match=re.escape(install_command("plot"))):
         draw_flying(view, tmp_path / "picture.png")
     assert list(tmp_path.iterdir()) == []
+
+
+def moving_from(view):
+    """The view of a run in which nothing flies, and somebody walks."""
+    walked = np.stack([np.linspace(-9, -6, 20), np.full(20, 8.0), np.ones(20)], axis=1)
+    return replace(
+        view,
+        flying=view.flying[:0],
+        tracks=[tracks_at(n, [], []) for n in range(20)],
+        truth={},
+        recall={},
+        moving=walked,
+        moving_scan=np.arange(20),
+    )
+
+
+def drawn(view):
+    figure = pytest.importorskip("matplotlib.figure").Figure(figsize=flying_picture.SIZE)
+    flying_picture._compose(figure, view)
+    return figure.axes
+
+
+def test_what_walks_is_shown_with_its_way_in_the_middle_and_its_distance(view):
+    walks = moving_from(view)
+    above, side, away, _ = drawn(walks)
+    for axes, plane in ((above, [0, 1]), (side, [0, 2])):
+        places = [one.get_offsets().data for one in axes.collections]
+        assert any(np.array_equal(rows, walks.moving[:, plane]) for rows in places)
+    middle = np.array([above.get_xlim(), above.get_ylim()]).mean(axis=1)
+    assert np.abs(middle - [-7.5, 8.0]).max() < 0.5
+    legend = [text.get_text() for text in above.get_legend().get_texts()]
+    assert "moving on the ground, all scans" in legend
+    assert "flying, all scans" not in legend
+    time, distance = next(one.get_offsets().data.T for one in away.collections)
+    assert time == pytest.approx(np.arange(20) * 0.1)
+    assert distance == pytest.approx(np.linalg.norm(walks.moving - view.sensor, axis=1))
+    assert not [text for text in away.texts if text.get_text() == "nothing moves"]
+
+
+def test_a_picture_without_movers_says_so(view):
+    still = moving_from(view)
+    still = replace(still, moving=view.moving, moving_scan=view.moving_scan)
+    above, _, away, _ = drawn(still)
+    legend = [text.get_text() for text in above.get_legend().get_texts()]
+    assert "moving on the ground, all scans" not in legend
+    assert [text.get_text() for text in away.texts] == ["nothing moves"]
+
+
+def test_tracks_that_end_on_the_ground_are_counted_beside_those_that_flew():
+    run = FlyingRun(FlyingObjectDetector())
+    ways = {
+        1: [TrackKind.UNKNOWN, TrackKind.GROUND],
+        2: [TrackKind.GROUND, TrackKind.STATIC],
+        3: [TrackKind.FLYING, TrackKind.GROUND],
+        4: [TrackKind.UNKNOWN, TrackKind.UNKNOWN],
+    }
+    for scan in range(2):
+        tracks = tracks_at(scan, list(ways), np.zeros((len(ways), 3)))
+        kinds = np.array([kinds[scan] for kinds in ways.values()], np.uint8)
+        run.tracks.append(replace(tracks, kind=kinds))
+    assert (run.track_ids, run.ground_ids) == ([3], [1])

@@ -9,17 +9,17 @@ import pytest
 from circle_states import Circles
 from matplotlib.image import imread
 
-from lidar_core import MissingExtraError
+from lidar_core import MissingExtraError, TrackKind
 from lidar_core.extras import install_command
-from lidar_core.viz import CirclesView, animate_circles, draw_circles
+from lidar_core.viz import CirclesView, animate_circles, circles_picture, draw_circles
+from lidar_core.viz.drawing.labels import NUMBER
+from lidar_core.viz.movers import moved, moving_at_end
 
 SHAPE = (630, 1080)
 COLOUR_STEP = 0.6 / 255
 """Less than one step of an 8-bit channel."""
 FIRST = np.array([0x15, 0x80, 0x3D]) / 255
 """Of element 1."""
-FOURTH = np.array([0xBE, 0x18, 0x5D]) / 255
-"""Of element 4."""
 SCANS = 20
 
 
@@ -34,6 +34,7 @@ def map_at(number):
         covariance=np.tile(np.diag([0.002, 0.004, 0.01, 0.01, 1e-4]), (count, 1, 1)),
         age=np.ones(count),
         visible=np.array([True, False])[:count],
+        kind=np.array([TrackKind.GROUND, TrackKind.STATIC], np.uint8)[:count],
         stamp_ns=number * 50_000_000,
     )
 
@@ -71,19 +72,111 @@ def share_of(path, colour):
     return (np.abs(image - colour) < COLOUR_STEP).all(axis=2).mean()
 
 
-def test_what_left_the_map_stays_in_the_picture(view, tmp_path):
+def composed(view):
+    figure = pytest.importorskip("matplotlib.figure").Figure(figsize=circles_picture.SIZE)
+    circles_picture._compose(figure, view)
+    return figure.axes
+
+
+def numbers_in(axes):
+    return {text.get_text() for text in axes.texts if text.get_gid() == NUMBER}
+
+
+def keys_of(axes):
+    return {text.get_text() for text in axes[1].get_legend().get_texts()}
+
+
+def test_what_left_the_map_stays_in_the_picture(view):
     """People who passed are gone at the end."""
     first = replace(view, maps=[map_at(SCANS)] * 3 + [map_at(0)] * (SCANS - 3))
-    with_way = draw_circles(first, tmp_path / "a.png")
-    without = draw_circles(replace(view, maps=[map_at(0)] * SCANS), tmp_path / "b.png")
-    above = np.s_[60:, :600]  # left of the curves over time
+    axes = composed(first)
+    assert {"4", "1 0.5 m/s"} == numbers_in(axes[0])
+    assert "no longer in the map" in keys_of(axes)
+    axes = composed(replace(view, maps=[map_at(0)] * SCANS))
+    assert {"1 0.5 m/s"} == numbers_in(axes[0])
+    assert "no longer in the map" not in keys_of(axes)
 
-    def purple(path):
-        image = imread(path)[above][:, :, :3]
-        return (np.abs(image - FOURTH) < COLOUR_STEP).all(axis=2).sum()
 
-    assert purple(with_way) > 100  # its label
-    assert purple(without) == 0
+def test_what_is_out_of_sight_has_a_style_of_its_own(view):
+    """Dark and dotted it looked like what is no longer in the map."""
+    axes = composed(view)
+    assert "in the map, out of sight" in keys_of(axes)
+    styles = {}
+    for disc in axes[0].patches:
+        if hasattr(disc, "get_radius"):
+            styles[disc.get_radius()] = disc.get_linestyle(), disc.get_linewidth()
+    moves, hidden = styles[0.3], styles[0.5]
+    assert (moves[0], hidden[0]) == ("-", ":")
+    assert moves[1] > 2 * hidden[1]
+    seen = [replace(state, visible=np.ones(len(state.id), bool)) for state in view.maps]
+    assert "in the map, out of sight" not in keys_of(composed(replace(view, maps=seen)))
+
+
+def test_speeds_are_shown_where_something_moves(view):
+    titles = [axes.get_title() for axes in composed(view)]
+    assert "speed of what moves" in titles
+    (speeds,) = (axes for axes in composed(view) if "speed" in axes.get_title())
+    (curve,) = speeds.lines
+    assert curve.get_label() == "1"
+    assert curve.get_ydata() == pytest.approx(np.full(SCANS, 0.5))
+    kind = np.full(2, TrackKind.STATIC, np.uint8)
+    still = [replace(one, kind=kind[: len(one.id)], velocity=0 * one.velocity) for one in view.maps]
+    stands = composed(replace(view, maps=still))
+    assert not [axes for axes in stands if "speed" in axes.get_title()]
+    assert numbers_in(stands[0]) == {"1", "4 person"}
+
+
+@pytest.mark.parametrize("is_gone", [False, True])
+def test_circles_at_the_border_lie_in_the_picture_as_a_whole(view, is_gone):
+    """A circle that the points alone would cut, and one far away that is not shown at all."""
+    state = map_at(SCANS)
+    places = np.array([[5.1, 5.1], [60.0, 0.0]])
+    other = replace(state, center=places, radius=np.array([1.2, 0.5]), id=np.array([7, 8]))
+    maps = [other, *view.maps[1:]] if is_gone else [*view.maps[:-1], other]
+    above = composed(replace(view, maps=maps))[0]
+    low, high = np.array([above.get_xlim(), above.get_ylim()]).T
+    assert (low <= places[0] - 1.2).all()
+    assert (high >= places[0] + 1.2).all()
+    assert high[0] < 30
+
+
+def test_many_that_left_are_drawn_with_their_numbers_or_not_at_all(view):
+    """The longest ways, as many as there is room for."""
+    state, most = map_at(SCANS), circles_picture.MOST_GONE
+    rows = np.zeros(most + 5, int)
+    many = Circles(
+        id=10 + np.arange(len(rows)),
+        center=np.random.default_rng(1000).uniform(-4, 4, (len(rows), 2)),
+        velocity=state.velocity[rows],
+        radius=np.full(len(rows), 0.123),
+        covariance=state.covariance[rows],
+        age=state.age[rows],
+        visible=state.visible[rows],
+        stamp_ns=0,
+    )
+    axes = composed(replace(view, maps=[many, *view.maps[1:]]))
+    discs = [disc for disc in axes[0].patches if getattr(disc, "radius", 0) == 0.123]
+    assert len(discs) == most
+    assert len(numbers_in(axes[0])) == most + 2
+    assert f"no longer in the map, {most} of {most + 5}" in keys_of(axes)
+
+
+def test_what_moved_is_ground_or_went_some_way():
+    def states(kind, step):
+        ways = [map_at(number) for number in range(3)]
+        centers = [np.array([[number * step, 0.0]]) for number in range(3)]
+        kinds = np.array([kind], np.uint8)
+        return [
+            replace(one, center=place, kind=kinds) for one, place in zip(ways, centers, strict=True)
+        ]
+
+    assert moved(states(TrackKind.GROUND, 0.0)) == {1}
+    assert moved(states(TrackKind.STATIC, 1.0)) == set()
+    assert moved(states(TrackKind.UNKNOWN, 1.0)) == {1}
+    assert moved(states(TrackKind.UNKNOWN, 0.1)) == set()
+    assert moving_at_end(states(TrackKind.GROUND, 0.0)) == {1: 0.5}
+    assert moving_at_end(states(TrackKind.STATIC, 1.0)) == {}
+    assert moving_at_end([]) == {}
 
 
 def test_elements_are_drawn_in_their_colour(view, tmp_path):
@@ -97,6 +190,8 @@ def test_elements_are_drawn_in_their_colour(view, tmp_path):
                 state,
                 id=state.id[:0],
                 center=state.center[:0],
+                velocity=state.velocity[:0],
+                kind=state.kind[:0],
                 radius=state.radius[:0],
                 covariance=state.covariance[:0],
             )

@@ -14,6 +14,7 @@ from lidar_core.cli.shared.common import (
     consoles,
     write_json,
 )
+from lidar_core.cli.shared.voice import tell
 
 if TYPE_CHECKING:
     from lidar_core.io.tables.columns import Columns
@@ -23,7 +24,7 @@ SHOWN = (
     *("x", "y", "z", "speed", "distance", "duration"),
 )
 """Columns on the console, as far as the table has them; files get all."""
-MOST_ROWS = 40
+MOST_ROWS, MOST_TEXTS = 40, 12
 QUERY = "Such as \"distance < 20 and event == 'lost'\"; columns: see `lidar-core events all TABLE`."
 TABLE = "Folder of a run or a batch, table (.parquet, .csv), or folder of tables such as tracks/."
 
@@ -57,10 +58,12 @@ def command(
     shown = [name for name in SHOWN if name in rows] or list(rows)[: len(SHOWN)]
     lines = aligned({name: _texts(rows[name][:MOST_ROWS]) for name in shown})
     out.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
-    more = f", the first {MOST_ROWS} are shown" if count > MOST_ROWS else ""
+    more = f", the first {MOST_ROWS} are shown (-o FILE.csv: all)" if count > MOST_ROWS else ""
     out.print(f"{count} of {total} rows{more}; columns: {', '.join(columns)}", soft_wrap=True)
     if total and (unknown := _unknown(columns, query)):
         errors.print(f"note: {', '.join(unknown)}: unknown in all rows", highlight=False)
+    for note in _absent(columns, query) if total and query != "all" else ():
+        tell(errors, note)
     if output is not None:
         _write(rows, output, overwrite=overwrite)
     write_json([_plain_row(rows, row) for row in range(count)] if json else [], json)
@@ -76,6 +79,18 @@ def _unknown(columns: "Columns", query: str) -> list[str]:
         for name, values in columns.items()
         if name in named and values.dtype.kind == "f" and all(map(isnan, values.tolist()))
     ]
+
+
+def _absent(columns: "Columns", query: str) -> list[str]:
+    """Notes on texts of the query that no row has, with those that occur."""
+    from lidar_core.runs.catalogue import absent_texts
+
+    notes = []
+    for name, text, held in absent_texts(columns, query):
+        more = f" and {len(held) - MOST_TEXTS} more" if len(held) > MOST_TEXTS else ""
+        known = ", ".join(held[:MOST_TEXTS]) + more
+        notes.append(f"note: {name}: no row has {text!r}; the values are {known}")
+    return notes
 
 
 def _texts(values: Any) -> list[str]:

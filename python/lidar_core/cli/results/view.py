@@ -45,7 +45,7 @@ def command(
     allow_origin: Annotated[list[str], typer.Option(help=ALLOW_ORIGIN)] = [],  # noqa: B006
     png: Annotated[
         Path | None,
-        typer.Option(help="Draw the scene at one time into this file; needs no display."),
+        typer.Option(help="Draw the scene at one time into this .png; needs no display."),
     ] = None,
     at: Annotated[
         float | None,
@@ -66,7 +66,7 @@ def command(
         raise ConfigError("at: selects the time of --png, got no --png")
     played = Playback(run)
     if png is not None:
-        print(draw_moment(played, png, at=at))
+        print(draw_moment(played, png, at=at, on_other_time=partial(_tell_time, at)))
     elif film is not None:
         with shown_progress(consoles(None)[1], counts="frames") as on_progress:
             drawn = draw_film(played, film, on_frame=partial(on_progress, "film"))
@@ -81,6 +81,15 @@ def command(
         print(write_rerun(played, rrd))
     else:
         _show_window(played)
+
+
+def _tell_time(asked: float | None, drawn: float, last: float) -> None:
+    """Say that another time is drawn than asked for."""
+    from lidar_core.cli.shared.common import consoles
+    from lidar_core.cli.shared.voice import tell
+
+    why = "where the run ends" if drawn == last else "the nearest time with a scan"
+    tell(consoles(None)[1], f"note: --at {asked:g}: the picture shows {drawn:.2f} s, {why}")
 
 
 def _check_single(**viewers: object) -> None:

@@ -7,11 +7,12 @@ from lidar_core.runs.catalogue.objects import (
     objects_and_events,
     objects_of,
 )
-from lidar_core.runs.catalogue.query import columns_named, matching_rows, read_table
+from lidar_core.runs.catalogue.query import absent_texts, columns_named, matching_rows, read_table
 
 __all__ = [
     "EVENTS",
     "OBJECTS",
+    "absent_texts",
     "columns_named",
     "events_of",
     "matching_rows",

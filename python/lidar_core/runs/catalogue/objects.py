@@ -36,6 +36,7 @@ EVENTS: Final[dict[str, type]] = {
     "run": str,
     "track_id": int,
     "kind": str,
+    "kind_then": str,
     "event": str,
     "t_ns": int,
     "time": float,
@@ -45,6 +46,7 @@ EVENTS: Final[dict[str, type]] = {
 }
 """Columns of the table of events. duration and rows are those of the whole track.
 
+kind is that of the track where it ends, when most is known; kind_then is that at the event.
 event is first_sight, closest_approach, or lost: the track ends before the run does.
 """
 
@@ -141,10 +143,12 @@ def objects_and_events(
     """Return both tables of a run, which is read once: see `objects_of` and `events_of`."""
     objects = objects_of(folder, recording=recording, run=run)
     last = int(max(objects["t_ns"].max(initial=0), _scan_stamps(Path(folder)).max(initial=0)))
+    kind = objects["kind"].copy()  # of each row, where its track ends
     chosen: list[tuple[int, str, float, int]] = []
     for number in np.unique(objects["track_id"]).tolist():
         rows = np.flatnonzero(objects["track_id"] == number)
         rows = rows[np.argsort(objects["t_ns"][rows], kind="stable")]
+        kind[rows] = kind[rows[-1]]
         seconds = float(objects["time"][rows[-1]] - objects["time"][rows[0]])
         chosen.append((int(rows[0]), "first_sight", seconds, len(rows)))
         distance = objects["distance"][rows]
@@ -155,6 +159,8 @@ def objects_and_events(
             chosen.append((int(rows[-1]), "lost", seconds, len(rows)))
     picked = np.array([row for row, *_ in chosen], np.int64)
     told: dict[str, NDArray[Any]] = {
+        "kind": kind[picked],
+        "kind_then": objects["kind"][picked],
         "event": np.array([one[1] for one in chosen], np.str_),
         "duration": np.array([one[2] for one in chosen], np.float64),
         "rows": np.array([one[3] for one in chosen], np.int64),

@@ -2,13 +2,15 @@
 
 import ast
 import operator
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.batch.results import NOTE, JobRecord
 from lidar_core.errors import ConfigError, FormatError, unknown
 from lidar_core.io.tables.columns import Columns, read_columns
 from lidar_core.run_folder import RUN_FILE, table_in
@@ -46,7 +48,7 @@ def read_table(path: str | Path) -> Columns:
     Raises
     ------
     FormatError
-        None of these.
+        None of these, or a batch that was interrupted before it wrote its tables.
     """
     place = Path(path)
     if not place.is_dir():
@@ -58,12 +60,27 @@ def read_table(path: str | Path) -> Columns:
         return read_columns(table)
     files = sorted(one for one in place.iterdir() if one.suffix in {".csv", ".parquet"})
     if not files:
-        raise FormatError(f"{place}: expected a table, the folder of a run or of a batch")
+        raise FormatError(f"{place}: {_without_tables(place)}")
     parts = [read_columns(one) for one in files]
     for file, part in zip(files, parts, strict=True):
         if list(part) != list(parts[0]):
             raise FormatError(f"{file}: expected the columns of {files[0].name}")
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _without_tables(folder: Path) -> str:
+    """What a folder without tables is: a batch that was killed has its jobs alone."""
+    records = [
+        record for one in sorted(folder.glob(f"*/{NOTE}")) if (record := JobRecord.read(one.parent))
+    ]
+    if not records:
+        return "expected a table, the folder of a run or of a batch"
+    done = sum(record.status == "done" for record in records)
+    return (
+        f"this batch was interrupted, or still runs: {done} of {len(records)} jobs are done, and it"
+        " has no table of events yet; run the same `lidar-core batch` command again, which keeps"
+        " what is done and writes the table"
+    )
 
 
 def matching_rows(columns: Columns, query: str) -> Columns:
@@ -102,15 +119,77 @@ def columns_named(query: str) -> set[str]:
     return {node.id for node in ast.walk(_parsed(query)) if isinstance(node, ast.Name)}
 
 
+def absent_texts(columns: Columns, query: str) -> list[tuple[str, str, list[str]]]:
+    """Return texts that a query compares with a column and that no row has.
+
+    Parameters
+    ----------
+    columns : dict of ndarray
+        The table.
+    query : str
+        A query that `matching_rows` takes.
+
+    Returns
+    -------
+    found : list of (str, str, list of str)
+        Name of the column, text, and the values that occur in the column, sorted.
+
+    Raises
+    ------
+    ConfigError
+        The text is not a query.
+    """
+    found = []
+    for name, other in _pairs(_parsed(query)):
+        if name not in columns or not _is_text(columns[name]):
+            continue
+        held = {str(value) for value in columns[name].tolist()}
+        known = sorted(held - {""})
+        parts = other.elts if isinstance(other, ast.List | ast.Tuple) else [other]
+        texts = [part.value for part in parts if isinstance(part, ast.Constant)]
+        found += [
+            (name, text, known) for text in texts if isinstance(text, str) and text not in held
+        ]
+    return list({(name, text): (name, text, held) for name, text, held in found}.values())
+
+
+def _pairs(tree: ast.expr) -> Iterator[tuple[str, ast.expr]]:
+    """Names in comparisons for equality, each with what it is compared with."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Compare):
+            continue
+        sides = [node.left, *node.comparators]
+        for one, kind, other in zip(sides, node.ops, sides[1:], strict=False):
+            if isinstance(kind, ast.Eq | ast.NotEq | ast.In | ast.NotIn):
+                for name, value in ((one, other), (other, one)):
+                    if isinstance(name, ast.Name):
+                        yield name.id, value
+
+
 def _parsed(query: str) -> ast.expr:
     if len(query) > MOST_LETTERS:
         raise ConfigError(f"query: expected {MOST_LETTERS} letters at most, got {len(query)}")
     try:
         return ast.parse(query.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        cure = _with_double_signs(query)
+        if cure is not None:
+            raise ConfigError(f"query: use == to compare: {cure}") from None
         raise ConfigError(f"query: cannot read {query!r}: {error}; {_EXAMPLE}") from None
 
 
+def _with_double_signs(query: str) -> str | None:
+    """The query with == for every single =; None if that does not make it a query."""
+    cure = _SINGLE_SIGN.sub(lambda found: found[1] or "==", query.strip())
+    try:
+        ast.parse(cure, mode="eval")
+    except (SyntaxError, ValueError, MemoryError, RecursionError):
+        return None
+    return cure if cure != query.strip() else None
+
+
+_SINGLE_SIGN = re.compile(r"""('[^']*'|"[^"]*"|[<>=!]=)|=""")
+"""A single =, or what is left as it is: texts and signs of two letters."""
 _EXAMPLE = "an example is: distance < 20 and event == 'closest_approach'"
 
 
@@ -145,7 +224,7 @@ def _value(node: ast.expr, columns: Columns, query: str, depth: int) -> Any:
             sides = of(node.left), of(node.right)
             value = _applied(_ARITHMETIC[type(node.op)], query, *sides)
         case ast.Compare():
-            value = _compared(node, query, of)
+            value = _compared(node, columns, query, of)
         case _:
             raise ConfigError(
                 f"query: cannot use {ast.unparse(node)!r}: expected columns, numbers and texts"
@@ -154,8 +233,11 @@ def _value(node: ast.expr, columns: Columns, query: str, depth: int) -> Any:
     return value
 
 
-def _compared(node: ast.Compare, query: str, of: Callable[[ast.expr], Any]) -> Any:
+def _compared(
+    node: ast.Compare, columns: Columns, query: str, of: Callable[[ast.expr], Any]
+) -> Any:
     """`a < b <= c` is both comparisons."""
+    _check_quotes(node, columns)
     values = [of(node.left), *(of(one) for one in node.comparators)]
     parts = []
     for one, kind, other in zip(values, node.ops, values[1:], strict=False):
@@ -165,6 +247,30 @@ def _compared(node: ast.Compare, query: str, of: Callable[[ast.expr], Any]) -> A
             raise ConfigError(f"query: {ast.unparse(node)!r} compares a text with a number")
         parts.append(np.asarray(_applied(_COMPARISONS[type(kind)], query, one, other)))
     return _folded(np.logical_and, parts)
+
+
+def _check_quotes(node: ast.Compare, columns: Columns) -> None:
+    """Refuse a word that is no column beside a column of texts: its quotes are missing."""
+    for name, other in _pairs(node):
+        if name not in columns or not _is_text(columns[name]):
+            continue
+        parts = other.elts if isinstance(other, ast.List | ast.Tuple) else [other]
+        words = {part.id for part in parts if isinstance(part, ast.Name)} - columns.keys()
+        if words:
+            cure = ast.unparse(_Quoted(words).visit(node))
+            raise ConfigError(
+                f"query: no column {', '.join(sorted(words))}; texts need quotes: {cure}"
+            )
+
+
+class _Quoted(ast.NodeTransformer):
+    """Makes texts of words."""
+
+    def __init__(self, words: set[str]) -> None:
+        self._words = words
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.Constant(node.id) if node.id in self._words else node
 
 
 def _folded(together: Callable[[Any, Any], Any], parts: list[NDArray[np.bool_]]) -> Any:

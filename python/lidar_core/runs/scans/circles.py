@@ -29,6 +29,7 @@ from lidar_core.runs.result import MCAP, OnProgress, Picture
 from lidar_core.runs.scans.times import ScanTimes
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.film import film_ending
+from lidar_core.viz.movers import moving_at_end
 from lidar_core.viz.scan_log import log_circles
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped
@@ -178,6 +179,9 @@ class CirclesRun:
             "too_near": self._too_near,
             "elements": len(self.element_ids),
             "elements_at_end": len(self.maps[-1].id) if self.maps else 0,
+            "moving_at_end": [
+                {"id": number, "speed": speed} for number, speed in moving_at_end(self.maps).items()
+            ],
             "persons": len(self.person_ids),
             "shapes": len({number for state in self.shapes for number in state.id.tolist()}),
             "shapes_at_end": len(self.shapes[-1].id) if self.shapes else 0,

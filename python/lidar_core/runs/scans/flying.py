@@ -20,7 +20,7 @@ from lidar_core.flying import (
 )
 from lidar_core.io import McapWriter, PosedScan, write_tracks_table, write_tum
 from lidar_core.io.tables.covariance import covariance_columns
-from lidar_core.messages import PointClass, Scan
+from lidar_core.messages import PointClass, Scan, TrackKind
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.result import MCAP, Picture
 from lidar_core.runs.scans.times import ScanTimes
@@ -36,6 +36,7 @@ FEWEST_SCANS, MOVING_SHARE = 5, 0.2
 
 Measured: 0.1 to 2.3 % with sensors at rest, 36 % in the scans of a car whose poses are left out.
 """
+MOST_MOVING = 100  # points on the ground kept of a scan: a street with much traffic has thousands
 
 
 class FlyingRun:
@@ -78,6 +79,7 @@ class FlyingRun:
         self._sensors: list[str] = []
         self._path: list[NDArray[np.float64]] = []
         self._flying: list[NDArray[np.float64]] = []
+        self._moving: list[NDArray[np.float64]] = []
         self._cloud = np.empty((0, 3))
         self._last: FlyingFrame | None = None
         self._mcap: McapWriter | None = None
@@ -99,7 +101,7 @@ class FlyingRun:
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
         """The picture of a run on the recording `name`."""
-        view = self.view(f"{name}: {self.n_scans} scans, {len(self.track_ids)} tracks")
+        view = self.view(f"{name}: {self.n_scans} scans, {self._told_tracks}")
         path = folder.path / "picture.png"
         return [(path, lambda _: draw_flying(view, path))]
 
@@ -117,8 +119,11 @@ class FlyingRun:
         # Classes of every point of every scan would fill the memory on a long recording.
         none, no_rows = frame.point_class[:0], frame.own_rows[:0]
         flying = self._cloud[frame.point_class == PointClass.FLYING]
+        moving = self._cloud[frame.point_class == PointClass.MOVING]
+        moving = moving[:: max(1, -(-len(moving) // MOST_MOVING))]
         kept = replace(frame, point_class=none, own_rows=no_rows)
-        self._append(kept, item.scan.topic or item.scan.frame_id, poses[0, :3, 3], flying, wall_ms)
+        sensor = item.scan.topic or item.scan.frame_id
+        self._append(kept, sensor, poses[0, :3, 3], flying, moving, wall_ms)
         if self._mcap is not None:
             log_flying(self._mcap, item, frame, frame_id=self.frame_id)
 
@@ -128,6 +133,7 @@ class FlyingRun:
         sensor: str,
         place: NDArray[np.float64],
         flying: NDArray[np.float64],
+        moving: NDArray[np.float64],
         wall_ms: float,
     ) -> None:
         """Keep what tables and pictures need of a scan."""
@@ -136,6 +142,7 @@ class FlyingRun:
         self._sensors.append(sensor)
         self._path.append(place)
         self._flying.append(flying)
+        self._moving.append(moving)
         self._shares.append((frame.status.sky_share, frame.status.own_body))
         self._wall_ms.append(wall_ms)
 
@@ -147,7 +154,8 @@ class FlyingRun:
 
     def rows(self, since: int) -> list[Any]:
         """Return the permanent rows of the scans since then."""
-        lists = (self.frames, self._sensors, self._path, self._flying, self._wall_ms)
+        found = (self._flying, self._moving)
+        lists = (self.frames, self._sensors, self._path, *found, self._wall_ms)
         return [list(row) for row in zip(*(one[since:] for one in lists), strict=True)]
 
     def restore(self, kept: Mapping[str, Any], rows: list[Any]) -> None:
@@ -249,6 +257,31 @@ class FlyingRun:
         return sorted({number for one in self.flying for number in one.id.tolist()})
 
     @property
+    def ground_ids(self) -> list[int]:
+        """Numbers of the tracks that are GROUND where they end, and never flew."""
+        last = {
+            number: kind
+            for one in self.tracks
+            for number, kind in zip(one.id.tolist(), one.kind.tolist(), strict=True)
+        }
+        walks = {number for number, kind in last.items() if kind == TrackKind.GROUND}
+        return sorted(walks - set(self.track_ids))
+
+    @property
+    def moving_scans(self) -> int:
+        """Scans with points that move on the ground."""
+        return sum(len(points) > 0 for points in self._moving)
+
+    @property
+    def _told_tracks(self) -> str:
+        """Numbers of tracks for a title, and of scans with movers that no track has."""
+        count, scans = len(self.track_ids), self.moving_scans
+        text = (
+            f"{count} flying track{'' if count == 1 else 's'}, {len(self.ground_ids)} on the ground"
+        )
+        return text + (f", movers in {scans} scan{'' if scans == 1 else 's'}" if scans else "")
+
+    @property
     def n_detections(self) -> int:
         """Detections of all scans."""
         return sum(len(frame.detections) for frame in self.frames)
@@ -298,6 +331,8 @@ class FlyingRun:
             "own_body": self.own_body,
             "detections": self.n_detections,
             "tracks": len(self.track_ids),
+            "tracks_ground": len(self.ground_ids),
+            "scans_moving": self.moving_scans,
             "ms_per_scan": self._times().ms_per_scan,
             "map": {
                 "observed_voxels": self.detector.n_observed,
@@ -324,6 +359,8 @@ class FlyingRun:
             cloud=self._cloud,
             cloud_class=np.empty(0, np.uint8) if self._last is None else self._last.shown_class,
             flying=np.concatenate([*self._flying, np.empty((0, 3))]),
+            moving=np.concatenate([*self._moving, np.empty((0, 3))]),
+            moving_scan=np.repeat(np.arange(self.n_scans), [len(one) for one in self._moving]),
             occupied=self.detector.occupied_points(),
             voxel_size=self.detector.config.voxel_map.voxel_size,
             sensor=np.array(self._path).reshape(-1, 3),

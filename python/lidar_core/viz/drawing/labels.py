@@ -31,11 +31,14 @@ class Label:
         Place of the object in the world [m].
     colour : str
         Colour of the badge.
+    opacity : float
+        That of the badge, 0 to 1.
     """
 
     text: str
     place: NDArray[np.float64]
     colour: str
+    opacity: float = 1.0
 
 
 def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.float64]]) -> None:
@@ -78,8 +81,14 @@ def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.fl
             fontweight="bold",
             zorder=8,
             gid=NUMBER,
-            bbox={"boxstyle": "round,pad=0.22", "facecolor": one.colour, "edgecolor": "white"},
-            arrowprops={"arrowstyle": "-", "color": one.colour, "lw": 0.9} if far else None,
+            bbox={
+                "boxstyle": "round,pad=0.22",
+                "facecolor": (one.colour, one.opacity),
+                "edgecolor": "white",
+            },
+            arrowprops={"arrowstyle": "-", "color": (one.colour, one.opacity), "lw": 0.9}
+            if far
+            else None,
         )
 
 

@@ -48,13 +48,17 @@ def round_length(most: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))
 
 
-def ring(axes: Any, place: NDArray[np.float64], colour: str, *, size: float = 0.0) -> None:
-    """Draw a ring of `RING` pixels around an object, unless an outline of `size` [m] shows it."""
+def ring(axes: Any, place: NDArray[np.float64], colour: str, *, size: float = 0.0) -> bool:
+    """Draw a ring of `RING` pixels around an object, unless an outline of `size` [m] shows it.
+
+    Returns whether there is a ring.
+    """
     pixels = np.ptp(axes.transData.transform([(0.0, 0.0), (size, 0.0)])[:, 0])
     if pixels >= RING:
-        return
+        return False
     points = RING * 72 / axes.figure.dpi
     axes.plot(*place, "o", ms=points, mfc="none", mec=colour, mew=1.3, zorder=6)
+    return True
 
 
 def sensor_mark(axes: Any, window: Window, place: NDArray[np.float64]) -> None:

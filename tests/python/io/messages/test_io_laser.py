@@ -537,7 +537,7 @@ BAGS = {
     "leg_tracker/positive_6.bag": {"/rear_scan": (355, 768, "zero")},
     "leg_tracker/positive_6_extracted.bag": {"/training_scan": (187, 768, "zero")},
     "obstacle_detector/scans_demo.bag": {
-        "/front_scan": (331, 726, "nan"),
+        "/front_scan": (331, 726, "none"),
         "/rear_scan": (330, 726, "nan"),
     },
     "sick_rms_lms/rms_1xxx_lms_1xx_movement_off.bag": {"/sick_lms_1xx/scan": (89, 541, "zero")},

@@ -8,11 +8,13 @@ from commands import invoke
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lidar_core.batch import JobRecord
 from lidar_core.errors import ConfigError, FormatError
 from lidar_core.io import read_columns
 from lidar_core.runs.catalogue import (
     EVENTS,
     OBJECTS,
+    absent_texts,
     columns_named,
     events_of,
     matching_rows,
@@ -62,7 +64,8 @@ def test_every_track_has_its_first_sight_and_its_closest_approach(runs):
         (same,) = np.flatnonzero(
             (table["track_id"] == number) & (table["t_ns"] == events["t_ns"][row])
         )
-        assert events["kind"][row] == table["kind"][same]
+        assert events["kind_then"][row] == table["kind"][same]
+        assert events["kind"][row] == table["kind"][rows[number][-1]]
     for number, mine in rows.items():
         places = np.stack([table[axis][mine] for axis in "xyz"], axis=1)
         stamps = [int(table["t_ns"][row]) for row in mine]
@@ -122,6 +125,33 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
         read_table(tmp_path)
 
 
+def test_an_event_has_the_kind_of_its_track_where_it_ends(tmp_path):
+    """What moves is static at first sight: nothing of it has moved yet."""
+    (tmp_path / "run.toml").write_text("")
+    lines = ["t_ns,track_id,kind,x,y,radius"]
+    for scan, kind in enumerate(["unknown", "static", "ground", "ground"]):
+        lines += [f"{scan},1,{kind},{scan},0,0.3", f"{scan},2,static,5,0,0.1"]
+    (tmp_path / "circles.csv").write_text("\n".join(lines) + "\n")
+    moved = matching_rows(events_of(tmp_path), "kind == 'ground' and event == 'first_sight'")
+    assert moved["track_id"].tolist() == [1]
+    assert moved["kind_then"].tolist() == ["unknown"]
+    still = matching_rows(events_of(tmp_path), "kind == 'static' and event == 'first_sight'")
+    assert still["track_id"].tolist() == [2]
+    assert objects_of(tmp_path)["kind"].tolist()[::2] == ["unknown", "static", "ground", "ground"]
+
+
+def test_a_batch_that_was_killed_is_told_with_its_cure(tmp_path):
+    for number, status in enumerate(["done", "running", "failed", "running"]):
+        folder = tmp_path / f"job-{number}"
+        folder.mkdir()
+        JobRecord(folder.name, "job", "key", status).write(folder)
+    text = r"interrupted, or still runs: 1 of 4 jobs are done.*same `lidar-core batch` command"
+    with pytest.raises(FormatError, match=text):
+        read_table(tmp_path)
+    (tmp_path / "events.csv").write_text("event,distance\nlost,2.0\n")
+    assert read_table(tmp_path)["event"].tolist() == ["lost"]
+
+
 TABLE = {
     "distance": np.array([5.0, 25.0, np.nan, 12.0]),
     "track_id": np.array([1, 2, 3, 4]),
@@ -165,6 +195,13 @@ def test_queries_choose_rows(query, rows):
         ("not " * 60 + "distance < 1", "nested deeper"),
         ("distance < 1 " * MOST_LETTERS, f"expected {MOST_LETTERS} letters at most"),
         ("", "cannot read"),
+        ("event == lost", r"no column lost; texts need quotes: event == 'lost'"),
+        ("lost != event and distance < 3", r"texts need quotes: 'lost' != event"),
+        ("event in (lost, 'first_sight')", r"quotes: event in \('lost', 'first_sight'\)"),
+        ("distance == lost", "expected one of distance, track_id, event"),
+        ("event = 'lost'", "use == to compare: event == 'lost'"),
+        ("distance<=3 and event='a=b'", "use == to compare: distance<=3 and event=='a=b'"),
+        ("event = ", "cannot read"),
     ],
 )
 def test_what_is_no_query_is_refused_in_words(query, text):
@@ -209,6 +246,27 @@ def test_a_column_that_no_row_knows_is_named(runs, tmp_path):
     assert "unknown" not in other.stderr
     known = invoke("events", "distance < 20", runs / "flying")
     assert "unknown" not in known.stderr
+
+
+def test_texts_that_no_row_has_are_named_with_those_that_occur(tmp_path):
+    (tmp_path / "a.csv").write_text("event,kind,distance\nlost,,1\nfirst_sight,ground,2\n")
+    wrong = invoke("events", "kind in ('grund', 'ground')", tmp_path / "a.csv")
+    assert wrong.exit_code == 0, wrong.output
+    assert "1 of 2 rows" in wrong.output
+    assert "note: kind: no row has 'grund'; the values are ground" in wrong.stderr
+    for query in ("kind == 'ground'", "kind != '' and distance < 2", "event < 'm'", "all"):
+        right = invoke("events", query, tmp_path / "a.csv")
+        assert right.exit_code == 0, right.output
+        assert "no row has" not in right.stderr
+    found = absent_texts(read_table(tmp_path / "a.csv"), "'lots' == event or distance < 3")
+    assert found == [("event", "lots", ["first_sight", "lost"])]
+
+
+@pytest.mark.parametrize(("rows", "is_told"), [(40, False), (41, True)])
+def test_a_list_that_is_cut_says_how_to_get_the_rest(tmp_path, rows, is_told):
+    (tmp_path / "a.csv").write_text("event\n" + "lost\n" * rows)
+    shown = invoke("events", "all", tmp_path / "a.csv")
+    assert ("the first 40 are shown (-o FILE.csv: all)" in shown.output) == is_told
 
 
 def test_words_inside_a_text_are_no_columns(tmp_path):
