@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from repository import ROOT
 
 import lidar_core.extras as extras
 from lidar_core.errors import MissingExtraError
@@ -103,5 +104,5 @@ def test_training_of_a_checkout_that_is_only_on_the_path_brings_the_package(monk
         raise extras.PackageNotFoundError
 
     monkeypatch.setattr(extras, "_distribution", missing)
-    checkout = extras._checkout()
-    assert extras.install_command("train") == f"pip install {checkout} {checkout}/training"
+    monkeypatch.setattr(extras, "_checkout", lambda: ROOT)
+    assert extras.install_command("train") == f"pip install {ROOT} {ROOT}/training"

@@ -346,7 +346,7 @@ def test_values_come_from_mode_file_and_assignments_in_this_order(recording, tmp
         (("--set", "nonsense"), "expected name=value"),
         (("--set", "=1"), "expected name=value"),
         (("--pose", "static", "--cloud", "/nothing"), "no topic '/nothing'"),
-        (("--pose", "static", "--cloud", "a", "--cloud", "b"), "--fixed-frame"),
+        (("--pose", "static", "--cloud", "a", "--cloud", "b"), "no topic 'a'"),
         (("--point-time", "t:fortnight:start"), "point_time"),
     ],
 )
