@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.fusion.measurement import Measurement
-from lidar_core.fusion.recordings.conventions import Azimuth, Turned, turned
+from lidar_core.fusion.recordings.columns.conventions import Azimuth, Turned, turned
 from lidar_core.fusion.recordings.table import TableOptions
 
 DEGREES = np.pi / 180

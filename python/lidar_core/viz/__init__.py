@@ -1,9 +1,9 @@
 """Pictures of runs; plotting packages are imported when one is drawn."""
 
 from lidar_core.objects import Objects
-from lidar_core.viz.circles_picture import animate_circles, draw_circles
-from lidar_core.viz.flying_picture import draw_flying
-from lidar_core.viz.fusion_picture import draw_fusion
+from lidar_core.viz.pictures.circles_picture import animate_circles, draw_circles
+from lidar_core.viz.pictures.flying_picture import draw_flying
+from lidar_core.viz.pictures.fusion_picture import draw_fusion
 from lidar_core.viz.playback import Moment, Outline, Playback
 from lidar_core.viz.playback_picture import draw_film, draw_moment
 from lidar_core.viz.report import write_report

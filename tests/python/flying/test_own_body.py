@@ -11,8 +11,9 @@ from lidar_core import sim
 from lidar_core.errors import FormatError, LimitError
 from lidar_core.flying import FlyingObjectDetector
 from lidar_core.flying.voxel_map import VoxelMap
-from lidar_core.viz import flying_picture, playback_picture
+from lidar_core.viz import playback_picture
 from lidar_core.viz.drawing.frame import Window
+from lidar_core.viz.pictures import flying_picture
 from lidar_core.viz.playback import Moment, Objects
 from lidar_core.viz.views import FlyingView
 

@@ -5,7 +5,7 @@ import pytest
 
 from lidar_core.errors import ConfigError, FormatError, InputError
 from lidar_core.fusion import FusionConfig, TableOptions, read_measurements, run
-from lidar_core.fusion.recordings.conventions import earth_fixed, local_places
+from lidar_core.fusion.recordings.columns.conventions import earth_fixed, local_places
 from lidar_core.io.tables.columns import read_columns
 from lidar_core.runs import fuse
 

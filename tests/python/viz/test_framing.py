@@ -12,20 +12,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 from repository import ROOT
 
-from lidar_core.viz import (
-    FusionView,
-    PlanarLine,
-    Playback,
-    circles_picture,
-    flying_picture,
-    fusion_picture,
-)
+from lidar_core.viz import FusionView, PlanarLine, Playback
 from lidar_core.viz import playback_picture as playback
 from lidar_core.viz.drawing.frame import Window, window_around, window_over
 from lidar_core.viz.drawing.labels import NUMBER, place_boxes
 from lidar_core.viz.drawing.marks import RING, WAY, round_length
 from lidar_core.viz.drawing.voxels import MOST_CELLS, draw_voxels
 from lidar_core.viz.figure import write_figure
+from lidar_core.viz.pictures import circles_picture, flying_picture, fusion_picture
 
 LEAST = 20
 """Pixels that a way is long at least."""

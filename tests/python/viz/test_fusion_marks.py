@@ -5,8 +5,9 @@ import pytest
 
 from lidar_core.fusion import FusionConfig, Measurement, MeasurementLog
 from lidar_core.runs.targets.one import TargetRun
-from lidar_core.viz import FusionView, fusion_picture
+from lidar_core.viz import FusionView
 from lidar_core.viz.figure import figure_with_style
+from lidar_core.viz.pictures import fusion_picture
 
 pytest.importorskip("matplotlib")
 STEP = 10**8

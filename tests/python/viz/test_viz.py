@@ -12,7 +12,8 @@ from lidar_core import MissingExtraError, TrackKind
 from lidar_core.extras import install_command
 from lidar_core.flying import FlyingObjectDetector, Tracks
 from lidar_core.runs.scans.flying import FlyingRun
-from lidar_core.viz import FlyingView, draw_flying, flying_picture
+from lidar_core.viz import FlyingView, draw_flying
+from lidar_core.viz.pictures import flying_picture
 
 SHAPE = (902, 1540)
 FLYING = np.array([0xFB, 0x71, 0x85]) / 255

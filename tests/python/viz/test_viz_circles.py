@@ -10,10 +10,11 @@ from circle_states import Circles
 from matplotlib.image import imread
 
 from lidar_core import MissingExtraError, TrackKind
+from lidar_core.circles.movers import moved, moving_at_end
 from lidar_core.extras import install_command
-from lidar_core.viz import CirclesView, animate_circles, circles_picture, draw_circles
+from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.drawing.labels import NUMBER
-from lidar_core.viz.movers import moved, moving_at_end
+from lidar_core.viz.pictures import circles_picture
 
 SHAPE = (630, 1080)
 COLOUR_STEP = 0.6 / 255

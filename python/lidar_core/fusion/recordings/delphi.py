@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidar_core.errors import FormatError
 from lidar_core.fusion.measurement import Measurement
 from lidar_core.fusion.recordings.autoferry import DetectionScan
-from lidar_core.fusion.recordings.cells import numbers_in
+from lidar_core.fusion.recordings.columns.cells import numbers_in
 from lidar_core.fusion.recordings.folders import check_sizes, files_of, head_of
 from lidar_core.io.tables.columns import at_row, read_columns
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_core.fusion.recordings.cells import POSITION, VELOCITY
+from lidar_core.fusion.recordings.columns.cells import POSITION, VELOCITY
 from lidar_core.fusion.recordings.table import VALUES
 from lidar_core.fusion.space import LevelSight, level_sight
 from lidar_core.io.tables.long_table import write_long_table

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from lidar_core.config import Config, as_config
 from lidar_core.errors import FormatError, InputError
 from lidar_core.fusion.measurement import FLAT, MEASURES, Measurement, SensorName
-from lidar_core.fusion.recordings.cells import (
+from lidar_core.fusion.recordings.columns.cells import (
     POSE_STD,
     POSITION,
     TRUE_ID,
@@ -24,15 +24,15 @@ from lidar_core.fusion.recordings.cells import (
     targets_in,
     truth_in,
 )
-from lidar_core.fusion.recordings.conventions import (
+from lidar_core.fusion.recordings.columns.conventions import (
     WORDS,
     Azimuth,
     Turned,
     local_places,
     turned,
 )
+from lidar_core.fusion.recordings.columns.unused import unused_columns, unused_note
 from lidar_core.fusion.recordings.reading import TargetTruth, read_laser_radar
-from lidar_core.fusion.recordings.unused import unused_columns, unused_note
 from lidar_core.io.tables.columns import Columns, at_row, read_columns
 
 VALUES: dict[SensorName, tuple[str, ...]] = {

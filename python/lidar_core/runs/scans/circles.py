@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.circles import CircleElements, CircleFrame, CirclePipeline, ShapeElements
+from lidar_core.circles.movers import moving_at_end
 from lidar_core.io import (
     McapWriter,
     PosedScan,
@@ -29,7 +30,6 @@ from lidar_core.runs.result import MCAP, OnProgress, Picture
 from lidar_core.runs.scans.times import ScanTimes
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.film import film_ending
-from lidar_core.viz.movers import moving_at_end
 from lidar_core.viz.scan_log import log_circles
 
 MOST_POINTS = 4_000_000  # kept for the pictures; beyond, points of every other scan are dropped

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.circles.movers import SLOWEST, speeds_of
 from lidar_core.viz.figure import PALE
-from lidar_core.viz.movers import SLOWEST, speeds_of
 from lidar_core.viz.views import CirclesView
 
 COLOURS = (

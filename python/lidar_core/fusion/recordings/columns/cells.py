@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError, InputError
-from lidar_core.fusion.recordings.conventions import A_TIME, stamps_of_texts
+from lidar_core.fusion.recordings.columns.conventions import A_TIME, stamps_of_texts
 from lidar_core.fusion.recordings.reading import TargetTruth
 from lidar_core.io.tables.columns import Columns, at_row
 

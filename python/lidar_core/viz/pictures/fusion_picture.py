@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.write.circle_scene import ellipse
-from lidar_core.viz.circles_panels import colour_of
 from lidar_core.viz.drawing.frame import panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
@@ -21,6 +20,7 @@ from lidar_core.viz.figure import (
     two_columns,
     write_figure,
 )
+from lidar_core.viz.pictures.circles_panels import colour_of
 from lidar_core.viz.views import FusionView, PlanarLine
 
 SIZE, DPI = (12.0, 7.0), 90

@@ -7,11 +7,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_core.circles.movers import SLOWEST, moved, speeds_of
 from lidar_core.extras import require
 from lidar_core.io.tables.shapes import outline
 from lidar_core.io.write.circle_scene import ellipse, label_of
 from lidar_core.objects import CircleElements, ShapeElements
-from lidar_core.viz.circles_panels import STANDS, colour_of, draw_counts, draw_speeds, seconds_of
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import WAY, scale_bar, sensor_mark
@@ -23,7 +23,13 @@ from lidar_core.viz.figure import (
     write_figure,
 )
 from lidar_core.viz.film import write_film
-from lidar_core.viz.movers import SLOWEST, moved, speeds_of
+from lidar_core.viz.pictures.circles_panels import (
+    STANDS,
+    colour_of,
+    draw_counts,
+    draw_speeds,
+    seconds_of,
+)
 from lidar_core.viz.views import CirclesView
 
 SIZE, DPI = (12.0, 7.0), 90

@@ -14,7 +14,7 @@ FARTHEST_STILL = 0.5
 
 
 def moved(maps: Sequence[CircleElements]) -> set[int]:
-    """Return the numbers of the elements that moved.
+    """Return the IDs of the elements that moved.
 
     They are GROUND in the last map that has them. The filter of the paper decides no kinds: there,
     and where the kind is undecided, the centres spread over more than `FARTHEST_STILL`.
@@ -41,7 +41,7 @@ def moved(maps: Sequence[CircleElements]) -> set[int]:
 
 
 def moving_at_end(maps: Sequence[CircleElements]) -> dict[int, float]:
-    """Return the elements that move in the last map: speed [m/s] by number, fastest first."""
+    """Return the elements that move in the last map: speed [m/s] by ID, fastest first."""
     if not maps:
         return {}
     chosen = moved(maps)

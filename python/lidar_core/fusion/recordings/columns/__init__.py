@@ -1,0 +1,1 @@
+"""Columns of tables of measurements: numbers, conventions, and columns that nothing reads."""

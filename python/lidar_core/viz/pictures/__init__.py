@@ -1,0 +1,1 @@
+"""Pictures of whole runs: from above, and values over time."""
