@@ -153,8 +153,8 @@ impl NearestPiece {
 
     /// Take in a surface. `follows` leaves out a stretch that the one before it shares.
     fn take(&mut self, piece: Option<&SurfacePiece>, follows: bool) {
-        let ways = piece.into_iter().flat_map(|piece| piece.ways_to(self.point, follows));
-        for [x, y] in ways {
+        let Some(piece) = piece else { return };
+        for [x, y] in piece.ways_to(self.point, follows) {
             let square = x * x + y * y;
             if square < self.square {
                 (self.square, self.way) = (square, Some([x, y]));
