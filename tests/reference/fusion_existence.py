@@ -11,13 +11,14 @@ import numpy as np
 from reference.fusion_clutter import measure_spread
 from reference.fusion_company import keep_company
 from reference.fusion_many import gaussian_step
+from reference.fusion_scanner import Learnt, last_places
 
 CERTAIN, DOUBTFUL, MOST = 0.9, 0.5, 1 - 1e-9
-SHARE, LIFETIME, DELETED = 0.05, 30.0, 1e-3
-MEMORY, FIRST_SCANS, SPEEDS = 300, 5, 50
+LIFETIME, DELETED = 30.0, 1e-3
+FIRST_SCANS, SPEEDS = 5, 50
 VISIBLE, HIDDEN = 100.0, 1.5
 FOREIGN, CERTAINLY_OWN, LOST = 0.02, 1e-3, 2.0
-PRIORS = {"clutter": 1.0, "detection": 5.0, "share": 20.0, "end": 0.5, "hiding": 0.1}
+PRIORS = {"end": 0.5, "hiding": 0.1}
 
 
 def chain(lifetime, visible, dt):
@@ -88,53 +89,6 @@ def events_of_group(observable, detection, ratios):
             if column >= 0:
                 pair[row, column] += weight / total
     return pair
-
-
-def last_places(kept, scan):
-    """The last 128 places, at most 32 of each scan."""
-    taken = min(len(scan), 32)
-    return (kept + [scan[k * len(scan) // taken] for k in range(taken)])[-128:]
-
-
-def robust_box(places):
-    """Least and largest coordinates without the outer twentieths, stretched by what is left out."""
-    outer = max(len(places) // 20, 1)
-    inner = np.sort(places, axis=0)[outer:-outer] if places else []
-    if not len(inner):
-        return None
-    center, half = (inner[0] + inner[-1]) / 2, (inner[-1] - inner[0]) / 2 * len(places) / len(inner)
-    return center - half, center + half
-
-
-class Learnt:
-    """What a scanner does: exponentially fading counts beside the configured values."""
-
-    def __init__(self, config):
-        self.config = config
-        self.all, self.strays = [], []
-        self.scans = self.clutter = self.first = self.looks = self.hits = self.arrivals = 0.0
-
-    def area(self):
-        boxes = [robust_box(kept) for kept in (self.all, self.strays)]
-        boxes = np.array([box for box in boxes if box is not None]).reshape(-1, 2, 2)
-        return np.prod(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)) if len(boxes) else 0.0
-
-    def density(self, told):
-        exposure = PRIORS["clutter"] / told
-        return (PRIORS["clutter"] + self.false_ones()) / (exposure + self.scans * self.area())
-
-    def false_ones(self):
-        """Of all unexplained measurements, less those with which tracks began that exist."""
-        return max(self.clutter - self.first, 0.0)
-
-    def detection(self):
-        looks = PRIORS["detection"]
-        told = looks * self.config.detection_probability
-        return float(np.clip((told + self.hits) / (looks + self.looks), 0.05, 0.99))
-
-    def share(self):
-        told = PRIORS["share"] * SHARE
-        return (told + self.arrivals) / (PRIORS["share"] + self.false_ones() + self.arrivals)
 
 
 class IntegratedTargets:
@@ -228,14 +182,9 @@ class IntegratedTargets:
     def learn(self, scanner, before, after, pair, left):
         if not scanner.all:
             return
-        for name in ("scans", "clutter", "looks", "hits", "arrivals"):
-            setattr(scanner, name, getattr(scanner, name) * (1 - 1 / MEMORY))
-        scanner.scans += 1
-        scanner.clutter += left.sum()
+        scanner.count(left, self.places)
         own = [track["origin"] == self.source for track in self.tracks]
         scanner.first = after[own].sum() if own else 0.0
-        strays = [place for place, own in zip(self.places, left, strict=True) if own > 0.5]
-        scanner.strays = last_places(scanner.strays, strays)
         for row, track in enumerate(self.tracks):
             if self.source in track["sources"] and before[row] > CERTAIN:
                 scanner.looks += after[row] - track["hidden"]

@@ -7,6 +7,7 @@ import numpy as np
 from reference.fusion_clutter import NEW, keep, measure_spread, standing_density, weigh
 from reference.fusion_company import holds, keep_company
 from reference.fusion_kinds import probabilities, see
+from reference.fusion_scanner import Learnt, last_places
 
 
 def gaussian_step(mean, covariance, dt, density):
@@ -67,7 +68,9 @@ class ManyTargets:
             one["way"] = list(one.get("way", []))
         for track in self.tracks:
             self.judge(track)
+        ended = [track for track in self.tracks if not self.stays(track, stamp)]
         self.tracks = [track for track in self.tracks if self.stays(track, stamp)]
+        self.learn(places, ended, source)
         keep_company(self.config, stamp, self.tracks)
         measure_spread(self.config, self.tracks, places, stamp)
         for column, place in enumerate(places):
@@ -81,6 +84,7 @@ class ManyTargets:
                 "cov": np.diag(spread),
                 "history": [1],
                 "sources": {source},
+                "origin": source,
                 "seen": stamp,
                 "born": stamp,
                 "stamp": stamp,
@@ -102,6 +106,9 @@ class ManyTargets:
 
     def clutter(self, track):
         """Probability that the measurements of a track are clutter; None: nothing tells."""
+
+    def learn(self, places, ended, source):
+        """Learn about the scanner; nothing where no density is needed."""
 
     def kinds(self, track):
         """Probabilities of the kinds of a track."""
@@ -166,6 +173,26 @@ class ManyTargets:
 class JointTargets(ManyTargets):
     """The same with `association="joint"`: every joint event, one by one."""
 
+    def __init__(self, config, *, gate):
+        super().__init__(config, gate=gate)
+        self.scanners = {}
+
+    def take_in(self, stamp, places, source):
+        super().take_in(stamp, places, source)
+        anywhere = told = self.config.clutter[0]
+        if source in self.scanners:
+            anywhere = max(told, self.scanners[source].density(told))
+        self.density = [max(anywhere, here) for here in self.standing]
+
+    def learn(self, places, ended, source):
+        scanner = self.scanners.setdefault(source, Learnt(self.config))
+        if len(places) or scanner.all:
+            scanner.all = last_places(scanner.all, list(places))
+            scanner.count([], [])
+        for track in ended:
+            if not track["confirmed"]:
+                self.scanners[track["origin"]].clutter += track["hits"]
+
     def associate(self, tracks, stamp, places, source, numbers):
         config, noise = self.config, np.diag(np.square(self.config.target.lidar_std))
         free = [column for column, number in enumerate(numbers) if number < 0]
@@ -176,8 +203,7 @@ class JointTargets(ManyTargets):
                 nis = self.distance(track, places[column], noise)
                 if nis <= self.gate:
                     density = np.exp(-nis / 2) / np.sqrt(np.linalg.det(2 * np.pi * spread))
-                    clutter = max(config.clutter[0], self.standing[column])
-                    inside[column] = config.detection_probability * density / clutter
+                    inside[column] = config.detection_probability * density / self.density[column]
             options.append({-1: 1 - config.detection_probability, **inside})
         weights = np.zeros((len(tracks), len(places)))
         total = 0.0

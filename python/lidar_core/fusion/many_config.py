@@ -109,7 +109,7 @@ class MultiTargetConfig(Config):
     clutter: tuple[Density, Density] = Field(
         default=(1e-3, 1e-3),
         description="Densities of clutter of the LiDAR [1/m^2] and of the radar [1/(m rad m/s)],"
-        " for the same.",
+        " for the same; with joint the least densities: scans may show more.",
     )
     report_existence: float = Field(
         default=0.95,

@@ -87,6 +87,11 @@ impl Surroundings {
         self.clutter += clutter;
     }
 
+    /// Count measurements of earlier scans that turn out to be clutter.
+    pub fn count_false(&mut self, count: f64) {
+        self.clutter += count;
+    }
+
     /// Replace the expected number of unexplained measurements that were the first one of a target:
     /// `first` is the sum of the probabilities of existence of all tracks that began with them.
     pub fn count_first(&mut self, first: f64) {

@@ -2,6 +2,7 @@
 //! and joint probabilities.
 
 use super::hypotheses::is_another_target;
+use super::integrated::{SHARE, kind};
 use super::near_pairs::ScanIndex;
 use super::parameters::{ManyParameters, TargetAssociation};
 use super::track::{Assigned, Candidates, Scan, TargetTrack, TrackingWork};
@@ -11,6 +12,7 @@ use crate::estimation::assignment::{Pair, assign};
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::joint_association::probabilities;
+use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 
 /// Cost of a track without a measurement although one is in its gate. It is far above that of any
 /// pair, so that as many tracks as possible get one.
@@ -60,6 +62,46 @@ impl Tracks {
             }
         }
         Ok(())
+    }
+
+    /// Density of clutter where each measurement of a scan is, in its units: what stands there, or what
+    /// its scanner measures anywhere, if that is more. Only joint probabilities need the latter.
+    pub(super) fn clutter(
+        &self,
+        parameters: &ManyParameters,
+        scan: &Scan,
+        standing: &[f64],
+    ) -> Vec<f64> {
+        let anywhere =
+            |m: &Measurement| match (parameters.association, self.scanners.get(&scan.source)) {
+                (TargetAssociation::Joint { detection, clutter }, Some(scanner)) => {
+                    let prior = ScannerPrior { detection, clutter: clutter[kind(m)], share: SHARE };
+                    scanner[kind(m)].clutter(&prior, m.values().len())
+                }
+                _ => 0.0,
+            };
+        scan.measurements.iter().zip(standing).map(|(m, here)| here.max(anywhere(m))).collect()
+    }
+
+    /// Learn how much clutter a scanner measures: the hits of tracks that `end` without having been
+    /// confirmed.
+    pub(super) fn learn_clutter(&mut self, scan: &Scan, ended: &[TargetTrack]) {
+        let targets = || scan.measurements.iter().filter(|m| !m.is_of_platform() && m.is_usable());
+        let scanner = self.scanners.entry(scan.source).or_default();
+        for (k, of) in scanner.iter_mut().enumerate() {
+            let own: Vec<&[f64]> =
+                targets().filter(|m| kind(m) == k).map(Measurement::values).collect();
+            if !own.is_empty() || *of != Surroundings::default() {
+                of.see(own.iter().copied());
+                of.count_scan(&[]);
+            }
+        }
+        for track in ended.iter().filter(|track| !track.confirmed) {
+            let (source, k) = track.belief.origin;
+            if let Some(scanner) = self.scanners.get_mut(&source) {
+                scanner[k].count_false(f64::from(track.hits));
+            }
+        }
     }
 
     /// The `wanted` tracks with those measurements in their gates that have no track yet.

@@ -20,7 +20,7 @@ use std::f64::consts::PI;
 /// its speed comes from the places of measurements and not from the mean of several.
 pub(super) const DIVIDED: u32 = 2;
 /// Probability that a measurement which no track explains is of a new target, before scans show it.
-const SHARE: f64 = 0.05;
+pub(super) const SHARE: f64 = 0.05;
 /// Mean time for which a target stays, before tracks show it [s].
 const LIFETIME: f64 = 30.0;
 /// Mean time until something hides a target, before tracks show it [s].
@@ -321,7 +321,8 @@ pub(super) fn prior_of(existence: &ExistenceParameters, sensor: Sensor) -> Scann
     ScannerPrior { detection: existence.detection, clutter, share: SHARE }
 }
 
-fn kind(m: &Measurement) -> usize {
+/// Place of the sensor of a measurement among what is known of its scanner.
+pub(super) fn kind(m: &Measurement) -> usize {
     usize::from(m.sensor() == Sensor::Radar)
 }
 

@@ -1,6 +1,7 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::company::Bodies;
+use super::integrated::kind;
 use super::near_pairs::{ScanIndex, places_of};
 use super::parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
 use super::track::{
@@ -233,15 +234,20 @@ impl Tracks {
         assigned: &mut [Assigned],
         work: &mut TrackingWork,
     ) -> Result<Bodies, Error> {
+        let clutter = self.clutter(parameters, scan, standing);
         for confirmed in [true, false] {
             let wanted = |track: &TargetTrack| track.confirmed == confirmed;
-            let seen = (scan, standing);
+            let seen = (scan, clutter.as_slice());
             let candidates = self.candidates(parameters, seen, index, wanted, assigned, work);
             self.associate(parameters, scan, &candidates, assigned)?;
         }
         let measured = self.bodies_at(scan.stamp_ns);
         self.all.iter_mut().for_each(|track| track.judge(parameters));
-        self.all.retain(|track| track.stays(scan.stamp_ns, parameters));
+        let ended: Vec<TargetTrack> =
+            self.all.extract_if(.., |track| !track.stays(scan.stamp_ns, parameters)).collect();
+        if let TargetAssociation::Joint { .. } = parameters.association {
+            self.learn_clutter(scan, &ended);
+        }
         Ok(measured)
     }
 
@@ -285,6 +291,7 @@ impl Tracks {
                 continue;
             }
             let mut track = TargetTrack::new(births.of(column), filter, scan);
+            track.belief.origin = (scan.source, kind(m));
             track.judge(parameters);
             assigned[column].id = Some(track.id);
             self.all.push(track);
