@@ -86,6 +86,7 @@ fn surroundings(input: &mut Input<'_>) {
         let weighted: Vec<(&[f64], f64)> =
             scan.iter().map(|row| (&row[..], input.share())).collect();
         known.count_scan(&weighted);
+        known.count_false(input.positive());
         known.count_first(input.share());
         known.count_look(input.share(), input.share());
         known.count_arrival();

@@ -2,10 +2,9 @@
 //! and joint probabilities.
 
 use super::hypotheses::is_another_target;
-use super::integrated::{SHARE, kind};
 use super::near_pairs::ScanIndex;
-use super::parameters::{ManyParameters, TargetAssociation};
-use super::track::{Assigned, Candidates, Scan, TargetTrack, TrackingWork};
+use super::parameters::{ManyParameters, SHARE, TargetAssociation};
+use super::track::{Assigned, Candidates, Scan, TargetTrack, TrackingWork, kind};
 use super::tracks::Tracks;
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};

@@ -2,8 +2,8 @@
 //! measurements.
 
 use super::hypotheses::{OwnPair, spread};
-use super::parameters::ExistenceParameters;
-use super::track::{Assigned, Belief, Births, Candidates, IntegratedScan, Scan, TargetTrack};
+use super::parameters::{ExistenceParameters, SHARE};
+use super::track::{Assigned, Belief, Births, Candidates, IntegratedScan, Scan, TargetTrack, kind};
 use super::tracks::Tracks;
 use crate::fusion::filter::engine::Output;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
@@ -19,8 +19,6 @@ use std::f64::consts::PI;
 /// Measurements up to which a track is divided: each further one starts a track of its own, so that
 /// its speed comes from the places of measurements and not from the mean of several.
 pub(super) const DIVIDED: u32 = 2;
-/// Probability that a measurement which no track explains is of a new target, before scans show it.
-pub(super) const SHARE: f64 = 0.05;
 /// Mean time for which a target stays, before tracks show it [s].
 const LIFETIME: f64 = 30.0;
 /// Mean time until something hides a target, before tracks show it [s].
@@ -319,11 +317,6 @@ fn pairs_of_tracks(
 pub(super) fn prior_of(existence: &ExistenceParameters, sensor: Sensor) -> ScannerPrior {
     let clutter = existence.clutter[usize::from(sensor == Sensor::Radar)];
     ScannerPrior { detection: existence.detection, clutter, share: SHARE }
-}
-
-/// Place of the sensor of a measurement among what is known of its scanner.
-pub(super) fn kind(m: &Measurement) -> usize {
-    usize::from(m.sensor() == Sensor::Radar)
 }
 
 /// Determinant of the covariance of the position of a state [m^4].

@@ -1,12 +1,14 @@
 //! Parameters of a tracker of many targets.
 
-use crate::fusion::model::{Model, switches};
+use crate::fusion::model_list::{Model, switches};
 use crate::fusion::models::motion::Prior;
 use crate::fusion::parameters::{FusionParameters, Method, Strengths};
 use crate::fusion::targets::lifecycle::LifecycleRules;
 
 /// Largest number of tracks at a time, and of measurements in a scan.
 pub const MAX_TARGETS: usize = 2_000;
+/// Probability that a measurement which no track explains is of a new target, before scans show it.
+pub(super) const SHARE: f64 = 0.05;
 
 /// All parameters of a tracker of many targets.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use super::parameters::{ExistenceParameters, ManyParameters};
 use super::score::TrackScore;
 use crate::estimation::assignment::Pair;
 use crate::fusion::filter::engine::{Innovation, Output};
-use crate::fusion::sensors::measurement::Measurement;
+use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::fusion::targets::any_filter::Filter;
 use crate::tracking::echo::TrackEchoes;
 use crate::tracking::existence::Presence;
@@ -324,4 +324,9 @@ impl TargetTrack {
             && unseen <= parameters.max_coast
             && variance <= parameters.max_position_std * parameters.max_position_std
     }
+}
+
+/// Place of the sensor of a measurement among what is known of its scanner.
+pub(super) fn kind(m: &Measurement) -> usize {
+    usize::from(m.sensor() == Sensor::Radar)
 }

@@ -1,11 +1,10 @@
 //! Tracks of a tracker of many targets at one time, and their update by a scan.
 
 use super::company::Bodies;
-use super::integrated::kind;
 use super::near_pairs::{ScanIndex, places_of};
 use super::parameters::{MAX_TARGETS, ManyParameters, TargetAssociation};
 use super::track::{
-    Assigned, Births, IntegratedScan, Scan, Shared, TargetTrack, TrackState, TrackingWork,
+    Assigned, Births, IntegratedScan, Scan, Shared, TargetTrack, TrackState, TrackingWork, kind,
 };
 use crate::Error;
 use crate::fusion::parameters::FusionParameters;
