@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lidar_core.evaluation import Evaluation, EvaluationConfig, Truth
     from lidar_core.flying import FlyingFrame
     from lidar_core.run_folder import RunFolder
-    from lidar_core.runs.scans.flying import FlyingRun
+    from lidar_core.runs.scans.flying_output import FlyingRun
     from lidar_core.sim import SimulatedScan, Simulator
     from lidar_core.viz import FlyingView
 
@@ -52,7 +52,7 @@ def command(
     from lidar_core.flying import FlyingConfig, FlyingObjectDetector
     from lidar_core.run_folder import RunFolder
     from lidar_core.runs.result import draw
-    from lidar_core.runs.scans.flying import FlyingRun
+    from lidar_core.runs.scans.flying_output import FlyingRun
     from lidar_core.sim import Simulator, scenes
     from lidar_core.viz import draw_flying
 

@@ -16,7 +16,7 @@ from lidar_core.io import PoseOptions, ReadOptions, open_recording, posed_laser_
 from lidar_core.messages import LaserScan
 from lidar_core.runs.recording import RecordingJob, folder_to_write
 from lidar_core.runs.result import OnProgress, RunResult, no_progress
-from lidar_core.runs.scans.circles import CirclesRun
+from lidar_core.runs.scans.circles_output import CirclesRun
 from lidar_core.runs.settings import ConfigChoice, config_of_run
 
 SHARE = 0.05  # of a LiDAR's scans that have a length which is no defect

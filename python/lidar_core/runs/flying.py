@@ -13,7 +13,7 @@ from lidar_core.io import PoseOptions, ReadOptions, read_cloud
 from lidar_core.messages import Scan
 from lidar_core.runs.recording import RecordingJob, folder_to_write
 from lidar_core.runs.result import OnProgress, RunResult, no_progress
-from lidar_core.runs.scans.flying import FlyingRun
+from lidar_core.runs.scans.flying_output import FlyingRun
 from lidar_core.runs.settings import ConfigChoice, config_of_run
 from lidar_core.runs.static_map import check_static_map, write_static_map
 

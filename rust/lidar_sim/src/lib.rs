@@ -1,7 +1,7 @@
 //! LiDAR simulator: shapes, movers, ray patterns, noise.
 //!
 //! A [`scene::Scene`] holds bodies at rest under a bounding-volume tree and movers on
-//! [`trajectory::Trajectory`]s. [`simulate::scan`] lets a [`sensors::Lidar`] on a trajectory of
+//! [`trajectory::Trajectory`]s. [`simulate::scan`] lets a [`ray_patterns::Lidar`] on a trajectory of
 //! its own look at it: every ray has its own time, every random number depends on nothing but
 //! seed, scan and ray, so that the result is the same for any number of threads.
 
@@ -14,9 +14,9 @@ pub mod mesh;
 pub mod motion;
 mod parry;
 pub mod random;
+pub mod ray_patterns;
 pub mod scene;
 pub mod scenes;
-pub mod sensors;
 pub mod shape;
 pub mod simulate;
 pub mod surface;

@@ -1,8 +1,8 @@
 //! The fixed scene of all performance figures.
 
+use crate::ray_patterns::{Lidar, Pattern};
 use crate::refused;
 use crate::scene::{Mover, Scene, SceneObject};
-use crate::sensors::{Lidar, Pattern};
 use crate::shape::Shape;
 use crate::simulate::{self, Task};
 use crate::trajectory::Trajectory;

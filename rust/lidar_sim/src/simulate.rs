@@ -1,8 +1,8 @@
 //! Simulation of one scan of a scene.
 
 use crate::random::{self, Purpose};
+use crate::ray_patterns::{Beam, Lidar, SweepRays};
 use crate::scene::{CastRay, RayHit, Scene, inverse, passes, within};
-use crate::sensors::{Beam, Lidar, SweepRays};
 use crate::surface::{Surface, SurfaceInteraction, USUAL_REFLECTIVITY, is_seen, signal};
 use crate::trajectory::Trajectory;
 use lidar_core::Error;

@@ -6,7 +6,7 @@ import pytest
 import reference.circles_front as oracle
 from lidar_core import sim
 from lidar_core.circles import CircleMapConfig, CirclePipeline, CirclesConfig, FitConfig, Scanner
-from lidar_core.runs.scans.circles import CirclesRun
+from lidar_core.runs.scans.circles_output import CirclesRun
 
 SCANNER = Scanner(-np.pi, np.pi / 360, 720, 0.1, 12.0)
 POSTS = np.array([(3.0, 0.5, 0.2), (-2.0, 3.0, 0.3), (1.0, -4.0, 0.25), (-4.0, -2.0, 0.2)])

@@ -21,7 +21,7 @@ from lidar_core.circles import CirclePipeline, CirclesConfig
 from lidar_core.cli import main
 from lidar_core.io import PosedScan, open_recording, posed_laser_scans, read_columns, write_npz
 from lidar_core.messages import LaserScan, Pose
-from lidar_core.runs.scans.circles import CirclesRun
+from lidar_core.runs.scans.circles_output import CirclesRun
 from lidar_core.runs.scans.times import ScanTimes
 from lidar_core.viz.film import film_ending
 
@@ -361,7 +361,7 @@ def test_the_first_scan_does_not_count_for_the_time_per_scan():
 
 
 def test_points_of_long_runs_are_thinned(recording, monkeypatch):
-    monkeypatch.setattr("lidar_core.runs.scans.circles.MOST_POINTS", 500)
+    monkeypatch.setattr("lidar_core.runs.scans.circles_output.MOST_POINTS", 500)
     with open_recording(recording) as opened:
         items = list(posed_laser_scans(opened))
     scan = items[0].scan

@@ -176,7 +176,8 @@ def test_people_on_the_ground_are_told_and_shown(recordings, run, tmp_path, monk
     """A person walks from 18 to 22 m; nothing flies."""
     views = []
     monkeypatch.setattr(
-        "lidar_core.runs.scans.flying.draw_flying", lambda view, path: views.append(view) or path
+        "lidar_core.runs.scans.flying_output.draw_flying",
+        lambda view, path: views.append(view) or path,
     )
     path = tmp_path / "hap"
     with tarfile.open(recordings / "3d/sequences/livox_hap_outdoor/scans.tar.xz") as opened:

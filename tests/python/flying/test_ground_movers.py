@@ -11,7 +11,7 @@ from lidar_core import PointClass, TrackKind, VoxelMap, sim
 from lidar_core.errors import ConfigError
 from lidar_core.evaluation import score_static_map
 from lidar_core.flying import FlyingConfig, FlyingObjectDetector
-from lidar_core.runs.scans.flying import _points_in_world
+from lidar_core.runs.scans.flying_output import _points_in_world
 from lidar_core.sim import Body, Cylinder, Target, Waypoints
 from reference import static_map as reference
 

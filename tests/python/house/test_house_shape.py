@@ -134,7 +134,7 @@ def test_floors_see_what_runs_up():
 def test_a_motion_model_is_named_in_its_own_file_and_in_the_list_of_models():
     roots = [CORE, BINDING]
     named = house.files_naming(r'\bCtra\b|"ctra"', roots, PACKAGE)
-    assert sorted(named) == ["heading.rs", "model.rs"]
+    assert sorted(named) == ["heading.rs", "model_list.rs"]
 
 
 # Files that cargo compiles

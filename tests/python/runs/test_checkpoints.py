@@ -17,7 +17,7 @@ from lidar_core import ConfigError, FormatError, InputError, runs, sim
 from lidar_core.io import PoseOptions, write_recording
 from lidar_core.messages import LaserScan
 from lidar_core.run_folder import CHECKPOINT, UNFINISHED
-from lidar_core.runs.scans.circles import CirclesRun
+from lidar_core.runs.scans.circles_output import CirclesRun
 from lidar_core.util.packed import packed, unpacked
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")

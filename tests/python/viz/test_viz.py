@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from lidar_core import MissingExtraError, TrackKind
 from lidar_core.extras import install_command
 from lidar_core.flying import FlyingObjectDetector, Tracks
-from lidar_core.runs.scans.flying import FlyingRun
+from lidar_core.runs.scans.flying_output import FlyingRun
 from lidar_core.viz import FlyingView, draw_flying
 from lidar_core.viz.pictures import flying_picture
 

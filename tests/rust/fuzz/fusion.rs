@@ -3,7 +3,7 @@
 use super::input::{Input, one_thread};
 use lidar_core::Error;
 use lidar_core::estimation::minimise::SimplexSearch;
-use lidar_core::fusion::model::models;
+use lidar_core::fusion::model_list::models;
 use lidar_core::fusion::sensors::measurement::PolarValues;
 use lidar_core::fusion::targets::noise_search::{fit, log_likelihood, quantities};
 use lidar_core::fusion::{

@@ -14,8 +14,8 @@ from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints
 from lidar_core.runs.result import MCAP, draw, wants_mcap
-from lidar_core.runs.scans.circles import CirclesRun
-from lidar_core.runs.scans.flying import FlyingRun
+from lidar_core.runs.scans.circles_output import CirclesRun
+from lidar_core.runs.scans.flying_output import FlyingRun
 
 
 class LiveFolder(Output):

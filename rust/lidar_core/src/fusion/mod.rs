@@ -23,13 +23,13 @@
 //! ```
 
 pub mod filter;
-pub mod model;
+pub mod model_list;
 pub mod models;
 pub mod parameters;
 pub mod sensors;
 pub mod targets;
 
-pub use model::Model;
+pub use model_list::Model;
 pub use parameters::{FusionParameters, Method, Strengths};
 pub use sensors::measurement::{Measurement, Sensor};
 pub use targets::any_filter::Filter;

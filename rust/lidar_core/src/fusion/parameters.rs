@@ -1,7 +1,7 @@
 //! Parameters of a filter: model, method, noise, sensors, rules.
 
 use super::filter::paper::Paper;
-use super::model::{MIXABLE, Model};
+use super::model_list::{MIXABLE, Model};
 use super::models::motion::{Noise, NoiseForm, Prior};
 use super::sensors::sensing::Sensing;
 use super::targets::lifecycle::LifecycleRules;

@@ -3,7 +3,7 @@
 use crate::arrays::choice;
 use lidar_core::Error;
 use lidar_core::fusion::filter::paper::{Paper, Reading};
-use lidar_core::fusion::model::{self, MIXABLE};
+use lidar_core::fusion::model_list::{self, MIXABLE};
 use lidar_core::fusion::models::motion::{NoiseForm, Prior};
 use lidar_core::fusion::models::platform::GyroUse;
 use lidar_core::fusion::sensors::sensing::Sensing;
@@ -208,17 +208,17 @@ impl FusionConfig {
 }
 
 fn model_named(key: &'static str, name: &str) -> Result<Model, Error> {
-    choice(key, name, &model::models().map(|entry| (entry.name, entry.model)))
+    choice(key, name, &model_list::models().map(|entry| (entry.name, entry.model)))
 }
 
 /// Name, names of the states, meaning, and whether `imm` can mix it, of every motion model.
 #[pyfunction]
 pub(crate) fn fusion_models() -> Vec<(&'static str, Vec<&'static str>, &'static str, bool)> {
-    let of = |entry: model::ModelEntry| {
+    let of = |entry: model_list::ModelEntry| {
         let can_mix = MIXABLE.contains(&entry.model);
         (entry.name, entry.states.to_vec(), entry.title, can_mix)
     };
-    model::models().map(of).to_vec()
+    model_list::models().map(of).to_vec()
 }
 
 fn length(name: &'static str, expected: usize, values: &[f64]) -> Error {

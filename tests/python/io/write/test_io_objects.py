@@ -20,7 +20,7 @@ from lidar_core.io.messages.ros_types import (
 )
 from lidar_core.io.tables import circles, shapes, tracks
 from lidar_core.io.write.ros_obstacles import TOPICS
-from lidar_core.runs.scans.flying import FlyingRun
+from lidar_core.runs.scans.flying_output import FlyingRun
 from lidar_core.viz import Objects, Playback
 
 BASE_NS = 1_700_000_000_000_000_000

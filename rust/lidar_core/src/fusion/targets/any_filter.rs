@@ -12,7 +12,7 @@ use crate::fusion::filter::engine::{Engine, Innovation, Link, Output, Single};
 use crate::fusion::filter::imm::{Imm, Mode, mode};
 use crate::fusion::filter::paper::Paper;
 use crate::fusion::filter::sigma_points::Sigma;
-use crate::fusion::model::{ForMixable, ForMotion, MIXABLE, Model};
+use crate::fusion::model_list::{ForMixable, ForMotion, MIXABLE, Model};
 use crate::fusion::models::cartesian::ConstantVelocity;
 use crate::fusion::models::motion::{Noise, NoiseForm, ProcessNoise};
 use crate::fusion::models::platform::Platform;

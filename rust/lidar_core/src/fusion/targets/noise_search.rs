@@ -7,7 +7,7 @@ use super::record::in_order;
 use crate::Error;
 use crate::error::require;
 use crate::estimation::minimise::{SimplexSearch, minimise};
-use crate::fusion::model::{MIXABLE, Model};
+use crate::fusion::model_list::{MIXABLE, Model};
 use crate::fusion::models::motion::Noise;
 use crate::fusion::parameters::{FusionParameters, Method};
 use crate::fusion::sensors::measurement::{Measurement, PolarValues};

@@ -8,7 +8,7 @@ use crate::Error;
 use crate::error::require;
 use crate::fusion::filter::engine::{Innovation, MAX_INNOVATION, Output};
 use crate::fusion::filter::smoother::{RunRow, smoothed};
-use crate::fusion::model::Model;
+use crate::fusion::model_list::Model;
 use crate::fusion::parameters::{FusionParameters, Method};
 use crate::fusion::sensors::measurement::Measurement;
 use crate::util::budget::check_memory;

@@ -180,7 +180,7 @@ impl SensorIndex {
 mod tests {
     use super::*;
     use crate::Error;
-    use crate::fusion::model::{MIXABLE, Model};
+    use crate::fusion::model_list::{MIXABLE, Model};
     use crate::fusion::parameters::{FusionParameters, Method};
     use crate::fusion::targets::lifecycle::{LifecycleRules, Outcome};
 

@@ -1,7 +1,7 @@
 //! Tests: assignment, late scans, refusals, memory.
 
 use super::*;
-use crate::fusion::model::Model;
+use crate::fusion::model_list::Model;
 use crate::fusion::parameters::Strengths;
 use crate::fusion::sensors::measurement::Sensor;
 use crate::fusion::sensors::sensing::Sensing;
