@@ -33,6 +33,11 @@ const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
 const HELD_SHARE: f64 = 0.6;
 /// A voxel that was found before stays one with this share: parts of the robot may be hidden.
 const KEPT_SHARE: f64 = 0.2;
+/// Least share of the places that hold a return where one is on a part of the robot or beside it, over
+/// that of the voxel that holds one most often. A robot is rigid; what flies along leaves some voxels
+/// and enters others. Voxels that rarely hold any do not count: those are droplets.
+const RIGID_SHARE: f64 = 0.6;
+const RARE_SHARE: f64 = 0.1;
 /// A robot that was known from an earlier run is still the same if this share of it is kept. After a
 /// short drive it may hold parts of the world that were not yet told apart, so that this is below half.
 const SAME_SHARE: f64 = 0.3;
@@ -306,7 +311,10 @@ impl Body {
         let up = self.last.map_or([0.0, 0.0, 1.0], |pose| pose.inverse().rotate([0.0, 0.0, 1.0]));
         let (mut found, mut part) = (Vec::new(), Vec::new());
         for first in 0..VOLUME {
-            if state[first] == 2 && self.take_part(first, &mut state, &mut part, up) {
+            if state[first] == 2
+                && self.take_part(first, &mut state, &mut part, up)
+                && is_rigid(&part, counts)
+            {
                 found.extend(part.iter().map(|&voxel| voxel as u32));
             }
         }
@@ -341,6 +349,20 @@ impl Body {
         }
         nearest <= NEAR_ZONE && farthest <= FARTHEST && 2 * n_ground <= part.len()
     }
+}
+
+/// True if returns on a part and beside it keep to the same voxels.
+fn is_rigid(part: &[usize], counts: &[u16]) -> bool {
+    let voxels: Vec<u32> = part.iter().map(|&voxel| voxel as u32).collect();
+    let near = beside(&voxels);
+    let most = part.iter().map(|&voxel| counts[voxel]).max().unwrap_or(0);
+    let held = (0..VOLUME).filter(|&voxel| has(&near, voxel)).map(|voxel| counts[voxel]);
+    let (mut total, mut squares) = (0.0, 0.0);
+    for count in held.filter(|&count| count >= enough(RARE_SHARE, u32::from(most))) {
+        total += f64::from(count);
+        squares += f64::from(count) * f64::from(count);
+    }
+    squares >= RIGID_SHARE * total * f64::from(most)
 }
 
 /// So many of `times`, in whole numbers.
@@ -415,6 +437,30 @@ mod tests {
             body.learn(&points, None, &pose);
         }
         assert!(!body.contains([0.2, 5.0, 0.5]) && body.contains([-1.8, 0.0, -0.4]));
+    }
+
+    /// It circles on half a metre beside the sensor, nearer than parts of the robot may be.
+    #[test]
+    fn what_flies_along_on_a_small_circle_is_no_robot() {
+        let mut body = Body::default();
+        let near = |points: &mut Vec<[f32; 3]>, [x, y]: [f64; 2]| {
+            points.extend((0..60).map(|index| {
+                let angle = 0.05 * f64::from(index);
+                let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+                [x + 0.3 * cosine, y - 0.3 * sine, 0.5].map(|value| value as f32)
+            }));
+        };
+        for step in 0..30 {
+            let pose = pose(0.5 * f64::from(step), 0.0);
+            let angle = 0.35 * f64::from(step);
+            let mut points = scan(&pose);
+            near(&mut points, [0.4 * libm::cos(angle), 3.0 + 0.4 * libm::sin(angle)]);
+            near(&mut points, [1.0, -2.5]); // a mirror on an arm
+            body.learn(&points, None, &pose);
+        }
+        let hits = (0..VOLUME).filter(|&voxel| has(&body.mask, voxel)).map(center_of);
+        assert!(hits.filter(|center| center[1] > 1.5 && center[2] > 0.0).count() == 0);
+        assert!(body.contains([1.0, -2.8, 0.5]) && body.contains([-1.8, 0.0, -0.4]));
     }
 
     #[test]
