@@ -19,7 +19,6 @@ from lidar_core.io.poses.pose_frames import FrameMismatch, PoseFrameCheck, advic
 from lidar_core.io.poses.tf_buffer import NoTransformError, TransformBuffer
 from lidar_core.io.scan_topics import WORDS, listed, scan_topic
 from lidar_core.messages import LaserScan, Pose, PosedScan, Scan, ScanT
-from lidar_core.util.reasons import first_of_kind
 
 if TYPE_CHECKING:
     from lidar_core.io.recording import Recording
@@ -45,8 +44,7 @@ class PosedScans(Generic[ScanT]):
     source : str
         Source of the poses, in words.
     without_pose : Counter
-        Number of scans that were left out, per reason. Reasons that differ only in their numbers,
-        such as stamps, count as the first one.
+        Number of scans that were left out, per reason.
     """
 
     def __init__(self, recording: "Recording", options: PoseOptions, sort: type[ScanT]) -> None:
@@ -210,7 +208,7 @@ class PosedScans(Generic[ScanT]):
             try:
                 poses = buffer.lookup(root, frame, stamps)
             except NoTransformError as error:
-                self.without_pose[first_of_kind(self.without_pose, str(error))] += 1
+                self.without_pose[str(error)] += 1
                 continue
             given += 1
             single = len(stamps) == 1

@@ -17,6 +17,7 @@ from lidar_core.errors import ConfigError
 from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
 from lidar_core.io.recording import Recording
 from lidar_core.messages import Scan, ScanT
+from lidar_core.util.reasons import first_of_kind
 
 STAMP = attrgetter("scan.stamp_ns")
 ROBOT = "robot"
@@ -175,10 +176,14 @@ class ScanSource(Generic[ScanT]):
 
     @property
     def without_pose(self) -> dict[str, int]:
-        """Scans left out because they have no pose, per reason."""
+        """Scans left out because they have no pose, per reason.
+
+        Reasons that differ only in their numbers, such as stamps, count as the first one.
+        """
         total = Counter(self._left_out)
         for lidar in self._lidars:
-            total += lidar.scans.without_pose
+            for reason, count in lidar.scans.without_pose.items():
+                total[first_of_kind(total, reason)] += count
         return dict(total)
 
 

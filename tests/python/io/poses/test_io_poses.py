@@ -206,9 +206,8 @@ def test_scans_without_pose_are_left_out_and_counted(tmp_path):
     path = recording_of(tmp_path, [*clouds(count=9), *moves("tf", "map", "lidar", count=5)])
     result, scans = posed(path)
     assert len(result) == 3
-    ((reason, count),) = scans.without_pose.items()  # their stamps make no other reason
-    assert "is known from" in reason
-    assert count == 6
+    assert sum(scans.without_pose.values()) == 6
+    assert all("is known from" in reason for reason in scans.without_pose)
 
 
 def test_static_needs_no_poses(tmp_path):
