@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
-from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from lidar_core.errors import ConfigError, FormatError, LidarCoreError
 from lidar_core.files import check_regular, read_text
 from lidar_core.io.files.atomic import written_whole
 from lidar_core.io.files.guard import reading
-from lidar_core.io.files.npy import array_in
+from lidar_core.io.files.npy import archive_of, array_in
 
 Part: TypeAlias = Literal["train", "validation", "test", "all"]
 
@@ -268,7 +267,7 @@ def _read_shard(path: Path, config: DatasetConfig, most: int) -> Samples:
     """Samples of one file, at most `most`; sizes are checked before memory is asked for."""
     size = check_regular(path).stat().st_size
     try:
-        with reading(str(path)), ZipFile(path) as archive:
+        with reading(str(path)), archive_of(path) as archive:
             samples = Samples(
                 *(
                     array_in(archive, field.name, what="column", limit=size, key="nothing")

@@ -164,8 +164,9 @@ def _write_recording(
     console: "Console",
 ) -> dict[str, Any]:
     """Write scans and poses; returns what was written and what was not, as plain values."""
-    from lidar_core.io import open_recording, write_recording
+    from lidar_core.io import open_recording
     from lidar_core.io.scan_topics import NAMELESS
+    from lidar_core.io.write.recording import write_arrivals
     from lidar_core.io.writers import writer_of
 
     written: Counter[str] = Counter()
@@ -175,15 +176,15 @@ def _write_recording(
     ):
         _check_topics(opened, topics)
 
-        def counted() -> Iterator["Message"]:
-            for message in _chosen(opened, topics, span):
+        def counted() -> Iterator[tuple["Message", int | None]]:
+            for message, arrival_ns in _chosen(opened, topics, span):
                 written[message.topic or NAMELESS] += 1
                 on_progress("convert", written.total(), None)
-                yield message
+                yield message, arrival_ns
 
         writer_of(output, "messages")  # refuses another ending before anything is made
         make_parents(output)
-        write_recording(output, counted())
+        write_arrivals(output, counted())
         left_out = {**opened.skipped, **opened.noticed().rejected}
     return {
         "input": str(source),
@@ -219,8 +220,10 @@ def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
             )
 
 
-def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> Iterator["Message"]:
-    """Messages of the span, by their stamps; mountings count as of all times.
+def _chosen(
+    recording: "Recording", topics: list[str] | None, span: "Span"
+) -> Iterator[tuple["Message", int | None]]:
+    """Messages of the span, by their stamps, with their arrivals; mountings are of all times.
 
     Raises
     ------
@@ -232,14 +235,14 @@ def _chosen(recording: "Recording", topics: list[str] | None, span: "Span") -> I
 
     first_ns = recording.first_stamp() or 0
     is_found = False
-    for message in recording:
+    for message, arrival_ns in recording.arrivals():
         if topics and not isinstance(message, Pose) and message.topic not in topics:
             continue
         if isinstance(message, Pose) and message.is_static:
-            yield message
+            yield message, arrival_ns
         elif span.holds(message.stamp_ns, first_ns):
             is_found = True
-            yield message
+            yield message, arrival_ns
     if not is_found:
         part = "" if span.is_whole else f" {span}"
         raise InputError(f"{recording.path}: no scans or moving poses{part}")

@@ -80,7 +80,10 @@ def _print(info: "RecordingInfo", steps: list[str], console: "Console") -> None:
     console.print(_topics_table(info))
     for parent, child, is_static in info.transforms:
         how = "static" if is_static else "moving"
-        console.print(f"transform {escape(parent)} -> {escape(child or '(none)')}: {how}")
+        what = f"transform {escape(parent)} -> {escape(child)}"
+        if not child:  # as of PoseStamped, which names one frame
+            what = f"poses in {escape(parent)} of a body without a frame name"
+        console.print(f"{what}: {how}", soft_wrap=True)
     for name, verdict in info.point_time.items():
         console.print(
             f"point time of {escape(name or NAMELESS)}: {escape(verdict)}", soft_wrap=True

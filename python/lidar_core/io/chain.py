@@ -36,6 +36,7 @@ class ChainedRecording(Recording):
             self._parts = [stack.enter_context(opened(file, options)) for file in files]
             self._stack = stack.pop_all()
         self.format = f"folder of {self._parts[0].format}"
+        self.has_arrivals = all(part.has_arrivals for part in self._parts)
 
     def topics(self) -> list[Topic]:
         """Streams of all files, by name and kind, with their messages added up.

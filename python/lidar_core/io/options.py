@@ -118,8 +118,12 @@ class Span(Config):
         return f"from {self.start:g} s {end}, counted from the first stamp"
 
     def holds(self, stamp_ns: int, first_ns: int) -> bool:
-        """Return whether a time is inside the span of a recording that begins at `first_ns`."""
-        is_early = stamp_ns - first_ns < round(self.start * NS)
+        """Return whether a time is inside the span of a recording that begins at `first_ns`.
+
+        Without a start, earlier times are inside, too: the first message of a recording may be a
+        transform that was sent ahead of its time.
+        """
+        is_early = self.start > 0 and stamp_ns - first_ns < round(self.start * NS)
         return not is_early and not self.is_past(stamp_ns, first_ns)
 
     def is_past(self, stamp_ns: int, first_ns: int) -> bool:

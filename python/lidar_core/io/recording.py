@@ -28,9 +28,13 @@ class Recording(ABC):
         Messages per topic that no reader understands.
     findings : Findings
         Detected conventions and rejected messages.
+    has_arrivals : bool
+        True if the times of the records are those at which the messages arrived; without it they
+        are the stamps of the messages.
     """
 
     format: str
+    has_arrivals = False
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
@@ -47,12 +51,17 @@ class Recording(ABC):
         """Stored messages in time order; only topics of `kinds`, if given."""
 
     def __iter__(self) -> Iterator[Message]:
+        return (message for message, _ in self.arrivals())
+
+    def arrivals(self) -> Iterator[tuple[Message, int | None]]:
+        """Messages, each with the time at which it arrived [ns]; None if that is not known."""
         self.skipped.clear()
         for record in self.records():
             messages = record.decode()
             if record.topic.kind in UNREAD_KINDS and not messages:
                 self.skipped[record.topic.name] += 1
-            yield from messages
+            arrival_ns = record.time_ns if self.has_arrivals else None
+            yield from ((message, arrival_ns) for message in messages)
 
     def first_stamp(self) -> int | None:
         """Time of the first scan or moving pose [ns]; None if there is none.

@@ -28,6 +28,7 @@ class RestampedRecording(Recording):
         super().__init__(recording.path, options)
         self._recording = recording
         self.format = recording.format
+        self.has_arrivals = recording.has_arrivals and options.stamps == "recorded"
 
     def topics(self) -> list[Topic]:
         """Streams of the recording."""

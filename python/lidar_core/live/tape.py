@@ -7,10 +7,11 @@ from queue import Full, Queue
 from threading import Lock, Thread
 
 from lidar_core.errors import LidarCoreError
-from lidar_core.io import McapWriter, write_recording
+from lidar_core.io import McapWriter
 from lidar_core.io.files.atomic import check_place
 from lidar_core.io.poses.posed import WORLD_FRAME
 from lidar_core.io.records import Record
+from lidar_core.io.write.recording import write_arrivals
 from lidar_core.messages import Message
 
 MOST_WAITING = 256
@@ -47,6 +48,9 @@ class Tape:
     path : Path
         Recording to write; its ending chooses the format, as of `write_recording`. Only MCAP
         outlives a process that is killed: see `McapWriter`.
+    has_arrivals : bool
+        True if the times of the records are those at which the messages arrived. The recording
+        keeps them, so that its replay is the same stream.
 
     Attributes
     ----------
@@ -54,10 +58,11 @@ class Tape:
         Records that came faster than they could be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, has_arrivals: bool = True) -> None:
         check_place(path)
         self.path = path
         self.lost = 0
+        self._has_arrivals = has_arrivals
         self._waiting: Queue[Record | None] = Queue(MOST_WAITING)
         self._error: Exception | None = None
         self._thread = Thread(target=self._write, daemon=True)
@@ -93,18 +98,19 @@ class Tape:
         try:
             if self.path.suffix.lower() == ".mcap":
                 with McapWriter(self.path, tracks_frame=WORLD_FRAME, is_live=True) as writer:
-                    for message in self._messages():
-                        writer.write(message)
+                    for message, arrival_ns in self._messages():
+                        writer.write(message, log_time_ns=arrival_ns)
             else:
-                write_recording(self.path, self._messages())
+                write_arrivals(self.path, self._messages())
         except Exception as error:  # whatever it is, the run ends with it
             self._error = error
             while self._waiting.get() is not None:
                 self.lost += 1
 
-    def _messages(self) -> Iterator[Message]:
+    def _messages(self) -> Iterator[tuple[Message, int | None]]:
         while (record := self._waiting.get()) is not None:
+            arrival_ns = record.time_ns if self._has_arrivals else None
             try:
-                yield from record.decode()
+                yield from ((message, arrival_ns) for message in record.decode())
             except LidarCoreError:
                 continue  # the loop counts what cannot be read

@@ -138,6 +138,7 @@ class _Remembered(Recording):
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording.path, recording.options)
         self._recording, self.format = recording, recording.format
+        self.has_arrivals = recording.has_arrivals
         self._poses: list[tuple[Topic, Pose]] | None = None
 
     def topics(self) -> list[Topic]:

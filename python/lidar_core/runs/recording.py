@@ -14,7 +14,15 @@ from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.messages import PosedScan, ScanT
 from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints, Resumable
-from lidar_core.runs.result import MCAP, OnProgress, Picture, RunResult, draw, wants_mcap
+from lidar_core.runs.result import (
+    MCAP,
+    OnProgress,
+    Picture,
+    RunResult,
+    count_unposed,
+    draw,
+    wants_mcap,
+)
 from lidar_core.runs.scans.source import ScanSource
 
 
@@ -117,7 +125,7 @@ class RecordingJob(Generic[ScanT]):
             ended_by = self._process(source, run)
             if not run.n_received:
                 self.folder.begin()
-            summary = {
+            summary: dict[str, Any] = {
                 "command": self.command,
                 "recording": str(self.recording),
                 "format": source.format,
@@ -128,6 +136,7 @@ class RecordingJob(Generic[ScanT]):
                 "notes": source.notes + run.notes,
                 "ended_early": None if ended_by is None else str(ended_by) or "interrupted",
             }
+        count_unposed(summary)
         files = [*run.write(self.folder), "run.toml", "summary.json"]
         self.folder.write_summary(summary)
         self._write_note()

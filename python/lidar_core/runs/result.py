@@ -59,11 +59,17 @@ class RunResult:
             raise self.ended_by
         scans = self.summary.get("scans", {})
         rejected = Counter(scans.get("rejected", {}))
-        if 2 * rejected.total() > scans.get("received", 0):
+        posed = scans.get("received", 0) - sum(self.summary.get("without_pose", {}).values())
+        if 2 * rejected.total() > posed:
             raise FormatError(
-                f"{rejected.total()} of {scans['received']} scans were rejected, most of them:"
+                f"{rejected.total()} of {posed} scans were rejected, most of them:"
                 f" {rejected.most_common(1)[0][0]}; the files hold the others"
             )
+
+
+def count_unposed(summary: dict[str, Any]) -> None:
+    """Count the scans without a pose as received, too: the pipeline never sees them."""
+    summary["scans"]["received"] += sum(summary["without_pose"].values())
 
 
 def wants_mcap(mcap: bool | None) -> bool:

@@ -30,7 +30,9 @@ from lidar_core.batch import (
 from lidar_core.batch.results import flat
 from lidar_core.cli import app
 from lidar_core.io import read_columns
+from lidar_core.run_folder import build_digest
 from lidar_core.runs.batch_jobs import Batch
+from lidar_core.runs.jobs import run as job_run
 
 SCENE = """
 scans = 2
@@ -408,6 +410,38 @@ commands = [
     assert "simulate.scans" not in columns
 
 
+def test_a_run_whose_objects_cannot_be_collected_is_a_failed_job(tmp_path, monkeypatch):
+    """Its commands ended well, but the tables of the batch would lack it."""
+    monkeypatch.setattr(job_run, "command_line", lambda: damaged_run)
+    work = job_run.Workplace(tmp_path, "a-1")
+    (tmp_path / "tracks").mkdir()
+    (tmp_path / "tracks" / "a-1.csv").write_text("of an earlier attempt")
+    command = ("circles", "x.npz", "-o", str(work.folder / "run"))
+    begun = JobRecord("a-1", "a", "k", "running")
+    ended = job_run.run_job(
+        record=begun,
+        commands=[command],
+        workplace=work,
+        place=Path.cwd(),
+        threads=1,
+        build=build_digest(),
+    )
+    assert ended.status == "failed"
+    assert "a-1/run: the commands ended, but the objects of this run cannot be coll" in ended.error
+    assert "t_ns" in ended.error
+    assert not (tmp_path / "tracks" / "a-1.csv").exists()
+    assert JobRecord.read(work.folder) == ended
+
+
+def damaged_run(arguments, *, standalone_mode):
+    """A command that leaves a run with a table that lacks its times."""
+    del standalone_mode
+    folder = Path(arguments[arguments.index("-o") + 1])
+    folder.mkdir()
+    (folder / "run.toml").write_text("")
+    (folder / "tracks.csv").write_text("track_id,x\n1,2.0\n")
+
+
 def test_threads_are_handed_to_commands_that_take_them(batch):
     batch.write_text("""
 [[jobs]]
@@ -415,6 +449,7 @@ name = "flight"
 commands = [
     "simulate overflight -o {output}/a.csv --scans 20",
     "fuse {output}/a.csv -o {output}/run --no-picture",
+    "fuse {output}/a.csv -o {output}/many --association integrated --no-picture",
 ]
 """)
     done = run_batch(batch)

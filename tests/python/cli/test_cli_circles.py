@@ -259,6 +259,23 @@ def test_a_scan_that_cannot_be_used_is_counted(recording, tmp_path):
     assert summary["scans"]["processed"] == 5
 
 
+def test_scans_without_a_pose_are_received_and_have_one_reason(recording, tmp_path):
+    with open_recording(recording) as opened:
+        items = list(opened)
+    begin = min(item.stamp_ns for item in items if isinstance(item, LaserScan))
+    poses = [n for n, item in enumerate(items) if isinstance(item, Pose) and not item.is_static]
+    early = {n for n in poses if items[n].stamp_ns < begin + 4 * 10**8}
+    write_npz(tmp_path / "a.npz", [item for n, item in enumerate(items) if n not in early])
+    folder = tmp_path / "run"
+    result = result_of(tmp_path / "a.npz", "-o", folder, "--no-picture", "--no-mcap")
+    ((reason, count),) = result["without_pose"].items()
+    assert "is known from" in reason
+    assert count >= 2
+    assert result["scans"]["received"] == SCANS
+    assert result["scans"]["processed"] == SCANS - count
+    assert json.loads((folder / "summary.json").read_text())["scans"] == result["scans"]
+
+
 def log_of(path, lengths):
     """A CARMEN log with a scan of each of these numbers of readings."""
     lines = [

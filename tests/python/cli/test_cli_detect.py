@@ -209,6 +209,22 @@ def test_repeating_opens_the_gate(recording, tmp_path):
     assert result["poses"] == "static: the sensor does not move"
 
 
+def test_scans_without_a_pose_count_in_every_turn(recording, tmp_path):
+    with open_recording(recording) as opened:
+        items = list(opened)
+    stamps = sorted(item.stamp_ns for item in items if isinstance(item, Scan))
+    kept = [item for item in items if isinstance(item, Scan) or item.stamp_ns > stamps[8]]
+    write_npz(tmp_path / "a.npz", kept)
+    result = result_of(tmp_path / "a.npz", "-o", tmp_path / "run", "--repeat", 2, "--no-picture")
+    ((reason, count),) = result["without_pose"].items()
+    assert "is known from" in reason
+    assert count % 2 == 0
+    assert count >= 2 * 8
+    scans = result["scans"]
+    assert scans["received"] == 2 * SCANS
+    assert scans["processed"] + scans["held"] + count == 2 * SCANS
+
+
 def test_a_repeated_recording_of_a_sensor_that_moves_is_named(tmp_path):
     there = ((-1.0, 0.0, 3.0), (1.0, 0.0, 3.0))
     back = ((-1.0, 0.0, 3.0), (1.0, 0.0, 3.0), (-1.0, 0.0, 3.0))

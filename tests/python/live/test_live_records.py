@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from threading import Event
 from urllib.error import HTTPError
 from urllib.request import urlopen
@@ -69,6 +70,50 @@ def test_a_tape_keeps_every_message_and_decodes_it_once(tmp_path, ending):
     scans = messages_of(path, Scan)
     assert [scan.stamp_ns for scan in scans] == [n * 10**8 for n in range(20)]
     np.testing.assert_array_equal(scans[3].points, cloud(3).points)
+
+
+@pytest.mark.parametrize("ending", ["mcap", "bag"])
+@pytest.mark.parametrize("known", [True, False])
+def test_a_tape_keeps_the_times_of_arrival_if_they_are_known(tmp_path, ending, known):
+    tape, late = Tape(tmp_path / f"a.{ending}", has_arrivals=known), 70_000_000
+    for number in range(5):
+        arrival = number * 10**8 + late
+        tape.keep(Record(CLOUDS, arrival, lambda number=number: [cloud(number)]))
+    tape.close()
+    with lc.io.open_recording(tape.path) as recording:
+        times = [(scan.stamp_ns, arrival) for scan, arrival in recording.arrivals()]
+    assert times == [(n * 10**8, n * 10**8 + known * late) for n in range(5)]
+
+
+def test_a_replay_of_what_a_replay_recorded_is_the_same_stream(tmp_path):
+    """Transforms that are sent ahead of their times are there when a scan needs them."""
+    begin, second = 1_700_000_000 * 10**9, 10**9
+    with lc.io.RosWriter(tmp_path / "a") as writer:
+        for number in range(16):
+            at = begin + number * second // 20
+            pose = Pose(at + second // 5, "world", "lidar", np.eye(4))
+            writer.write(pose, log_time_ns=at)
+            scan = replace(cloud(number), stamp_ns=at - second // 50)
+            writer.write(scan, log_time_ns=at + 1000)
+    arguments = ["live", "--replay", tmp_path / "a", "--record", tmp_path / "b.mcap"]
+    first = told(arguments, tmp_path)
+    again = told(["live", "--replay", tmp_path / "b.mcap"], tmp_path)
+    assert first["processed"] >= 8
+    assert again["processed"] == first["processed"]
+    assert again["without_pose"] == first["without_pose"]
+    stored = []
+    for path in ("a", "b.mcap"):
+        with lc.io.open_recording(tmp_path / path) as recording:
+            stored.append([(one.stamp_ns, arrival) for one, arrival in recording.arrivals()])
+    assert len(stored[0]) == 32
+    assert stored[1] == stored[0]
+
+
+def told(arguments, folder):
+    options = ["--json", str(folder / "told.json"), "--stream", "pose_wait=0.3"]
+    done = CliRunner().invoke(app, [*map(str, arguments), *options])
+    assert done.exit_code == 0, done.output
+    return json.loads((folder / "told.json").read_text())
 
 
 KILLED = """
@@ -146,7 +191,7 @@ def test_a_slow_disk_loses_records_and_does_not_wait(tmp_path, monkeypatch):
         gate.wait(60)
         written.extend(messages)
 
-    monkeypatch.setattr(tape_module, "write_recording", slow)
+    monkeypatch.setattr(tape_module, "write_arrivals", slow)
     tape = Tape(tmp_path / "a.npz")
     for number in range(tape_module.MOST_WAITING + 30):
         tape.keep(Record(CLOUDS, number, lambda number=number: [cloud(number)]))
@@ -161,7 +206,7 @@ def test_a_tape_that_cannot_be_written_ends_with_the_reason(tmp_path, monkeypatc
         next(messages)
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(tape_module, "write_recording", full)
+    monkeypatch.setattr(tape_module, "write_arrivals", full)
     tape = Tape(tmp_path / "a.npz")
     for number in range(5):
         tape.keep(Record(CLOUDS, number, lambda number=number: [cloud(number)]))

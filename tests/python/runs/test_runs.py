@@ -122,6 +122,10 @@ def test_a_run_of_rejected_scans_fails_with_the_reason(tmp_path):
     summary["scans"]["rejected"]["late"] = 2
     with pytest.raises(FormatError, match="2 of 3 scans were rejected, most of them: late"):
         runs.RunResult(tmp_path, summary, ()).raise_if_failed()
+    summary |= {"without_pose": {"early": 7}}
+    summary["scans"]["received"] += 7  # no pose: nothing to reject
+    with pytest.raises(FormatError, match="2 of 3 scans were rejected, most of them: late"):
+        runs.RunResult(tmp_path, summary, ()).raise_if_failed()
 
 
 def test_what_cannot_be_used_is_refused_before_a_folder_is_made(recordings, tmp_path):

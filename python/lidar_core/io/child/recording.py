@@ -46,6 +46,7 @@ class ChildRecording(Recording):
                 temporary=self._temporary.name if self._temporary is not None else None,
             )
             self.format = str(opened["format"])
+            self.has_arrivals = bool(opened["has_arrivals"])
             self._topics = [Topic(**one) for one in opened["topics"]]
         except BaseException:
             self.close()

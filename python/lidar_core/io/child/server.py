@@ -187,7 +187,11 @@ class Reader:
         opened = import_module("lidar_core.io.opening").open_recording  # it knows this module
         self._recording = opened(place, **options, trusted=True)
         self._topics = self._recording.topics()
-        return {"format": self._recording.format, "topics": [vars_of(t) for t in self._topics]}
+        return {
+            "format": self._recording.format,
+            "has_arrivals": self._recording.has_arrivals,
+            "topics": [vars_of(topic) for topic in self._topics],
+        }
 
     def _call(self, name: str, path: str, folder: str, arguments: dict[str, Any]) -> Any:
         module, _, function = name.partition(":")

@@ -2,14 +2,32 @@
 
 import math
 from io import BytesIO
+from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.errors import FormatError
 from lidar_core.io.files.guard import check_size
+
+
+def archive_of(path: Path) -> ZipFile:
+    """Open an .npz file; the caller closes it.
+
+    Raises
+    ------
+    FormatError
+        Its list of arrays, which is at its end, is missing.
+    """
+    try:
+        return ZipFile(path)
+    except BadZipFile as error:
+        raise FormatError(
+            f"{path}: cannot be read: the file ends at byte {path.stat().st_size} without the list"
+            " of its arrays; it seems to be cut off, or is no .npz file: copy or write it again"
+        ) from error
 
 
 def array_in(archive: ZipFile, name: str, *, what: str, limit: int, key: str) -> NDArray[Any]:

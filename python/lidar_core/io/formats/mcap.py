@@ -41,6 +41,7 @@ class McapRecording(Recording):
     """One MCAP file, read chunk by chunk in time order."""
 
     format = "MCAP"
+    has_arrivals = True
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         super().__init__(path, options)

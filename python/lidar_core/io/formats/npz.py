@@ -30,7 +30,7 @@ from lidar_core.arrays import as_mask, as_points, as_pose, as_rows
 from lidar_core.errors import FormatError, InputError
 from lidar_core.io.files.beginnings import ZIP, check_beginning
 from lidar_core.io.files.guard import reading
-from lidar_core.io.files.npy import array_in
+from lidar_core.io.files.npy import archive_of, array_in
 from lidar_core.io.messages.own_cloud import OWN_VERDICT
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.readers import register_reader
@@ -61,7 +61,7 @@ class NpzRecording(Recording):
         limit = options.max_record_bytes
         self._array = partial(array_in, what="array", limit=limit, key="max_record_bytes")
         check_beginning(path, ZIP, "an .npz file")
-        with reading(str(path)), ZipFile(path) as archive:
+        with reading(str(path)), archive_of(path) as archive:
             self._names = {name.removesuffix(".npy") for name in archive.namelist()}
             self._has_index = "layout" in self._names
             self._index = self._read_index(archive) if self._has_index else {}
@@ -92,7 +92,7 @@ class NpzRecording(Recording):
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
         """Poses and scans in time order; poses come first at equal times."""
         topics = {(topic.name, topic.kind): topic for topic in self.topics()}
-        with reading(str(self.path)), closing(ZipFile(self.path)) as archive:
+        with reading(str(self.path)), closing(archive_of(self.path)) as archive:
             if not self._has_index:
                 yield Record(topics["points", "scan"], 0, partial(self._scan, archive, None))
                 return

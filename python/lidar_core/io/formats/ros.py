@@ -32,6 +32,7 @@ class RosRecording(Recording):
     """
 
     format = "ros"
+    has_arrivals = True
 
     def __init__(self, path: Path, options: ReadOptions, files: list[Path], version: int) -> None:
         super().__init__(path, options)

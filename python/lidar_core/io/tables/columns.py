@@ -5,7 +5,6 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
-from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from lidar_core.files import check_regular_or_folder
 from lidar_core.io.child.client import call
 from lidar_core.io.child.trust import is_trusted
 from lidar_core.io.files.guard import check_size, reading
-from lidar_core.io.files.npy import array_in
+from lidar_core.io.files.npy import archive_of, array_in
 from lidar_core.io.formats.mcap import McapRecording
 from lidar_core.io.options import ReadOptions
 from lidar_core.io.poses.pose_files import MAX_FILE_BYTES, read_poses
@@ -188,7 +187,7 @@ def _parse(column: Sequence[str]) -> NDArray[Any]:
 
 
 def _read_npz(path: Path) -> Columns:
-    with reading(str(path)), ZipFile(path) as archive:
+    with reading(str(path)), archive_of(path) as archive:
         _check(path, sum(member.file_size for member in archive.infolist()))
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         columns = {

@@ -55,8 +55,15 @@ class FoxgloveLog:
         self._tracks_frame = tracks_frame
         self._channels: dict[tuple[str, ...], Any] = {}
 
-    def write(self, item: Message | Boxes) -> None:
+    def write(self, item: Message | Boxes, *, log_time_ns: int | None = None) -> None:
         """Append a scan, a pose or the tracks of one time.
+
+        Parameters
+        ----------
+        item : Scan, LaserScan, Pose or Tracks
+            What to write.
+        log_time_ns : int, optional
+            When it arrived [ns], which may differ from its stamp; None: its stamp.
 
         Raises
         ------
@@ -67,16 +74,17 @@ class FoxgloveLog:
         if not all(hasattr(item, one.name) for one in fields_of(Boxes)):  # any object with these
             item = checked_message(item, also="Tracks")
         _check_stamp(item.stamp_ns)
+        log_time = item.stamp_ns if log_time_ns is None else log_time_ns
         if isinstance(item, Scan):
-            self._write_scan(item)
+            self._write_scan(item, log_time)
         elif isinstance(item, Pose):
-            self._write_pose(item)
+            self._write_pose(item, log_time)
         elif isinstance(item, LaserScan):
-            self._write_laser(item)
+            self._write_laser(item, log_time)
         else:
-            self._write_tracks(item)
+            self._write_tracks(item, log_time)
 
-    def _write_scan(self, scan: Scan) -> None:
+    def _write_scan(self, scan: Scan, log_time: int) -> None:
         m = self._messages
         rows = packed(scan)
         codes = {code: number for number, code in FOXGLOVE_TYPES.items()}
@@ -98,10 +106,10 @@ class FoxgloveLog:
             data=rows.tobytes(),
         )
         self._channel("PointCloudChannel", scan.topic or SCAN_TOPIC, {OWN_HEIGHT: str(height)}).log(
-            message, log_time=scan.stamp_ns
+            message, log_time=log_time
         )
 
-    def _write_laser(self, scan: LaserScan) -> None:
+    def _write_laser(self, scan: LaserScan, log_time: int) -> None:
         m = self._messages
         limits = (scan.angle_increment, scan.range_min, scan.range_max)
         scanner = " ".join([*map(repr, map(float, limits)), str(scan.time_increment_ns)])
@@ -116,10 +124,10 @@ class FoxgloveLog:
             intensities=[] if scan.intensity is None else scan.intensity.astype(float).tolist(),
         )
         self._channel("LaserScanChannel", scan.topic or LASER_TOPIC, {OWN_SCANNER: scanner}).log(
-            message, log_time=scan.stamp_ns
+            message, log_time=log_time
         )
 
-    def _write_pose(self, pose: Pose) -> None:
+    def _write_pose(self, pose: Pose, log_time: int) -> None:
         m = self._messages
         message = m.FrameTransform(
             timestamp=self._stamp(pose.stamp_ns),
@@ -129,14 +137,14 @@ class FoxgloveLog:
             rotation=self._quaternion(quaternion_from_matrix(pose.matrix[:3, :3])),
         )
         topic = STATIC_TOPIC if pose.is_static else POSE_TOPIC
-        self._channel("FrameTransformChannel", topic).log(message, log_time=pose.stamp_ns)
+        self._channel("FrameTransformChannel", topic).log(message, log_time=log_time)
 
-    def _write_tracks(self, tracks: Boxes) -> None:
+    def _write_tracks(self, tracks: Boxes, log_time: int) -> None:
         m = self._messages
         stamp = self._stamp(tracks.stamp_ns)
         entities = [self._entity(tracks, row, stamp) for row in range(len(tracks.id))]
         self._channel("SceneUpdateChannel", TRACKS_TOPIC).log(
-            m.SceneUpdate(entities=entities), log_time=tracks.stamp_ns
+            m.SceneUpdate(entities=entities), log_time=log_time
         )
 
     def write_circles(self, circles: CircleElements) -> None:

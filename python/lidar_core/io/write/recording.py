@@ -1,11 +1,20 @@
 """Selection of the writer of a path by its ending."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from lidar_core.errors import InputError
-from lidar_core.io.writers import writer_of
+from lidar_core.io.write.mcap import McapWriter, write_mcap
+from lidar_core.io.write.ros import RosWriter, write_ros
+from lidar_core.io.writers import Write, writer_of
 from lidar_core.messages import Message
+
+WORLD = "world"
+KEEPS_ARRIVALS: dict[Write, Callable[[Path], McapWriter | RosWriter]] = {
+    write_mcap: lambda path: McapWriter(path, tracks_frame=WORLD),
+    write_ros: RosWriter,
+}
+"""Formats that have a time beside the message, for its arrival."""
 
 
 def write_recording(path: str | Path, items: Iterable[Message]) -> None:
@@ -35,3 +44,28 @@ def write_recording(path: str | Path, items: Iterable[Message]) -> None:
         raise InputError(f"items: expected a list of messages, got one {kind}; put it in a list")
     place = Path(path)
     writer_of(place, "messages")(place, items)
+
+
+def write_arrivals(path: str | Path, items: Iterable[tuple[Message, int | None]]) -> None:
+    """Write scans and poses with the times at which they arrived, where the format keeps them.
+
+    Parameters
+    ----------
+    path : str or Path
+        Recording to write, as for `write_recording`.
+    items : iterable of (Scan, LaserScan or Pose, int or None)
+        Messages in the order of their arrivals, each with its time [ns]; None: its stamp.
+
+    Raises
+    ------
+    ConfigError, InputError, MissingExtraError
+        As `write_recording`.
+    """
+    place = Path(path)
+    writer = writer_of(place, "messages")
+    if (opened := KEEPS_ARRIVALS.get(writer.write)) is None:
+        writer(place, (message for message, _ in items))
+        return
+    with opened(place) as file:
+        for message, arrival_ns in items:
+            file.write(message, log_time_ns=arrival_ns)

@@ -199,14 +199,21 @@ class RosWriter(WrittenInBlock):
         self._messages = RosMessages(self._version)
         self._writer = self._open_writer()
         self._connections: dict[tuple[str, str], Any] = {}
-        self._waiting: list[Pose] = []
+        self._waiting: list[Message] = []
         self._is_started = False
 
-    def write(self, item: Message) -> None:
+    def write(self, item: Message, *, log_time_ns: int | None = None) -> None:
         """Append a scan or a pose.
 
-        Mountings that come first are stored at the time of the first message that moves: their
-        own stamps are often zero.
+        Mountings that come first are stored at the time of the first message that moves, unless
+        the time of their arrival is known: their own stamps are often zero.
+
+        Parameters
+        ----------
+        item : Scan, LaserScan or Pose
+            What to write.
+        log_time_ns : int, optional
+            When it arrived [ns], which may differ from its stamp; None: its stamp.
 
         Raises
         ------
@@ -215,11 +222,12 @@ class RosWriter(WrittenInBlock):
             no message, or a value has another shape or type.
         """
         item = checked_message(item)
-        if isinstance(item, Pose) and item.is_static and not self._is_started:
+        if log_time_ns is None and _is_mounting(item) and not self._is_started:
             self._waiting.append(item)
             return
-        self._start(item.stamp_ns)
-        self._store_message(item, item.stamp_ns)
+        time_ns = item.stamp_ns if log_time_ns is None else log_time_ns
+        self._start(time_ns)
+        self._store_message(item, time_ns)
 
     @property
     def messages(self) -> RosMessages:
@@ -284,6 +292,10 @@ class RosWriter(WrittenInBlock):
             self._connections[topic, name] = added
         raw = self._messages.packed(message)
         self._writer.write(self._connections[topic, name], time_ns, raw)
+
+
+def _is_mounting(item: Message) -> bool:
+    return isinstance(item, Pose) and item.is_static
 
 
 @register_writer("ROS 1; ROS 2 as a folder", [".bag", ""], "io", takes="messages")

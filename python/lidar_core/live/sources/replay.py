@@ -78,6 +78,11 @@ class ReplaySource(Source):
         """False: the content of a recording was checked before."""
         return False
 
+    @property
+    def has_arrivals(self) -> bool:
+        """True if the recording keeps the times at which its messages arrived."""
+        return self._recording.has_arrivals
+
     def lead_ns(self, stamp_ns: int) -> int:
         """Difference from the time of the recording to the time of playback [ns]."""
         return self._begin_ns + round((stamp_ns - self._first_ns) / self._rate) - stamp_ns

@@ -81,6 +81,11 @@ class Source(ABC):
         """True if it may never bring a message, because nobody knows what will arrive."""
         return True
 
+    @property
+    def has_arrivals(self) -> bool:
+        """True if the times of its records are those at which the messages arrived."""
+        return True
+
     def lead_ns(self, stamp_ns: int) -> int:
         """Time at which the message was due on this clock, minus its stamp [ns]."""
         del stamp_ns  # stamps of live sources are times of this clock

@@ -132,4 +132,4 @@ class UdpSource(Source):
             return
         if self._clock is not None:
             scan = self._clock.to_local_clock(scan, arrival_ns)
-        inbox.put(Record(self._stream.topic, scan.stamp_ns, decoded(scan)))
+        inbox.put(Record(self._stream.topic, arrival_ns, decoded(scan)))

@@ -4,6 +4,7 @@ from lidar_core.runs.catalogue.objects import (
     EVENTS,
     OBJECTS,
     events_of,
+    has_objects,
     objects_and_events,
     objects_of,
 )
@@ -15,6 +16,7 @@ __all__ = [
     "absent_texts",
     "columns_named",
     "events_of",
+    "has_objects",
     "matching_rows",
     "objects_and_events",
     "objects_of",

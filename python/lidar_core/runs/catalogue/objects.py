@@ -51,6 +51,12 @@ event is first_sight, closest_approach, or lost: the track ends before the run d
 """
 
 
+def has_objects(folder: str | Path) -> bool:
+    """Return whether a folder is that of a run with tracks or circles."""
+    place = Path(folder)
+    return (place / RUN_FILE).is_file() and _table_of(place) is not None
+
+
 def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "") -> Columns:
     """All objects of a run at all times.
 
@@ -74,8 +80,8 @@ def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "
         No run of these commands.
     """
     place = Path(folder)
-    table = table_in(place, "circles") or table_in(place, "tracks")
-    if table is None or not (place / RUN_FILE).is_file():
+    table = _table_of(place)
+    if table is None or not has_objects(place):
         raise FormatError(f"{place}: expected the folder of a run, with tracks or circles")
     columns = read_columns(table)
     count = len(columns["t_ns"])
@@ -85,11 +91,9 @@ def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "
         unknown = np.full(count, np.nan)
         return np.asarray(columns[name], np.float64) if name in columns else unknown
 
-    state = {name: of(name) for name in _STATE}
+    state, sizes = {name: of(name) for name in _STATE}, {name: of(name) for name in _SIZE}
     if "radius" in columns:  # a map in the plane
         state |= {"z": np.zeros(count), "vz": np.zeros(count)}
-    sizes = {name: of(name) for name in _SIZE}
-    if "radius" in columns:
         sizes |= {"extent_x": 2 * of("radius"), "extent_y": 2 * of("radius")}
     covariance = {name: of(name) for name in covariance_titles(("x", "y", "z"))}
     velocity = np.stack([state[name] for name in _STATE[3:]])
@@ -169,6 +173,10 @@ def objects_and_events(
     return objects, events
 
 
+def _table_of(folder: Path) -> Path | None:
+    return table_in(folder, "circles") or table_in(folder, "tracks")
+
+
 def _recording_of(folder: Path) -> str:
     """Name of the recording in run.toml; that of the folder where the run read none."""
     note = tomllib.loads(read_text(folder / RUN_FILE)).get("input", {})
@@ -185,7 +193,7 @@ def _scan_stamps(folder: Path) -> NDArray[np.int64]:
 def _distances(
     folder: Path, stamps: NDArray[np.int64], position: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """From the sensor; from the origin for `fuse` with a sensor that stands; else unknown."""
+    """From the sensor; of one target by `fuse` only if that stands in the origin; else unknown."""
     planar = np.nan_to_num(position)
     timing, states = table_in(folder, "timing"), table_in(folder, "states")
     if timing is not None:
@@ -197,6 +205,10 @@ def _distances(
             sensor[:, 2] = 0.0
         at = np.searchsorted(columns["t_ns"], stamps, side="right") - 1
         return np.asarray(np.linalg.norm(planar - sensor[np.maximum(at, 0)], axis=1))
-    if states is not None and not np.isin(read_columns(states)["sensor"], ["pose"]).any():
+    columns = {} if states is None else read_columns(states)
+    if "sensor_x" in columns:  # of many targets: the tables have the same rows
+        sensor = np.stack([columns[f"sensor_{axis}"] for axis in "xy"], axis=1)
+        return np.asarray(np.linalg.norm(planar[:, :2] - sensor, axis=1))
+    if "sensor" in columns and not np.isin(columns["sensor"], ["pose"]).any():
         return np.asarray(np.linalg.norm(planar, axis=1))
     return np.full(len(stamps), np.nan)

@@ -21,7 +21,7 @@ from lidar_core.io.files.atomic import synced_together, unsynced
 from lidar_core.io.remote import fetched, is_remote, joined, removed, stored, stored_file
 from lidar_core.io.tables.long_table import write_long_table
 from lidar_core.run_folder import RUN_FILE, build_digest
-from lidar_core.runs.catalogue import EVENTS, OBJECTS, objects_and_events
+from lidar_core.runs.catalogue import EVENTS, OBJECTS, has_objects, objects_and_events
 from lidar_core.runs.jobs.commands import OVERFLIGHT, command_line, options_of
 
 LOG, TRACKS = "log.txt", "tracks"
@@ -189,16 +189,27 @@ def _with_fetched(
 
 
 def _tabled(workplace: Workplace, names: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Write the objects of all runs of a job into its table; return their events as rows."""
+    """Write the objects of all runs of a job into its table; return their events as rows.
+
+    Raises
+    ------
+    FormatError
+        The tables of a run cannot be read as objects.
+    """
     rows: list[Sequence[Any]] = []
     events: list[dict[str, Any]] = []
     for note in sorted(workplace.folder.rglob(RUN_FILE)):
+        if not has_objects(note.parent):
+            continue  # such as a training
         run = f"{workplace.job}/{note.parent.relative_to(workplace.folder).as_posix()}"
         try:
             with trusted_files():  # this process has just written them
                 objects, happened = objects_and_events(note.parent, run=run)
-        except (FormatError, KeyError):
-            continue  # a run without objects, such as a training
+        except (LidarCoreError, KeyError) as error:  # a table of all jobs must not lack this one
+            raise FormatError(
+                f"{run}: the commands ended, but the objects of this run cannot be collected:"
+                f" {told_error(error)}"
+            ) from error
         for table in (objects, happened):
             told = [_named(str(one), workplace, names) for one in table["recording"].tolist()]
             table["recording"] = np.array(told, np.str_)

@@ -17,6 +17,7 @@ from lidar_core.errors import ConfigError
 from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
 from lidar_core.io.recording import Recording
 from lidar_core.messages import Scan, ScanT
+from lidar_core.util.reasons import first_of_kind
 
 STAMP = attrgetter("scan.stamp_ns")
 ROBOT = "robot"
@@ -73,6 +74,7 @@ class ScanSource(Generic[ScanT]):
         self._read = read
         self._repeat = repeat
         self._jump = 0.0
+        self._left_out = Counter[str]()  # for want of a pose, in earlier turns
         self._stack = ExitStack()
         self._lidars: list[_Lidar[ScanT]] = []
         with ExitStack() as stack:
@@ -100,7 +102,10 @@ class ScanSource(Generic[ScanT]):
         count: Counter[str] = Counter()
         shift_ns = 0
         first, last = dict[str, NDArray[np.float64]](), dict[str, NDArray[np.float64]]()
+        self._left_out.clear()
         for turn in range(self._repeat):
+            if turn:  # each turn counts from zero
+                self._left_out = Counter(self.without_pose)
             for item in heapq.merge(*(lidar.scans for lidar in self._lidars), key=STAMP):
                 if turn == 0:
                     last_ns = item.scan.stamp_ns
@@ -171,10 +176,14 @@ class ScanSource(Generic[ScanT]):
 
     @property
     def without_pose(self) -> dict[str, int]:
-        """Scans left out because they have no pose, per reason."""
-        total = Counter[str]()
+        """Scans left out because they have no pose, per reason.
+
+        Reasons that differ only in their numbers, such as stamps, count as the first one.
+        """
+        total = Counter(self._left_out)
         for lidar in self._lidars:
-            total += lidar.scans.without_pose
+            for reason, count in lidar.scans.without_pose.items():
+                total[first_of_kind(total, reason)] += count
         return dict(total)
 
 

@@ -13,7 +13,7 @@ from lidar_core.live.outputs.update import CirclesUpdate, FlyingUpdate
 from lidar_core.live.pipelines import CirclesLive, FlyingLive, LivePipeline
 from lidar_core.run_folder import RunFolder, fingerprint, remove_checkpoint
 from lidar_core.runs.checkpoints import Checkpoints
-from lidar_core.runs.result import MCAP, draw, wants_mcap
+from lidar_core.runs.result import MCAP, count_unposed, draw, wants_mcap
 from lidar_core.runs.scans.circles_output import CirclesRun
 from lidar_core.runs.scans.flying_output import FlyingRun
 
@@ -139,6 +139,7 @@ class LiveFolder(Output):
         files = [*run.write(folder), *drawn]
         files += [name for name in (MCAP,) if (folder.path / name).exists()]
         told = {**summary, **run.summary()}
+        count_unposed(told)
         folder.write_summary(told)
         made_of = {name: fingerprint(path) for name, path in inputs.items() if path is not None}
         folder.write_note({"stream": summary["source"], **made_of}, {**self._config(), **config})

@@ -16,6 +16,7 @@ from lidar_core.flying import FlyingConfig
 from lidar_core.io import PoseOptions, ReadOptions
 from lidar_core.live import LiveConfig, LiveLoop, Output
 from lidar_core.live.poses import LivePoses
+from lidar_core.live.sources.source import Source
 from lidar_core.live.stats import Report
 from lidar_core.live.tape import Tape
 from lidar_core.runs.recording import folder_to_write
@@ -162,7 +163,7 @@ def live(
         stack.callback(listening.close)
         where.on_note = listening.findings.note
         server = None if metrics is None else stack.enter_context(closing(open_metrics(metrics)))
-        tape = None if taped is None else stack.enter_context(closing(Tape(taped)))
+        tape = None if taped is None else stack.enter_context(closing(_tape(taped, listening)))
 
         def reported(report: Report) -> None:
             if server is not None:
@@ -227,6 +228,10 @@ def _summary(loop: LiveLoop[Any], outputs: Sequence[Output], tape: Tape | None) 
     if tape is not None:
         summary |= {"recording": str(tape.path), "not_recorded": tape.lost}
     return summary
+
+
+def _tape(path: Path, listening: Source) -> Tape:
+    return Tape(path, has_arrivals=listening.has_arrivals)
 
 
 def _folder(

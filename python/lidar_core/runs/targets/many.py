@@ -210,7 +210,8 @@ class ManyRun:
     def write(self, folder: RunFolder) -> list[str]:
         """Write tables and trajectories; return their names."""
         numbers = np.concatenate([np.empty(0, np.int64), *(state.id for state in self.tracks)])
-        stamps = np.repeat(self.stamps, [len(state.id) for state in self.tracks])
+        counts = [len(state.id) for state in self.tracks]
+        stamps, sensors = np.repeat(self.stamps, counts), np.repeat(self._sensors, counts, axis=0)
         velocity = np.concatenate([np.empty((0, 2)), *(state.velocity for state in self.tracks)])
         states, covariances = self._stacked()
         names = state_names(self.config.target)
@@ -226,6 +227,8 @@ class ManyRun:
                     "track_id": numbers,
                     **{name: states[:, n] for n, name in enumerate(names)},
                     **covariance_columns(names, covariances),
+                    "sensor_x": sensors[:, 0],
+                    "sensor_y": sensors[:, 1],
                 },
             ),
             folder.write_table("detections", self._detections()),

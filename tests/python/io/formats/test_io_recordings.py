@@ -161,6 +161,20 @@ def test_info_command_prints_a_table(recordings):
     assert "no poses: use --pose FILE" in result.stdout
 
 
+@pytest.mark.parametrize("child", ["", "lidar"])
+def test_info_says_what_poses_without_a_child_frame_are(tmp_path, child):
+    from lidar_core.cli import app
+
+    poses = [Pose(number * 10**8, "map", child, np.eye(4), topic="/ego") for number in range(3)]
+    lc.io.write_npz(tmp_path / "a.npz", poses)
+    result = CliRunner().invoke(app, ["info", str(tmp_path / "a.npz")])
+    assert result.exit_code == 0, result.output
+    nameless = "poses in map of a body without a frame name: moving" in result.stdout
+    assert nameless == (not child)
+    assert ("transform map -> lidar: moving" in result.stdout) == bool(child)
+    assert "-> (none)" not in result.stdout
+
+
 def test_names_in_a_pipe_stay_whole(recordings):
     from lidar_core.cli import app
 

@@ -311,6 +311,19 @@ def test_a_command_that_runs_out_of_memory_says_so_in_a_line(monkeypatch, capsys
     )
 
 
+@pytest.mark.parametrize("read", [open_recording, read_columns])
+def test_an_archive_that_was_cut_says_so(tmp_path, read):
+    write_recording(tmp_path / "a.npz", [SWEEP])
+    whole = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FormatError) as raised:
+        read(tmp_path / "cut.npz")
+    text = str(raised.value)
+    assert f"cut.npz: cannot be read: the file ends at byte {len(whole) // 2} without" in text
+    assert "seems to be cut off, or is no .npz file" in text
+    assert "BadZipFile" not in text
+
+
 def test_one_scan_of_a_plain_archive_is_still_read(tmp_path):
     path = tmp_path / "points.npz"
     np.savez(path, points=np.ones((4, 3), np.float32))

@@ -79,6 +79,48 @@ def assert_same(given, found, *, covariance=True):
             assert getattr(found, name) == getattr(given, name), name
 
 
+def stored_arrivals(path):
+    with lc.io.open_recording(path) as recording:
+        return [(type(one), one.stamp_ns, arrival) for one, arrival in recording.arrivals()]
+
+
+@pytest.fixture
+def sent_early(tmp_path):
+    """A ROS 2 recording: transforms come 0.3 s before their times, scans 0.1 s after theirs."""
+    second = 10**9
+    with lidar_core.io.RosWriter(tmp_path / "in") as writer:
+        for number in range(8):
+            at = BASE_NS + number * second // 10
+            writer.write(make_pose(number, at + 3 * second // 10), log_time_ns=at)
+            scan = make_scan(number, stamp_ns=at - second // 10)
+            writer.write(scan, log_time_ns=at + 1000)
+    return tmp_path / "in"
+
+
+@pytest.mark.parametrize("name", ["b.mcap", "b.bag", "b"])
+def test_times_of_arrival_are_kept_beside_stamps(sent_early, tmp_path, name):
+    before = stored_arrivals(sent_early)
+    assert len(before) == 16
+    assert all(arrival not in (None, stamp) for _, stamp, arrival in before)
+    result = CliRunner().invoke(app, ["convert", str(sent_early), str(tmp_path / name)])
+    assert result.exit_code == 0, result.output
+    assert stored_arrivals(tmp_path / name) == before
+
+
+@pytest.mark.parametrize("name", ["c.mcap", "c.bag", "c"])
+def test_a_format_without_arrivals_gives_copies_at_the_times_of_the_stamps(tmp_path, name):
+    lc.io.write_recording(tmp_path / "a.npz", everything()[1:])
+    assert {arrival for *_, arrival in stored_arrivals(tmp_path / "a.npz")} == {None}
+    result = CliRunner().invoke(app, ["convert", str(tmp_path / "a.npz"), str(tmp_path / name)])
+    assert result.exit_code == 0, result.output
+    assert all(stamp == arrival for _, stamp, arrival in stored_arrivals(tmp_path / name))
+
+
+def test_counted_stamps_are_no_arrivals(sent_early):
+    with lc.io.open_recording(sent_early, stamps="counted", scan_rate=10) as recording:
+        assert {arrival for _, arrival in recording.arrivals()} == {None}
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_what_goes_in_comes_out(tmp_path, name):
     items = everything()

@@ -118,6 +118,44 @@ def test_objects_of_all_commands_have_the_same_columns(runs, kind):
         assert (objects["extent_x"] > 0).all()
 
 
+def two_targets(path, *, at_x=None):
+    """Detections of two objects that stand at x = 30 and 60 m, and poses where `at_x` is given."""
+    lines = ["t_ns,x,y,pose_x,pose_y,pose_yaw"]
+    for number in range(60):
+        stamp = number * 10**8
+        if at_x is not None:
+            lines.append(f"{stamp},,,{at_x(number)},0.0,0.0")
+        ahead = 0.0 if at_x is None else at_x(number)
+        jitter = 0.01 * (-1) ** number
+        lines += [f"{stamp},{place - ahead + jitter},{jitter},,," for place in (30.0, 60.0)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_many_targets_have_their_distances_from_the_sensor(tmp_path, moves):
+    file = two_targets(tmp_path / "a.csv", at_x=(lambda number: 0.2 * number) if moves else None)
+    made("fuse", file, "-o", tmp_path / "run", "--association", "integrated", "--no-picture")
+    objects = objects_of(tmp_path / "run")
+    assert len(set(objects["track_id"].tolist())) == 2
+    assert (objects["kind"] != "").all()
+    ahead = 2.0 * objects["t_ns"] * 1e-9 if moves else np.zeros(len(objects["t_ns"]))
+    by_hand = np.hypot(objects["x"] - ahead, objects["y"])
+    np.testing.assert_allclose(objects["distance"], by_hand, atol=1e-6)
+    events = events_of(tmp_path / "run")
+    nearest = matching_rows(events, "event == 'closest_approach' and distance < 35")
+    assert len(nearest["track_id"]) == 1
+    assert nearest["distance"][0] == pytest.approx(18.2 if moves else 30.0, abs=0.5)
+
+
+def test_a_run_of_many_targets_without_places_of_its_sensor_has_unknown_distances(tmp_path):
+    (tmp_path / "run.toml").write_text("")
+    (tmp_path / "tracks.csv").write_text("t_ns,track_id,x,y,z,vx,vy,vz\n1,0,3.0,4.0,0,0,0,0\n")
+    (tmp_path / "states.csv").write_text("t_ns,track_id,x,y\n1,0,3.0,4.0\n")
+    assert np.isnan(objects_of(tmp_path)["distance"]).all()
+    assert events_of(tmp_path)["event"].tolist() == ["first_sight"]
+
+
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
     with pytest.raises(FormatError, match="expected the folder of a run, with tracks or circles"):
         objects_of(tmp_path)
