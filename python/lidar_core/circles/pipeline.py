@@ -27,6 +27,7 @@ from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
 from lidar_core.messages import LaserScan, PosedScan, posed_of, stated_stamp
 from lidar_core.objects import CircleElements, ShapeElements
+from lidar_core.sensors import LONGEST_2D, far_median
 from lidar_core.util.full_state import FullState
 
 if TYPE_CHECKING:
@@ -220,8 +221,9 @@ class CirclePipeline(FullState):
         self._count("processed")
         return frame
 
-    def _note(self, values: dict[str, Any]) -> None:
+    def _note(self, values: dict[str, Any], rays: NDArray[np.float32]) -> None:
         """Keep in `health` what a scan told about its scanner."""
+        is_far = far_median(rays, LONGEST_2D) is not None
         with self._counting:
             self._health = replace(
                 self._health,
@@ -229,6 +231,7 @@ class CirclePipeline(FullState):
                 pose_offset_s=values["pose_offset"],
                 no_return=values["no_return"],
                 stuck_poses=self._health.stuck_poses + int(values["stuck_pose"]),
+                far_scans=self._health.far_scans + int(is_far),
             )
 
     def map_at(self, stamp_ns: int) -> CircleElements:
@@ -278,7 +281,7 @@ class CirclePipeline(FullState):
             segments = segments_of(prepared.segments())
             found = estimator(*prepared.scan()[:2], segments)
             values = self._pipeline.integrate(prepared, *_rows(found, len(segments)))
-        self._note(values)
+        self._note(values, rays)
         return _frame(stamp, scanner, values)
 
     def _by_network(self, scanner: str) -> Estimator | None:

@@ -113,6 +113,9 @@ class CirclesHealth:
         misses, too.
     stuck_poses : int
         Scans with a `CircleFrame.stuck_pose`; more poses may be stuck.
+    far_scans : int
+        Scans of which half of the ranges are more than 500 m, farther than any 2D LiDAR for robots
+        measures: ranges in millimetres.
     """
 
     received: int = 0
@@ -123,6 +126,7 @@ class CirclesHealth:
     pose_offset_s: float | None = None
     no_return: str = "inf"
     stuck_poses: int = 0
+    far_scans: int = 0
 
     def one_more(self, name: str, reason: str | None = None) -> Self:
         """Count one more scan as `name`, for a reason if it is rejected."""

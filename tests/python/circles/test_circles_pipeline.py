@@ -231,6 +231,16 @@ def test_a_named_scanner_overrides_what_its_scans_state():
         pipeline.process(posed_sweep(0.0, 0.001, PERIOD_NS, rays=1081, topic="/other"))
 
 
+@pytest.mark.parametrize(("factor", "far"), [(1000, 3), (1, 0)])
+def test_health_counts_scans_in_millimetres(factor, far):
+    pipeline = CirclePipeline()
+    ranges = factor * scan_of([(4, 1, 0.3), (3, -2, 1.0), (5, 4, 2.0)], np.eye(4))
+    for number in range(3):
+        pipeline.process(ranges, np.eye(4), number * PERIOD_NS)
+    assert pipeline.health().far_scans == far
+    assert CirclePipeline.from_bytes(pipeline.to_bytes()).health().far_scans == far
+
+
 def test_two_scanners_make_one_map():
     half = Scanner(-1.0, 0.005, 401, 0.1, 10.0)
     pipeline = CirclePipeline(CirclesConfig(scanners={"left": half, "right": half}))
