@@ -16,6 +16,7 @@ from lidar_core.io.poses.pose_frames import MOST_SCANS
 from lidar_core.io.poses.posed import posed_scans
 from lidar_core.io.records import SCAN_KINDS, Record, Topic
 from lidar_core.io.scan_topics import NAMELESS, WORDS
+from lidar_core.io.stamp_unit import stamp_unit_note
 from lidar_core.messages import LaserScan, Message, Pose, Scan
 from lidar_core.sensors import LONGEST_2D, LONGEST_3D, far_median, far_text
 
@@ -215,7 +216,8 @@ class _Stream:
             found.append(f"{self.name}: {repeated} of {total} stamps repeat the one before{cure}")
         if back:
             found.append(f"{self.name}: {back} of {total} stamps go backwards{cure}")
-        return found
+        unit = stamp_unit_note(self.stamps)
+        return found if unit is None else [*found, f"{self.name}: {unit}"]
 
     @property
     def other_times(self) -> Literal["recorded", "counted"]:
