@@ -228,7 +228,7 @@ def test_what_recovers_a_recording_is_written_first(tmp_path):
     [
         (
             100_000,
-            "scans are 100 us apart, closer together .* these seem to be microseconds; .* --scan-rate 10$",
+            "scans are 100 us apart, closer .* these seem to be microseconds; .* --scan-rate 10$",
         ),
         (50, "scans are 50 ns apart, .* these seem to be milliseconds; .* --scan-rate 20$"),
         (1, "scans are 1 ns apart, .* these seem to be seconds; .* --scan-rate 1$"),
