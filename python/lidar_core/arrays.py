@@ -153,8 +153,20 @@ def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
             f"{name}: expected an array of numbers, got {type(values).__name__}: {error}"
         ) from error
     if array.dtype.kind not in "fiu":
-        raise InputError(f"{name}: expected real numbers, got dtype {array.dtype}")
+        raise InputError(f"{name}: expected real numbers, got {_no_numbers(values, array, name)}")
     return array
+
+
+def _no_numbers(values: object, array: NDArray[Any], name: str) -> str:
+    """What `values` are instead of numbers, and how to make numbers of fields x, y, z."""
+    if array.dtype.kind == "O" and array.ndim == 0:
+        return f"a {type(values).__name__}"
+    if {"x", "y", "z"} <= set(array.dtype.names or ()):
+        return (
+            f"the fields {', '.join(array.dtype.names or ())}; make rows of three numbers:"
+            f' numpy.lib.recfunctions.structured_to_unstructured({name}[["x", "y", "z"]])'
+        )
+    return f"dtype {array.dtype}"
 
 
 def _cure(shape: tuple[int, ...], name: str) -> str:

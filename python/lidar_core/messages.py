@@ -1,5 +1,6 @@
 """Messages between readers, simulator and pipelines: 3D scans, 2D scans, poses."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -267,7 +268,7 @@ def posed_of(given: object, *, name: str) -> PosedScan[Any] | None:
     Raises
     ------
     InputError
-        A scan without its pose.
+        A scan without its pose, or a message of another library.
     """
     if isinstance(given, Scan | LaserScan):
         raise InputError(
@@ -275,7 +276,44 @@ def posed_of(given: object, *, name: str) -> PosedScan[Any] | None:
             " pose: PosedScan(scan, world_from_lidar) holds both"
         )
     posed = getattr(given, "posed", None)
-    return posed if isinstance(posed, PosedScan) else None
+    if isinstance(posed, PosedScan):
+        return posed
+    if cure := _cure_of_message(given):
+        kind = type(given)
+        named = (
+            kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
+        )
+        raise InputError(f"{name}: expected an array or a posed scan, got a {named}; {cure}")
+    return None
+
+
+def _cure_of_message(given: object) -> str | None:
+    """What to give in place of a message or a dictionary with a scan; None for what is none."""
+    is_mapping = isinstance(given, Mapping)
+    if not is_mapping and any(hasattr(given, one) for one in ("__array__", "__len__")):
+        return None  # an array, of any library, or a list
+
+    def has(name: str) -> bool:
+        return name in given if isinstance(given, Mapping) else hasattr(given, name)
+
+    def field(name: str) -> str:
+        return f'msg["{name}"]' if is_mapping else f"msg.{name}"
+
+    if has("ranges"):
+        names = ("ranges", "angle_min", "angle_increment", "range_min", "range_max")
+        values = ", ".join(map(field, names))
+        return (
+            f"CirclePipeline takes the array, {field('ranges')}, or lc.io.PosedScan("
+            f"lc.io.LaserScan(stamp_ns, {values}), world_from_lidar)"
+        )
+    if has("points"):
+        return f"FlyingObjectDetector takes the array of shape (N, 3), {field('points')}"
+    if has("data"):
+        return (
+            "FlyingObjectDetector takes points of shape (N, 3), for a PointCloud2 those of"
+            ' sensor_msgs_py.point_cloud2.read_points_numpy(msg, ["x", "y", "z"])'
+        )
+    return None
 
 
 def stated_stamp(given: object, stamp_ns: object) -> int:

@@ -11,10 +11,23 @@ from math import radians
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_core.errors import ConfigError, unknown
 
-__all__ = ["SENSORS", "Sensor", "sensor_named"]
+__all__ = [
+    "LONGEST_2D",
+    "LONGEST_3D",
+    "SENSORS",
+    "Sensor",
+    "far_median",
+    "far_text",
+    "sensor_named",
+]
+
+LONGEST_2D, LONGEST_3D = 500.0, 1000.0
+"""Median range of a scan that no 2D or 3D LiDAR for robots measures [m]."""
+_SAMPLE = 1000  # returns of which the median is taken: it is no exact figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +81,40 @@ def sensor_named(name: str, *, kind: str | None = None) -> Sensor:
     if name not in known:
         raise ConfigError(unknown("preset", name, known))
     return SENSORS[name]
+
+
+def far_median(values: NDArray[np.floating[Any]], longest: float) -> float | None:
+    """Return the median range of a scan if it is longer than `longest`, else None [m].
+
+    Parameters
+    ----------
+    values : ndarray, shape (B,) or (N, 3), float32
+        Ranges, or points in the frame of the sensor [m].
+    longest : float
+        `LONGEST_2D` or `LONGEST_3D`.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        some = values[:: max(1, len(values) // _SAMPLE)].astype(np.float64)
+        ranges = some if some.ndim == 1 else np.linalg.norm(some, axis=1)
+    seen = ranges[np.isfinite(ranges) & (ranges > 0)]
+    # Drivers that count give all rays without return one range, such as 65535.
+    seen = seen[seen < seen.max()] if len(seen) else seen
+    median = float(np.median(seen)) if len(seen) else 0.0
+    return median if median > longest else None
+
+
+def far_text(median: float, *, is_planar: bool) -> str:
+    """Return what a `far_median` means, and what helps."""
+    if is_planar:
+        return (
+            f"half of the ranges are more than {median:,.0f} m, farther than any 2D LiDAR measures:"
+            " write ranges in millimetres in metres, range_min and range_max, too"
+        )
+    return (
+        f"half of the points are more than {median:,.0f} m away, farther than any LiDAR measures:"
+        " write points in millimetres in metres, and those in coordinates of a map, such as UTM,"
+        " in the frame of the sensor"
+    )
 
 
 def _even(top: float, bottom: float, rows: int) -> tuple[float, ...]:

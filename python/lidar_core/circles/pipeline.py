@@ -19,6 +19,7 @@ from lidar_core.circles.mapping.map import MapEvents, elements_of
 from lidar_core.circles.mapping.map_shapes import shape_elements_of
 from lidar_core.circles.preprocess import times
 from lidar_core.circles.results import CircleFrame, CirclesHealth
+from lidar_core.circles.scan_layout import check_bearings
 from lidar_core.circles.scanner import scanner_name
 from lidar_core.circles.segmentation import Segments, segments_of
 from lidar_core.circles.shapes import Shapes
@@ -26,6 +27,7 @@ from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError, LimitError, NumericalError
 from lidar_core.messages import LaserScan, PosedScan, posed_of, stated_stamp
 from lidar_core.objects import CircleElements, ShapeElements
+from lidar_core.sensors import LONGEST_2D, far_median
 from lidar_core.util.full_state import FullState
 
 if TYPE_CHECKING:
@@ -150,7 +152,9 @@ class CirclePipeline(FullState):
         ----------
         ranges : PosedScan, or array_like, shape (n_beams,), float32
             A scan of `lidar_core.io.posed_laser_scans` or of the simulator, with everything that
-            is known about it; nothing but `scanner` may be given beside it. Or range of every ray
+            is known about it; nothing but `scanner` may be given beside it. Its bearings have to be
+            those of `config.scanner`; a scanner in `config.scanners` overrides what the scan
+            states. Or range of every ray
             [m]; +inf is a miss, NaN no information. What is nearer than the scanner's `range_min`
             is no information, what is not nearer than `range_max` a miss. A driver that gives zero
             or NaN for a miss is recognised by its scans (see `CirclesHealth.no_return`); NaN on
@@ -177,9 +181,9 @@ class CirclePipeline(FullState):
         Raises
         ------
         InputError
-            Wrong shape, dtype or value, a scan plane within 1.1 degrees of the vertical, or a
-            stamp that was processed or comes later than `config.map.buffer_time`. The map is
-            unchanged.
+            Wrong shape, dtype or value, bearings of a posed scan that are not those of
+            `config.scanner`, a scan plane within 1.1 degrees of the vertical, or a stamp that was
+            processed or comes later than `config.map.buffer_time`. The map is unchanged.
         LimitError
             Too many objects; the map is unchanged.
         NumericalError
@@ -217,8 +221,9 @@ class CirclePipeline(FullState):
         self._count("processed")
         return frame
 
-    def _note(self, values: dict[str, Any]) -> None:
+    def _note(self, values: dict[str, Any], rays: NDArray[np.float32]) -> None:
         """Keep in `health` what a scan told about its scanner."""
+        is_far = far_median(rays, LONGEST_2D) is not None
         with self._counting:
             self._health = replace(
                 self._health,
@@ -226,6 +231,7 @@ class CirclePipeline(FullState):
                 pose_offset_s=values["pose_offset"],
                 no_return=values["no_return"],
                 stuck_poses=self._health.stuck_poses + int(values["stuck_pose"]),
+                far_scans=self._health.far_scans + int(is_far),
             )
 
     def map_at(self, stamp_ns: int) -> CircleElements:
@@ -275,7 +281,7 @@ class CirclePipeline(FullState):
             segments = segments_of(prepared.segments())
             found = estimator(*prepared.scan()[:2], segments)
             values = self._pipeline.integrate(prepared, *_rows(found, len(segments)))
-        self._note(values)
+        self._note(values, rays)
         return _frame(stamp, scanner, values)
 
     def _by_network(self, scanner: str) -> Estimator | None:
@@ -334,6 +340,10 @@ def _arrays_of(
     if not isinstance(scan, LaserScan):
         raise InputError(f"scan: expected a LaserScan, got {type(scan).__name__}")
     rays = np.arange(np.size(scan.ranges), dtype=np.int64)
+    name = given["scanner"] or scanner_name(posed.sensor, len(rays), config.scanners)
+    # A scanner that is named in `scanners` overrides what its scans state.
+    if not isinstance(name, str) or name not in config.scanners:
+        check_bearings(scan, config.scanner)
     return {
         "ranges": scan.ranges,
         "world_from_lidar": posed.world_from_lidar,
@@ -341,7 +351,7 @@ def _arrays_of(
         "ray_time_ns": None if stamps is None else scan.stamp_ns + scan.time_increment_ns * rays,
         "pose_stamps_ns": stamps,
         "pose_covariance": posed.pose_covariance,
-        "scanner": given["scanner"] or scanner_name(posed.sensor, len(rays), config.scanners),
+        "scanner": name,
     }
 
 

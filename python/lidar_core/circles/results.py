@@ -104,15 +104,19 @@ class CirclesHealth:
         Standard deviation of the ranges of the scanner that sent the last scan [m], estimated from
         neighbouring rays; None before there is enough evidence, and in paper mode.
     pose_offset_s : float, optional
-        Delay of the poses of this scanner [s], estimated from static objects; None before the
-        motion of the scanner determines it to 5 ms, and in paper mode. In best mode poses are
-        corrected by a delay that clearly differs from zero.
+        Delay of the poses of this scanner [s], estimated from static objects; None where it is
+        not determined: before the motion of the scanner determines it to 5 ms, for long delays
+        (with 10 scans per second often from 80 ms on), for scans that are 0.25 s or more apart, and
+        in paper mode. In best mode poses are corrected by a delay that clearly differs from zero.
     no_return : str
         What the driver of this scanner gives for a ray without return, learnt from the scans:
         "inf", "zero" or "nan"; always "inf" in paper mode. Ranges at or beyond `range_max` are
         misses, too.
     stuck_poses : int
         Scans with a `CircleFrame.stuck_pose`; more poses may be stuck.
+    far_scans : int
+        Scans of which half of the ranges are more than 500 m, farther than any 2D LiDAR for robots
+        measures: ranges in millimetres.
     """
 
     received: int = 0
@@ -123,6 +127,7 @@ class CirclesHealth:
     pose_offset_s: float | None = None
     no_return: str = "inf"
     stuck_poses: int = 0
+    far_scans: int = 0
 
     def one_more(self, name: str, reason: str | None = None) -> Self:
         """Count one more scan as `name`, for a reason if it is rejected."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_core import _core
-from lidar_core.arrays import as_mask, as_points, as_poses, as_real, as_rows, as_stamp
+from lidar_core.arrays import Points, as_mask, as_points, as_poses, as_real, as_rows, as_stamp
 from lidar_core.config import as_config
 from lidar_core.errors import ConfigError, InputError
 from lidar_core.files import naming
@@ -24,6 +24,7 @@ from lidar_core.flying.results import FlyingFrame, FlyingStatus, Health
 from lidar_core.flying.tracker import tracks_from
 from lidar_core.messages import PosedScan, Scan, posed_of, stated_stamp
 from lidar_core.objects import FlyingDetections, Tracks
+from lidar_core.sensors import LONGEST_3D, far_median
 from lidar_core.util.full_state import FullState
 
 if TYPE_CHECKING:
@@ -172,6 +173,7 @@ class FlyingObjectDetector(FullState):
             sky_share=status.sky_share,
             own_body=status.own_body,
             n_forgotten=values["voxels_forgotten"],
+            points=values["points"],
         )
         return frame
 
@@ -359,14 +361,22 @@ class FlyingObjectDetector(FullState):
         name = _sensor_name(sensor)
         is_organised = np.ndim(points_lidar) == 3
         options = dict.fromkeys(_OPTIONAL) | options
-        return stamp, self._detector.process(
+        values = self._detector.process(
             points, poses, stamp, **options, sensor=name, organised=is_organised
         )
+        return stamp, values | {"points": points}
 
-    def _count(self, field: str, *, n_forgotten: int = 0, **seen: Any) -> None:
+    def _count(
+        self, field: str, *, n_forgotten: int = 0, points: Points | None = None, **seen: Any
+    ) -> None:
         """Count one more scan as `field`; `seen` is what it tells of the sensor."""
+        fields = ["received", field]
+        if points is not None and far_median(points, LONGEST_3D) is not None:
+            fields.append("far_scans")
+        if points is not None and not _has_a_point(points):
+            fields.append("empty_scans")
         with self._counting:
-            counts = {name: getattr(self._health, name) + 1 for name in ("received", field)}
+            counts = {name: getattr(self._health, name) + 1 for name in fields}
             counts["n_voxels_forgotten"] = self._health.n_voxels_forgotten + n_forgotten
             self._health = replace(self._health, **counts, **seen)
 
@@ -425,6 +435,12 @@ def _detections(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> FlyingDetect
     position, covariance, radius, extent, n_points, confidence, delay = arrays
     time_ns = stamp_ns + np.round(delay * 1e9).astype(np.int64)
     return FlyingDetections(position, covariance, radius, extent, n_points, confidence, time_ns)
+
+
+def _has_a_point(points: Points) -> bool:
+    """Whether any row is finite; a sample decides for all but clouds that are nearly empty."""
+    sample = points[:: max(1, len(points) // 1000)]
+    return any(bool(np.isfinite(rows).all(axis=1).any()) for rows in (sample, points))
 
 
 def _world(points: ArrayLike) -> NDArray[np.float64]:

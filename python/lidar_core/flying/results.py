@@ -143,6 +143,11 @@ class Health:
         Values of the last scan used, as in `FlyingStatus`.
     n_voxels_forgotten : int
         Observed voxels that the map forgot to stay within `voxel_map.max_voxels`, farthest first.
+    far_scans : int
+        Scans of which half of the points are more than 1000 m away, farther than any LiDAR for
+        robots measures: points in millimetres, or in coordinates of a map.
+    empty_scans : int
+        Scans without any finite point.
     """
 
     received: int = 0
@@ -153,3 +158,5 @@ class Health:
     sky_share: float = 0.0
     own_body: float = 0.0
     n_voxels_forgotten: int = 0
+    far_scans: int = 0
+    empty_scans: int = 0

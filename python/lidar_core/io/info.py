@@ -15,8 +15,10 @@ from lidar_core.errors import LidarCoreError, PoseFrameWarning
 from lidar_core.io.poses.pose_frames import MOST_SCANS
 from lidar_core.io.poses.posed import posed_scans
 from lidar_core.io.records import SCAN_KINDS, Record, Topic
-from lidar_core.io.scan_topics import NAMELESS
+from lidar_core.io.scan_topics import NAMELESS, WORDS
+from lidar_core.io.stamp_unit import stamp_unit_note
 from lidar_core.messages import LaserScan, Message, Pose, Scan
+from lidar_core.sensors import LONGEST_2D, LONGEST_3D, far_median, far_text
 
 if TYPE_CHECKING:
     from lidar_core.io.recording import Recording
@@ -137,6 +139,7 @@ class _Stream:
     rays: int | None = None
     points: int | None = None
     empty: int = 0
+    far: list[float] = field(default_factory=list)
     decoded: int = 0
     effort: int = 0
 
@@ -154,6 +157,7 @@ class _Stream:
                 self.rays = max(self.rays or 0, len(has_point))
                 self.points = max(self.points or 0, points)
                 self.empty += points == 0
+                self.far += _far(message)
                 self.stamps.append(message.stamp_ns)
                 self.effort += EFFORT_PER_SCAN + len(has_point)
                 self.frames[message.frame_id] = None
@@ -192,6 +196,9 @@ class _Stream:
         found += self._gaps()
         if self.empty:
             found.append(f"{name}: {self.empty} scans without points")
+        if 2 * len(self.far) > len(self.stamps) - self.empty:
+            is_planar = self.topic.kind in WORDS[LaserScan].kinds
+            found.append(f"{name}: {far_text(statistics.median(self.far), is_planar=is_planar)}")
         return found
 
     def _stamp_defects(self) -> list[str]:
@@ -209,7 +216,8 @@ class _Stream:
             found.append(f"{self.name}: {repeated} of {total} stamps repeat the one before{cure}")
         if back:
             found.append(f"{self.name}: {back} of {total} stamps go backwards{cure}")
-        return found
+        unit = stamp_unit_note(self.stamps)
+        return found if unit is None else [*found, f"{self.name}: {unit}"]
 
     @property
     def other_times(self) -> Literal["recorded", "counted"]:
@@ -238,6 +246,15 @@ def _late(times: list[int]) -> int:
     """Count the stamps that are not newer than all earlier ones."""
     newest = accumulate(times, max)
     return sum(time <= before for before, time in zip(newest, times[1:], strict=False))
+
+
+def _far(scan: Scan | LaserScan) -> list[float]:
+    """Median range, if it is one that no LiDAR measures [m]."""
+    if isinstance(scan, LaserScan):
+        far = far_median(scan.ranges, LONGEST_2D)
+    else:
+        far = far_median(scan.points.reshape(-1, 3), LONGEST_3D)
+    return [] if far is None else [far]
 
 
 def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:

@@ -103,7 +103,7 @@ BAD = {
     "text": (np.zeros((2, 3), "U3"), "expected real numbers, got dtype <U3"),
     "times": (np.zeros((2, 3), "M8[ns]"), "expected real numbers, got dtype datetime64[ns]"),
     "records": (np.zeros(2, [("x", "f4")]), "expected real numbers, got dtype [('x', '<f4')]"),
-    "nothing": (None, "expected real numbers, got dtype object"),
+    "nothing": (None, "expected real numbers, got a NoneType"),
 }
 
 

@@ -17,7 +17,7 @@ from lidar_core.flying import FlyingConfig, SensorConfig
 from lidar_core.flying.sensor_config import BEAM_TABLES, Beams
 from lidar_core.io import open_recording
 from lidar_core.messages import LaserScan
-from lidar_core.sensors import SENSORS
+from lidar_core.sensors import LONGEST_2D, LONGEST_3D, SENSORS, far_median
 
 SPATIAL = {
     "os0-32": (32, 1024, -45, 45),
@@ -236,3 +236,27 @@ def test_the_page_of_the_guide_has_a_row_per_sensor():
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     assert [line.split("`")[1] for line in rows] == list(SENSORS)
     assert "| `vlp-16` | Velodyne VLP-16 | 16 x 1,800 | -15 to 15 | 360 | 10 | 0.5 to 100 |" in page
+
+
+@pytest.mark.parametrize("no_return", [0, 65535])
+def test_ranges_in_millimetres_are_far_for_any_mark_of_no_return(no_return):
+    metres = np.linspace(0.6, 8.0, 720)
+    counted = (1000 * metres).astype(np.uint16)
+    counted[200:600] = no_return
+    assert far_median(counted, LONGEST_2D) == pytest.approx(2000, rel=0.5)
+    assert far_median(np.stack([counted, counted * 0, counted * 0], axis=1), LONGEST_3D) is not None
+
+
+def test_ranges_that_a_sensor_measures_are_not_far():
+    longest = {True: LONGEST_2D, False: LONGEST_3D}
+    for sensor in SENSORS.values():
+        limit = longest[sensor.is_planar]
+        assert far_median(np.full(100, sensor.model["range_max"], np.float32), limit) is None
+        assert far_median(np.linspace(0, sensor.model["range_max"], 100), limit) is None
+    for mark in (np.inf, np.nan, 0.0, 65535.0, 1e9):  # of rays that met nothing
+        ranges = np.full(720, mark)
+        assert far_median(ranges, LONGEST_2D) is None
+        ranges[:100] = 5.0
+        assert far_median(ranges, LONGEST_2D) is None
+    assert far_median(np.empty(0), LONGEST_2D) is None
+    assert far_median(np.empty((0, 3), np.float32), LONGEST_3D) is None

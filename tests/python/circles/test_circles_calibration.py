@@ -18,7 +18,9 @@ def turning(seconds):
     return oracle.pose((0.0, 0.0, 0.0), yaw=1.2 * np.sin(0.5 * seconds), pitch=0.0, roll=0.0)
 
 
-def run(*, std=0.01, late=0.0, where=turning, told=None, seconds=20.0, seed=4200, **more):
+def run(
+    *, std=0.01, late=0.0, where=turning, told=None, seconds=20.0, seed=4200, rate=RATE, **more
+):
     """A pipeline that was given all scans, and NEES of (x, y, radius) in the last quarter.
 
     The scanner is at `where(time)`, and its pose says `told(time)`.
@@ -27,8 +29,8 @@ def run(*, std=0.01, late=0.0, where=turning, told=None, seconds=20.0, seed=4200
     rng = np.random.default_rng(seed)
     pipeline = CirclePipeline(CirclesConfig(scanner=SCANNER, **more))
     nees = []
-    for scan in range(round(seconds * RATE)):
-        time = scan / RATE
+    for scan in range(round(seconds * rate)):
+        time = scan / rate
         ranges = oracle.cylinder_ranges(SCANNER.bearings(), where(time), POSTS)
         ranges = ranges + rng.normal(0, std, len(ranges))
         frame = pipeline.process(ranges.astype(np.float32), told(time), round(time * 1e9) + 10**9)
@@ -77,6 +79,16 @@ def test_a_scanner_that_turns_steadily_cannot_tell_and_says_so():
 
     pipeline, _ = run(late=0.05, where=steadily)
     assert pipeline.health().pose_offset_s is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "late", "is_found"), [(5, 0.03, True), (4, 0.03, False), (10, 0.3, False)]
+)
+def test_scans_too_far_apart_and_long_delays_leave_the_offset_open(rate, late, is_found):
+    """Limits that the guide states: None is "not determined", not "in time"."""
+    offset = run(late=late, rate=rate, seconds=40.0)[0].health().pose_offset_s
+    assert (offset is not None) == is_found
+    assert offset is None or offset == pytest.approx(late, abs=0.005)
 
 
 def driving(seconds):

@@ -18,6 +18,7 @@ from lidar_core.circles import (
     project_horizontal,
     segment,
 )
+from lidar_core.messages import LaserScan, PosedScan
 from reference import circles_front as oracle
 
 BEARINGS = Scanner().bearings()
@@ -163,6 +164,81 @@ def test_any_estimator_may_stand_between_segments_and_map():
     few = CirclePipeline(estimator=lambda *_: nobody)
     with pytest.raises(InputError, match=r"circles: expected shape \(1, 3\)"):
         few.process(scan_of((4, 1, 0.3), np.eye(4)), np.eye(4), 0)
+
+
+BEAM = math.pi / 360
+AROUND = Scanner(-math.pi, BEAM, 720, 0.1, 10.0)
+
+
+def posed_sweep(angle_min, angle_increment, stamp_ns=0, rays=720, topic="/scan"):
+    ranges = np.full(rays, 3.0, np.float32)
+    scan = LaserScan(stamp_ns, ranges, angle_min, angle_increment, 0.1, 10.0, topic=topic)
+    return PosedScan(scan, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("angle_min", "angle_increment"),
+    [
+        (math.pi - BEAM, -BEAM),  # mirrored
+        (0.0, BEAM),
+        (-math.pi / 2, BEAM / 2),
+        (-math.pi + 0.5 * BEAM, BEAM),
+        (-math.pi, BEAM * (1 + 1e-3)),
+        (math.nan, BEAM),
+        (-math.pi, math.inf),
+    ],
+)
+def test_bearings_that_contradict_the_scanner_are_refused(angle_min, angle_increment):
+    pipeline = CirclePipeline(CirclesConfig(scanner=AROUND))
+    pipeline.process(posed_sweep(-math.pi, BEAM))
+    before = pipeline.map_at(0)
+    expected = (
+        r"expected the bearings of `scanner`, 720 rays with angle_min=-3\.14159,"
+        rf" angle_increment=0\.00872665, got 720 rays with angle_min={angle_min:.6g},"
+        rf" angle_increment={angle_increment:.6g}; .*Scanner\(scan\.angle_min"
+    )
+    with pytest.raises(InputError, match=expected):
+        pipeline.process(posed_sweep(angle_min, angle_increment, PERIOD_NS))
+    assert elements_as_bytes(pipeline.map_at(0)) == elements_as_bytes(before)
+    assert pipeline.process(posed_sweep(-math.pi, BEAM, PERIOD_NS)).rejected is None
+    counting = CirclePipeline(CirclesConfig(scanner=AROUND, on_bad_scan="count"))
+    rejected = counting.process(posed_sweep(angle_min, angle_increment)).rejected
+    assert rejected is not None
+    assert "angle_increment" in rejected
+    assert counting.health().rejected == 1
+
+
+def test_a_bearing_that_is_no_number_is_named():
+    pipeline = CirclePipeline(CirclesConfig(scanner=AROUND))
+    with pytest.raises(InputError, match=r"scan\.angle_min: expected a number, got NoneType"):
+        pipeline.process(posed_sweep(None, BEAM))
+
+
+def test_rounded_bearings_are_those_of_the_scanner():
+    """Float32 angles of drivers, angles in a file, and a start that is one turn away."""
+    starts = (float(np.float32(-math.pi)), -3.1416, math.pi)
+    steps = (float(np.float32(BEAM)), 0.0087266, BEAM)
+    pipeline = CirclePipeline(CirclesConfig(scanner=AROUND))
+    for number, (start, step) in enumerate(zip(starts, steps, strict=True)):
+        assert pipeline.process(posed_sweep(start, step, number * PERIOD_NS)).rejected is None
+
+
+def test_a_named_scanner_overrides_what_its_scans_state():
+    pipeline = CirclePipeline(CirclesConfig(scanners={"/scan": AROUND}))
+    frame = pipeline.process(posed_sweep(math.pi - BEAM, -BEAM))
+    np.testing.assert_allclose(frame.bearings, AROUND.bearings())
+    with pytest.raises(InputError, match="expected the bearings"):
+        pipeline.process(posed_sweep(0.0, 0.001, PERIOD_NS, rays=1081, topic="/other"))
+
+
+@pytest.mark.parametrize(("factor", "far"), [(1000, 3), (1, 0)])
+def test_health_counts_scans_in_millimetres(factor, far):
+    pipeline = CirclePipeline()
+    ranges = factor * scan_of([(4, 1, 0.3), (3, -2, 1.0), (5, 4, 2.0)], np.eye(4))
+    for number in range(3):
+        pipeline.process(ranges, np.eye(4), number * PERIOD_NS)
+    assert pipeline.health().far_scans == far
+    assert CirclePipeline.from_bytes(pipeline.to_bytes()).health().far_scans == far
 
 
 def test_two_scanners_make_one_map():

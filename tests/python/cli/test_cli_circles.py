@@ -318,6 +318,29 @@ def test_a_run_that_rejects_most_scans_fails_and_says_why(tmp_path):
     assert summary["scans"]["rejected"] == {reason: 15}
 
 
+@pytest.mark.parametrize(("unit", "most"), [(1e-3, 10_000.0), (1e-3, 10.0), (1.0, 10.0)])
+def test_ranges_in_millimetres_are_named(tmp_path, unit, most):
+    """Also if `range_max` is in metres, so that all ranges are misses."""
+    ranges = np.round(np.linspace(0.8, 7.0, 181) / unit).astype(np.float32)
+    items = [
+        LaserScan(number * 10**8, ranges, -1.5, 0.017, 0.1, most, "laser", topic="/scan")
+        for number in range(10)
+    ]
+    path = tmp_path / "scans.npz"
+    write_npz(path, items)
+    with open_recording(path) as opened:
+        told = [one for one in opened.info().defects if "2D LiDAR" in one]
+    result = result_of(path, "-o", tmp_path / "run", "--pose", "static", *QUICK)
+    noted = [one for one in result["notes"] if "2D LiDAR" in one]
+    if unit == 1:
+        assert not told
+        assert not noted
+    else:
+        assert told[0].startswith("/scan: half of the ranges are more than 3,8")
+        assert "write ranges in millimetres in metres" in told[0]
+        assert noted[0].startswith("10 scans: half of the ranges are more than 500 m")
+
+
 def test_late_scans_have_one_reason(tmp_path):
     scan = LaserScan(0, np.full(181, 2.0, np.float32), -1.5, 0.017, 0.1, 30.0, "laser")
     scanner = lidar_core.circles.Scanner(-1.5, 0.017, 181, 0.1, 10.0)

@@ -153,6 +153,9 @@ def test_points_in_millimetres_are_named(recording, run, tmp_path):
         result = result_of(path, "-o", tmp_path / f"run{factor}", "--pose", "static")
         named = [one for one in result["notes"] if "write points in millimetres in metres" in one]
         assert len(named) == expected
+        with open_recording(path) as opened:
+            told = [one for one in opened.info().defects if "farther than any LiDAR" in one]
+        assert len(told) == expected
         assert (tmp_path / f"run{factor}/picture.png").stat().st_size > 10_000
     assert not run[1]["notes"]
 

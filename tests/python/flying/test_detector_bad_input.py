@@ -447,3 +447,23 @@ def test_names_of_sensors_are_free_after_a_reset():
         give(f"new {number}", number)
     with pytest.raises(LimitError, match="65th"):
         give("old 1", 64)
+
+
+def test_health_counts_clouds_in_millimetres_and_clouds_without_a_point():
+    rng = np.random.default_rng(1)
+    cloud = rng.uniform(2, 20, (5000, 3)).astype(np.float32)
+    nearly_empty = np.full((5000, 3), np.nan, np.float32)
+    nearly_empty[7] = (3.0, 4.0, 5.0)
+    clouds = {
+        "metres": (cloud, 0, 0),
+        "millimetres": (1000 * cloud, 1, 0),
+        "no rows": (cloud[:0], 0, 1),
+        "no points": (np.full((5000, 3), np.nan, np.float32), 0, 1),
+        "one point": (nearly_empty, 0, 0),
+    }
+    for name, (points, far, empty) in clouds.items():
+        detector = FlyingObjectDetector()
+        detector.process(points, np.eye(4), 0)
+        health = detector.health()
+        assert (health.far_scans, health.empty_scans) == (far, empty), name
+        assert FlyingObjectDetector.from_bytes(detector.to_bytes()).health() == health

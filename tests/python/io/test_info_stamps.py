@@ -1,6 +1,7 @@
 """Stamps that are zero, repeat or go backwards: `info` sees them, and tells what works."""
 
 import json
+import re
 import shlex
 
 import numpy as np
@@ -9,9 +10,17 @@ from ros_files import Ros
 from typer.testing import CliRunner
 
 from lidar_core.cli import app
+from lidar_core.io import (
+    PoseOptions,
+    ReadOptions,
+    open_recording,
+    posed_laser_scans,
+    write_recording,
+)
 from lidar_core.io import info as info_module
-from lidar_core.io import open_recording, posed_laser_scans, write_recording
+from lidar_core.io.stamp_unit import stamp_unit_note
 from lidar_core.messages import LaserScan, Pose, Scan
+from lidar_core.runs.scans.source import ScanSource
 
 BASE_NS = 1_700_000_000_000_000_000
 STEP_NS = 10**8
@@ -31,6 +40,11 @@ def told(path, *options):
         if line.startswith("next: ")
     ]
     return done.stdout, steps
+
+
+def notes_of(path, *options):
+    said, _ = told(path, *options)
+    return [line.removeprefix("note ") for line in said.splitlines() if line.startswith("note ")]
 
 
 def run(step, folder):
@@ -207,3 +221,82 @@ def test_what_recovers_a_recording_is_written_first(tmp_path):
     write_recording(path, [Scan(BASE_NS + k, np.ones((2, 3), np.float32)) for k in range(3)])
     _, (step,) = told(path, "--recover")
     assert step == f"lidar-core convert {path} recovered.npz --recover"
+
+
+@pytest.mark.parametrize(
+    ("step_ns", "expected"),
+    [
+        (
+            100_000,
+            "scans are 100 us apart, closer .* these seem to be microseconds; .* --scan-rate 10$",
+        ),
+        (50, "scans are 50 ns apart, .* these seem to be milliseconds; .* --scan-rate 20$"),
+        (1, "scans are 1 ns apart, .* these seem to be seconds; .* --scan-rate 1$"),
+        (3, "scans are 3 ns apart, .* these are not; .* --scan-rate HZ$"),
+        (
+            100 * 10**9,
+            "scans are 100 s apart, farther .* seem to be 1,000 times as many; .* --scan-rate 10$",
+        ),
+        (10**8, None),
+        (2_000_000, None),  # a fast 2D scanner
+        (20 * 10**9, None),  # a scanner on a tripod
+    ],
+)
+def test_stamps_in_another_unit_are_named(tmp_path, step_ns, expected):
+    path = tmp_path / "scans.npz"
+    write_recording(path, [sweep(k * step_ns) for k in range(20)])
+    told = [note for note in notes_of(path) if "LiDAR: stamps" in note]
+    arguments = ["circles", str(path), "-o", str(tmp_path / "run"), "--pose", "static"]
+    done = CliRunner().invoke(app, [*arguments, "--no-picture", "--no-mcap"])
+    assert done.exit_code == 0, done.output
+    printed = [line for line in done.stdout.splitlines() if "LiDAR: stamps" in line]
+    assert len(told) == len(printed) == (expected is not None)
+    if expected is not None:
+        assert re.match(f"/scan: {expected}", told[0])
+        assert printed == [f"note: {told[0]}"]
+
+
+def test_the_advice_for_another_unit_works(tmp_path):
+    path = tmp_path / "scans.npz"
+    write_recording(path, [sweep(k * 50_000) for k in range(20)])
+    advice = ["--stamps", "counted", "--scan-rate", "20"]
+    assert (
+        " and ".join(f"{one} {value}" for one, value in zip(advice[::2], advice[1::2], strict=True))
+        in notes_of(path)[0]
+    )
+    assert not [note for note in notes_of(path, *advice) if "LiDAR: stamps" in note]
+
+
+def test_two_lidars_that_measure_together_have_no_such_note(tmp_path):
+    """10 Hz each, 100 us from one to the other."""
+    path = tmp_path / "scans.npz"
+    scans = [
+        sweep(k * STEP_NS + 10**5 * (name == "/b"), name)
+        for k in range(20)
+        for name in ("/a", "/b")
+    ]
+    write_recording(path, scans)
+    assert not [note for note in notes_of(path) if "apart" in note]
+    with ScanSource(
+        path,
+        ReadOptions(),
+        PoseOptions(pose="static", mounting=["base laser 0 0 0 0 0 0"]),
+        ("/a", "/b"),
+        1,
+        LaserScan,
+    ) as source:
+        assert len(list(source)) == 40
+        assert not [note for note in source.notes if "apart" in note]
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        [0, 1000, 2000, 3000],  # too few
+        [0] * 25 + [BASE_NS + k for k in range(5)],
+        [BASE_NS + k // 10 for k in range(100)],
+        [BASE_NS - k for k in range(30)],
+    ],
+)
+def test_stamps_that_repeat_or_go_back_have_their_own_notes(stamps):
+    assert stamp_unit_note(stamps) is None

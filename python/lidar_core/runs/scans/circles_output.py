@@ -28,6 +28,7 @@ from lidar_core.messages import LaserScan
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.result import MCAP, OnProgress, Picture
 from lidar_core.runs.scans.times import ScanTimes
+from lidar_core.sensors import LONGEST_2D, far_text
 from lidar_core.viz import CirclesView, animate_circles, draw_circles
 from lidar_core.viz.film import film_ending
 from lidar_core.viz.scan_log import log_circles
@@ -110,6 +111,8 @@ class CirclesRun:
         health, told = self.pipeline.health(), self.pipeline.config.fit.range_std
         offset, noise = health.pose_offset_s, health.range_std_estimated
         notes = []
+        if 2 * health.far_scans > health.processed:
+            notes.append(f"{health.far_scans} scans: {far_text(LONGEST_2D, is_planar=True)}")
         if offset is not None and abs(offset) >= NOTED_OFFSET_S:
             when = "late" if offset > 0 else "early"
             notes.append(

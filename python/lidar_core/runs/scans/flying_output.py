@@ -24,13 +24,12 @@ from lidar_core.messages import PointClass, Scan, TrackKind
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.result import MCAP, Picture
 from lidar_core.runs.scans.times import ScanTimes
+from lidar_core.sensors import LONGEST_3D, far_median, far_text
 from lidar_core.viz import FlyingView, draw_flying
 from lidar_core.viz.scan_log import log_flying
 
 CLASSES = (PointClass.BACKGROUND, PointClass.FLYING, PointClass.UNKNOWN, PointClass.MOVING)
 """Classes of points with information that the detector gives."""
-LONGEST = 1000.0
-"""Distance of the middle point of a scan that no LiDAR for robots measures [m]."""
 FEWEST_SCANS, MOVING_SHARE = 5, 0.2
 """Scans with one pose, and share of their points that move, from which on the pose is in doubt.
 
@@ -189,14 +188,10 @@ class FlyingRun:
     def _doubts(self) -> list[str]:
         """Warnings about what no sensor measures, and about poses that explain the scans badly."""
         found = []
-        seen = self._cloud[np.isfinite(self._cloud).all(axis=1)]
-        far = np.median(np.linalg.norm(seen - self._path[-1], axis=1)) if len(seen) else 0.0
-        if far > LONGEST:
-            found.append(
-                f"half of the points of the last scan are more than {far:,.0f} m away, farther than"
-                " any LiDAR measures: write points in millimetres in metres, and those in"
-                " coordinates of a map, such as UTM, in the frame of the sensor"
-            )
+        here = self._path[-1] if self._path else np.zeros(3)
+        far = far_median(self._cloud - here, LONGEST_3D)
+        if far is not None:
+            found.append(f"last scan: {far_text(far, is_planar=False)}")
         moving = self.class_shares["moving"]
         stands = len(self._path) >= FEWEST_SCANS and not np.ptp(self._path, axis=0).any()
         if stands and moving > MOVING_SHARE:

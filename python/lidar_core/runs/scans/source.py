@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from lidar_core.errors import ConfigError
 from lidar_core.io import PosedScan, PosedScans, PoseOptions, ReadOptions, open_recording
 from lidar_core.io.recording import Recording
+from lidar_core.io.scan_topics import NAMELESS
+from lidar_core.io.stamp_unit import stamp_unit_note
 from lidar_core.messages import Scan, ScanT
 from lidar_core.util.reasons import first_of_kind
 
@@ -75,6 +77,7 @@ class ScanSource(Generic[ScanT]):
         self._repeat = repeat
         self._jump = 0.0
         self._left_out = Counter[str]()  # for want of a pose, in earlier turns
+        self._stamps: dict[str, list[int]] = {}
         self._stack = ExitStack()
         self._lidars: list[_Lidar[ScanT]] = []
         with ExitStack() as stack:
@@ -99,8 +102,8 @@ class ScanSource(Generic[ScanT]):
 
     def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         first_ns = last_ns = 0
-        count: Counter[str] = Counter()
         shift_ns = 0
+        self._stamps.clear()
         first, last = dict[str, NDArray[np.float64]](), dict[str, NDArray[np.float64]]()
         self._left_out.clear()
         for turn in range(self._repeat):
@@ -109,15 +112,15 @@ class ScanSource(Generic[ScanT]):
             for item in heapq.merge(*(lidar.scans for lidar in self._lidars), key=STAMP):
                 if turn == 0:
                     last_ns = item.scan.stamp_ns
-                    first_ns = last_ns if not count else first_ns
-                    count[item.scan.topic] += 1
+                    first_ns = last_ns if not self._stamps else first_ns
+                    self._stamps.setdefault(item.scan.topic, []).append(last_ns)
                     last[item.scan.topic] = item.world_from_lidar.reshape(-1, 4, 4)[0, :3, 3]
                     first.setdefault(item.scan.topic, last[item.scan.topic])
                 yield item if turn == 0 else _shifted(item, turn * shift_ns)
-            if not count:
+            if not self._stamps:
                 return
             self._jump = max(float(np.linalg.norm(last[one] - first[one])) for one in first)
-            most = max(count.values())
+            most = max(map(len, self._stamps.values()))
             period = (last_ns - first_ns) // (most - 1) if most > 1 else 0
             shift_ns = last_ns - first_ns + (period or round(1e9 / self._read.scan_rate))
 
@@ -167,6 +170,9 @@ class ScanSource(Generic[ScanT]):
             rejected |= item.rejected
         texts = [note for item in found for note in item.notes]
         texts += [f"{topic}: {count} messages rejected" for topic, count in rejected.items()]
+        for topic, stamps in self._stamps.items():
+            if unit := stamp_unit_note(stamps):
+                texts.append(f"{topic or NAMELESS}: {unit}")
         if self._repeat > 1 and self._jump > JUMP:
             texts.append(
                 f"the recording is played {self._repeat} times, and the sensor jumps back by"

@@ -1,0 +1,52 @@
+"""Stamps of scans that are not nanoseconds: the time between the scans shows it."""
+
+import statistics
+from collections.abc import Sequence
+from itertools import pairwise
+
+SHORTEST_NS, LONGEST_NS = 10**6, 60 * 10**9
+"""Median times from scan to scan that no LiDAR falls below or exceeds [ns]."""
+USUAL_NS = (5 * 10**6, 2 * 10**9)
+"""Usual times from scan to scan [ns]: a unit that leads there explains the stamps."""
+FEWEST_STEPS = 4
+UNITS = {"microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9}
+_SHOWN = ((10**9, "s"), (10**6, "ms"), (10**3, "us"), (1, "ns"))
+
+
+def stamp_unit_note(stamps_ns: Sequence[int]) -> str | None:
+    """Return what is wrong with the unit of the stamps of one LiDAR, and what helps.
+
+    None if nothing is, or if too few scans tell: most stamps that repeat or go backwards have
+    notes of their own.
+    """
+    steps = [b - a for a, b in pairwise(stamps_ns)]
+    forward = [step for step in steps if step > 0]
+    if len(forward) < FEWEST_STEPS or 2 * len(forward) <= len(steps):
+        return None
+    step = statistics.median(forward)
+    if SHORTEST_NS <= step <= LONGEST_NS:
+        return None
+    is_short = step < SHORTEST_NS
+    usual_ns, cause = _explained(step, is_short)
+    rate = "HZ" if usual_ns is None else f"{1e9 / usual_ns:.3g}"
+    closer = "closer together" if is_short else "farther apart"
+    return (
+        f"scans are {_shown(step)} apart, {closer} than those of any LiDAR: stamps have to be"
+        f" nanoseconds, {cause}; write the recording with nanoseconds, or count the scans:"
+        f' stamps="counted" and scan_rate={rate}'
+    )
+
+
+def _explained(step_ns: float, is_short: bool) -> tuple[float | None, str]:
+    """Usual time between scans that the steps are in another unit [ns], and this unit in words."""
+    for name, size in UNITS.items():
+        usual_ns = step_ns * size if is_short else step_ns / size
+        if USUAL_NS[0] <= usual_ns <= USUAL_NS[1]:
+            too_large = f"these seem to be {size:,} times as many"
+            return usual_ns, f"these seem to be {name}" if is_short else too_large
+    return None, "these are not"
+
+
+def _shown(step_ns: float) -> str:
+    size, unit = next((one for one in _SHOWN if step_ns >= one[0]), _SHOWN[-1])
+    return f"{step_ns / size:,.4g} {unit}"
