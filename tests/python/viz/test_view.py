@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -423,3 +424,37 @@ def test_rerun_files_hold_everything_that_is_played(kind, request, tmp_path):
     }
     for entity in ["/world/points", "/world/objects/covariance", *wanted[kind]]:
         assert entity in shown
+
+
+def test_a_window_without_a_display_is_refused_before_anything_is_written(circles, monkeypatch):
+    from lidar_core.viz import rerun_log, rerun_process
+
+    def refuse(*_):
+        raise AssertionError("nothing may be started")
+
+    monkeypatch.setattr(rerun_log, "write_rerun", refuse)
+    monkeypatch.setattr(rerun_process, "sys", SimpleNamespace(platform="linux"))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    error = invoke("view", circles).exception
+    assert isinstance(error, ConfigError)
+    assert "no display: use --web, --png FILE or --foxglove" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("platform", "variable"),
+    [("linux", "DISPLAY"), ("linux", "WAYLAND_DISPLAY"), ("darwin", None), ("win32", None)],
+)
+def test_a_window_with_a_display_is_opened(circles, monkeypatch, platform, variable):
+    from lidar_core.viz import rerun_log, rerun_process
+
+    opened = []
+    monkeypatch.setattr(rerun_process, "sys", SimpleNamespace(platform=platform))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if variable is not None:
+        monkeypatch.setenv(variable, ":0")
+    monkeypatch.setattr(rerun_log, "write_rerun", lambda played, place: place)
+    monkeypatch.setattr(rerun_log, "show_window", lambda place: opened.append(place) or 0)
+    assert invoke("view", circles).exit_code == 0
+    assert len(opened) == 1
