@@ -15,6 +15,7 @@ from lidar_core.evaluation import (
     read_prediction,
     read_truth,
 )
+from lidar_core.evaluation.matching.interpolation import supposed_scans
 
 MS = 1_000_000
 SCANS = np.arange(40) * 100 * MS
@@ -143,6 +144,14 @@ def test_scans_without_a_track_are_missed(tmp_path):
         truth, scores = scores_of(path, perfect(tracked, scans))
         assert truth.stamp_ns.tolist() == SCANS.tolist()
         assert (scores.n_found, scores.n_eligible) == (28, 40)
+
+
+def test_a_day_without_tracks_has_scans():
+    day = 86_400_000 * MS
+    tracked = np.array([0, 100 * MS, 200 * MS, day - 100 * MS, day])
+    scans = supposed_scans(tracked, np.arange(0, day + 1, 100 * MS))
+    assert len(scans) == 864_001
+    assert (np.diff(scans) == 100 * MS).all()
 
 
 def test_the_burn_in_counts_scans(tmp_path):

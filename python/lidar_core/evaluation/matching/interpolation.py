@@ -89,7 +89,9 @@ def supposed_scans(track_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> 
     parts = [np.arange(stamps[0] - usual, first - 1, -usual)[::-1]]
     for begin, end in zip(stamps[:-1].tolist(), stamps[1:].tolist(), strict=True):
         count = max(round((end - begin) / usual), 1)
-        parts.append(begin + np.arange(count) * (end - begin) // count)
+        # Whole numbers would overflow: nanoseconds of a day times their count.
+        steps = np.arange(count) * ((end - begin) / count)
+        parts.append(begin + np.rint(steps).astype(np.int64))
     parts.append(np.arange(stamps[-1], last + 1, usual))
     return np.concatenate(parts).astype(np.int64)
 
