@@ -244,5 +244,7 @@ def _chosen(
             is_found = True
             yield message, arrival_ns
     if not is_found:
-        part = "" if span.is_whole else f" {span}"
+        # Notes tell what of the file was lost: this may be all of it.
+        why = recording.noticed().notes if span.is_whole else [str(span)]
+        part = f"{': ' if span.is_whole else ' '}{'; '.join(why)}" if why else ""
         raise InputError(f"{recording.path}: no scans or moving poses{part}")

@@ -12,6 +12,7 @@ from lidar_core.config import as_config, toml_values
 from lidar_core.errors import FormatError, InputError
 from lidar_core.evaluation.bins import norms
 from lidar_core.evaluation.config import EvaluationConfig
+from lidar_core.evaluation.matching.interpolation import columns_at_scans, supposed_scans
 from lidar_core.evaluation.matching.pairing import checked_estimates, checked_truth, rows_of
 from lidar_core.evaluation.metrics.latency import Latency
 from lidar_core.evaluation.types import Estimates, Truth
@@ -40,6 +41,8 @@ class Prediction:
         Number of scans at the start in which the run reports nothing, if it is known.
     is_planar : bool
         The tracks are elements of a circle map: in the plane, with radii.
+    scan_ns : ndarray, shape (S,), int64, or None
+        Times of all scans of the run [ns], increasing, if they are known.
     """
 
     tracks: Estimates
@@ -47,6 +50,14 @@ class Prediction:
     latency: Latency | None = None
     burn_in_scans: int | None = None
     is_planar: bool = False
+    scan_ns: NDArray[np.int64] | None = None
+
+    @property
+    def has_heights(self) -> bool:
+        """False if all tracks have the height zero, as those of `fuse` in the plane."""
+        return not self.is_planar and (
+            not len(self.tracks.position) or bool(self.tracks.position[:, 2].any())
+        )
 
 
 def read_prediction(path: str | Path) -> Prediction:
@@ -83,7 +94,18 @@ def read_prediction(path: str | Path) -> Prediction:
         else _estimates(detections, read_columns(detections), has_id=False),
         latency=None if timing is None else _latency(timing),
         burn_in_scans=0 if found.is_planar else _burn_in(place),
+        scan_ns=_scan_times(place, found.tracks),
     )
+
+
+def _scan_times(folder: Path, tracks: Estimates) -> NDArray[np.int64] | None:
+    """Times of the scans, with those in which nothing was found; None where no table has them."""
+    tables = (table_in(folder, name) for name in ("timing", "states"))
+    for table in (one for one in tables if one is not None):
+        columns = read_columns(table)
+        if "t_ns" in columns:
+            return np.union1d(_integers(table, columns, "t_ns"), tracks.stamp_ns)
+    return None
 
 
 def _tables_of_tracks(folder: Path) -> list[Path]:
@@ -104,7 +126,11 @@ def _of_table(place: Path, kind: str | None = None) -> Prediction:
 
 
 def read_truth(
-    path: str | Path, *, config: EvaluationConfig | None = None, is_planar: bool = False
+    path: str | Path,
+    *,
+    config: EvaluationConfig | None = None,
+    is_planar: bool = False,
+    run: Prediction | None = None,
 ) -> Truth:
     """Read the targets of a recording, and select those that are required to be found.
 
@@ -121,6 +147,10 @@ def read_truth(
         `max_distance`, `min_hits`, `burn_in_scans`.
     is_planar : bool
         Leave out heights, because the estimates have none.
+    run : Prediction, optional
+        What the truth is for. If the truth has other times than its scans and is not sparser, its
+        values are interpolated to the times of the scans (`Truth.is_interpolated`). If all its
+        heights are zero, the truth needs no z.
 
     Raises
     ------
@@ -130,26 +160,58 @@ def read_truth(
     config = as_config(config, EvaluationConfig)
     place = _truth_file(Path(path))
     columns = read_columns(place)
-    stamps = _integers(place, columns, "t_ns")
     is_planar = is_planar or _is_planar(columns)
-    if is_planar:
+    if is_planar or _needs_no_heights(place, columns, run):
         columns = _flat(columns)
+    _rows(place, columns, AXES)
+    columns, is_interpolated, scan_ns = _at_scans(place, columns, run, config)
+    stamps, numbers = _integers(place, columns, "t_ns"), _integers(place, columns, _id_in(columns))
     position, velocity = _rows(place, columns, AXES), _rows_if_known(place, columns, RATES)
     sensor = _rows_if_known(place, columns, tuple(f"sensor_{axis}" for axis in AXES))
     radius = None
     if is_planar and "radius" in columns:
         radius = _floats(place, columns, "radius")
-    counts = _after_burn_in(stamps, config.burn_in_scans)
+    counts = _after_burn_in(stamps, config.burn_in_scans, scan_ns)
     if "hits" in columns:
         counts &= _integers(place, columns, "hits") >= config.min_hits
     if sensor is not None:
         counts &= norms(position - sensor) <= config.max_distance
-    name = "target_id" if "target_id" in columns else "track_id"
-    numbers = _integers(place, columns, name)
+    table = Truth(stamps, numbers, position, counts, velocity, sensor, radius, is_interpolated)
     try:
-        return checked_truth(Truth(stamps, numbers, position, counts, velocity, sensor, radius))
+        return checked_truth(table)
     except InputError as error:
         raise FormatError(f"{place}: {error}") from error
+
+
+def _id_in(columns: Columns) -> str:
+    return "target_id" if "target_id" in columns else "track_id"
+
+
+def _needs_no_heights(place: Path, columns: Columns, run: Prediction | None) -> bool:
+    """The truth is without z, as the run; a run with heights needs them."""
+    if run is None or not {"x", "y"} <= set(columns) or "z" in columns:
+        return False
+    if run.has_heights:
+        raise FormatError(f"{place}: no column z: add z; only a run in the plane needs none")
+    return True
+
+
+def _at_scans(
+    place: Path, columns: Columns, run: Prediction | None, config: EvaluationConfig
+) -> tuple[Columns, NDArray[np.bool_] | None, NDArray[np.int64] | None]:
+    """The truth at the times of the scans, which rows are interpolated, and these times.
+
+    Without the last two where the truth is used at its own times.
+    """
+    if run is None:
+        return columns, None, None
+    name = _id_in(columns)
+    columns = columns | {key: _integers(place, columns, key) for key in ("t_ns", name)}
+    scan_ns = run.scan_ns
+    if scan_ns is None:
+        scan_ns = supposed_scans(run.tracks.stamp_ns, columns["t_ns"])
+    found = columns_at_scans(columns, name, scan_ns, tolerance=config.time_tolerance)
+    return (columns, None, None) if found is None else (*found, scan_ns)
 
 
 def _truth_file(place: Path) -> Path:
@@ -158,7 +220,8 @@ def _truth_file(place: Path) -> Path:
         table = table_in(place, "truth")
         if table is None:
             raise FormatError(
-                f"{place}: the run folder holds no truth; give NAME.truth.csv of the simulation"
+                f"{place}: the run folder holds no truth; give NAME.truth.csv of the simulation;"
+                " the run itself is the first argument, the truth the second"
             )
         return table
     beside = place.with_suffix(".truth.csv")
@@ -169,6 +232,11 @@ def _estimates(place: Path, columns: Columns, *, has_id: bool) -> Estimates:
     is_planar = _is_planar(columns)
     if is_planar:
         columns = _flat(columns)
+    if has_id and "track_id" not in columns and "target_id" in columns:
+        raise FormatError(
+            f"{place}: target_id instead of track_id: this is a table of true targets; the first"
+            " argument is the run or its tracks, the second the truth: exchange them"
+        )
     stamps, position = _integers(place, columns, "t_ns"), _rows(place, columns, AXES)
     numbers = _integers(place, columns, "track_id") if has_id else None
     velocity = _rows_if_known(place, columns, RATES)
@@ -253,9 +321,12 @@ def _burn_in(place: Path) -> int | None:
         return None
 
 
-def _after_burn_in(stamps: NDArray[np.int64], scans: int) -> NDArray[np.bool_]:
-    when, number = np.unique(stamps, return_inverse=True)
-    after: NDArray[np.bool_] = number >= scans if len(when) else np.empty(0, np.bool_)
+def _after_burn_in(
+    stamps: NDArray[np.int64], scans: int, scan_ns: NDArray[np.int64] | None
+) -> NDArray[np.bool_]:
+    """The times after the first scans; without times of scans, all times of the truth are such."""
+    when = np.unique(stamps) if scan_ns is None else scan_ns
+    after: NDArray[np.bool_] = np.searchsorted(when, stamps) >= scans
     return after
 
 
@@ -287,7 +358,9 @@ def _integers(place: Path, columns: Columns, name: str) -> NDArray[np.int64]:
     column = _column(place, columns, name)
     if column.dtype.kind not in "iu":
         raise FormatError(f"{place}: column {name}: expected integers, got {column.dtype}")
-    return column
+    if column.dtype == np.uint64 and (column > np.iinfo(np.int64).max).any():
+        raise FormatError(f"{place}: column {name}: expected integers below 2^63")
+    return column.astype(np.int64)
 
 
 def _column(place: Path, columns: Columns, name: str) -> NDArray[Any]:

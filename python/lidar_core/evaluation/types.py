@@ -30,6 +30,9 @@ class Truth:
         Position of the sensor [m], world frame; NaN if unknown.
     radius : ndarray, shape (R,), float64, optional
         Radius of a round object [m]; NaN for other objects.
+    is_interpolated : ndarray, shape (R,), bool, optional
+        True if the position was interpolated to the time of the scan. None if the targets are at
+        the times that the file has.
     """
 
     stamp_ns: NDArray[np.int64]
@@ -39,6 +42,7 @@ class Truth:
     velocity: NDArray[np.float64] | None = None
     sensor: NDArray[np.float64] | None = None
     radius: NDArray[np.float64] | None = None
+    is_interpolated: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)

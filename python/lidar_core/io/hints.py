@@ -1,5 +1,6 @@
 """Advice for files that are not recordings, from their names and first bytes."""
 
+import os
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
@@ -52,13 +53,20 @@ def unpacker(path: Path) -> str | None:
 
 
 def unpacking(files: Iterable[Path]) -> list[str]:
-    """Return the commands that unpack the packed ones of some files where they are."""
+    """Return the commands that unpack the packed ones of some files.
+
+    They unpack them where they are, or, in a folder that must not be written, into the current one.
+    """
     packed = [(file, command.split()) for file in files if (command := unpacker(file))]
     packed.sort(key=lambda one: one[1][0] not in _INTO)  # archives may hold all the scans
     commands = []
     for file, words in packed:
-        into = [_INTO[words[0]], str(file.parent)] if words[0] in _INTO else []
-        commands.append(shlex.join([*words[:-1], str(file), *into]))
+        is_writable, is_archive = os.access(file.parent, os.W_OK), words[0] in _INTO
+        into = [_INTO[words[0]], str(file.parent)] if is_archive and is_writable else []
+        if is_archive or is_writable:
+            commands.append(shlex.join([*words[:-1], str(file), *into]))
+        else:  # these tools write beside the file, unless told to print
+            commands.append(f"{shlex.join([words[0], '-c', str(file)])} > {shlex.quote(file.stem)}")
     return commands
 
 

@@ -1,9 +1,9 @@
 """One time of a run as PNG, or the run as a film, with matplotlib; needs no display."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,13 @@ from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.messages import ShownClass
 from lidar_core.viz.drawing.frame import Window, bulk_of, panel_tallness, window_around, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
-from lidar_core.viz.drawing.marks import TRACK_COLOURS, WAY, ring, scale_bar, sensor_mark
+from lidar_core.viz.drawing.marks import WAY, colours_of, ring, scale_bar, sensor_mark
 from lidar_core.viz.drawing.voxels import draw_voxels
 from lidar_core.viz.figure import INK, opaque_legend, png_path, write_figure
 from lidar_core.viz.film import write_film
 from lidar_core.viz.playback import Moment, Playback, Trails
+
+Colours: TypeAlias = Mapping[int, str]
 
 SIZE, DPI = (12.0, 6.0), 90
 FILM_DPI = 70
@@ -79,10 +81,10 @@ def draw_moment(
     if at is not None and abs(seconds[number] - at) > max(step, ROUNDED):
         on_other_time(float(seconds[number]), float(seconds[-1]))
     moment, trails = shown = _followed(run, times[number : number + 1])[0]
-    scene = _Scene.of(run, [shown])
+    scene, colours = _Scene.of(run, [shown]), colours_of(moment.objects.id.tolist())
     return write_figure(
         path,
-        lambda figure: _compose(figure, scene, moment, trails, float(seconds[number])),
+        lambda figure: _compose(figure, scene, moment, trails, colours, float(seconds[number])),
         size=SIZE,
         dpi=DPI,
     )
@@ -123,13 +125,14 @@ def draw_film(
     times, start_ns = _times(run)
     picked = _followed(run, times[:: max(1, -(-len(times) // frames))])
     scene = _Scene.of(run, picked)
+    colours = colours_of(*(moment.objects.id.tolist() for moment, _ in picked))
 
     def paint(figure: Any) -> Iterator[None]:
         for number, (moment, trails) in enumerate(picked):
             on_frame(number, len(picked))
             figure.clear()
             seconds = (moment.stamp_ns - start_ns) * 1e-9
-            _compose(figure, scene, moment, trails, seconds)
+            _compose(figure, scene, moment, trails, colours, seconds)
             yield
         on_frame(len(picked), len(picked))
 
@@ -222,7 +225,14 @@ def _map_of(run: Playback) -> tuple[NDArray[np.float64], float]:
     return voxel_map.occupied_points(), voxel_map.config.voxel_size
 
 
-def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds: float) -> None:
+def _compose(
+    figure: Any,
+    scene: _Scene,
+    moment: Moment,
+    trails: Trails,
+    colours: Colours,
+    seconds: float,
+) -> None:
     """From above on the left; on the right the side, where there is one, and a list."""
     count = len(moment.objects.id)
     title = f"{scene.title}: {seconds:.2f} s, {count} object{'' if count == 1 else 's'}"
@@ -239,9 +249,8 @@ def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds
     above = figure.add_subplot(grid[:, 0])
     plan = scene.window((0, 1), panel_tallness(above))
     if planar:
-        _panel(
-            above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf), points=scene.points_name
-        )
+        depth = (-np.inf, np.inf)
+        _panel(above, moment, trails, colours, (0, 1), plan, depth=depth, points=scene.points_name)
     else:
         side = figure.add_subplot(grid[0, 1])
         elevation = scene.window((0, 2), panel_tallness(side))
@@ -253,8 +262,8 @@ def _compose(figure: Any, scene: _Scene, moment: Moment, trails: Trails, seconds
             window.apply(axes)
             if len(scene.voxels):
                 draw_voxels(axes, scene.voxels, scene.voxel_size, plane, window, depth)
-        _panel(above, moment, trails, (0, 1), plan, depth=(-np.inf, np.inf))
-        _panel(side, moment, trails, (0, 2), elevation, depth=middle)
+        _panel(above, moment, trails, colours, (0, 1), plan, depth=(-np.inf, np.inf))
+        _panel(side, moment, trails, colours, (0, 2), elevation, depth=middle)
         side.set(title="from the side", xlabel="x [m]", ylabel="z [m]")
     above.set(title="from above", xlabel="x [m]", ylabel="y [m]")
     rest = figure.add_subplot(grid[-1, 1])
@@ -271,6 +280,7 @@ def _panel(
     panel: Any,
     moment: Moment,
     trails: Trails,
+    colours: Colours,
     axes: tuple[int, int],
     window: Window,
     *,
@@ -285,14 +295,14 @@ def _panel(
         name = None if number else "wall or other shape"
         panel.plot(*line.T, "-" if outline.visible else ":", lw=2.0, color=WALL, label=name)
     is_ringed = [
-        _draw_object(panel, moment, row, list(axes), trails[name])
+        _draw_object(panel, moment, row, list(axes), trails[name], colours[name])
         for row, name in enumerate(moment.objects.id.tolist())
     ]
     names = moment.objects.id.tolist()[:MOST_NUMBERS]
     ways = [trails[name][:, axes] for name in names]
     draw_labels(
         panel,
-        [Label(str(name), way[-1], colour_of(name)) for name, way in zip(names, ways, strict=True)],
+        [Label(str(name), way[-1], colours[name]) for name, way in zip(names, ways, strict=True)],
         ways,
     )
     if moment.sensor is not None:
@@ -301,12 +311,12 @@ def _panel(
     if moment.sensor is not None:
         panel.plot([], [], marker="^", ls="", ms=6, color=INK, label="sensor")
     if names:
-        panel.plot([], [], "-", color=colour_of(names[0]), label="object and its way")
+        panel.plot([], [], "-", color=colours[names[0]], label="object and its way")
         panel.plot([], [], "-", color=BAND, label="2σ of the position")
         arrow = {"ls": "", "marker": r"$\rightarrow$", "ms": 12, "mew": 0.4}
         panel.plot([], [], color=INK, label="way of one second", **arrow)
     if any(is_ringed):
-        colour = colour_of(int(moment.objects.id[is_ringed.index(True)]))
+        colour = colours[int(moment.objects.id[is_ringed.index(True)])]
         panel.plot([], [], "o", ms=9, mfc="none", mec=colour, label="ring: small object")
     window.apply(panel)
     panel.grid(visible=True)
@@ -336,7 +346,12 @@ def _draw_points(
 
 
 def _draw_object(
-    panel: Any, moment: Moment, row: int, axes: list[int], trail: NDArray[np.float64]
+    panel: Any,
+    moment: Moment,
+    row: int,
+    axes: list[int],
+    trail: NDArray[np.float64],
+    colour: str,
 ) -> bool:
     """Way, outline, 2 sigma ellipse, velocity, and a ring around what is small.
 
@@ -344,7 +359,6 @@ def _draw_object(
     """
     objects = moment.objects
     at, velocity = objects.position[row][axes], objects.velocity[row][axes]
-    colour = colour_of(int(objects.id[row]))
     panel.plot(*trail[:, axes].T, "-", lw=1.6, color=colour, alpha=0.7, gid=WAY)
     sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) / 2 * objects.size[row][axes]
     around = objects.outline(row)[:, axes] if axes == [0, 1] else at + sides
@@ -356,11 +370,6 @@ def _draw_object(
         arrow = {"arrowstyle": "->", "color": INK}
         panel.annotate("", at + velocity, at, arrowprops=arrow, annotation_clip=True)
     return is_ringed
-
-
-def colour_of(number: int) -> str:
-    """Colour of an object, the same at all times."""
-    return TRACK_COLOURS[number % len(TRACK_COLOURS)]
 
 
 def _list(panel: Any, moment: Moment) -> None:

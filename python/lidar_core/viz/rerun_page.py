@@ -6,9 +6,7 @@ Content-Security-Policy forbids the browser every request but those to the serve
 came from.
 """
 
-import os
 import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -23,7 +21,7 @@ from typing import Any
 from lidar_core.errors import InternalError, LinkError
 from lidar_core.viz.origin_check import LOCAL, refusal
 from lidar_core.viz.rerun_feed import Feed
-from lidar_core.viz.rerun_process import free_port, rerun_process
+from lidar_core.viz.rerun_process import free_port, has_display, rerun_process
 
 PAGE_PORT, LAST_PORT = 9090, 65535
 POLICY = "; ".join(
@@ -104,10 +102,7 @@ class RerunPage:
 
 def open_browser(address: str) -> None:
     """Open a page in the user's browser; nothing happens on a machine without a display."""
-    on_server = sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-    if not on_server:
+    if has_display():
         webbrowser.open(address)
 
 

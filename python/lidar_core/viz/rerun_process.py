@@ -62,6 +62,12 @@ def rerun_process(
                 _end(process)
 
 
+def has_display() -> bool:
+    """False on a Linux machine without X11 and Wayland, where no window can be opened."""
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return bool(shown) or not sys.platform.startswith("linux")
+
+
 def _end(process: "subprocess.Popen[bytes]") -> None:
     """End the viewer, which is a child of the process that rerun's package starts."""
     if os.name == "posix":

@@ -329,7 +329,7 @@ def test_circles_and_fused_targets_beside_the_truth_are_told(tmp_path):
         far = write_csv(tmp_path / f"{name}-far.csv", columns | {"y": np.full(20, 100.0)})
         assert "100 m are typical" in warnings_of(far, truth)[0]
         late = write_csv(tmp_path / f"{name}-late.csv", columns | {"t_ns": stamps + 300_000})
-        assert "typically 0.3 ms after the truth" in str(refusal_of(late, truth))
+        assert warnings_of(late, truth) == []  # the truth is interpolated to these times
         other = write_csv(tmp_path / f"{name}-other.csv", columns | {"t_ns": stamps + 10**10})
         assert "10.000 to 11.900 s and 0.000 to 1.900 s" in str(refusal_of(other, truth))
 

@@ -6,8 +6,10 @@ import pytest
 from lidar_core.fusion import FusionConfig, Measurement, MeasurementLog
 from lidar_core.runs.targets.one import TargetRun
 from lidar_core.viz import FusionView
+from lidar_core.viz.drawing.marks import WAY
 from lidar_core.viz.figure import figure_with_style
 from lidar_core.viz.pictures import fusion_picture
+from lidar_core.viz.views import PlanarLine
 
 pytest.importorskip("matplotlib")
 STEP = 10**8
@@ -94,3 +96,19 @@ def title(jumps):
 )
 def test_the_title_tells_how_often_the_filter_lost_the_target(jumps, told):
     assert title(jumps) == f"a.csv: ct, {told}"
+
+
+def test_five_targets_have_five_colours_after_many_tracks_that_ended(picture):
+    """Their numbers are equal modulo 7 and 12, the lengths of former palettes."""
+    stamps, numbers = STEP * np.arange(10), [0, 84, 168, 252, 336]
+    tracks = {
+        number: PlanarLine(stamps if number in numbers else stamps[:5], np.full((10, 2), number))
+        for number in range(340)
+    }
+    tracks = {
+        number: PlanarLine(line.stamp_ns, line.position[: len(line.stamp_ns)])
+        for number, line in tracks.items()
+    }
+    figure = picture(FusionView("", {}, tracks, {}, {}))
+    colours = [line.get_color() for line in figure.axes[0].lines if line.get_gid() == WAY]
+    assert len(set(colours)) == len(colours) == 5

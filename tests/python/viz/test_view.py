@@ -9,7 +9,9 @@ import socket
 import subprocess
 import sys
 import threading
+from collections import Counter
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, LinkError, MissingExtraError
 from lidar_core.viz import Objects, Playback, draw_film, draw_moment, playback_picture
 from lidar_core.viz.drawing.frame import Window
-from lidar_core.viz.drawing.marks import TRACK_COLOURS
+from lidar_core.viz.drawing.marks import TRACK_COLOURS, colours_of
 from lidar_core.viz.figure import write_figure
 from lidar_core.viz.film import film_ending, write_film
 from lidar_core.viz.playback import Moment
@@ -221,7 +223,7 @@ def test_what_is_small_keeps_its_colour_in_a_film(tmp_path):
         figure.add_axes((0, 0, 1, 1)).imshow(grey ** [1.0, 1.1, 1.3], extent=(0, 200, 200, 0))
         yield
         for row, colour in enumerate(TRACK_COLOURS):
-            figure.axes[0].plot([20, 26], [20 * row + 20] * 2, color=colour, lw=1.6)
+            figure.axes[0].plot([20, 26], [15 * row + 20] * 2, color=colour, lw=1.6)
         yield
 
     path = write_film(tmp_path / "a.gif", paint, size=(4, 4), dpi=100, rate=10)
@@ -300,7 +302,8 @@ def test_rings_around_small_objects_are_in_the_legend(size, is_ringed):
     )
     moment = Moment(0, np.empty((0, 3), np.float32), np.empty(0, np.uint8), objects)
     window, depth = Window(np.array([-8.0, -8.0]), np.array([8.0, 8.0])), (-9.0, 9.0)
-    playback_picture._panel(panel, moment, {1: np.zeros((2, 3))}, (0, 1), window, depth=depth)
+    trails, colours = {1: np.zeros((2, 3))}, {1: "black"}
+    playback_picture._panel(panel, moment, trails, colours, (0, 1), window, depth=depth)
     assert ("ring: small object" in panel.get_legend_handles_labels()[1]) == is_ringed
 
 
@@ -423,3 +426,57 @@ def test_rerun_files_hold_everything_that_is_played(kind, request, tmp_path):
     }
     for entity in ["/world/points", "/world/objects/covariance", *wanted[kind]]:
         assert entity in shown
+
+
+def test_a_window_without_a_display_is_refused_before_anything_is_written(circles, monkeypatch):
+    from lidar_core.viz import rerun_log, rerun_process
+
+    def refuse(*_):
+        raise AssertionError("nothing may be started")
+
+    monkeypatch.setattr(rerun_log, "write_rerun", refuse)
+    monkeypatch.setattr(rerun_process, "sys", SimpleNamespace(platform="linux"))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    error = invoke("view", circles).exception
+    assert isinstance(error, ConfigError)
+    assert "no display: use --web, --png FILE or --foxglove" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("platform", "variable"),
+    [("linux", "DISPLAY"), ("linux", "WAYLAND_DISPLAY"), ("darwin", None), ("win32", None)],
+)
+def test_a_window_with_a_display_is_opened(circles, monkeypatch, platform, variable):
+    from lidar_core.viz import rerun_log, rerun_process
+
+    opened = []
+    monkeypatch.setattr(rerun_process, "sys", SimpleNamespace(platform=platform))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if variable is not None:
+        monkeypatch.setenv(variable, ":0")
+    monkeypatch.setattr(rerun_log, "write_rerun", lambda played, place: place)
+    monkeypatch.setattr(rerun_log, "show_window", lambda place: opened.append(place) or 0)
+    assert invoke("view", circles).exit_code == 0
+    assert len(opened) == 1
+
+
+def test_objects_of_one_picture_have_colours_that_differ():
+    assert len(set(TRACK_COLOURS)) == len(TRACK_COLOURS) >= 10
+    names = [0, 36, 7, 14, 25, 3, 11, 22, 33, 44]
+    colours = colours_of(names)
+    assert list(colours) == names
+    assert len(set(colours.values())) == 10
+    many = Counter(colours_of(range(2 * len(TRACK_COLOURS))).values())
+    assert set(many.values()) == {2}
+
+
+def test_objects_of_a_film_keep_colours_that_differ():
+    """Of hundreds of objects, those that are in one frame differ."""
+    frames = [range(start, start + 6) for start in range(0, 300, 2)]
+    colours = colours_of(*frames)
+    assert len(colours) == 304
+    assert all(len({colours[name] for name in frame}) == 6 for frame in frames)
+    gone_for_a_while = colours_of([0, 1], [1, 2], [0, 1, 2])
+    assert len(set(gone_for_a_while.values())) == 3

@@ -79,7 +79,7 @@ def command(
     }
     prediction = read_prediction(predicted)
     config = _config(prediction, values, given_options(options))
-    truth = read_truth(true, config=config, is_planar=prediction.is_planar)
+    truth = read_truth(true, config=config, is_planar=prediction.is_planar, run=prediction)
     report = evaluate(
         truth,
         tracks=prediction.tracks,
@@ -91,6 +91,7 @@ def command(
     out, _ = consoles(json)
     without = _without_truth(prediction, truth, config, f"{predicted} and {true}")
     _print(out, report, config, f"{predicted} against {true}")
+    interpolated = _print_interpolated(out, truth)
     warnings = _print_warnings(out, report, without)
     write_json(
         {
@@ -99,6 +100,7 @@ def command(
             "truth": str(true),
             "config": config.model_dump(mode="json"),
             "tracks_without_truth": without,
+            "truth_interpolated": interpolated,
             **report.to_dict(),
             "warnings": warnings,
         },
@@ -115,6 +117,19 @@ def _config(
 
     of_run = given_options({"burn_in_scans": prediction.burn_in_scans})
     return EvaluationConfig.load(with_assignments(of_run, values) | options)
+
+
+def _print_interpolated(out: "Console", truth: "Truth") -> int:
+    """Tell that the truth was brought to the times of the scans; return how many positions."""
+    if truth.is_interpolated is None:
+        return 0
+    count, known = int(truth.is_interpolated.sum()), len(truth.is_interpolated)
+    out.print(
+        f"note: the truth has other times than the scans; {count} of {known} true positions at the"
+        " scans are interpolated",
+        highlight=False,
+    )
+    return count
 
 
 def _print_warnings(out: "Console", report: "Evaluation", without: int) -> list[str]:
@@ -195,6 +210,12 @@ def _without_truth(
                 f"no track is within {allowed} of a time of the truth, though their spans overlap"
                 f" ({spans(ours, theirs)}): tracks are {typical_offset(time_offsets(ours, theirs))}"
             )
+            if cure is None:
+                # A tolerance would compare positions of different times.
+                raise InputError(
+                    f"{files}: no time in common: {what}; give the truth at the times of the scans,"
+                    " or at least as often as the scans: it is then interpolated"
+                )
         raise InputError(
             f"{files}: no time in common: {what}; give the truth of the same recording, or allow"
             " for shifted clocks with"

@@ -149,8 +149,12 @@ def _show_page(played: "Playback", port: int) -> None:
 def _show_window(played: "Playback") -> None:
     from tempfile import TemporaryDirectory
 
+    from lidar_core.errors import ConfigError
     from lidar_core.viz.rerun_log import show_window, write_rerun
+    from lidar_core.viz.rerun_process import has_display
 
+    if not has_display():
+        raise ConfigError("view: no display: use --web, --png FILE or --foxglove")
     with TemporaryDirectory(prefix="lidar-core-view-") as folder:
         status = show_window(write_rerun(played, Path(folder) / RERUN_FILE))
     if status != 0:

@@ -8,6 +8,7 @@ from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.matching.pairing import pair
 from lidar_core.evaluation.matching.tables import aligned
 from lidar_core.evaluation.types import Estimates, Truth
+from lidar_core.util.steps import nearest_row
 
 BESIDE = 0.1
 """Times this share of the truth's interval from the nearest one are the same, a little shifted."""
@@ -45,10 +46,7 @@ def overlap_warnings(
 def time_offsets(stamps: NDArray[np.int64], truth: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return every time minus the nearest time of the truth [s]."""
     when = np.unique(truth)
-    after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
-    both = np.stack([stamps - when[np.maximum(after - 1, 0)], stamps - when[after]])
-    nearest = np.abs(both).argmin(axis=0)
-    offsets: NDArray[np.float64] = both[nearest, np.arange(len(stamps))].astype(np.float64)
+    offsets = (stamps - when[nearest_row(when, stamps)]).astype(np.float64)
     return offsets * 1e-9
 
 

@@ -177,6 +177,9 @@ def checked_truth(truth: Truth) -> Truth:
         if truth.sensor is None
         else as_rows(truth.sensor, name="truth.sensor", rows=rows, shape=(3,), dtype=np.float64),
         radius=_radius(truth.radius, rows),
+        is_interpolated=None
+        if truth.is_interpolated is None
+        else as_mask(truth.is_interpolated, name="truth.is_interpolated", rows=rows),
     )
 
 

@@ -13,6 +13,7 @@ from lidar_core.evaluation.scoring import eligible
 from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.flying import FlyingFrame, Tracks
 from lidar_core.sim import SimulatedScan
+from lidar_core.util.steps import nearest_row
 
 
 def truth_of(
@@ -38,6 +39,7 @@ def joined(parts: Iterable[Truth]) -> Truth:
     velocity = [part.velocity for part in tables if part.velocity is not None]
     sensor = [part.sensor for part in tables if part.sensor is not None]
     radius = [part.radius for part in tables if part.radius is not None]
+    is_new = [part.is_interpolated for part in tables if part.is_interpolated is not None]
     return Truth(
         stamp_ns=np.concatenate([np.empty(0, np.int64), *(part.stamp_ns for part in tables)]),
         id=np.concatenate([np.empty(0, np.int64), *(part.id for part in tables)]),
@@ -46,6 +48,9 @@ def joined(parts: Iterable[Truth]) -> Truth:
         velocity=_concatenate(velocity) if len(velocity) == len(tables) else None,
         sensor=_concatenate(sensor) if len(sensor) == len(tables) else None,
         radius=np.concatenate([np.empty(0), *radius]) if len(radius) == len(tables) else None,
+        is_interpolated=np.concatenate([np.empty(0, bool), *is_new])
+        if is_new and len(is_new) == len(tables)
+        else None,
     )
 
 
@@ -89,10 +94,7 @@ def aligned(
         return estimates
     estimates = checked_estimates(estimates)
     stamps, times = estimates.stamp_ns, estimates.time_ns
-    after = np.minimum(np.searchsorted(when, stamps), len(when) - 1)
-    before = np.maximum(after - 1, 0)
-    is_after = np.abs(when[after] - stamps) < np.abs(when[before] - stamps)
-    nearest = np.where(is_after, when[after], when[before])
+    nearest = when[nearest_row(when, stamps)]
     is_near = np.abs(nearest - stamps) <= tolerance
     shift = np.where(is_near, nearest - stamps, np.int64(0))
     if times is not None:

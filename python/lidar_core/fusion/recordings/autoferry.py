@@ -15,6 +15,7 @@ from lidar_core.fusion.measurement import Measurement
 from lidar_core.fusion.recordings.folders import check_sizes
 from lidar_core.io.files.guard import reading
 from lidar_core.io.options import NS
+from lidar_core.util.steps import LONGEST_STEP_NS, between
 
 DETECTIONS, TRUTH = "_detections.json", "_groundTruth.json"
 SOURCES = {1: "lidar", 2: "radar"}
@@ -33,12 +34,6 @@ Source: differences from the truth in scenarios 2 and 13, antennas and hulls inc
 """
 RADAR_BEARING_STD = 0.02
 """Standard deviation of the radar's bearing, added across the line of sight [rad]; same source."""
-
-LONGEST_STEP_NS = 2 * NS
-"""Longest time between two true places within which the places between are known [ns].
-
-Source: a boat that turns with 1 m/s^2 is then up to 0.5 m off the straight line between them.
-"""
 
 Target: TypeAlias = tuple[int, int, NDArray[np.float64]]
 """Number, time [ns] and true place (east, north) of a target [m]."""
@@ -173,13 +168,8 @@ def _ways(targets: Sequence[Sequence[Target]]) -> dict[int, Way]:
 def _place_at(way: Way, stamp_ns: int) -> NDArray[np.float64] | None:
     """Where a target was; None where that is not known."""
     stamps, places = way
-    after = int(np.searchsorted(stamps, stamp_ns))
-    if after == len(stamps):
-        return None
-    begins = after == 0 or stamps[after] - stamps[after - 1] > LONGEST_STEP_NS
-    if begins and stamps[after] != stamp_ns:
-        return None
-    return np.array([np.interp(0, stamps - stamp_ns, places[:, axis]) for axis in (0, 1)])
+    found, is_known = between(stamps, places, np.array([stamp_ns]), longest_ns=LONGEST_STEP_NS)
+    return found[0] if is_known[0] else None
 
 
 def _unknown_places(targets: Sequence[Sequence[Target]]) -> str | None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_core.arrays import as_mask, as_points, as_real, as_rows, as_stamp
+from lidar_core.arrays import as_mask, as_points, as_pose, as_real, as_rows, as_stamp
 from lidar_core.errors import InputError
 from lidar_core.io.messages.cloud import ROS_TYPES
 from lidar_core.messages import LaserScan, Message, Pose, PosedScan, Scan
@@ -79,8 +79,10 @@ def _checked_laser(scan: LaserScan) -> LaserScan:
 
 
 def _checked_pose(pose: Pose) -> Pose:
-    as_stamp(pose.stamp_ns)
-    matrix = as_rows(pose.matrix, name="matrix", rows=4, shape=(4,), dtype=np.float64)
+    at = f"pose of {pose.child_frame_id!r} in {pose.frame_id!r} at {pose.stamp_ns} ns"
+    as_stamp(pose.stamp_ns, name=f"{at}: stamp_ns")
+    matrix = as_rows(pose.matrix, name=f"{at}: matrix", rows=4, shape=(4,), dtype=np.float64)
+    as_pose(matrix, name=f"{at}: matrix")  # readers refuse what is no rigid transform
     covariance = pose.covariance
     if covariance is not None:
         covariance = as_rows(covariance, name="covariance", rows=6, shape=(6,), dtype=np.float64)

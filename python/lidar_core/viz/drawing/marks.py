@@ -1,5 +1,7 @@
 """Marks of pictures: scale bar, ring around an object, where the sensor is, sigma ellipses."""
 
+from collections import Counter
+from collections.abc import Hashable, Iterable
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,13 @@ from lidar_core.viz.drawing.frame import Window
 from lidar_core.viz.figure import INK, PURPOSE
 
 SIGMAS = 2.0
-TRACK_COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f")
-"""Of tracks, in turn: each can be told from its neighbours, and from the classes of points."""
+TRACK_COLOURS = (
+    *("#0369a1", "#15803d", "#7e22ce", "#be185d", "#78350f", "#0f766e", "#4d7c0f"),
+    *("#0891b2", "#c026d3", "#1e3a8a", "#a16207"),
+)
+"""Of tracks, in turn: each can be told from the others, from the classes of points, and from the
+orange of walls and radar.
+"""
 WAY = "way"
 """Mark of the lines of tracks, by which tests find them."""
 RING = 20.0
@@ -19,6 +26,29 @@ RING = 20.0
 BAR = 0.22
 """Longest scale bar, over the width of the panel."""
 GROUND = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+
+
+def colours_of(*frames: Iterable[Hashable]) -> dict[Any, str]:
+    """Return the colour of every object of a picture, or of the frames of a film.
+
+    Colours are given in the order of appearance. Those of objects that are in one frame differ, as
+    far as there are enough colours. In a film, an object keeps its colour.
+
+    Parameters
+    ----------
+    frames : iterables of hashable
+        Names of the objects in each frame; a picture is one frame.
+    """
+    known = [list(dict.fromkeys(frame)) for frame in frames]
+    last = {name: number for number, frame in enumerate(known) for name in frame}
+    found: dict[Any, str] = {}
+    for number, frame in enumerate(known):
+        # Objects that have gone leave their colours to those that come.
+        used = Counter(colour for name, colour in found.items() if last[name] >= number)
+        for name in (name for name in frame if name not in found):
+            found[name] = min(TRACK_COLOURS, key=lambda colour: used[colour])
+            used[found[name]] += 1
+    return found
 
 
 def scale_bar(axes: Any, window: Window) -> None:

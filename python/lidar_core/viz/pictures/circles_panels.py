@@ -1,27 +1,19 @@
 """Panels beside a map of circles: speeds of what moves, and counts, over time."""
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.circles.movers import SLOWEST, speeds_of
+from lidar_core.viz.drawing.marks import TRACK_COLOURS
 from lidar_core.viz.figure import PALE
 from lidar_core.viz.views import CirclesView
 
-COLOURS = (
-    *("#0369a1", "#15803d", "#7e22ce", "#c026d3", "#be185d", "#0f766e", "#4d7c0f"),
-    *("#4338ca", "#a16207", "#0891b2", "#86198f", "#9f1239"),
-)
 STANDS = "#6b7280"
 """Colour of what did not move."""
 MOST_CURVES = 6  # speeds over time: what moved in most scans
-
-
-def colour_of(number: int) -> str:
-    """Colour of an element that moves, the same in every picture."""
-    return COLOURS[number % len(COLOURS)]
 
 
 def seconds_of(view: CirclesView) -> NDArray[np.float64]:
@@ -31,13 +23,13 @@ def seconds_of(view: CirclesView) -> NDArray[np.float64]:
     return seconds
 
 
-def draw_speeds(axes: Any, view: CirclesView, movers: Collection[int]) -> None:
-    """Speed of the elements that moved, over time, where they do not stand."""
+def draw_speeds(axes: Any, view: CirclesView, colours: Mapping[int, str]) -> None:
+    """Speed of the elements that moved, which have colours, where they do not stand."""
     time = seconds_of(view)
     found: dict[int, list[tuple[int, float]]] = {}
     for scan, state in enumerate(view.maps):
         for number, speed in zip(state.id.tolist(), speeds_of(state), strict=True):
-            if number in movers:
+            if number in colours:
                 found.setdefault(number, []).append((scan, speed))
     times = {number: sum(speed > SLOWEST for _, speed in found[number]) for number in found}
     moving = [number for number, count in times.items() if count]
@@ -46,7 +38,7 @@ def draw_speeds(axes: Any, view: CirclesView, movers: Collection[int]) -> None:
         scans, speeds = np.array(found[number]).T
         told = np.where(speeds > SLOWEST, speeds, np.nan)
         axes.plot(
-            time[scans.astype(np.intp)], told, color=colour_of(number), lw=1.3, label=str(number)
+            time[scans.astype(np.intp)], told, color=colours[number], lw=1.3, label=str(number)
         )
     top = max((speed for number in longest for _, speed in found[number]), default=1.0)
     more = f", {MOST_CURVES} longest of {len(moving)}" if len(moving) > MOST_CURVES else ""
@@ -66,7 +58,7 @@ def draw_counts(axes: Any, view: CirclesView) -> None:
     # Wide below narrow: where both counts are equal, both lines are seen.
     for counts, name, colour, width in (
         (view.n_circles, "circles found", "#f59e0b", 4.0),
-        (elements, "elements", COLOURS[0], 1.8),
+        (elements, "elements", TRACK_COLOURS[0], 1.8),
     ):
         axes.plot(time, counts, color=colour, lw=width, label=name, drawstyle="steps-mid")
     top = max([1, *elements, *view.n_circles.tolist()])

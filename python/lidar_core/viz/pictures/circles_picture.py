@@ -1,6 +1,6 @@
 """Pictures of a run of the circle pipeline, with matplotlib: one PNG, or an animation."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,7 +14,7 @@ from lidar_core.io.write.circle_scene import ellipse, label_of
 from lidar_core.objects import CircleElements, ShapeElements
 from lidar_core.viz.drawing.frame import Window, panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
-from lidar_core.viz.drawing.marks import WAY, scale_bar, sensor_mark
+from lidar_core.viz.drawing.marks import WAY, colours_of, scale_bar, sensor_mark
 from lidar_core.viz.figure import (
     INK,
     PURPOSE,
@@ -25,7 +25,6 @@ from lidar_core.viz.figure import (
 from lidar_core.viz.film import write_film
 from lidar_core.viz.pictures.circles_panels import (
     STANDS,
-    colour_of,
     draw_counts,
     draw_speeds,
     seconds_of,
@@ -100,13 +99,14 @@ def animate_circles(
     kept = [scan for scan, points in enumerate(view.points) if len(points)]
     picked = kept[:: max(1, -(-len(kept) // frames))] or [len(view.maps) - 1]
     window, movers = _window(view, 1.0), moved(view.maps)
+    colours = colours_of(*([n for n in state.id.tolist() if n in movers] for state in view.maps))
 
     def paint(figure: Any) -> Iterator[None]:
         axes = figure.add_subplot()
         for number, scan in enumerate(picked):
             on_frame(number, len(picked))
             axes.clear()
-            _above(axes, view, scan, window, movers)
+            _above(axes, view, scan, window, colours)
             axes.set_title(f"{view.title}: {seconds_of(view)[scan]:.1f} s" if scan >= 0 else "")
             yield
         on_frame(len(picked), len(picked))
@@ -118,10 +118,10 @@ def _compose(figure: Any, view: CirclesView) -> None:
     heights = (1.2, 1.0, 0.5)
     grid = two_columns(figure, view.title, widths=(1.35, 1.0), heights=heights, hspace=0.42)
     above, keys = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[2, 1])
-    movers = moved(view.maps)
+    colours = _colours(view)
     _earlier(above, view)
     window = _window(view, panel_tallness(above))
-    _above(above, view, len(view.maps) - 1, window, movers, with_gone=True)
+    _above(above, view, len(view.maps) - 1, window, colours, with_gone=True)
     _gone_shapes(above, view)
     window.apply(above)
     time = seconds_of(view)
@@ -130,9 +130,16 @@ def _compose(figure: Any, view: CirclesView) -> None:
     if view.maps:  # beside the map: elements and their numbers may be everywhere in it
         style = {"fontsize": 8, "ncols": 2, "columnspacing": 1.2, "borderpad": 0.0}
         keys.legend(*above.get_legend_handles_labels(), loc="lower left", **style)
-    if movers:
-        draw_speeds(figure.add_subplot(grid[0, 1]), view, movers)
-    draw_counts(figure.add_subplot(grid[1, 1] if movers else grid[:2, 1]), view)
+    if colours:
+        draw_speeds(figure.add_subplot(grid[0, 1]), view, colours)
+    draw_counts(figure.add_subplot(grid[1, 1] if colours else grid[:2, 1]), view)
+
+
+def _colours(view: CirclesView) -> dict[int, str]:
+    """Colours of the elements that moved: first of those that are drawn, which have to differ."""
+    movers = moved(view.maps)
+    drawn = [number for number in _drawn_at_end(view) if number in movers]
+    return colours_of([*drawn, *sorted(movers)])
 
 
 def _window(view: CirclesView, tall: float) -> Window:
@@ -195,7 +202,7 @@ def _above(
     view: CirclesView,
     scan: int,
     window: Window,
-    movers: Collection[int],
+    colours: Mapping[int, str],
     *,
     with_gone: bool = False,
 ) -> None:
@@ -208,8 +215,8 @@ def _above(
         axes.plot(way[:, 0], way[:, 1], color=INK, lw=1.4, zorder=4, label="sensor")
         sensor_mark(axes, window, way[-1])
         draw_truth(axes, (line[: scan + 1, :2] for line in view.truth.values()))
-        gone = _gone(axes, view, movers) if with_gone else []
-        draw_labels(axes, [*_elements(axes, view, scan, movers), *gone], [])
+        gone = _gone(axes, view, colours) if with_gone else []
+        draw_labels(axes, [*_elements(axes, view, scan, colours), *gone], [])
         if view.shapes:
             _shapes(axes, view.shapes[scan])
     scale_bar(axes, window)
@@ -218,14 +225,14 @@ def _above(
     axes.grid(visible=True)
 
 
-def _elements(axes: Any, view: CirclesView, scan: int, movers: Collection[int]) -> list[Label]:
+def _elements(axes: Any, view: CirclesView, scan: int, colours: Mapping[int, str]) -> list[Label]:
     """Elements at one time; return their numbers. What moves is coloured, and has its speed."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     state, ways = view.maps[scan], _ways(view, scan)
     speeds, labels = speeds_of(state), list[Label]()
     for row, number in enumerate(state.id.tolist()):
-        does_move = number in movers
-        colour, center = colour_of(number) if does_move else STANDS, state.center[row]
+        does_move = number in colours
+        colour, center = colours.get(number, STANDS), state.center[row]
         _disc(axes, state, row, colour, does_move=does_move)
         around = center + ellipse(state.covariance[row][:2, :2], SIGMAS, CORNERS)
         band = patches.Polygon(around, closed=True, fill=False, ec=colour, lw=0.8, zorder=5)
@@ -237,7 +244,7 @@ def _elements(axes: Any, view: CirclesView, scan: int, movers: Collection[int]) 
             _arrow(axes, center, state.velocity[row], colour)
             text += f" {speeds[row]:.1f} m/s"
         labels.append(Label(text, center, colour))
-    _element_keys(axes, state, movers)
+    _element_keys(axes, state, colours)
     return sorted(labels, key=lambda label: label.colour == STANDS)  # movers: better places
 
 
@@ -255,15 +262,15 @@ def _disc(axes: Any, state: CircleElements, row: int, colour: str, *, does_move:
     axes.add_patch(disc)
 
 
-def _element_keys(axes: Any, state: CircleElements, movers: Collection[int]) -> None:
+def _element_keys(axes: Any, state: CircleElements, colours: Mapping[int, str]) -> None:
     """Lines of the legend for the styles of elements that occur."""
     numbers = state.id.tolist()
-    moving = [number for number in numbers if number in movers]
+    moving = [number for number in numbers if number in colours]
     stands = {"facecolor": (STANDS, 0.2), "edgecolor": STANDS, "lw": THIN}
     if len(moving) < len(numbers) or not numbers:
         axes.scatter([], [], s=60, label="stands, 2σ ellipse", **stands)
     if moving:
-        colour = colour_of(moving[0])
+        colour = colours[moving[0]]
         bold = {"facecolor": (colour, 0.2), "edgecolor": colour, "lw": WIDE}
         axes.scatter([], [], s=60, label="moves: way, 2σ ellipse, velocity", **bold)
     if not state.visible.all():
@@ -271,7 +278,7 @@ def _element_keys(axes: Any, state: CircleElements, movers: Collection[int]) -> 
         axes.scatter([], [], s=60, label="in the map, out of sight", **hidden)
 
 
-def _gone(axes: Any, view: CirclesView, movers: Collection[int]) -> list[Label]:
+def _gone(axes: Any, view: CirclesView, colours: Mapping[int, str]) -> list[Label]:
     """Elements that are no longer in the map at the end, pale, where they were last."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     there, ways = set(view.maps[-1].id.tolist()), _ways(view, len(view.maps) - 1)
@@ -279,7 +286,7 @@ def _gone(axes: Any, view: CirclesView, movers: Collection[int]) -> list[Label]:
     for number, (state, row) in _drawn_at_end(view).items():
         if number in there:
             continue
-        colour, center = colour_of(number) if number in movers else STANDS, state.center[row]
+        colour, center = colours.get(number, STANDS), state.center[row]
         disc = patches.Circle(center, state.radius[row], fill=False, ec=colour, lw=1.0)
         disc.set(alpha=GONE, zorder=4.6)
         axes.add_patch(disc)

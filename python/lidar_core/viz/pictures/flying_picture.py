@@ -18,6 +18,7 @@ from lidar_core.viz.drawing.labels import Label, draw_labels
 from lidar_core.viz.drawing.marks import (
     TRACK_COLOURS,
     WAY,
+    colours_of,
     ring,
     scale_bar,
     sensor_mark,
@@ -46,6 +47,7 @@ CLOUDS = (
 """Name, colour and size of the points of each class."""
 MOST_POINTS = 40_000  # drawn of a cloud or map: more only makes the picture heavy
 SMALLEST = 4.0  # width of what is shown where there are no tracks [m]
+MOST_LABELS = 8  # in the legend: more hide the curves
 MOST_NUMBERS = 40  # tracks with a number beside them, the longest
 ELLIPSES = 8  # at most, per track
 
@@ -167,8 +169,10 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
     across, up = plane
     labels: list[tuple[int, Label]] = []
     ways = []
-    for order, (number, rows) in enumerate(_by_track(view).items()):
-        colour = TRACK_COLOURS[order % len(TRACK_COLOURS)]
+    tracks_of = _by_track(view)
+    colours = colours_of(tracks_of)
+    for order, (number, rows) in enumerate(tracks_of.items()):
+        colour = colours[number]
         way = np.array([view.tracks[scan].position[row] for scan, row in rows])
         axes.plot(
             way[:, across],
@@ -216,16 +220,19 @@ def _distances(axes: Any, view: FlyingView) -> None:
     for way in view.truth.values():
         distance = np.linalg.norm(way - view.sensor, axis=1)
         axes.plot(time, distance, color="black", lw=1.0, ls=(0, (4, 3)), zorder=6)
-    for order, (number, rows) in enumerate(_by_track(view).items()):
+    tracks_of = _by_track(view)
+    colours = colours_of(tracks_of)
+    for number, rows in tracks_of.items():
         scans = [scan for scan, _ in rows]
         way = np.array([view.tracks[scan].position[row] for scan, row in rows])
         distance = np.linalg.norm(way - view.sensor[scans], axis=1)
-        colour = TRACK_COLOURS[order % len(TRACK_COLOURS)]
-        axes.plot(time[scans], distance, color=colour, lw=2.2, label=f"track {number}", zorder=5)
+        axes.plot(
+            time[scans], distance, color=colours[number], lw=2.2, label=f"track {number}", zorder=5
+        )
     axes.set(title="distance from the sensor", ylabel="[m]", xlim=_span(time), ylim=(0, None))
     axes.grid(visible=True)
     handles, labels = axes.get_legend_handles_labels()
-    if 0 < len(labels) <= len(TRACK_COLOURS) + 1:
+    if 0 < len(labels) <= MOST_LABELS:
         axes.legend(handles, labels, fontsize=8, loc="lower left", ncols=4)
     if not labels:
         axes.text(0.5, 0.5, "nothing moves", transform=axes.transAxes, ha="center", color=PALE)

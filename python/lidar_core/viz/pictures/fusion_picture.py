@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from lidar_core.io.write.circle_scene import ellipse
 from lidar_core.viz.drawing.frame import panel_tallness, window_over
 from lidar_core.viz.drawing.labels import Label, draw_labels
-from lidar_core.viz.drawing.marks import WAY, ring, scale_bar, sensor_mark
+from lidar_core.viz.drawing.marks import (
+    TRACK_COLOURS,
+    WAY,
+    colours_of,
+    ring,
+    scale_bar,
+    sensor_mark,
+)
 from lidar_core.viz.figure import (
     DASHED,
     INK,
@@ -20,7 +27,6 @@ from lidar_core.viz.figure import (
     two_columns,
     write_figure,
 )
-from lidar_core.viz.pictures.circles_panels import colour_of
 from lidar_core.viz.views import FusionView, PlanarLine
 
 SIZE, DPI = (12.0, 7.0), 90
@@ -95,13 +101,15 @@ def _above(axes: Any, view: FusionView) -> None:
         sensor_mark(axes, window, view.sensor[-1])
     draw_truth(axes, (line.position for line in view.truth.values()))
     lasting = _lasting(view.tracks)
-    _trails(axes, {number: line for number, line in view.tracks.items() if number not in lasting})
+    colours = _colours(view.tracks)
+    ended = {number: line for number, line in view.tracks.items() if number not in lasting}
+    _trails(axes, ended, colours)
     for order, (number, line) in enumerate(lasting.items()):
-        _track(axes, line, colour_of(number), None if order else "track, 2σ ellipses")
-        ring(axes, line.position[-1], colour_of(number))
+        _track(axes, line, colours[number], None if order else "track, 2σ ellipses")
+        ring(axes, line.position[-1], colours[number])
     longest = sorted(lasting, key=lambda number: -len(lasting[number].stamp_ns))[:NAMED]
     labels = [
-        Label(str(number), lasting[number].position[-1], colour_of(number)) for number in longest
+        Label(str(number), lasting[number].position[-1], colours[number]) for number in longest
     ]
     shown = [line.position for line in (*lasting.values(), *view.truth.values())]
     draw_labels(axes, labels, shown)
@@ -130,12 +138,17 @@ def _lasting(tracks: Mapping[int, PlanarLine]) -> dict[int, PlanarLine]:
     return {number: line for number, line in known.items() if line.stamp_ns[-1] == end}
 
 
-def _trails(axes: Any, tracks: Mapping[int, PlanarLine]) -> None:
+def _colours(tracks: Mapping[int, PlanarLine]) -> dict[int, str]:
+    """Colours of the tracks: first of those that last to the end, which have to differ."""
+    return colours_of([*_lasting(tracks), *tracks])
+
+
+def _trails(axes: Any, tracks: Mapping[int, PlanarLine], colours: Mapping[int, str]) -> None:
     """The ways of tracks that ended before: a long run has hundreds of them."""
     for order, (number, line) in enumerate(tracks.items()):
         axes.plot(
             *line.position.T,
-            color=colour_of(number),
+            color=colours[number],
             lw=0.6,
             alpha=0.6,
             zorder=3,
@@ -155,13 +168,13 @@ def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:
 
 def _over_time(axes: Any, view: FusionView, axis: int, name: str, first: int) -> None:
     """One coordinate of all tracks, or its error, with the 2 sigma band."""
-    of_error = len(view.tracks) == 1 and len(view.truth) == 1
+    of_error, colours = len(view.tracks) == 1 and len(view.truth) == 1, _colours(view.tracks)
     for number, line in view.tracks.items():
         time = (line.stamp_ns - first) * 1e-9
         value = line.position[:, axis]
         if of_error:
             value = value - _at(next(iter(view.truth.values())), line.stamp_ns, axis)
-        axes.plot(time, value, color=colour_of(number), lw=1.2, zorder=4)
+        axes.plot(time, value, color=colours[number], lw=1.2, zorder=4)
         if line.covariance is not None:
             spread = SIGMAS * np.sqrt(np.maximum(line.covariance[:, axis, axis], 0))
             middle = np.zeros_like(value) if of_error else value
@@ -169,7 +182,7 @@ def _over_time(axes: Any, view: FusionView, axis: int, name: str, first: int) ->
                 time,
                 middle - spread,
                 middle + spread,
-                color=colour_of(number),
+                color=colours[number],
                 alpha=0.18,
                 lw=0,
                 zorder=3,
@@ -229,6 +242,6 @@ def _counts(axes: Any, view: FusionView, first: int) -> None:
     """Number of tracks over time."""
     stamps = np.unique(np.concatenate([line.stamp_ns for line in view.tracks.values()]))
     counts = sum(np.isin(stamps, line.stamp_ns).astype(int) for line in view.tracks.values())
-    axes.step((stamps - first) * 1e-9, counts, where="post", color=colour_of(0), lw=1.4)
+    axes.step((stamps - first) * 1e-9, counts, where="post", color=TRACK_COLOURS[0], lw=1.4)
     axes.set(title="tracks", xlabel="time [s]", ylim=(0, None))
     axes.grid(visible=True)

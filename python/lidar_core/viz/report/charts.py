@@ -14,10 +14,10 @@ from lidar_core.evaluation import Estimates, Truth, pair
 from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.io.tables.columns import read_columns
 from lidar_core.run_folder import table_in
+from lidar_core.viz.drawing.marks import colours_of
 from lidar_core.viz.figure import figure_with_style
 
 SIZE, DPI = (9.5, 2.6), 90
-COLOURS = ("#0369a1", "#15803d", "#7e22ce", "#b45309", "#be185d", "#0f766e", "#4d7c0f", "#475569")
 SHARE = 0.95
 GAP = 2.5
 """Steps of usual length without a value that interrupt a curve."""
@@ -125,7 +125,7 @@ def _is_part(name: str) -> bool:
 
 
 def _coloured(names: list[Any]) -> dict[Any, str]:
-    return {name: COLOURS[row % len(COLOURS)] for row, name in enumerate(names[:MOST_TARGETS])}
+    return colours_of(names[:MOST_TARGETS])
 
 
 def _svg(draw: Callable[[Any], None]) -> str:

@@ -179,7 +179,7 @@ def _held_against(folder: Path, truth: str | PathLike[str] | None) -> _HeldAgain
     predicted = read_prediction(folder)
     burn_in = predicted.burn_in_scans
     config = EvaluationConfig() if burn_in is None else EvaluationConfig(burn_in_scans=burn_in)
-    targets = read_truth(place, config=config, is_planar=predicted.is_planar)
+    targets = read_truth(place, config=config, is_planar=predicted.is_planar, run=predicted)
     return _HeldAgainst(folder, targets, config)
 
 

@@ -2,6 +2,8 @@
 
 import errno
 import io as bytes_io
+import lzma
+import os
 import shlex
 import struct
 import subprocess
@@ -9,6 +11,7 @@ import sys
 import tempfile
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +28,7 @@ from small_messages import BASE_NS, assert_same_fields, make_pose, make_scan
 import lidar_core as lc
 import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
+from lidar_core.io import hints
 from lidar_core.io.files.compressed import unpack_zstd, zstd_data
 from lidar_core.messages import Pose, Scan
 
@@ -555,6 +559,28 @@ def test_a_folder_of_archives_says_how_they_are_unpacked(tmp_path):
     ]
     subprocess.run(shlex.split(commands[1]), check=True, timeout=60)
     with lc.io.open_recording(place) as recording:
+        assert [topic.count for topic in recording.topics()] == [1]
+
+
+def test_archives_in_a_folder_that_must_not_be_written_are_unpacked_here(tmp_path, monkeypatch):
+    place, here = tmp_path / "mounted", tmp_path / "here"
+    for folder in (place, here):
+        folder.mkdir()
+    lc.io.write_recording(tmp_path / "c0.npz", [make_scan()])
+    packing = ["tar", "cJf", place / "scans.tar.xz", "c0.npz"]
+    subprocess.run(packing, cwd=tmp_path, check=True, timeout=60)
+    with lzma.open(place / "c1.npz.xz", "wb") as packed:
+        packed.write((tmp_path / "c0.npz").read_bytes())
+    access = SimpleNamespace(W_OK=os.W_OK, access=lambda path, mode: Path(path) != place)
+    monkeypatch.setattr(hints, "os", access)
+    with pytest.raises(FormatError) as told:
+        lc.io.open_recording(place)
+    commands = str(told.value).partition("; unpack first: ")[2].split("; ")
+    assert commands == [f"tar xf {place}/scans.tar.xz", f"unxz -c {place}/c1.npz.xz > c1.npz"]
+    for command in commands:
+        subprocess.run(command, shell=True, cwd=here, check=True, timeout=60)
+    assert sorted(one.name for one in here.iterdir()) == ["c0.npz", "c1.npz"]
+    with lc.io.open_recording(here / "c1.npz") as recording:
         assert [topic.count for topic in recording.topics()] == [1]
 
 

@@ -2,6 +2,7 @@
 
 import struct
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -138,7 +139,16 @@ def test_what_holds_no_whole_message_suggests_no_command(whole, tmp_path):
     assert "the file ends inside a record" in told.stdout
     assert "next:" not in told.stdout
     told = CliRunner().invoke(app, ["convert", str(cut), str(tmp_path / "a.npz"), "--recover"])
-    assert str(told.exception) == f"{cut}: no scans or moving poses"
+    text = str(told.exception)
+    assert text.startswith(f"{cut}: no scans or moving poses: recovered 0 messages; the last ")
+    assert "bytes are lost" in text
+
+
+def test_a_whole_file_of_mountings_alone_tells_no_loss(tmp_path):
+    path = tmp_path / "mounting.npz"
+    lc.io.write_recording(path, [Pose(0, "base", "lidar", np.eye(4), is_static=True)])
+    told = CliRunner().invoke(app, ["convert", str(path), str(tmp_path / "a.npz")])
+    assert str(told.exception) == f"{path}: no scans or moving poses"
 
 
 def test_the_commands_recover(whole, tmp_path):

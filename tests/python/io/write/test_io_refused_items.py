@@ -46,6 +46,22 @@ REFUSED = {
         replace(make_pose(0, BASE_NS), matrix=np.eye(3)),
         r"matrix: expected shape \(4, 4\), got \(3, 3\)",
     ),
+    "a pose that is no rotation": (
+        lc.io.Pose(0, "world", "lidar", np.arange(16.0).reshape(4, 4)),
+        "pose of 'lidar' in 'world' at 0 ns: matrix: expected a finite rotation and translation",
+    ),
+    "a pose that is not finite": (
+        replace(make_pose(0, BASE_NS), matrix=np.full((4, 4), np.nan)),
+        "matrix: expected a finite rotation and translation",
+    ),
+    "a pose as translation and quaternion": (
+        lc.io.Pose(0, "world", "lidar", np.arange(7.0)),
+        r"'lidar' in 'world' at 0 ns: matrix: expected shape \(4, 4\), got \(7,\)",
+    ),
+    "the stamp of a pose": (
+        lc.io.Pose(0.5, "world", "lidar", np.eye(4)),
+        r"at 0\.5 ns: stamp_ns: expected an integer \[ns\], got float",
+    ),
     "a covariance": (
         replace(make_pose(0, BASE_NS), covariance=np.eye(3)),
         r"covariance: expected shape \(6, 6\), got \(3, 3\)",
@@ -92,3 +108,16 @@ def test_pipelines_refuse_such_scans_too():
     pipeline = CirclePipeline(CirclesConfig(scanner=Scanner(0.0, 0.1, 4, 0.1, 9.0)))
     with pytest.raises(InputError, match=r"ranges: expected shape \(N,\), got \(\)"):
         pipeline.process(PosedScan(replace(SWEEP, ranges=1.0), np.eye(4)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_poses_of_float32_are_written_and_read(tmp_path, name):
+    """Rotations that are exact to float32 alone are rotations for writers and readers."""
+    angle = np.float32(0.7)
+    turned = np.eye(4, dtype=np.float32)
+    turned[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose = replace(make_pose(0, BASE_NS), matrix=turned)
+    lc.io.write_recording(tmp_path / name, [make_scan(), pose])
+    with lc.io.open_recording(tmp_path / name) as recording:
+        (found,) = [item for item in recording if isinstance(item, lc.io.Pose)]
+    np.testing.assert_allclose(found.matrix, turned, atol=1e-6)
