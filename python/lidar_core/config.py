@@ -4,16 +4,25 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
-from inspect import Signature, formatannotation, signature
+from inspect import Signature, cleandoc, formatannotation, signature
 from pathlib import Path
 from typing import Any, ClassVar, ParamSpec, Self, TypeVar, get_args
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
 
 from lidar_core.errors import ConfigError, closest
 from lidar_core.files import read_whole
+from lidar_core.util.model_docs import documented, short_signature
 
 __all__ = [
     "NONE",
@@ -49,6 +58,9 @@ class Config(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    own_doc: ClassVar[str] = ""
+    """Docstring of the class as it is written, without the fields."""
+
     removed: ClassVar[Mapping[str, str]] = {}
     """Parameters of earlier versions that files may still have, and what holds instead; of one that
     has moved, "write it as" and its new place."""
@@ -58,6 +70,25 @@ class Config(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise _config_error(type(self), error) from error
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **values: Any) -> None:
+        """Make the docstring and the signature of the descriptions of the fields."""
+        super().__pydantic_init_subclass__(**values)
+        cls.own_doc = cleandoc(cls.__doc__ or "")
+        cls.__doc__ = documented(cls, cls.own_doc)
+        cls.__signature__ = short_signature(cls)
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Schemas describe every field in its place, so the model has its own text only."""
+        found = handler(core_schema)
+        handler.resolve_ref_schema(found).update(
+            {"description": cls.own_doc} if cls.own_doc else {}
+        )
+        return found
 
     # Not pydantic's word for "overridden": models inside models are then validated as one, and
     # every problem carries its whole path.

@@ -1,6 +1,7 @@
 """Configuration models: ranges, units, dotted paths, TOML there and back."""
 
 import importlib
+import inspect
 import pkgutil
 import re
 import typing
@@ -10,8 +11,9 @@ from pydantic import ValidationError
 
 import lidar_core
 from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
-from lidar_core.circles import CirclesConfig
+from lidar_core.circles import CirclesConfig, Scanner
 from lidar_core.config import Config, _fields
+from lidar_core.evaluation import EvaluationConfig
 from lidar_core.flying import FlyingConfig
 from lidar_core.fusion import FusionConfig, MultiTargetConfig, TableOptions
 from lidar_core.io import PoseOptions, ReadOptions
@@ -473,3 +475,27 @@ def test_no_removed_parameter_is_there():
     for name in MODELS:
         for model in models_within(model_named(name)):
             assert not set(model.removed) & set(model.model_fields)
+
+
+@pytest.mark.parametrize("model", [FlyingConfig, EvaluationConfig, Scanner, VoxelMapConfig])
+def test_help_tells_every_field_and_a_short_signature(model):
+    text = " ".join(model.__doc__.split())
+    assert "Attributes ----------" in text
+    for name, field in model.model_fields.items():
+        assert f" {name} : " in text
+        assert " ".join((field.description or "").split()) in text
+    told = str(inspect.signature(model))
+    assert list(inspect.signature(model).parameters) == list(model.model_fields)
+    assert "Annotated" not in told + text
+    assert len(told) < 1200
+    assert "Attributes" not in model.model_json_schema()["description"]
+
+
+def test_help_shows_types_and_defaults_as_they_are_written():
+    text = FlyingConfig.__doc__
+    assert "range_margin : float, default 2.0\n    Rays clear this much further" in text
+    assert "position : {'center', 'paper'}, default 'center'\n" in text
+    assert "voxel_map : VoxelMapConfig, default VoxelMapConfig()\n    Occupancy of voxels" in text
+    assert "voxel_map=VoxelMapConfig(), " in str(inspect.signature(FlyingConfig))
+    assert str(inspect.signature(Scanner)).startswith("(angle_min=")  # also by position
+    assert Scanner.__doc__.index("Attributes") < Scanner.__doc__.index("Examples\n--------")
