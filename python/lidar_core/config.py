@@ -1,12 +1,28 @@
-"""Base of the configuration models: TOML in and out, JSON Schema, errors with dotted paths."""
+"""Base of the configuration models: TOML in and out, JSON Schema, help, errors with dotted paths.
+
+Longer than other files: the errors and the help of a model are made of the same fields.
+"""
 
 import re
+import textwrap
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
-from inspect import Signature, cleandoc, formatannotation, signature
+from inspect import Parameter, Signature, cleandoc, formatannotation, signature
 from pathlib import Path
-from typing import Any, ClassVar, ParamSpec, Self, TypeVar, get_args
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    ParamSpec,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+)
 
 import tomli_w
 from pydantic import (
@@ -22,7 +38,6 @@ from pydantic_core import CoreSchema
 
 from lidar_core.errors import ConfigError, closest
 from lidar_core.files import read_whole
-from lidar_core.util.model_docs import documented, short_signature
 
 __all__ = [
     "NONE",
@@ -48,9 +63,23 @@ UNITS = {
 }
 """What an error says after a limit, by unit."""
 
+WIDTH, LONGEST = 96, 60
+"""Width of a line, and length of a default that is still shown whole."""
+EXAMPLES = "Examples\n--------\n"
+
 ConfigT = TypeVar("ConfigT", bound="Config")
 P = ParamSpec("P")
 T = TypeVar("T")
+
+
+class _Lazy:
+    """Attribute of a class that is made when it is asked for: imports do not wait for it."""
+
+    def __init__(self, make: Callable[[Any], Any]) -> None:
+        self._make = make
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        return self._make(owner)
 
 
 class Config(BaseModel):
@@ -73,11 +102,11 @@ class Config(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **values: Any) -> None:
-        """Make the docstring and the signature of the descriptions of the fields."""
+        """Make the docstring and the signature of the fields, when they are asked for."""
         super().__pydantic_init_subclass__(**values)
         cls.own_doc = cleandoc(cls.__doc__ or "")
-        cls.__doc__ = documented(cls, cls.own_doc)
-        cls.__signature__ = short_signature(cls)
+        cls.__doc__ = _Lazy(_documented)  # type: ignore[assignment]
+        cls.__signature__ = _Lazy(_short_signature)  # type: ignore[assignment]
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -382,6 +411,90 @@ def _parts(annotation: Any) -> list[type[BaseModel]]:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def _documented(model: type["Config"]) -> str:
+    """Docstring of a model: its own text, with the fields before the examples."""
+    if not model.model_fields:
+        return model.own_doc
+    before, examples, after = model.own_doc.partition(EXAMPLES)
+    parts = (before.strip(), _attributes(model), f"{examples}{after}".strip())
+    return "\n\n".join(part for part in parts if part)
+
+
+def _attributes(model: type[BaseModel]) -> str:
+    """Section "Attributes" of a model: type, default and meaning of every field."""
+    lines = ["Attributes", "----------"]
+    for name, field in model.model_fields.items():
+        default = "" if field.is_required() else f", default {_shown(field)}"
+        lines.append(f"{name} : {_type_text(field.annotation)}{default}")
+        lines += textwrap.wrap(
+            field.description or _summary(field.annotation),
+            WIDTH,
+            initial_indent="    ",
+            subsequent_indent="    ",
+            break_on_hyphens=False,
+        )
+    return "\n".join(lines)
+
+
+def _short_signature(model: type[BaseModel]) -> Signature:
+    """Names and defaults of the fields, without their types and ranges."""
+    made_from = signature(model.__init__).parameters.values()
+    by_position = any(one.kind is Parameter.VAR_POSITIONAL for one in made_from)
+    return Signature(
+        [
+            Parameter(
+                name,
+                Parameter.POSITIONAL_OR_KEYWORD if by_position else Parameter.KEYWORD_ONLY,
+                default=Parameter.empty if field.is_required() else _Shown(_shown(field)),
+            )
+            for name, field in model.model_fields.items()
+        ],
+        __validate_parameters__=False,  # a field without a default may follow one that has one
+    )
+
+
+class _Shown:
+    """A default in a signature: a text without quotes, as long models would fill the screen."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __repr__(self) -> str:
+        return self._text
+
+
+def _shown(field: FieldInfo) -> str:
+    if field.default_factory is not None:
+        return "..."
+    value = field.default
+    if isinstance(value, BaseModel):
+        return f"{type(value).__name__}({'...' if value.model_fields_set else ''})"
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rpartition(', ')[0]}, ..."
+
+
+def _summary(annotation: Any) -> str:
+    """First line of the model that a field without a description holds."""
+    found = isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation
+    return cleandoc(found.__doc__ or "").partition("\n")[0] if found else ""
+
+
+def _type_text(annotation: Any) -> str:
+    """A type without the ranges that `Annotated` adds to it."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type_text(arguments[0])
+    if origin in (Union, UnionType):
+        return " | ".join(map(_type_text, arguments))
+    if origin is Literal:
+        return "{" + ", ".join(map(repr, arguments)) + "}"
+    if arguments and isinstance(origin, type):
+        return f"{origin.__name__}[{', '.join(map(_type_text, arguments))}]"
+    if annotation in (None, type(None)):
+        return "None"
+    return "..." if annotation is Ellipsis else getattr(annotation, "__name__", str(annotation))
 
 
 def __dir__() -> list[str]:
