@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from lidar_core.config import Config
 from lidar_core.io.readers import READERS, Reader
 from lidar_core.parameters import MODELS, Parameter, model_named, models_within, parameters_of
 from lidar_core.sensors import SENSORS
@@ -144,7 +145,8 @@ def _sensor(name: str) -> str:
 def _section(model: type[BaseModel]) -> list[str]:
     rows = [_row(parameter) for parameter in parameters_of(model)]
     head = ["| Parameter | Type | Default | Range | Meaning |", "|---|---|---|---|---|"]
-    text = "\n".join(line.strip() for line in (model.__doc__ or "").strip().splitlines())
+    own_text = model.own_doc if issubclass(model, Config) else model.__doc__ or ""
+    text = "\n".join(line.strip() for line in own_text.strip().splitlines())
     return [f"### {model.__name__}", "", text, "", *head, *rows, ""]
 
 

@@ -1,16 +1,40 @@
-"""Base of the configuration models: TOML in and out, JSON Schema, errors with dotted paths."""
+"""Base of the configuration models: TOML in and out, JSON Schema, help, errors with dotted paths.
+
+Longer than other files: the errors and the help of a model are made of the same fields.
+"""
 
 import re
+import textwrap
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
-from inspect import Signature, formatannotation, signature
+from inspect import Parameter, Signature, cleandoc, formatannotation, signature
 from pathlib import Path
-from typing import Any, ClassVar, ParamSpec, Self, TypeVar, get_args
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    ParamSpec,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+)
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
 
 from lidar_core.errors import ConfigError, closest
 from lidar_core.files import read_whole
@@ -39,15 +63,32 @@ UNITS = {
 }
 """What an error says after a limit, by unit."""
 
+WIDTH, LONGEST = 96, 60
+"""Width of a line, and length of a default that is still shown whole."""
+EXAMPLES = "Examples\n--------\n"
+
 ConfigT = TypeVar("ConfigT", bound="Config")
 P = ParamSpec("P")
 T = TypeVar("T")
+
+
+class _Lazy:
+    """Attribute of a class that is made when it is asked for: imports do not wait for it."""
+
+    def __init__(self, make: Callable[[Any], Any]) -> None:
+        self._make = make
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        return self._make(owner)
 
 
 class Config(BaseModel):
     """Base of every configuration model: unknown keys fail, every problem is reported at once."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    own_doc: ClassVar[str] = ""
+    """Docstring of the class as it is written, without the fields."""
 
     removed: ClassVar[Mapping[str, str]] = {}
     """Parameters of earlier versions that files may still have, and what holds instead; of one that
@@ -58,6 +99,25 @@ class Config(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise _config_error(type(self), error) from error
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **values: Any) -> None:
+        """Make the docstring and the signature of the fields, when they are asked for."""
+        super().__pydantic_init_subclass__(**values)
+        cls.own_doc = cleandoc(cls.__doc__ or "")
+        cls.__doc__ = _Lazy(_documented)  # type: ignore[assignment]
+        cls.__signature__ = _Lazy(_short_signature)  # type: ignore[assignment]
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Schemas describe every field in its place, so the model has its own text only."""
+        found = handler(core_schema)
+        handler.resolve_ref_schema(found).update(
+            {"description": cls.own_doc} if cls.own_doc else {}
+        )
+        return found
 
     # Not pydantic's word for "overridden": models inside models are then validated as one, and
     # every problem carries its whole path.
@@ -351,6 +411,90 @@ def _parts(annotation: Any) -> list[type[BaseModel]]:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def _documented(model: type["Config"]) -> str:
+    """Docstring of a model: its own text, with the fields before the examples."""
+    if not model.model_fields:
+        return model.own_doc
+    before, examples, after = model.own_doc.partition(EXAMPLES)
+    parts = (before.strip(), _attributes(model), f"{examples}{after}".strip())
+    return "\n\n".join(part for part in parts if part)
+
+
+def _attributes(model: type[BaseModel]) -> str:
+    """Section "Attributes" of a model: type, default and meaning of every field."""
+    lines = ["Attributes", "----------"]
+    for name, field in model.model_fields.items():
+        default = "" if field.is_required() else f", default {_shown(field)}"
+        lines.append(f"{name} : {_type_text(field.annotation)}{default}")
+        lines += textwrap.wrap(
+            field.description or _summary(field.annotation),
+            WIDTH,
+            initial_indent="    ",
+            subsequent_indent="    ",
+            break_on_hyphens=False,
+        )
+    return "\n".join(lines)
+
+
+def _short_signature(model: type[BaseModel]) -> Signature:
+    """Names and defaults of the fields, without their types and ranges."""
+    made_from = signature(model.__init__).parameters.values()
+    by_position = any(one.kind is Parameter.VAR_POSITIONAL for one in made_from)
+    return Signature(
+        [
+            Parameter(
+                name,
+                Parameter.POSITIONAL_OR_KEYWORD if by_position else Parameter.KEYWORD_ONLY,
+                default=Parameter.empty if field.is_required() else _Shown(_shown(field)),
+            )
+            for name, field in model.model_fields.items()
+        ],
+        __validate_parameters__=False,  # a field without a default may follow one that has one
+    )
+
+
+class _Shown:
+    """A default in a signature: a text without quotes, as long models would fill the screen."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __repr__(self) -> str:
+        return self._text
+
+
+def _shown(field: FieldInfo) -> str:
+    if field.default_factory is not None:
+        return "..."
+    value = field.default
+    if isinstance(value, BaseModel):
+        return f"{type(value).__name__}({'...' if value.model_fields_set else ''})"
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rpartition(', ')[0]}, ..."
+
+
+def _summary(annotation: Any) -> str:
+    """First line of the model that a field without a description holds."""
+    found = isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation
+    return cleandoc(found.__doc__ or "").partition("\n")[0] if found else ""
+
+
+def _type_text(annotation: Any) -> str:
+    """A type without the ranges that `Annotated` adds to it."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type_text(arguments[0])
+    if origin in (Union, UnionType):
+        return " | ".join(map(_type_text, arguments))
+    if origin is Literal:
+        return "{" + ", ".join(map(repr, arguments)) + "}"
+    if arguments and isinstance(origin, type):
+        return f"{origin.__name__}[{', '.join(map(_type_text, arguments))}]"
+    if annotation in (None, type(None)):
+        return "None"
+    return "..." if annotation is Ellipsis else getattr(annotation, "__name__", str(annotation))
 
 
 def __dir__() -> list[str]:

@@ -48,7 +48,8 @@ class VoxelMapConfig(Config):
         default=20.0,
         gt=0,
         le=1000,
-        description="Rays clear no further than this, d_max of eq. 20 [m].",
+        description="Rays clear no further than this, d_max of eq. 20 [m];"
+        " `classify.max_distance` is at most as large.",
     )
     end_margin: float = Field(
         default=0.0, ge=0, le=10, description="Rays that hit something end this much earlier [m]."
@@ -207,7 +208,8 @@ class ClassifyConfig(Config):
         default=20.0,
         gt=0,
         le=1000,
-        description="Largest distance of a flying object from the sensor [m].",
+        description="Largest distance of a flying object from the sensor, at most"
+        " `voxel_map.max_range` [m]: nothing can be classified beyond the map.",
     )
     group_distance: float | None = Field(
         default=0.7,
@@ -419,6 +421,19 @@ class FlyingConfig(Config):
             if not name.isprintable():
                 raise ValueError(f"expected names that can be printed, got {name!a}")
         return sensors
+
+    @model_validator(mode="after")
+    def _targets_are_within_the_map(self) -> Self:
+        # A smaller map alone is meant: targets are then found as far as it reaches.
+        distance, reach = self.classify.max_distance, self.voxel_map.max_range
+        is_default = distance == ClassifyConfig.model_fields["max_distance"].default
+        if distance is not None and distance > reach and not is_default:
+            raise ValueError(
+                f"expected classify.max_distance <= voxel_map.max_range, got {distance:g} and"
+                f" {reach:g} m: no ray clears the space beyond the map, so nothing is found there;"
+                f" set voxel_map.max_range={distance:g} or classify.max_distance={reach:g}"
+            )
+        return self
 
     @classmethod
     def long_range(cls) -> Self:

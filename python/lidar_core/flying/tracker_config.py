@@ -86,7 +86,7 @@ class TrackerConfig(Config):
     acceleration_time: float | None = Field(
         default=1.0,
         gt=0,
-        le=1e4,
+        le=60,
         description="Time constant with which accelerations fade [s]; none, as in eq. 27 of the"
         " paper: they stay.",
     )
@@ -196,16 +196,16 @@ class TrackerConfig(Config):
     max_coast: float = Field(
         default=3.0,
         gt=0,
-        le=3600,
+        le=60,
         description="A track without measurement for longer is removed in any case [s]; ageing"
         " `visible`.",
     )
     report_coast: float = Field(
         default=0.5,
         gt=0,
-        le=3600,
-        description="A track without measurement for longer is kept but not reported [s]; ageing"
-        " `visible`.",
+        le=60,
+        description="A track without measurement for longer is kept but not reported, at most"
+        " `max_coast` [s]; ageing `visible`.",
     )
 
     @model_validator(mode="after")
@@ -214,6 +214,12 @@ class TrackerConfig(Config):
             raise ValueError("radius_limits: expected the smallest radius first")
         if self.confirm_hits > self.confirm_window:
             raise ValueError("expected confirm_hits <= confirm_window")
+        is_default = self.report_coast == type(self).model_fields["report_coast"].default
+        if self.report_coast > self.max_coast and not is_default:
+            raise ValueError(
+                "expected report_coast <= max_coast, because a removed track cannot be reported,"
+                f" got {self.report_coast:g} and {self.max_coast:g} s"
+            )
         if self.initial_std[0] > 20 or min(self.initial_std) <= 0:
             raise ValueError("initial_std: expected values > 0, the first <= 20 m")
         if self.process_std[0] > 10:

@@ -125,7 +125,7 @@ class FusionConfig(Config):
     imm_sojourn: float = Field(
         default=2.0,
         gt=0,
-        le=1e6,
+        le=1000,
         description="Mean time for which a target follows one of them [s]; standing: 300 s.",
     )
     imm_quiet: float | None = Field(
@@ -259,7 +259,7 @@ class FusionConfig(Config):
     buffer_time: float = Field(
         default=0.5,
         ge=0,
-        le=3600,
+        le=60,
         description="Time for which measurements are kept: late ones are processed at their"
         " time, later ones are filtered again, and duplicates are rejected [s].",
     )

@@ -57,7 +57,7 @@ class MultiTargetConfig(Config):
     max_coast: float = Field(
         default=2.0,
         gt=0,
-        le=3600,
+        le=600,
         description="A track ends when it has not been measured for longer, for associations"
         " nearest and joint [s].",
     )

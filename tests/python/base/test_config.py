@@ -1,6 +1,7 @@
 """Configuration models: ranges, units, dotted paths, TOML there and back."""
 
 import importlib
+import inspect
 import pkgutil
 import re
 import typing
@@ -10,8 +11,9 @@ from pydantic import ValidationError
 
 import lidar_core
 from lidar_core import ConfigError, VoxelMap, VoxelMapConfig
-from lidar_core.circles import CirclesConfig
+from lidar_core.circles import CirclesConfig, Scanner
 from lidar_core.config import Config, _fields
+from lidar_core.evaluation import EvaluationConfig
 from lidar_core.flying import FlyingConfig
 from lidar_core.fusion import FusionConfig, MultiTargetConfig, TableOptions
 from lidar_core.io import PoseOptions, ReadOptions
@@ -315,6 +317,40 @@ def test_lengths_in_a_smaller_unit_are_refused(factor):
     assert checked > 30
 
 
+def test_times_in_milliseconds_are_refused():
+    """The default of every time, told in milliseconds, is outside its range."""
+    checked = 0
+    for model in (FlyingConfig, CirclesConfig, FusionConfig, MultiTargetConfig):
+        for path, field in _fields(model).items():
+            if "[s]" not in (field.description or "") or not isinstance(field.default, float):
+                continue
+            with pytest.raises(ConfigError, match=rf"^{path}: .* s: times are in seconds, got"):
+                model.load(with_value(path, 1000 * field.default))
+            checked += 1
+    assert checked > 10
+
+
+def test_a_track_is_not_reported_longer_than_it_is_kept():
+    told = r"^tracker: expected report_coast <= max_coast, .*, got 5 and 3 s$"
+    with pytest.raises(ConfigError, match=told):
+        FlyingConfig.load({"tracker": {"report_coast": 5}})
+    assert FlyingConfig.load({"tracker": {"report_coast": 5, "max_coast": 5}})
+    assert FlyingConfig.load({"tracker": {"max_coast": 0.3}})
+
+
+def test_targets_beyond_the_map_are_refused_with_the_cure():
+    told = (
+        r"^FlyingConfig: expected classify\.max_distance <= voxel_map\.max_range, got 40 and 20 m:"
+        r" .* set voxel_map\.max_range=40 or classify\.max_distance=20$"
+    )
+    with pytest.raises(ConfigError, match=told):
+        FlyingConfig.load({"classify": {"max_distance": 40}})
+    FlyingConfig.load({"voxel_map": {"max_range": 10}})  # what it reaches is meant to be less
+    for classify in ({"max_distance": 10}, {"max_distance": "none"}, {"max_distance": 20}):
+        FlyingConfig.load({"classify": classify})
+    FlyingConfig.load({"classify": {"max_distance": 40}, "voxel_map": {"max_range": 40}})
+
+
 def test_a_voxel_of_99_metres_is_refused_with_place_value_and_cure():
     text = r"^voxel_map\.voxel_size: .*less than or equal to 5 m: lengths are in metres, got 99$"
     with pytest.raises(ConfigError, match=text):
@@ -385,7 +421,7 @@ def test_a_limit_is_told_with_its_unit():
             {"sensor": {"beam_elevations": [-15, 1]}},
             r"tions\.0: .* to -1\.6 rad: angles are in rad",
         ),
-        ({"tracker": {"max_coast": 1e9}}, r"max_coast: .* 3600 s: times are in seconds, got 1"),
+        ({"tracker": {"max_coast": 1e9}}, r"max_coast: .* 60 s: times are in seconds, got 1"),
         ({"voxel_map": {"voxel_size": 0.001}}, r"size: .* to 0\.01 m: lengths are in metres, got"),
         ({"voxel_map": {"end_margin": -1}}, r"end_margin: .* or equal to 0, got -1"),
     ):
@@ -439,3 +475,27 @@ def test_no_removed_parameter_is_there():
     for name in MODELS:
         for model in models_within(model_named(name)):
             assert not set(model.removed) & set(model.model_fields)
+
+
+@pytest.mark.parametrize("model", [FlyingConfig, EvaluationConfig, Scanner, VoxelMapConfig])
+def test_help_tells_every_field_and_a_short_signature(model):
+    text = " ".join(model.__doc__.split())
+    assert "Attributes ----------" in text
+    for name, field in model.model_fields.items():
+        assert f" {name} : " in text
+        assert " ".join((field.description or "").split()) in text
+    told = str(inspect.signature(model))
+    assert list(inspect.signature(model).parameters) == list(model.model_fields)
+    assert "Annotated" not in told + text
+    assert len(told) < 1200
+    assert "Attributes" not in model.model_json_schema()["description"]
+
+
+def test_help_shows_types_and_defaults_as_they_are_written():
+    text = FlyingConfig.__doc__
+    assert "range_margin : float, default 2.0\n    Rays clear this much further" in text
+    assert "position : {'center', 'paper'}, default 'center'\n" in text
+    assert "voxel_map : VoxelMapConfig, default VoxelMapConfig()\n    Occupancy of voxels" in text
+    assert "voxel_map=VoxelMapConfig(), " in str(inspect.signature(FlyingConfig))
+    assert str(inspect.signature(Scanner)).startswith("(angle_min=")  # also by position
+    assert Scanner.__doc__.index("Attributes") < Scanner.__doc__.index("Examples\n--------")

@@ -82,12 +82,12 @@ class CircleMapConfig(Config):
         " switches it off (no unit).",
     )
     standing_time: float = Field(
-        default=10.0, ge=1e-3, le=1e6, description="Mean time that an element stays at rest [s]."
+        default=10.0, ge=1e-3, le=3600, description="Mean time that an element stays at rest [s]."
     )
     moving_time: float = Field(
         default=5.0,
         ge=1e-3,
-        le=1e6,
+        le=3600,
         description="Mean time that an element moves before it comes to rest [s].",
     )
     standing_noise: float = Field(
@@ -142,7 +142,7 @@ class CircleMapConfig(Config):
     max_coast: float | None = Field(
         default=5.0,
         ge=0,
-        le=1e6,
+        le=600,
         description="An element is removed after this time hidden or out of view without a"
         " measurement [s]; none: never.",
     )

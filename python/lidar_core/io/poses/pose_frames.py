@@ -2,11 +2,13 @@
 
 Poses of a camera or of another body have the right motion about the wrong axes. So pairs of scans
 are aligned by the given motion, and by the same motion about the axes of the 24 right-angled
-rotations of a frame, as given and inverted. The frame changes only if one of them fits clearly
-best.
+rotations of a frame, as given and inverted. Poses of a file in which the order of the quaternion
+is a convention are also read in the order w x y z. The given poses are blamed only if another
+reading fits clearly better.
 """
 
 from collections.abc import Iterator
+from enum import Enum
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_core.io.poses.cells import cell_keys, surrounding_keys
+from lidar_core.io.rotations import matrix_from_quaternion, quaternion_from_matrix
 
 MOST_SCANS, MOST_PAIRS = 40, 8
 """Scans that are looked at, and pairs of them."""
@@ -35,14 +38,31 @@ NEAREST = 2.5
 """Points nearer than this are often of the carrier itself, which fits without any motion [m]."""
 
 
+class Reading(Enum):
+    """What the numbers of a pose may mean."""
+
+    GIVEN = "given"
+    INVERTED = "inverted"
+    W_FIRST = "w first"
+
+
 class FrameMismatch(NamedTuple):
-    """Best fit: frame, rotation `frame_from_lidar` (3, 3), shares of aligned points."""
+    """Best fit: frame, rotation `frame_from_lidar` (3, 3), shares of aligned points.
+
+    `other` is a frame that explains the scans as well as another order of the quaternion does.
+    """
 
     name: str
     turn: NDArray[np.float64]
-    is_inverse: bool
+    reading: Reading
     given: float
     found: float
+    other: "FrameMismatch | None" = None
+
+    @property
+    def is_inverse(self) -> bool:
+        """True if the poses are those of the world in the sensor's frame."""
+        return self.reading is Reading.INVERTED
 
 
 def _turn(*axes: str) -> NDArray[np.float64]:
@@ -65,19 +85,30 @@ OFTEN_INVERTED = 2
 """Inverted poses of so many of them are more usual than the others."""
 
 
-def _candidates() -> list[tuple[str, NDArray[np.float64], bool]]:
-    known = [(name, turn) for name, turn in USUAL]
+class _Candidate(NamedTuple):
+    name: str
+    turn: NDArray[np.float64]
+    reading: Reading
+
+
+def _candidates(*, has_quaternions: bool) -> list[_Candidate]:
+    """Explanations, the more usual ones first; the first one is that the poses are right."""
+    known = list(USUAL)
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turn = np.diag(signs) @ np.eye(3)[list(order)]
         if np.linalg.det(turn) > 0 and not any(np.array_equal(turn, one) for _, one in known):
             known.append((f"one whose axes are {_axes(turn)} of the LiDAR's", turn))
-    first, others = known[:OFTEN_INVERTED], known[OFTEN_INVERTED:]
-    return [
-        (name, turn, inverse)
-        for part in (first, others)
-        for inverse in (False, True)
-        for name, turn in part
-    ]
+    often, others = known[:OFTEN_INVERTED], known[OFTEN_INVERTED:]
+    parts = [(often, Reading.GIVEN), (often, Reading.INVERTED)]
+    parts += [(others, Reading.GIVEN), (others, Reading.INVERTED)]
+    if has_quaternions:  # a mistake as usual as a frame, and one that needs no odd frame
+        parts[:1] = [
+            (known[:1], Reading.GIVEN),
+            (known[:1], Reading.W_FIRST),
+            (often[1:], Reading.GIVEN),
+        ]
+        parts.insert(4, (known[1 : len(USUAL)], Reading.W_FIRST))
+    return [_Candidate(*frame, reading) for frames, reading in parts for frame in frames]
 
 
 def _axes(turn: NDArray[np.float64]) -> str:
@@ -89,10 +120,31 @@ def _axes(turn: NDArray[np.float64]) -> str:
 class _View(NamedTuple):
     pose: NDArray[np.float64]
     points: NDArray[np.float64]
+    w_first: NDArray[np.float64]
+
+
+def _w_first(
+    world_from_lidar: NDArray[np.float64], carrier_from_lidar: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The pose if the quaternion of the carrier was read as x y z w, and written as w x y z.
+
+    The same as reading the file in that order: the sign of the quaternion has no effect, and
+    interpolation between two quaternions commutes with the exchange of their parts.
+    """
+    pose = world_from_lidar @ np.linalg.inv(carrier_from_lidar)
+    quaternion = np.roll(quaternion_from_matrix(pose[:3, :3]), -1)
+    pose[:3, :3] = matrix_from_quaternion(quaternion)
+    return np.asarray(pose @ carrier_from_lidar)
 
 
 class PoseFrameCheck:
     """Check of the first scans and their poses; reports once whether another frame fits better.
+
+    Parameters
+    ----------
+    carrier_from_lidar : (4, 4) array of float64, optional
+        Mounting of the LiDAR on the body whose quaternions a file gives in an order that is a
+        convention: then the order w x y z is tried too. By default it is not.
 
     Attributes
     ----------
@@ -100,7 +152,8 @@ class PoseFrameCheck:
         True after the decision: further scans change nothing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, carrier_from_lidar: NDArray[np.float64] | None = None) -> None:
+        self._carrier_from_lidar = carrier_from_lidar
         self._views: list[_View] = []
         self.is_done = False
 
@@ -114,7 +167,9 @@ class PoseFrameCheck:
         # Every so many-th of a shuffled order: rows of an organised cloud would leave out whole
         # rings.
         order = np.random.default_rng(0).permutation(len(rows))
-        view = _View(pose, np.asarray(rows[order[:POINTS]]))
+        mounted = self._carrier_from_lidar
+        w_first = pose if mounted is None else _w_first(pose, mounted)
+        view = _View(pose, np.asarray(rows[order[:POINTS]]), w_first)
         if len(view.points) >= LEAST_POINTS:
             self._views.append(view)
         if len(self._views) < MOST_SCANS:
@@ -130,15 +185,19 @@ class PoseFrameCheck:
         self._views.clear()
         if len(pairs) < LEAST_PAIRS:
             return None
-        candidates = _candidates()
+        candidates = _candidates(has_quaternions=self._carrier_from_lidar is not None)
         shares = np.array([_shares(first, second, candidates) for first, second in pairs])
         total = shares.mean(axis=0)
-        best = int(np.argmax(total >= total.max() - TIED))
-        gains = shares[:, best] - shares[:, 0]
+        fits = [int(one) for one in np.flatnonzero(total >= total.max() - TIED)]
+        gains = shares[:, fits[0]] - shares[:, 0]
         if gains.mean() < LEAST_GAIN or (gains > 0).mean() < LEAST_WINS:
             return None
-        name, turn, inverse = candidates[best]
-        return FrameMismatch(name, turn, inverse, float(total[0]), float(total[best]))
+        found = [FrameMismatch(*candidates[at], float(total[0]), float(total[at])) for at in fits]
+        first = found[0]
+        if first.reading is not Reading.W_FIRST:
+            return first
+        frames = (one for one in found if one.reading is not Reading.W_FIRST)
+        return first._replace(other=next(frames, None))
 
 
 def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:
@@ -165,19 +224,18 @@ def _motion(first: _View, second: _View) -> float:
     return float(np.linalg.norm(relative[:3, 3]) + TURN_REACH * angle)
 
 
-def _shares(
-    first: _View, second: _View, candidates: list[tuple[str, NDArray[np.float64], bool]]
-) -> list[float]:
-    """Share of the second scan's points that meet the first, for every frame."""
+def _shares(first: _View, second: _View, candidates: list[_Candidate]) -> list[float]:
+    """Share of the second scan's points that meet the first, for every explanation."""
     edge = float(np.clip(CELL_SHARE * _motion(first, second), *CELL_LIMITS))
     known = surrounding_keys(first.points, edge)
     given = {
-        False: np.linalg.inv(first.pose) @ second.pose,
-        True: first.pose @ np.linalg.inv(second.pose),
+        Reading.GIVEN: np.linalg.inv(first.pose) @ second.pose,
+        Reading.INVERTED: first.pose @ np.linalg.inv(second.pose),
+        Reading.W_FIRST: np.linalg.inv(first.w_first) @ second.w_first,
     }
     found = []
-    for _, turn, inverse in candidates:
-        motion = given[inverse]
+    for _, turn, reading in candidates:
+        motion = given[reading]
         rotation, translation = turn.T @ motion[:3, :3] @ turn, turn.T @ motion[:3, 3]
         keys = cell_keys(second.points @ rotation.T + translation, edge)
         at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
@@ -191,24 +249,42 @@ def advice(mismatch: FrameMismatch, *, frame: str, source: str) -> str:
         f"{mismatch.found:.0%} of the points of one scan then fit another scan, with the given"
         f" poses {mismatch.given:.0%}"
     )
-    turn, angles = mismatch.turn, _angles(mismatch.turn)
-    is_own = np.array_equal(turn, np.eye(3))
-    mounting = f'mounting="carrier {frame or "lidar"} 0 0 0 {angles}"'
-    cure = [
-        *(["give the inverse of every matrix"] if mismatch.is_inverse else []),
-        *(
-            []
-            if is_own
-            else [
-                f"state the mounting of the LiDAR on the body of the poses: {mounting}, with"
-                " its position in metres instead of 0 0 0"
-            ]
-        ),
-    ]
-    inverted = "inverted, of the world in the sensor's frame" if mismatch.is_inverse else ""
+    text = f"poses ({source}) seem to be {_named(mismatch)}; {fits}. Cure: {_cure(mismatch, frame)}"
+    if mismatch.other is None:
+        return text
+    return (
+        f"{text}. Or the order is right, and they are {_named(mismatch.other)}, which explains"
+        f" {mismatch.other.found:.0%}; then the cure is: {_cure(mismatch.other, frame)}"
+    )
+
+
+def _named(mismatch: FrameMismatch) -> str:
+    meaning = {
+        Reading.GIVEN: "",
+        Reading.INVERTED: "inverted, of the world in the sensor's frame",
+        Reading.W_FIRST: "written with quaternions in the order w x y z, not x y z w",
+    }[mismatch.reading]
+    is_own = np.array_equal(mismatch.turn, np.eye(3))
     named = "" if is_own else f"in another frame than the scans: {mismatch.name}"
-    what = ", and ".join(text for text in (inverted, named) if text)
-    return f"poses ({source}) seem to be {what}; {fits}. Cure: {'; and '.join(cure)}"
+    return ", and ".join(text for text in (meaning, named) if text)
+
+
+def _cure(mismatch: FrameMismatch, frame: str) -> str:
+    mounting = f'mounting="carrier {frame or "lidar"} 0 0 0 {_angles(mismatch.turn)}"'
+    steps = {
+        Reading.GIVEN: [],
+        Reading.INVERTED: ["give the inverse of every matrix"],
+        Reading.W_FIRST: [
+            "in every line of the file move column 5, which holds qw, to the end, so that the"
+            " columns are t x y z qx qy qz qw"
+        ],
+    }[mismatch.reading]
+    if not np.array_equal(mismatch.turn, np.eye(3)):
+        steps.append(
+            f"state the mounting of the LiDAR on the body of the poses: {mounting}, with"
+            " its position in metres instead of 0 0 0"
+        )
+    return "; and ".join(steps)
 
 
 def _angles(turn: NDArray[np.float64]) -> str:

@@ -56,6 +56,7 @@ class PosedScans(Generic[ScanT]):
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.source = options.pose
         self.without_pose: Counter[str] = Counter()
+        self._from_quaternions = False
 
     def __iter__(self) -> Iterator[PosedScan[ScanT]]:
         self.without_pose.clear()
@@ -70,7 +71,9 @@ class PosedScans(Generic[ScanT]):
     def _check_pose_frame(self, found: Iterator[PosedScan[ScanT]]) -> Iterator[PosedScan[ScanT]]:
         """Yield the scans unchanged, and warn if the first ones show poses in another frame."""
         check, frame = PoseFrameCheck(), ""
-        for item in found:
+        for number, item in enumerate(found):
+            if number == 0 and self._from_quaternions:
+                check = PoseFrameCheck(self._mounted(item.scan.frame_id))
             if not check.is_done:
                 poses, frame = item.world_from_lidar.reshape(-1, 4, 4), item.scan.frame_id
                 scan: Any = item.scan
@@ -158,6 +161,7 @@ class PosedScans(Generic[ScanT]):
             raise FileNotFoundError(f"{path}: no such poses file{near}")
         stamps, matrices = read_poses(path)
         self.source = f"{path}, {len(matrices)} poses"
+        self._from_quaternions = stamps is not None
         if stamps is not None:
             buffer = self._buffer()
             frame = self.first_frame() if self._options.mounting else ""
@@ -230,6 +234,11 @@ class PosedScans(Generic[ScanT]):
         """Parent frame of a stated mounting of `frame`, whose poses are known; else `frame`."""
         parents = {item.child_frame_id: item.frame_id for item in self._options.mountings()}
         return parents.get(frame, frame)
+
+    def _mounted(self, frame: str) -> NDArray[np.float64]:
+        """Pose of `frame` in the frame of the stated poses: `carrier_from_lidar` (4, 4)."""
+        carrier = self._carrier(frame)
+        return self._buffer().lookup(carrier, frame, [0])[0] if carrier != frame else np.eye(4)
 
     def _fill_buffer(self, frame: str) -> TransformBuffer:
         """Poses of the recording: transforms first; odometry where asked for, or without them."""

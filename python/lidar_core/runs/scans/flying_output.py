@@ -23,6 +23,7 @@ from lidar_core.io.tables.covariance import covariance_columns
 from lidar_core.messages import PointClass, Scan, TrackKind
 from lidar_core.run_folder import TRACKS_FOLDER, RunFolder
 from lidar_core.runs.result import MCAP, Picture
+from lidar_core.runs.scans.standing import StandingCheck
 from lidar_core.runs.scans.times import ScanTimes
 from lidar_core.sensors import LONGEST_3D, far_median, far_text
 from lidar_core.viz import FlyingView, draw_flying
@@ -82,6 +83,7 @@ class FlyingRun:
         self._cloud = np.empty((0, 3))
         self._last: FlyingFrame | None = None
         self._mcap: McapWriter | None = None
+        self._standing = StandingCheck()
 
     def take(self, item: PosedScan[Scan]) -> FlyingFrame:
         """Process one scan with all information of the recording about it."""
@@ -122,6 +124,7 @@ class FlyingRun:
         moving = moving[:: max(1, -(-len(moving) // MOST_MOVING))]
         kept = replace(frame, point_class=none, own_rows=no_rows)
         sensor = item.scan.topic or item.scan.frame_id
+        self._standing.add(item.scan.points, poses)
         self._append(kept, sensor, poses[0, :3, 3], flying, moving, wall_ms)
         if self._mcap is not None:
             log_flying(self._mcap, item, frame, frame_id=self.frame_id)
@@ -147,9 +150,8 @@ class FlyingRun:
 
     def checkpoint_state(self) -> dict[str, Any]:
         """All state but the rows, for a checkpoint."""
-        return {"detector": self.detector.to_bytes()} | {
-            name: getattr(self, name) for name in self._KEPT
-        }
+        kept = {"detector": self.detector.to_bytes(), "standing": self._standing.state()}
+        return kept | {name: getattr(self, name) for name in self._KEPT}
 
     def rows(self, since: int) -> list[Any]:
         """Return the permanent rows of the scans since then."""
@@ -161,6 +163,7 @@ class FlyingRun:
         """Take over the state of a run that was killed."""
         content = kept["detector"]
         self.detector = FlyingObjectDetector.from_bytes(content, threads=self._threads)
+        self._standing.restore(kept["standing"])
         for name in self._KEPT:
             setattr(self, name, kept[name])
         for row in rows:
@@ -195,11 +198,15 @@ class FlyingRun:
         moving = self.class_shares["moving"]
         stands = len(self._path) >= FEWEST_SCANS and not np.ptp(self._path, axis=0).any()
         if stands and moving > MOVING_SHARE:
-            found.append(
-                f"{100 * moving:.0f} % of the points move, and the sensor has one place: if the"
-                ' sensor moved, its tracks are wrong; give its poses with pose="kiss" (poses from'
-                " the scans) or pose=FILE"
-            )
+            why = f"{100 * moving:.0f} % of the points move, and the sensor has one place: if the"
+        elif stands and self._standing.has_moved:
+            why = "the scans fit each other only if the sensor moves, and it has one place: if the"
+        else:
+            return found
+        found.append(
+            f"{why} sensor moved, its tracks are wrong; give its poses with"
+            ' pose="kiss" (poses from the scans) or pose=FILE'
+        )
         return found
 
     @property

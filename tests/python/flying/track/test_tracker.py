@@ -17,7 +17,7 @@ EMPTY = np.empty((0, 3))
 # Corners of a box around a target's centroid [m]: what a small drone returns.
 BODY = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.15, 0.15) for z in (-0.1, 0.1)])
 ORACLE_TOLERANCE = 1e-9  # relative, of goal G11
-BEST = TrackerConfig(report_coast=60.0)  # tracks out of sight are looked at too
+BEST = TrackerConfig(report_coast=3.0)  # tracks out of sight are looked at too
 PAPER = TrackerConfig.paper()
 AT_ONCE = {"report_existence": None, "confirm_hits": 1, "confirm_window": 1}
 

@@ -11,7 +11,8 @@ import lidar_core as lc
 import lidar_core.sim as sim
 from lidar_core.cli import app
 from lidar_core.errors import PoseFrameWarning
-from lidar_core.io.poses.pose_frames import PoseFrameCheck, _turn, advice
+from lidar_core.io.poses.pose_frames import PoseFrameCheck, Reading, _turn, advice
+from lidar_core.io.rotations import matrix_from_quaternion, quaternion_from_matrix
 from lidar_core.messages import Pose, Scan
 
 CAMERA = _turn("-y", "-z", "x")
@@ -42,8 +43,8 @@ def flight():
     return simulated(5, columns=256)
 
 
-def mismatch_of(scans, poses):
-    check = PoseFrameCheck()
+def mismatch_of(scans, poses, *mounted):
+    check = PoseFrameCheck(*mounted)
     found = [
         check.add(getattr(scan, "points", scan), pose)
         for scan, pose in zip(scans, poses, strict=True)
@@ -111,6 +112,81 @@ def test_a_sensor_that_stands_is_undecidable_and_silent(flight):
     assert mismatch_of(scans[:3], poses[:3] @ pose_of(CAMERA.T)) is None
     empty = [Scan(0, np.empty((0, 3), np.float32))] * len(scans)
     assert mismatch_of(empty, poses @ pose_of(CAMERA.T)) is None
+
+
+def w_first(poses):
+    """Poses whose quaternions were written as w x y z, and read as x y z w."""
+    read = np.array(poses)
+    quaternions = quaternion_from_matrix(read[:, :3, :3])
+    read[:, :3, :3] = matrix_from_quaternion(np.roll(quaternions, 1, axis=-1))
+    return read
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), CAMERA])
+def test_quaternions_in_the_order_w_x_y_z_are_named(flight, turn):
+    scans, poses = flight
+    mounted = pose_of(DOWN, (0.3, 0.1, 0))
+    for carrier in (np.eye(4), mounted):
+        given = w_first(poses @ pose_of(turn.T) @ np.linalg.inv(carrier)) @ carrier
+        found = mismatch_of(scans, given, carrier)
+        assert found.reading is Reading.W_FIRST
+        np.testing.assert_array_equal(found.turn, turn)
+        assert found.other is None
+
+
+def test_an_order_that_is_right_is_not_blamed(flight):
+    scans, poses = flight
+    assert mismatch_of(scans, poses, np.eye(4)) is None
+    for turn in (CAMERA, DOWN, HALF):
+        found = mismatch_of(scans, poses @ pose_of(turn.T), np.eye(4))
+        assert found.reading is Reading.GIVEN
+        np.testing.assert_array_equal(found.turn, turn)
+    assert mismatch_of(scans, np.linalg.inv(poses), np.eye(4)).is_inverse
+
+
+def driven(scans=12):
+    """A sensor that drives and turns on the level between boxes of points; only yaw changes."""
+    rng = np.random.default_rng(3)
+    walls = rng.uniform(-15, 15, (4000, 3)) * (1, 1, 0.2)
+    walls[:, rng.integers(0, 2)] = np.round(walls[:, 0] / 10) * 10
+    clouds, poses = [], []
+    for number in range(scans):
+        yaw = 0.05 * number
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+        poses.append(pose_of(turn, (0.02 * number, 0, 1.5)))
+        points = (walls - poses[-1][:3, 3]) @ turn
+        clouds.append(Scan(number * 10**8, points.astype(np.float32), frame_id="lidar"))
+    return clouds, np.array(poses)
+
+
+def write_tum(path, scans, poses, *, first_w):
+    quaternions = quaternion_from_matrix(poses[:, :3, :3])
+    order = np.roll(quaternions, 1, axis=-1) if first_w else quaternions
+    times = [scan.stamp_ns * 1e-9 for scan in scans]
+    np.savetxt(path, np.column_stack([times, poses[:, :3, 3], order]), fmt="%.9f")
+    return str(path)
+
+
+def told(path, file):
+    with lc.io.open_recording(path) as recording, warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", PoseFrameWarning)
+        list(lc.io.posed_scans(recording, pose=file))
+    return [str(one.message) for one in told if one.category is PoseFrameWarning]
+
+
+def test_a_tum_file_with_w_first_is_named_with_the_cure(tmp_path):
+    """Where nothing but yaw changes, an odd frame fits too; the order is named first."""
+    scans, poses = driven()
+    path = tmp_path / "r.npz"
+    lc.io.write_npz(path, scans)
+    file = write_tum(tmp_path / "poses.txt", scans, poses, first_w=True)
+    (text,) = told(path, file)
+    assert "quaternions in the order w x y z, not x y z w" in text
+    assert text.index("order w x y z") < text.index("move column 5")
+    assert "Or the order is right, and they are in another frame than the scans: one whose" in text
+    rows = np.loadtxt(file)[:, [0, 1, 2, 3, 5, 6, 7, 4]]  # the cure
+    np.savetxt(file, rows, fmt="%.9f")
+    assert told(path, file) == []
 
 
 def written(tmp_path, flight, poses):
