@@ -8,7 +8,7 @@ use std::ops::Range;
 /// Rays of a 2D scanner, all measured at once.
 #[derive(Clone, Copy, Debug)]
 pub struct Beams {
-    /// Bearing of the first ray [rad].
+    /// Bearing of the first ray, two turns at most [rad].
     pub angle_min: f64,
     /// Step from ray to ray [rad], not 0.
     pub angle_increment: f64,
@@ -28,10 +28,12 @@ impl Beams {
     pub(crate) fn check(&self) -> Result<(), Error> {
         let [near, far] = self.range_limits;
         let turned = self.angle_increment.abs() * f64::from(self.n_beams);
-        if self.n_beams > 0 && turned > 0.0 && turned < 2.0 * TAU && near < far {
+        let is_bearing = self.angle_min.abs() <= 2.0 * TAU;
+        if self.n_beams > 0 && is_bearing && turned > 0.0 && turned < 2.0 * TAU && near < far {
             return Ok(());
         }
-        let expected = "rays that turn once at most, and a nearer limit below the farther one";
+        let expected = "a first bearing of two turns at most, rays that turn once at most, and a nearer\
+            \x20limit below the farther one";
         Err(Error::Parameter { name: "beams", expected, got: format!("{self:?}") })
     }
 

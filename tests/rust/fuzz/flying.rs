@@ -374,8 +374,8 @@ pub fn tracker(bytes: &[u8]) {
     let _ = tracker.parameters();
     let state = tracker.to_state().ok();
     let again = state.as_ref().map(|state| PointCloudTracker::from_state(parameters, 1, state));
-    let again = again.and_then(|made| made.ok()).and_then(|tracker| tracker.to_state().ok());
-    assert_eq!(again, state);
+    let again = again.transpose().unwrap_or_else(|error| panic!("own state: {error}"));
+    assert_eq!(again.and_then(|tracker| tracker.to_state().ok()), state);
 }
 
 fn track(

@@ -9,6 +9,9 @@ pub type Voxel = [i32; 3];
 /// Largest |index|: room for any search around a voxel, so that no neighbour's index overflows.
 const MAX_INDEX: f64 = (i32::MAX - 4096) as f64;
 
+/// Largest edge of a voxel [m].
+const LARGEST: f64 = 1e100;
+
 /// A quotient this close to a whole number, relatively, may have been rounded across it.
 const DOUBT: f64 = 4.0 * f64::EPSILON;
 
@@ -26,9 +29,11 @@ impl Lattice {
     /// voxel (0, 0, 0).
     ///
     /// # Errors
-    /// [`Error::Parameter`] unless `voxel_size` is finite and > 0 and `origin` is finite.
+    /// [`Error::Parameter`] unless `voxel_size` is > 0 and at most 1e100, so that distances stay
+    /// finite, and `origin` is finite.
     pub fn new(voxel_size: f64, origin: [f64; 3]) -> Result<Self, Error> {
         require_positive("voxel_size", voxel_size)?;
+        require(voxel_size <= LARGEST, "voxel_size", "at most 1e100 m", voxel_size)?;
         require(
             origin.iter().all(|at| at.is_finite()),
             "origin",

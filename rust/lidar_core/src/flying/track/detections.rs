@@ -8,6 +8,8 @@ use super::state::PointTrack;
 use crate::Error;
 use nalgebra::{Matrix3, Vector3};
 
+/// No place on Earth has larger coordinates, no object longer sides [m].
+const LARGEST: f64 = 1e9;
 /// No scan takes longer [s].
 const MAX_DELAY: f64 = 10.0;
 
@@ -89,10 +91,10 @@ impl Detections<'_> {
             Some(covariance) => known_covariance(&covariance[index], parameters),
             None => Matrix3::identity() * (parameters.initial_std[0] * parameters.initial_std[0]),
         };
-        let is_finite = |values: [f64; 3]| values.iter().all(|value| value.is_finite());
+        let is_length = |values: [f64; 3]| values.iter().all(|value| value.abs() <= LARGEST);
         let bad = |name, expected, got| Err(Error::Value { name, expected, index, got });
-        if !is_finite(position) {
-            return bad("positions", "finite coordinates", format!("{position:?}"));
+        if !is_length(position) {
+            return bad("positions", "finite coordinates, up to 1e9 m", format!("{position:?}"));
         }
         let delay = match parameters.measurement {
             MeasurementForm::Paper => 0.0,
@@ -103,12 +105,13 @@ impl Detections<'_> {
         if !(-MAX_DELAY..=MAX_DELAY).contains(&delay) {
             return bad("delay", "at most 10 s", delay.to_string());
         }
-        if !is_finite(extent) || extent.iter().any(|&side| side < 0.0) {
-            return bad("extent", "finite sides >= 0", format!("{extent:?}"));
+        if !is_length(extent) || extent.iter().any(|&side| side < 0.0) {
+            return bad("extent", "finite sides >= 0, up to 1e9 m", format!("{extent:?}"));
         }
-        if covariance.cholesky().is_none() || covariance != covariance.transpose() {
+        let is_narrow = covariance.iter().all(|value| value.abs() <= LARGEST * LARGEST);
+        if !is_narrow || covariance.cholesky().is_none() || covariance != covariance.transpose() {
             let got = format!("{:?}", self.covariance.map_or([[0.0; 3]; 3], |all| all[index]));
-            return bad("covariance", "a symmetric positive definite matrix", got);
+            return bad("covariance", "a symmetric positive definite matrix, up to 1e18 m^2", got);
         }
         let position = Vector3::from(position);
         let (n_points, is_cut, row) = (0, false, None);
