@@ -239,7 +239,8 @@ def _chosen(
         if topics and not isinstance(message, Pose) and message.topic not in topics:
             continue
         if isinstance(message, Pose) and message.is_static:
-            yield message, arrival_ns
+            # Before a part, they arrived long before its first message.
+            yield message, arrival_ns if span.is_whole else None
         elif span.holds(message.stamp_ns, first_ns):
             is_found = True
             yield message, arrival_ns

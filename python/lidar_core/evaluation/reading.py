@@ -103,7 +103,8 @@ def _scan_times(folder: Path, tracks: Estimates) -> NDArray[np.int64] | None:
     tables = (table_in(folder, name) for name in ("timing", "states"))
     for table in (one for one in tables if one is not None):
         columns = read_columns(table)
-        if "t_ns" in columns:
+        # States of many targets have rows only where there are tracks.
+        if "t_ns" in columns and "track_id" not in columns:
             return np.union1d(_integers(table, columns, "t_ns"), tracks.stamp_ns)
     return None
 
@@ -210,7 +211,13 @@ def _at_scans(
     scan_ns = run.scan_ns
     if scan_ns is None:
         scan_ns = supposed_scans(run.tracks.stamp_ns, columns["t_ns"])
-    found = columns_at_scans(columns, name, scan_ns, tolerance=config.time_tolerance)
+    found = columns_at_scans(
+        columns,
+        name,
+        scan_ns,
+        track_ns=run.tracks.stamp_ns,
+        tolerance=config.time_tolerance,
+    )
     return (columns, None, None) if found is None else (*found, scan_ns)
 
 

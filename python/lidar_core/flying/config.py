@@ -424,10 +424,10 @@ class FlyingConfig(Config):
 
     @model_validator(mode="after")
     def _targets_are_within_the_map(self) -> Self:
-        # A smaller map alone is meant: targets are then found as far as it reaches.
+        # Another map is meant: targets are then found as far as it reaches.
         distance, reach = self.classify.max_distance, self.voxel_map.max_range
-        is_default = distance == ClassifyConfig.model_fields["max_distance"].default
-        if distance is not None and distance > reach and not is_default:
+        is_usual_map = reach == VoxelMapConfig.model_fields["max_range"].default
+        if distance is not None and distance > reach and is_usual_map:
             raise ValueError(
                 f"expected classify.max_distance <= voxel_map.max_range, got {distance:g} and"
                 f" {reach:g} m: no ray clears the space beyond the map, so nothing is found there;"

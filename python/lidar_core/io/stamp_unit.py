@@ -10,6 +10,8 @@ USUAL_NS = (5 * 10**6, 2 * 10**9)
 """Usual times from scan to scan [ns]: a unit that leads there explains the stamps."""
 FEWEST_STEPS = 4
 UNITS = {"microseconds": 10**3, "milliseconds": 10**6, "seconds": 10**9}
+EPOCH_NS = (631_152_000 * 10**9, 4_102_444_800 * 10**9)
+"""The years 1990 to 2100 [ns]. Stamps that are too large lie beyond: here, long steps are meant."""
 _SHOWN = ((10**9, "s"), (10**6, "ms"), (10**3, "us"), (1, "ns"))
 
 
@@ -24,9 +26,10 @@ def stamp_unit_note(stamps_ns: Sequence[int]) -> str | None:
     if len(forward) < FEWEST_STEPS or 2 * len(forward) <= len(steps):
         return None
     step = statistics.median(forward)
-    if SHORTEST_NS <= step <= LONGEST_NS:
-        return None
     is_short = step < SHORTEST_NS
+    is_dated = EPOCH_NS[0] <= stamps_ns[0] <= EPOCH_NS[1]
+    if not is_short and (step <= LONGEST_NS or is_dated):
+        return None
     usual_ns, cause = _explained(step, is_short)
     rate = "HZ" if usual_ns is None else f"{1e9 / usual_ns:.3g}"
     closer = "closer together" if is_short else "farther apart"

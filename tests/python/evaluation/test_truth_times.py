@@ -103,6 +103,26 @@ def test_a_run_that_lost_scans_missed_them(tmp_path):
     assert (scores.n_found, scores.n_eligible) == (37, 40)
 
 
+@pytest.mark.parametrize("lost", [slice(3, 20), slice(0, 40, 3)])
+def test_a_run_that_lost_many_scans_missed_them(tmp_path, lost):
+    """As live drops them, or as a run of many targets has states only where there are tracks."""
+    path = write(tmp_path / "exact.csv", SCANS)
+    scans = np.delete(SCANS, lost)
+    for known in (scans, None):
+        truth, scores = scores_of(path, perfect(scans, known))
+        assert truth.is_interpolated is None
+        assert (scores.n_found, scores.n_eligible) == (len(scans), 40)
+
+
+def test_a_table_at_uneven_times_keeps_its_truth(tmp_path):
+    rng = np.random.default_rng(7)
+    stamps = SCANS + rng.integers(-2 * MS, 2 * MS, len(SCANS))
+    path = write(tmp_path / "exact.csv", stamps)
+    truth, scores = scores_of(path, perfect(stamps[10:34], None))
+    assert truth.is_interpolated is None
+    assert (scores.n_found, scores.n_eligible) == (24, 40)
+
+
 def test_a_sparser_truth_is_scored_at_its_own_times(tmp_path):
     path = write(tmp_path / "sparse.csv", SCANS[::10])
     truth, scores = scores_of(path, perfect())

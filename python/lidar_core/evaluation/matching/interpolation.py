@@ -9,7 +9,9 @@ from lidar_core.util.steps import LONGEST_STEP_NS, between, nearest_row
 OF_SCANS = 0.75
 """Share of the truth's times that must be those of scans: it is then a truth of the scans.
 
-A truth of twice as many times has a share of 0.5; a run that lost single scans has nearly 1.
+A truth of twice as many times has a share of 0.5; a run that lost single scans has nearly 1. A
+truth that has this share of the times of the tracks, and is not denser than the scans, is one, too:
+scans that were lost or had no track stay misses.
 """
 SPARSER = 1.5
 """Intervals of the truth longer than so many intervals of the scans: a sparser truth."""
@@ -26,7 +28,12 @@ TIME = "t_ns"
 
 
 def columns_at_scans(
-    columns: Columns, id_name: str, scan_ns: NDArray[np.int64], *, tolerance: float
+    columns: Columns,
+    id_name: str,
+    scan_ns: NDArray[np.int64],
+    *,
+    track_ns: NDArray[np.int64],
+    tolerance: float,
 ) -> tuple[Columns, NDArray[np.bool_]] | None:
     """Return the targets at the times of the scans, where the truth has other times.
 
@@ -38,6 +45,8 @@ def columns_at_scans(
         Name of the column of the numbers.
     scan_ns : ndarray, shape (S,), int64
         Times of the scans [ns], increasing.
+    track_ns : ndarray, shape (N,), int64
+        Times of the tracks [ns].
     tolerance : float
         A row at most this far from a scan is a row of this scan [s].
 
@@ -55,8 +64,11 @@ def columns_at_scans(
     # Hits are counted in one scan, so such a truth is one of scans.
     if "hits" in columns or not len(steps) or (steps == 0).any() or len(scan_ns) < 2:
         return None
-    is_sparser = np.median(steps) > SPARSER * np.median(np.diff(scan_ns))
-    if is_sparser or _is_of_scans(np.unique(stamps), scan_ns, tolerance):
+    scan_step, times = np.median(np.diff(scan_ns)), np.unique(stamps)
+    is_sparser = np.median(steps) > SPARSER * scan_step
+    is_denser = SPARSER * np.median(steps) < scan_step
+    has_tracks = not is_denser and _is_of_scans(np.unique(track_ns), times, tolerance)
+    if is_sparser or has_tracks or _is_of_scans(times, scan_ns, tolerance):
         return None
     names = [n for n, column in columns.items() if n not in {TIME, id_name} and _is_number(column)]
     values = np.stack([columns[name].astype(np.float64) for name in names], axis=1)
@@ -97,7 +109,7 @@ def supposed_scans(track_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> 
 
 
 def _is_of_scans(times: NDArray[np.int64], scan_ns: NDArray[np.int64], tolerance: float) -> bool:
-    """Most times of the truth during the scans are times of scans."""
+    """Most times during the scans are times of scans."""
     reach = 1e9 * tolerance
     seen = times[(times >= scan_ns[0] - reach) & (times <= scan_ns[-1] + reach)]
     if not len(seen):

@@ -200,7 +200,9 @@ class FlyingRun:
         if stands and moving > MOVING_SHARE:
             why = f"{100 * moving:.0f} % of the points move, and the sensor has one place: if the"
         elif stands and self._standing.has_moved:
-            why = "the scans fit each other only if the sensor moves, and it has one place: if the"
+            why = (
+                "the scans fit each other only if the sensor moves, or all that is upright: if the"
+            )
         else:
             return found
         found.append(

@@ -33,6 +33,9 @@ const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
 const HELD_SHARE: f64 = 0.6;
 /// A voxel that was found before stays one with this share: parts of the robot may be hidden.
 const KEPT_SHARE: f64 = 0.2;
+/// Parts that are joined to something as near as this need not be rigid, such as arms and cables of a robot,
+/// or a roof that is smeared with the speed of the sensor: no target comes so near [m].
+const BESIDE_SENSOR: f64 = 1.5;
 /// Least share of the places that hold a return where one is on a part of the robot or beside it, over
 /// that of the voxel that holds one most often. A robot is rigid; what flies along leaves some voxels
 /// and enters others. Voxels that rarely hold any do not count: those are droplets.
@@ -312,8 +315,8 @@ impl Body {
         let (mut found, mut part) = (Vec::new(), Vec::new());
         for first in 0..VOLUME {
             if state[first] == 2
-                && self.take_part(first, &mut state, &mut part, up)
-                && is_rigid(&part, counts)
+                && let Some(nearest) = self.take_part(first, &mut state, &mut part, up)
+                && (nearest <= BESIDE_SENSOR || is_rigid(&part, counts))
             {
                 found.extend(part.iter().map(|&voxel| voxel as u32));
             }
@@ -322,14 +325,15 @@ impl Body {
         found
     }
 
-    /// Gather the voxels joined to `first`; whether they are a part of the robot.
+    /// Gather the voxels joined to `first`; their least distance from the sensor [m] if they may be a part of
+    /// the robot.
     fn take_part(
         &self,
         first: usize,
         state: &mut [u8],
         part: &mut Vec<usize>,
         up: [f64; 3],
-    ) -> bool {
+    ) -> Option<f64> {
         part.clear();
         part.push(first);
         state[first] = 0;
@@ -347,7 +351,8 @@ impl Body {
                 }
             });
         }
-        nearest <= NEAR_ZONE && farthest <= FARTHEST && 2 * n_ground <= part.len()
+        let is_part = nearest <= NEAR_ZONE && farthest <= FARTHEST && 2 * n_ground <= part.len();
+        is_part.then_some(nearest)
     }
 }
 

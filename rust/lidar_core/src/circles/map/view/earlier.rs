@@ -76,16 +76,15 @@ impl EarlierViews<'_> {
         is_known.then(|| f64::from(there) / f64::from(known))
     }
 
-    /// True if the pose is the same as that of an earlier scan, although the scanner moved. Of the
-    /// scans that it may have moved since, the last one tells most: it moved the least way.
+    /// True if the pose is the same as that of an earlier scan, although the scanner moved. Only the last
+    /// scan since which it may have moved is compared closely: it moved the least way since then.
     pub(in crate::circles::map) fn has_stuck_pose(&self) -> bool {
+        let Some(now) = &self.now.view else { return false };
         let is_off = |asked: &&Asked<'_>| {
             asked.usual.is_none_or(|usual| usual > OFF) && asked.from.pose.is_same(&self.now.pose)
         };
-        let Some((now, asked)) = self.now.view.as_ref().zip(self.asked.iter().find(is_off)) else {
-            return false;
-        };
-        slip::has_slipped(now, asked.view)
+        let slipped = |asked: &Asked<'_>| slip::has_slipped(now, asked.view);
+        self.asked.iter().filter(is_off).find_map(slipped).unwrap_or(false)
     }
 
     /// True if a surface was just before this point, and rays pass there now: it moved away.

@@ -47,31 +47,34 @@ impl ScanSlip {
     }
 }
 
-/// True if the scanner moved from one scan to the next, both in the frame of one pose.
-pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> bool {
+/// True if the scanner moved from one scan to the next, both in the frame of one pose; None if it rests, or
+/// if too few ends tell.
+pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> Option<bool> {
     let ends: Vec<[f64; 2]> = now.pieces().iter().flatten().map(|piece| piece.end).collect();
     let every = ends.len().div_ceil(SAMPLES).max(1);
     let samples: Vec<[f64; 2]> = ends.into_iter().step_by(every).collect();
     if samples.len() < FEWEST {
-        return false;
+        return None;
     }
     let share = |on: usize| on as f64 / samples.len() as f64;
     // Usually the scanner rests: half of the ends show it, and the others are not looked at.
     let most = (BEFORE * samples.len() as f64) as usize;
     if on_surface(&samples, then, ScanSlip::default()).nth(most).is_some() {
-        return false;
+        return None;
     }
     let explained = |points: &[[f64; 2]]| -> Vec<[f64; 2]> {
         on_surface(points, then, between(points, then)).copied().collect()
     };
     let first: Vec<[f64; 2]> = samples.iter().copied().step_by(FIRST).collect();
     if (explained(&first).len() as f64) < FIRST_AFTER * first.len() as f64 {
-        return false;
+        return Some(false);
     }
     let explained = explained(&samples);
     let apart = |pair: &&[[f64; 2]]| libm::hypot(pair[0][0] - pair[1][0], pair[0][1] - pair[1][1]);
     let gaps = explained.windows(2).filter(|pair| apart(pair) > GAP).count();
-    AFTER.iter().any(|&(surfaces, least)| gaps + 1 >= surfaces && share(explained.len()) >= least)
+    let is_enough =
+        |&(surfaces, least): &(usize, f64)| gaps + 1 >= surfaces && share(explained.len()) >= least;
+    Some(AFTER.iter().any(is_enough))
 }
 
 /// Points that lie on a surface of a scan after a motion.
@@ -145,11 +148,11 @@ mod tests {
         let things = [[2.0, 1.0, 0.3], [-1.5, 2.0, 0.2], [1.0, -2.0, 0.4]];
         let then = view([0.0, 0.0], 0.0, &things)?;
         for (at, yaw) in [([0.2, 0.1], 0.0), ([0.0, 0.0], 0.08), ([-0.15, 0.1], -0.1)] {
-            assert!(has_slipped(&view(at, yaw, &things)?, &then), "{at:?} {yaw}");
+            assert_eq!(has_slipped(&view(at, yaw, &things)?, &then), Some(true), "{at:?} {yaw}");
         }
-        assert!(!has_slipped(&then, &then));
+        assert_eq!(has_slipped(&then, &then), None);
         let walked = things.map(|[x, y, radius]| [x + 0.3 * y.signum(), y, radius]);
-        assert!(!has_slipped(&view([0.0, 0.0], 0.0, &walked)?, &then));
+        assert_ne!(has_slipped(&view([0.0, 0.0], 0.0, &walked)?, &then), Some(true));
         // A crowd close around the scanner, of which everybody goes elsewhere, hides the room.
         let crowd = |by: f64| -> Vec<[f64; 3]> {
             let place = |number: i32| {
@@ -160,7 +163,7 @@ mod tests {
             (0..7).map(place).collect()
         };
         let apart = view([0.0, 0.0], 0.0, &crowd(0.25))?;
-        assert!(!has_slipped(&apart, &view([0.0, 0.0], 0.0, &crowd(0.0))?));
+        assert_ne!(has_slipped(&apart, &view([0.0, 0.0], 0.0, &crowd(0.0))?), Some(true));
         Ok(())
     }
 }
