@@ -69,7 +69,7 @@ class RunResult:
 
 def count_unposed(summary: dict[str, Any]) -> None:
     """Count the scans without a pose as received, too: the pipeline never sees them."""
-    summary["scans"]["received"] += sum(summary["without_pose"].values())
+    summary["scans"]["received"] += sum(summary.get("without_pose", {}).values())
 
 
 def wants_mcap(mcap: bool | None) -> bool:

@@ -201,7 +201,8 @@ class FlyingRun:
             why = f"{100 * moving:.0f} % of the points move, and the sensor has one place: if the"
         elif stands and self._standing.has_moved:
             why = (
-                "the scans fit each other only if the sensor moves, or all that is upright: if the"
+                "the scans fit each other only if the sensor moves, or all that is upright does,"
+                " and it has one place: if the"
             )
         else:
             return found
