@@ -284,7 +284,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_scan_without_anything_fits_any_lattice() -> Result<(), Error> {
-        let mut map = VoxelMap::new(MapParameters { voxel_size: 1e300, ..parameters() })?;
+        let mut map = VoxelMap::new(MapParameters { voxel_size: 1e100, ..parameters() })?;
         let scan = scan(&[[f32::NAN; 3]; 3], &[PointClass::Background; 3]);
         let stats = Integrator::new(1)?.integrate(&mut map, &scan)?;
         assert_eq!((stats.skipped, stats.rays, stats.voxels), (3, 0, 0));
