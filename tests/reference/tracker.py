@@ -72,6 +72,7 @@ BELOW = {True: (0.8, 1.0, 0.15, 0.4, 1.0), False: (0.7, 0.35, 1.5, 1.0, 0.35)}
 NOT_FREE_AT_FIRST = (0.35, 0.08, 1.5, 1.0, 0.08)
 OVER_UNSEEN = (0.2, 0.03, 1.5, 1.0, 0.03)
 FITS, MOST_SURPRISE, GAIN, MOST_MANOEUVRE = 1.2, 5.0, 0.2, 5.0
+HARD_TURN = 9.8  # standard deviation of the acceleration of a hard turn [m/s^2]
 FLYING = 1
 STEADY, AGILE, KNOWN_SHARE = 1.0, 4.0, 0.95  # [m/s^2], [m/s^2], no unit
 AGILE_SHARES, APART, MOST_AGILITY = np.array([0.5, 0.5, 0.02, 0.5, 0.5]), 0.5, 8.0
@@ -122,6 +123,12 @@ class MeanLog(Mean):
 
 
 USUAL, CLUTTER_BOUNDS = 0.1, (0.5, 1.8)
+
+
+def surprised(manoeuvre, nis):
+    """Factor of the process noise after a measurement at this squared Mahalanobis distance."""
+    surprise = min(nis / 3, MOST_SURPRISE) - FITS
+    return np.clip(manoeuvre * np.exp(GAIN * surprise), 1, MOST_MANOEUVRE)
 
 
 def renamed(number, merged):
@@ -177,6 +184,7 @@ class Track:
     history: list[bool] = field(default_factory=lambda: [True])
     sight: str = "unseen"
     nis: float = None  # of its newest cluster
+    turned: tuple = None  # state and covariance at the newest scan, if its target has turned hard
     manoeuvre: float = 1.0  # factor of the standard deviations of the process
     shown: str = "sure"  # by the detection that it began with
     before: str = None  # by the one before that, if it began with two
@@ -374,6 +382,17 @@ class Tracker:
         factor = track.manoeuvre if self.c.process_noise == "adaptive" else 1.0
         return self.predicted(track.x, track.P, seconds, track.seen < track.stamp, factor)
 
+    def turned(self, track, stamp):
+        """State and covariance if its target has turned hard: its acceleration is anything now."""
+        agile = track.kind == FLYING and (track.has_moved or has_speed(track))
+        if self.c.process_noise != "adaptive" or not agile:
+            return None
+        other = replace(track, x=track.x.copy(), P=track.P.copy())
+        other.x[6:] = 0
+        other.P[6:], other.P[:, 6:] = 0, 0
+        other.P[6:, 6:] = HARD_TURN**2 * EYE
+        return self.at(other, stamp)
+
     def move(self, track, stamp):
         track.x, track.P = self.at(track, stamp)
         track.stamp = stamp
@@ -399,8 +418,7 @@ class Tracker:
         y = z - H @ track.x
         track.nis = y @ np.linalg.solve(S, y)
         if track.has_moved and track.kind == FLYING:
-            surprise = min(track.nis / 3, MOST_SURPRISE) - FITS
-            track.manoeuvre = np.clip(track.manoeuvre * np.exp(GAIN * surprise), 1, MOST_MANOEUVRE)
+            track.manoeuvre = surprised(track.manoeuvre, track.nis)
         track.x = track.x + K @ (z - H @ track.x)
         track.P = (np.eye(9) - K @ H) @ track.P
         track.P = (track.P + track.P.T) / 2
@@ -522,6 +540,7 @@ class Tracker:
         due = [track for track in tracks if track.stamp < stamp]
         elapsed = [(stamp - track.stamp) * 1e-9 for track in due]
         for track in due:
+            track.turned = self.turned(track, stamp)
             self.move(track, stamp)
         if self.c.association == "paper":
             found = [self.nearest(track, points, occupied, delays) for track in due]
@@ -547,10 +566,22 @@ class Tracker:
                 z, R, extent, delay, is_cut, track.points = cluster
                 newest = len(track.points)
                 track.usual += (NEW_POINTS if track.usual else 1.0) * (newest - track.usual)
-                self.correct(track, z, self.widened(R, extent, is_cut, track), extent, delay)
+                R = self.widened(R, extent, is_cut, track)
+                if self.c.association != "paper" and self.has_turned(track, z, R, delay):
+                    track.x, track.P = track.turned
+                    track.manoeuvre = surprised(track.manoeuvre, np.inf)
+                self.correct(track, z, R, extent, delay)
                 if self.c.hidden_share is not None:
                     track.size = extent + np.exp(-dt / SIZE_TIME) * (track.size - extent)
         return [track.id for track, cluster in zip(due, found, strict=True) if cluster is not None]
+
+    def has_turned(self, track, z, R, delay):
+        """Whether a cluster is out of the gate of a target that may have turned hard."""
+        if track.turned is None:
+            return False
+        K = self.place_after(delay)
+        y, S = z - K @ track.x, K @ track.P @ K.T + R
+        return y @ np.linalg.solve(S, y) > self.gate
 
     def inside(self, points, track, margin=0.0):
         return np.linalg.norm(points - track.r, axis=1) <= self.reach(track) + margin
@@ -571,11 +602,15 @@ class Tracker:
 
         def offset(row, column):
             z, R, extent, delay, is_cut, _ = found[column]
-            K = self.place_after(delay)
-            y = z - K @ tracks[row].x
-            if np.linalg.norm(y) > self.reach(tracks[row]):
+            track, K = tracks[row], self.place_after(delay)
+            R = self.widened(R, extent, is_cut, track)
+            x, P = (track.x, track.P)
+            if self.has_turned(track, z, R, delay):
+                x, P = track.turned
+            y = z - K @ x
+            if np.linalg.norm(y) > self.reach(track):
                 return None
-            return y, K @ tracks[row].P @ K.T + self.widened(R, extent, is_cut, tracks[row])
+            return y, K @ P @ K.T + R
 
         columns = self.assign(len(tracks), len(found), offset)
         stray = [row for row in range(len(found)) if row not in columns]

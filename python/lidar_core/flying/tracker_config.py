@@ -94,7 +94,8 @@ class TrackerConfig(Config):
         default="adaptive",
         description="Growth of uncertainty: the same at every step, eq. 31; white noise in"
         " continuous time; or that, up to 5 times wider for a flying target whose measurements lie"
-        " further from their predictions than it allows (no unit).",
+        " further from their predictions than it allows, and with a new acceleration where it has"
+        " turned hard between two scans (no unit).",
     )
     process_std: Triple = Field(
         default=(0.0, 0.1, 4.0),

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from flying_scenes import feed, lidar, scans_of, yard
 
-from lidar_core.flying import FlyingConfig, FlyingObjectDetector
+from lidar_core.flying import FlyingConfig, FlyingObjectDetector, PointCloudTracker, TrackerConfig
 from lidar_core.sim import Circle, Sphere, Target, Waypoints
+from reference import tracker as oracle
 
 FINE = lidar(rows=128, columns=1024)
 PLACE = (6.0, 4.0, 3.0)
@@ -59,3 +60,80 @@ def test_a_target_that_flies_straight_on_is_told_as_surely_as_before():
     }
     assert spreads["adaptive"] <= 1.1 * spreads["continuous"]
     assert errors_of(*of["adaptive"]).max() <= 0.2
+
+
+# --- few scans per second -------------------------------------------------------------------------
+
+SLOW_NS = 200_000_000  # 5 Hz
+BODY = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.15, 0.15) for z in (-0.1, 0.1)])
+NOTHING = np.empty((0, 3))
+SURE = np.diag([4e-4] * 3)[None]  # covariance of a detection [m^2]
+
+
+def on_a_circle(scans, *, radius=0.4, speed=2.4):
+    """Places of a target that turns by 69 degrees from scan to scan, at 14 m/s^2, (N, 3)."""
+    angle = speed / radius * 0.2 * np.arange(scans)
+    return np.stack([8 + radius * np.cos(angle), radius * np.sin(angle), 3 + 0 * angle], axis=1)
+
+
+def config(process_noise):
+    return TrackerConfig(process_noise=process_noise, measurement_std=0.02)
+
+
+def numbers_on(places, process_noise):
+    """IDs of the reported tracks in every scan."""
+    tracker = PointCloudTracker(config(process_noise))
+    numbers = []
+    for k, place in enumerate(places):
+        tracker.new_point_cloud(place + BODY, NOTHING, k * SLOW_NS)
+        tracker.new_detections(place[None], k * SLOW_NS, covariance=SURE)
+        numbers.append(tracker.tracks_at(k * SLOW_NS).id.tolist())
+    return numbers
+
+
+def test_a_target_that_turns_hard_between_two_scans_keeps_its_number():
+    """The acceleration of the last scans says nothing about that of the next ones."""
+    places = on_a_circle(40)
+    assert numbers_on(places, "adaptive")[8:] == [[0]] * 32
+    assert numbers_on(places, "continuous")[8:] != [[0]] * 32  # without hard turns it is lost
+
+
+@pytest.mark.parametrize(
+    ("aside", "process_noise", "is_found"),
+    [
+        (0.1, "continuous", True),
+        (0.6, "adaptive", True),
+        (0.6, "continuous", False),
+        (1.3, "adaptive", False),
+    ],
+)
+def test_a_cluster_aside_is_of_a_target_as_far_as_one_can_turn(aside, process_noise, is_found):
+    """It flies straight on at 2 m/s. 0.6 m aside within 0.2 s take 30 m/s^2, 1.3 m take 65."""
+    tracker = PointCloudTracker(config(process_noise))
+    for k in range(12):
+        place = np.array([8.0, 0.4 * k, 3.0 + aside * (k == 11)])
+        events = tracker.new_point_cloud(place + BODY, NOTHING, k * SLOW_NS)
+        tracker.new_detections(place[None] if k < 11 else NOTHING, k * SLOW_NS)
+    assert (events.corrected.tolist() == [0]) == is_found
+
+
+def test_hard_turns_agree_with_the_oracle():
+    tracker, reference = PointCloudTracker(config("adaptive")), oracle.Tracker(config("adaptive"))
+    rng, n_turned = np.random.default_rng(0), 0
+    tracker.new_point_cloud(np.zeros((1, 3)), NOTHING, -SLOW_NS)  # the local origin is the world's
+    reference.new_point_cloud(np.zeros((1, 3)), NOTHING, -SLOW_NS)
+    for k, place in enumerate(on_a_circle(30)):
+        cloud = (place + BODY + rng.normal(size=BODY.shape) * 0.01).astype(np.float32)
+        stamp = k * SLOW_NS
+        tracker.new_point_cloud(cloud, NOTHING, stamp)
+        reference.new_point_cloud(cloud, NOTHING, stamp)
+        tracker.new_detections(place[None], stamp, covariance=SURE)
+        reference.new_detections(place[None], NOTHING, stamp, covariance=SURE)
+        tracks = tracker.tracks_at(stamp, confirmed=False)
+        assert tracks.id.tolist() == [track.id for track in reference.tracks]
+        for row, track in enumerate(reference.tracks):
+            mean = np.r_[tracks.position[row], tracks.velocity[row], tracks.acceleration[row]]
+            np.testing.assert_allclose(mean, track.x, rtol=0, atol=1e-8)
+            np.testing.assert_allclose(tracks.covariance[row], track.P, rtol=0, atol=1e-7)
+            n_turned += track.turned is not None
+    assert n_turned > 5

@@ -53,8 +53,8 @@ pub(crate) fn is_among_surfaces(
     around.take(cluster.members.len() + 1).count() > cluster.members.len()
 }
 
-/// True if rays are cast below a cluster and hardly any of them returns, nearer or further away: a wet or
-/// dark ground swallows them. Then nothing tells whether the cluster stands on something. False where
+/// True if rays are cast below a cluster, with the rest of it at its range, and hardly any of them returns, nearer or
+/// further away: a wet or dark ground swallows them, or fog. Then nothing tells whether the cluster stands on something. False where
 /// the field of view ends below it, and where the sky needs not be found.
 pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let sky = scan.sky_observation.as_ref();
@@ -65,14 +65,8 @@ pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> boo
 /// sparse sensor has met the same target. What stands on the ground goes on to where the ground is.
 pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
-    let mut below: Vec<ReturnBelow> = edge.below(scan).collect();
-    below.sort_unstable_by(|one, other| other.up.total_cmp(&one.up));
-    let mut end = edge.low;
-    for one in &below {
-        if one.further.abs() < SAME_RANGE && end - one.up <= NEXT_ROW {
-            end = one.up;
-        }
-    }
+    let below: Vec<ReturnBelow> = edge.below(scan).collect();
+    let end = edge.end_of_rest(&below);
     let passes = |one: &&ReturnBelow| {
         one.further > BEHIND && (end - NEXT_ROW..end - JUST_BELOW).contains(&one.up)
     };
@@ -104,7 +98,10 @@ fn are_lost_below(
     density: impl Fn([f64; 3]) -> f64,
 ) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
-    let LowerEdge { view, left, right, low } = &edge;
+    let below: Vec<ReturnBelow> = edge.below(scan).collect();
+    // A sparse sensor often takes two rows that met one target for two things: rays are lost below the lower one.
+    let low = edge.end_of_rest(&below);
+    let LowerEdge { view, left, right, .. } = &edge;
     let density_below =
         |down: f64| density(view.direction([0.5 * (left + right), low - 0.5 * BELOW - down]));
     let cast = density_below(0.0) * BELOW * (right - left) / (view.range * view.range);
@@ -112,7 +109,7 @@ fn are_lost_below(
     if cast < FEWEST_CAST || !further_down.any(|down| density_below(down) > 0.0) {
         return false;
     }
-    let returns = edge.below(scan).filter(|one| one.up >= low - BELOW).count();
+    let returns = below.iter().filter(|one| (low - BELOW..low).contains(&one.up)).count();
     (returns as f64) < LOST * cast
 }
 
@@ -144,6 +141,16 @@ impl LowerEdge {
             (left, right, low) = (left.min(aside), right.max(aside), low.min(up));
         }
         Some(Self { view, left: left - BESIDE, right: right + BESIDE, low })
+    }
+
+    /// The lowest of the returns `below` that go on from the cluster at its range, row by row; its own lower end if
+    /// none does.
+    fn end_of_rest(&self, below: &[ReturnBelow]) -> f64 {
+        let is_beside = |one: &&ReturnBelow| one.further.abs() < SAME_RANGE;
+        let mut heights: Vec<f64> = below.iter().filter(is_beside).map(|one| one.up).collect();
+        heights.sort_unstable_by(|one, other| other.total_cmp(one));
+        let next = |end: f64, up: f64| if end - up <= NEXT_ROW { up } else { end };
+        heights.into_iter().fold(self.low, next)
     }
 
     /// Returns in line with the cluster and below it.
@@ -261,6 +268,27 @@ mod tests {
         assert!(lost_below(false, |_| 1e4));
         assert!(!lost_below(true, |_| 1e4), "the ground in front of it returns them");
         assert!(!lost_below(false, |_| 0.0), "the field of view ends");
+    }
+
+    #[test]
+    fn rays_are_lost_below_the_rest_of_what_is_there() {
+        let row = |up: f32, away: f32| (0..5).map(move |step| [away, 0.1 * step as f32, up]);
+        let is_lost = |below: &[(f32, f32)]| {
+            let mut scan = Prepared::default();
+            scan.points = row(1.0, 10.0).collect();
+            scan.points.extend(below.iter().flat_map(|&(up, away)| row(up, away)));
+            let labels: Vec<i32> =
+                (0..scan.points.len() as i32).map(|at| if at < 5 { 0 } else { -1 }).collect();
+            let mut clusters = Clusters::default();
+            clusters.fill(&scan.points, &labels);
+            are_lost_below(&scan, &clusters.get(0), |_| 1e4)
+        };
+        // A second row on the same target, and nothing below it.
+        assert!(is_lost(&[(0.65, 10.1)]));
+        // The ground follows, nearer or further away; or what is there is no part of the target.
+        assert!(!is_lost(&[(0.65, 10.1), (0.5, 9.0), (0.4, 8.5)]));
+        assert!(!is_lost(&[(0.65, 10.1), (0.55, 16.0), (0.45, 16.0)]));
+        assert!(!is_lost(&[(1.1, 14.0)]));
     }
 
     #[test]

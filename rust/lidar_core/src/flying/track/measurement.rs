@@ -6,7 +6,7 @@ use super::belief::kinds::TargetShape;
 use super::motion::{self, position_matrix};
 use super::parameters::Hiding;
 use super::visibility::occupancy::{Occupancy, Visibility};
-use crate::estimation::kalman::{Gaussian, symmetrised};
+use crate::estimation::kalman::{self, Gaussian, symmetrised};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -62,10 +62,24 @@ pub(super) struct Evidence {
     pub(super) shape: Option<TargetShape>,
 }
 
+/// Place of a state `delay` seconds after its time, and its covariance.
+fn place_of(state: &Gaussian<9>, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
+    let H = position_matrix(delay);
+    (H * state.mean, symmetrised(H * state.covariance * H.transpose()))
+}
+
+/// Difference of a cluster to the place of a state at its time, and its covariance.
+fn difference(state: &Gaussian<9>, cluster: &Measurement) -> (Vector3<f64>, Matrix3<f64>) {
+    let (place, covariance) = place_of(state, cluster.delay);
+    (cluster.position - place, covariance + cluster.covariance)
+}
+
 /// Search region of a track.
 pub(super) struct SearchRegion {
     /// State of the track at the stamp of the scan.
     pub(super) estimate: Gaussian<9>,
+    /// The same if its target has turned hard since it was seen; None if it is none that does.
+    pub(super) turned: Option<Gaussian<9>>,
     pub(super) radius: f64,
     pub(super) size: [f64; 3],
     pub(super) confirmed: bool,
@@ -87,9 +101,30 @@ impl SearchRegion {
     /// Expected place `delay` seconds after the stamp, and its covariance. A track that has just begun knows where
     /// its target was, but hardly how fast it is: 0.1 s after that, its place is uncertain by 0.4 m.
     pub(super) fn place_at(&self, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
-        let H = position_matrix(delay);
-        let Gaussian { mean, covariance } = &self.estimate;
-        (H * mean, symmetrised(H * covariance * H.transpose()))
+        place_of(&self.estimate, delay)
+    }
+
+    /// Difference of a cluster to the place where it is expected, and the covariance of that; None if it is out of reach.
+    pub(super) fn offset(
+        &self,
+        cluster: &Measurement,
+        hiding: Option<Hiding>,
+        gate: f64,
+    ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let covariance = self.covariance_of(cluster, hiding);
+        let cluster = Measurement { covariance, ..cluster.clone() };
+        let estimate = self.turned_to(&cluster, gate).unwrap_or(&self.estimate);
+        let (y, covariance) = difference(estimate, &cluster);
+        (y.norm() <= self.radius).then_some((y, covariance))
+    }
+
+    /// The state of a target that has turned hard, where that of one which has not cannot explain a cluster with its
+    /// covariance for this track: its squared Mahalanobis distance is beyond `gate`.
+    pub(super) fn turned_to(&self, cluster: &Measurement, gate: f64) -> Option<&Gaussian<9>> {
+        let turned = self.turned.as_ref()?;
+        let (y, covariance) = difference(&self.estimate, cluster);
+        let is_ahead = kalman::mahalanobis(&y, &covariance).is_ok_and(|one| one.squared <= gate);
+        (!is_ahead).then_some(turned)
     }
 
     /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side

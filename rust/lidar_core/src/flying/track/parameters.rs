@@ -39,7 +39,7 @@ pub enum NoiseForm {
     /// White noise in continuous time: two short steps equal one long one.
     Continuous,
     /// The same, wider for a flying target as long as its measurements lie further from their predictions than
-    /// the noise allows.
+    /// the noise allows. A target that turns hard between two scans has a new acceleration.
     Adaptive,
 }
 

@@ -214,7 +214,7 @@ mod tests {
         let mut covariance = Matrix9::zeros();
         (0..3).for_each(|axis| covariance[(axis, axis)] = std * std);
         let estimate = Gaussian { mean, covariance };
-        SearchRegion { estimate, radius: 1.5, size: [0.0; 3], confirmed }
+        SearchRegion { estimate, turned: None, radius: 1.5, size: [0.0; 3], confirmed }
     }
 
     fn with_speed(mut region: SearchRegion, speed: f64) -> SearchRegion {

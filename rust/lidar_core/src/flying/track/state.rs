@@ -36,6 +36,9 @@ const AWAY: f64 = 1.0;
 /// Larger numbers than any of a track, whose products are finite.
 const MOST_POSSIBLE: f64 = 1e100;
 
+/// Standard deviation of the acceleration of a multirotor that turns hard, on every axis: one g [m/s^2].
+const HARD_TURN: f64 = 9.8;
+
 /// No number yet: it gets one when it joins the tracks.
 pub(super) const UNNUMBERED: i64 = -1;
 
@@ -287,6 +290,27 @@ impl PointTrack {
         self.stamp_ns = stamp_ns;
     }
 
+    /// The state at `stamp_ns` if the target has turned hard since its own time: whatever acceleration it had is
+    /// over. None if the motion model does not adapt, or the track is none of what manoeuvres.
+    pub(super) fn turned_at(&self, stamp_ns: i64, model: &Motion) -> Option<Gaussian<9>> {
+        if model.form != NoiseForm::Adaptive || !self.may_turn_hard() {
+            return None;
+        }
+        let mut turned = self.clone();
+        let Gaussian { mean, covariance } = &mut turned.estimate;
+        mean.fixed_rows_mut::<3>(6).fill(0.0);
+        covariance.fixed_view_mut::<3, 9>(6, 0).fill(0.0);
+        covariance.fixed_view_mut::<9, 3>(0, 6).fill(0.0);
+        (6..9).for_each(|axis| covariance[(axis, axis)] = HARD_TURN * HARD_TURN);
+        Some(turned.at(stamp_ns, model))
+    }
+
+    /// Take the state of a target that has turned hard, which the motion model did not expect.
+    pub(super) fn turn(&mut self, turned: &Gaussian<9>) {
+        self.estimate = turned.clone();
+        self.manoeuvre.feel(f64::INFINITY);
+    }
+
     /// Widen the estimate of a target that has been out of sight since `seen_ns` and may be found
     /// again: it may have accelerated by `acceleration` [m/s^2] all the time, and its position is
     /// not known better than that of a new track, `position_std` [m].
@@ -331,6 +355,12 @@ impl PointTrack {
     /// followed the more closely for it.
     fn may_manoeuvre(&self) -> bool {
         self.belief.has_moved() && self.belief.kinds().kind() == TrackKind::Flying
+    }
+
+    /// Whether it surely has a speed and most probably flies: a target on a small circle is never away from where it
+    /// began.
+    fn may_turn_hard(&self) -> bool {
+        self.may_manoeuvre() || self.has_speed() && self.belief.kinds().kind() == TrackKind::Flying
     }
 
     /// Count the points of a cluster that corrected it for their usual number.

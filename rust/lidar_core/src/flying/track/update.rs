@@ -14,7 +14,8 @@ use super::visibility::occupancy::{ENOUGH_RAYS, Occupancy, Visibility};
 use super::visibility::select::{Ball, hits};
 use crate::Error;
 use crate::estimation::assignment::{Pair, assign};
-use crate::estimation::{chi2, kalman};
+use crate::estimation::chi2;
+use crate::estimation::kalman::{self, Gaussian};
 use crate::geometry::cluster::Labeller;
 use crate::util::object_pool::ObjectPool;
 use nalgebra::{Matrix3, Vector3};
@@ -63,9 +64,15 @@ impl Updater {
         tracks: &mut [PointTrack],
         scan: &CloudScan<'_>,
     ) -> Result<UpdateOutcome, Error> {
-        let mut due = predicted(tracks, scan.stamp_ns, &self.parameters.motion);
-        let regions: Vec<SearchRegion> =
-            due.iter().map(|(_, track)| self.search_region(track)).collect();
+        let model = &self.parameters.motion;
+        let older = tracks.iter().filter(|track| track.stamp_ns < scan.stamp_ns);
+        let turned: Vec<_> = older.map(|track| track.turned_at(scan.stamp_ns, model)).collect();
+        let mut due = predicted(tracks, scan.stamp_ns, model);
+        let regions: Vec<SearchRegion> = due
+            .iter()
+            .zip(turned)
+            .map(|((_, track), turned)| self.search_region(track, turned))
+            .collect();
         let found = match self.parameters.association {
             Association::Paper => self.nearest(&regions, scan)?,
             Association::Global { .. } => {
@@ -80,6 +87,10 @@ impl Updater {
         let mut outcome = UpdateOutcome::default();
         for ((due, region), measurement) in due.into_iter().zip(&regions).zip(found) {
             let rays = self.rays(region, scan.visibility, measurement.is_some());
+            let turned = measurement.as_ref().and_then(|found| region.turned_to(found, self.gate));
+            if let Some(turned) = turned {
+                due.1.turn(turned);
+            }
             self.correct(due, measurement, rays, &mut outcome);
         }
         Ok(outcome)
@@ -181,9 +192,10 @@ impl Updater {
         assign(n_rows, n_columns, &pairs, self.unassigned)
     }
 
-    fn search_region(&self, track: &PointTrack) -> SearchRegion {
+    fn search_region(&self, track: &PointTrack, turned: Option<Gaussian<9>>) -> SearchRegion {
         SearchRegion {
             estimate: track.estimate.clone(),
+            turned,
             radius: self.search_radius(track),
             size: track.size,
             confirmed: track.confirmed,
@@ -265,11 +277,7 @@ impl Updater {
         let columns = clusters.iter().map(|cluster| cluster.position);
         let cluster_of =
             self.assign(rows, columns, reach(regions, &clusters), |track, cluster| {
-                let (region, cluster) = (&regions[track], &clusters[cluster]);
-                let (place, covariance) = region.place_at(cluster.delay);
-                let y = cluster.position - place;
-                (y.norm() <= region.radius)
-                    .then(|| (y, covariance + region.covariance_of(cluster, hiding)))
+                regions[track].offset(&clusters[cluster], hiding, self.gate)
             })?;
         Ok(ClusterAssignment { clusters, cluster_of })
     }
