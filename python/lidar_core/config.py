@@ -114,9 +114,10 @@ class Config(BaseModel):
     ) -> dict[str, Any]:
         """Schemas describe every field in its place, so the model has its own text only."""
         found = handler(core_schema)
-        handler.resolve_ref_schema(found).update(
-            {"description": cls.own_doc} if cls.own_doc else {}
-        )
+        schema = handler.resolve_ref_schema(found)
+        schema.pop("description", None)  # pydantic takes the docstring, with all fields
+        if cls.own_doc:
+            schema["description"] = cls.own_doc
         return found
 
     # Not pydantic's word for "overridden": models inside models are then validated as one, and

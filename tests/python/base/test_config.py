@@ -491,6 +491,14 @@ def test_help_tells_every_field_and_a_short_signature(model):
     assert "Attributes" not in model.model_json_schema()["description"]
 
 
+def test_a_model_without_a_text_of_its_own_has_no_description_of_its_fields():
+    class Bare(Config):
+        depth: int = 1
+
+    assert "depth" in Bare.__doc__
+    assert "description" not in Bare.model_json_schema()
+
+
 def test_help_shows_types_and_defaults_as_they_are_written():
     text = FlyingConfig.__doc__
     assert "range_margin : float, default 2.0\n    Rays clear this much further" in text
