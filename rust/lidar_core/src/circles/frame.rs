@@ -20,17 +20,17 @@ pub struct PreparedSweep {
     pub(super) pose_covariance: Option<PoseCovariance>,
     pub(super) stamp_ns: i64,
     pub(super) scanner: String,
-    /// Number of the scanner, after `integrate` has processed the sweep.
+    /// Number of the scanner in the pipeline; it is set when `integrate` has processed the sweep.
     pub(super) number: usize,
     /// Time of every segment after the stamp [s]; None if all rays share the stamp.
     pub(super) delays: Option<Vec<f64>>,
-    /// Horizontal reach of the scanner [m].
+    /// Smallest and largest horizontal range of the scanner [m].
     pub(super) range_limits: [f64; 2],
-    /// Standard deviation of its ranges [m].
+    /// Standard deviation of the ranges of this scanner [m].
     pub(super) range_std: f64,
-    /// What stands for its rays without return, this sweep included.
+    /// How the ranges of this scanner mark rays without return, learnt up to this sweep.
     pub(super) misses: Misses,
-    /// Pose at the stamp as it was given.
+    /// Pose of the sensor in the world at the stamp, as the caller gave it.
     pub(super) given: Transform,
     pub(super) timing: CircleTiming,
 }
@@ -45,8 +45,9 @@ impl PreparedSweep {
         }
     }
 
-    /// True if rays beside the hits of a segment may have met it nearer than the scanner measures,
-    /// for ranges of deviation `std`. The remaining hits are too far away on average.
+    /// True if a part of segment `number` may be nearer than the scanner measures: a hit is close
+    /// to the near range limit, and a ray beside it has no known range. The other hits are then too
+    /// far away on average. `std` is the standard deviation of a range [m].
     pub(super) fn is_too_near(&self, number: usize, std: f64) -> bool {
         let ranges = &self.level.scan.ranges;
         let is_unknown = |ray: usize| ranges.get(ray).is_some_and(|range| range.is_nan());
@@ -56,12 +57,12 @@ impl PreparedSweep {
         })
     }
 
-    /// True if something nearer hides a side of a segment.
+    /// True if something nearer hides a side of segment `number`.
     pub(super) fn is_covered(&self, number: usize) -> bool {
         self.segments.sides[number].contains(&Side::Occluded)
     }
 
-    /// End points of the rays of a segment, from above [m].
+    /// End points (x, y) of the rays of segment `number`, in the world [m].
     pub(super) fn points_world(&self, number: usize) -> Vec<[f64; 2]> {
         let rays = self.segments.rays_of(number).iter();
         let points = rays.filter_map(|&ray| self.level.scan.point(ray as usize));
@@ -77,17 +78,17 @@ impl PreparedSweep {
 /// Milliseconds spent per stage.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CircleTiming {
-    /// Range limitation and projection.
+    /// Time of range limitation and projection [ms].
     pub prepare: f64,
-    /// Segmentation.
+    /// Time of the segmentation [ms].
     pub segment: f64,
-    /// Estimation of circles.
+    /// Time of the estimation of circles [ms].
     pub fit: f64,
-    /// The map.
+    /// Time of the update of the map [ms].
     pub map: f64,
 }
 
-/// Result of a sweep.
+/// Result of the pipeline for one sweep.
 #[derive(Clone, Debug)]
 pub struct CircleFrame {
     /// The scan in the level frame.
@@ -111,7 +112,7 @@ pub struct CircleFrame {
     /// Number of the line in the map for every segment; None for other shapes, and for segments
     /// that are too short for a new line.
     pub lines: Vec<Option<i64>>,
-    /// Changes of the map.
+    /// Changes of the map by this sweep.
     pub stats: MapStats,
     /// Elements of the map at the time of the sweep.
     pub map: Vec<MapElement>,
@@ -119,10 +120,10 @@ pub struct CircleFrame {
     pub map_shapes: Vec<MapShape>,
     /// Standard deviation of the scanner's ranges, once it is estimated [m].
     pub range_std: Option<f64>,
-    /// What stands for the scanner's rays without return.
+    /// How the ranges of the scanner mark rays without return.
     pub no_return: NoReturn,
     /// How late the poses of the scanner are, once it is known [s].
     pub pose_offset: Option<f64>,
-    /// Time per stage.
+    /// Time per stage [ms].
     pub timing: CircleTiming,
 }

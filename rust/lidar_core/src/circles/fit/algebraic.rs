@@ -18,8 +18,9 @@ const FEW: usize = 3;
 /// Share of the largest radius above which a circle may be limited by that bound.
 const HELD: f64 = 0.95;
 
-/// Fit a circle to the hits of an arc. If they leave it open, it lies behind their middle. The
-/// covariance is approximate.
+/// Algebraic circle fit to the hits of an arc: x, y and radius [m] with an approximate covariance
+/// [m^2], in the frame of the arc. If the hits do not determine a circle, it lies behind their
+/// middle.
 pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
     let bounds = parameters.radius;
     let free = free(arc, parameters.method);
@@ -34,8 +35,9 @@ pub(super) fn fit(arc: &Arc, parameters: &FitParameters) -> Estimate {
     (circle, covariance)
 }
 
-/// Add the distance to the unbounded circle to the error of a circle that the largest radius may
-/// limit.
+/// The estimate with a larger covariance if the largest radius may limit the circle: the squared
+/// difference from the circle fitted without bounds is added. Other estimates are returned
+/// unchanged.
 pub(super) fn held(
     arc: &Arc,
     parameters: &FitParameters,
@@ -48,7 +50,8 @@ pub(super) fn held(
     (circle, covariance)
 }
 
-/// Circle of the hits without bounds; None if they lie on a line.
+/// Circle (x, y, radius) [m] fitted to the hits without bounds of the radius; None if there are
+/// fewer than three hits, or if they lie on a line.
 fn free(arc: &Arc, method: FitMethod) -> Option<[f64; 3]> {
     Moments::of(&arc.hits).and_then(|moments| moments.circle(method))
 }
@@ -61,7 +64,9 @@ fn add_square(covariance: &mut [[f64; 3]; 3], by: [f64; 3]) {
     }
 }
 
-/// Vector from the bounded circle to the one without bounds, at most as long as the largest radius.
+/// Difference in x, y and radius [m] from the bounded `circle` to `free`, the one fitted without
+/// bounds. It is zero if `free` is within the bounds. The radii differ by no more than the largest
+/// radius.
 fn beyond(arc: &Arc, free: Option<[f64; 3]>, circle: [f64; 3], bounds: [f64; 2]) -> [f64; 3] {
     let [least, most] = bounds;
     let ahead = away(arc, circle);
@@ -202,8 +207,8 @@ impl Moments {
     }
 }
 
-/// Limit the radius of `circle`, with its centre behind the hits as seen from the sensor. Its point
-/// nearest to the middle of the hits is kept.
+/// The circle with its radius limited to `least`..`most` and its centre behind the hits as seen
+/// from the sensor. Its point nearest to the middle of the hits stays in place.
 fn bounded(arc: &Arc, [x, y, radius]: [f64; 3], [least, most]: [f64; 2]) -> [f64; 3] {
     let middle = centroid(&arc.hits);
     let (ahead, aside) = (middle[0] - x, middle[1] - y);
@@ -233,8 +238,8 @@ fn behind(arc: &Arc, [least, most]: [f64; 2]) -> [f64; 3] {
     [factor * middle[0], factor * middle[1], radius]
 }
 
-/// Covariance to first order: of the geometric fit to ranges with equal noise, joined with what the
-/// bounds of the radius say.
+/// Covariance of x, y and radius [m^2] to first order: that of a geometric fit to ranges with equal
+/// noise, combined with the information in the bounds of the radius.
 fn covariance(arc: &Arc, [x, y, radius]: [f64; 3], parameters: &FitParameters) -> [[f64; 3]; 3] {
     let variance = parameters.range_std * parameters.range_std;
     let wide = variance_within(parameters.radius);

@@ -1,4 +1,5 @@
-//! One segment in its own coordinates, with its neighbourhood.
+//! Hits of one segment in polar coordinates about the direction of its middle, with the rays beside
+//! it.
 
 use super::FitParameters;
 use crate::Error;
@@ -14,7 +15,8 @@ const KEPT: usize = 8;
 /// Largest number of rays without return between two hits of an object.
 const MOST_BETWEEN: usize = 50;
 
-/// One hit, or the mean of several neighbouring ones. Bearings count from the middle of the arc.
+/// One hit of an arc, or the mean of several neighbouring hits: bearing from the middle of the arc
+/// [rad] with its cosine and sine, and range [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::circles) struct Hit {
     pub(in crate::circles) bearing: f64,
@@ -28,18 +30,18 @@ pub(in crate::circles) struct Hit {
 /// Angle by which the object may extend beyond the outermost hit of one side.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::circles) struct Edge {
-    /// Bearing of the outermost hit.
+    /// Bearing of the outermost hit, from the middle of the arc [rad].
     pub(in crate::circles) bearing: f64,
     /// Largest angle from that hit to the tangent [rad].
     pub(in crate::circles) reach: f64,
     /// Angle to the next ray [rad], and its range [m]; NaN without a ray within reach.
     pub(in crate::circles) next: [f64; 2],
-    /// Bearings of rays within reach that returned nothing. The object may cross them only outside
-    /// the range limits.
+    /// Angles from the outermost hit to rays within reach that returned nothing [rad]. The object
+    /// may cross these rays only outside the range limits.
     pub(in crate::circles) missed: Vec<f64>,
 }
 
-/// Hits of a segment, ordered by bearing.
+/// Hits of a segment, ordered by bearing, and what limits the object on both sides.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::circles) struct Arc {
     /// Direction of its middle in the scan's frame [rad].
@@ -52,12 +54,13 @@ pub(in crate::circles) struct Arc {
     pub(in crate::circles) square: f64,
     /// Sides of smaller and of larger bearings.
     pub(in crate::circles) edges: [Edge; 2],
-    /// Bearings of rays between the hits that returned nothing, if the range limits cut a side:
-    /// then they may cut the object here as well.
+    /// Bearings, from the middle of the arc, of rays between the hits that returned nothing [rad].
+    /// Empty unless the range limits cut a side of the object: only then they may also cut it
+    /// between the hits.
     pub(in crate::circles) missed: Vec<f64>,
 }
 
-/// Rays beyond the end of a segment.
+/// Rays of a scan beyond one end of a segment.
 struct OuterRays<'a> {
     scan: &'a PolarScan,
     /// Outermost ray.
@@ -87,8 +90,8 @@ impl OuterRays<'_> {
 }
 
 impl Arc {
-    /// Read segment `number` of a scan; `wraps` is true if its first ray is the neighbour of the
-    /// last.
+    /// Fill this arc with segment `number` of a scan. `wraps` is true if the scan covers a full
+    /// turn, so that its first ray is the neighbour of its last.
     ///
     /// # Errors
     /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.

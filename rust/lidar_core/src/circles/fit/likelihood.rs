@@ -13,7 +13,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 /// [rad^(1/2)], in which the likelihood is smooth up to a tangent that is a hit.
 pub(super) type Roots = [f64; 2];
 
-/// Value, gradient and second derivatives (00, 01, 11) of the misfit.
+/// Misfit of the ranges, with its gradient and second derivatives (00, 01, 11) by the two roots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MisfitDerivatives {
     pub(super) misfit: f64,
@@ -21,12 +21,13 @@ pub(super) struct MisfitDerivatives {
     pub(super) hessian: [f64; 3],
 }
 
-/// Range of likely distances, in standard deviations.
+/// Half width of the interval of likely distances of the centre, in standard deviations.
 const SPREAD: f64 = 4.0;
-/// Power of the decrease of the prior for circles above the usual radius.
+/// Exponent of the prior of a circle above the usual radius: (usual radius / radius)^`RARITY`.
 const RARITY: i32 = 8;
-/// Largest number of Newton steps to the best distance; squared step, over its variance, that ends them.
+/// Largest number of Newton steps to the best distance.
 const MOST_STEPS: usize = 4;
+/// Squared Newton step, over the variance of the distance, below which the steps end.
 const ENOUGH: f64 = 0.01;
 /// Probability that a ray on an object within the range limits returns nothing.
 const DROPPED: f64 = 1e-3;
@@ -40,9 +41,10 @@ const DENSITY: f64 = FRAC_2_SQRT_PI * 0.5 * FRAC_1_SQRT_2;
 pub(super) struct TangentCircle {
     /// Centre x, y, radius [m].
     pub(super) circle: [f64; 3],
-    /// Derivative of the circle by its distance.
+    /// Derivative of centre x, centre y and radius by the distance of the centre, for given
+    /// tangents.
     pub(super) direction: [f64; 3],
-    /// Variance of the distance [m^2].
+    /// Variance of the distance of the centre [m^2].
     pub(super) variance: f64,
     /// Logarithm of the likelihood at the best distance.
     pub(super) log_likelihood: f64,
@@ -51,6 +53,7 @@ pub(super) struct TangentCircle {
     pub(super) log_weight: f64,
 }
 
+/// Likelihood of circles for one arc.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::circles) struct Likelihood<'a> {
     pub(in crate::circles) arc: &'a Arc,
@@ -67,6 +70,7 @@ struct TangentView {
 
 /// Intersection of a ray with a circle whose centre is at distance 1.
 struct Intersection {
+    /// Range of the ray: distance from the sensor to the near side of the circle.
     g: f64,
     /// Sine and cosine of the angle to the centre.
     angle: [f64; 2],
@@ -85,7 +89,7 @@ impl TangentView {
 }
 
 impl Likelihood<'_> {
-    /// Bearings of the tangents.
+    /// Lower and upper bearing of the tangents, from the middle of the arc [rad].
     fn tangents(&self, roots: Roots) -> [f64; 2] {
         let [low, high] = &self.arc.edges;
         let width = self.parameters.beam_half_width;
@@ -104,7 +108,8 @@ impl Likelihood<'_> {
         }
     }
 
-    /// Best distance without bounds, and the sums of g^2 and g z.
+    /// Best distance of the centre [m] from the hits alone, without bounds of the radius; and the
+    /// weighted sums over the hits of g^2 and g z, with z the range of a hit [m].
     fn distance(&self, view: &TangentView) -> (f64, [f64; 2]) {
         let mut sums = [0.0; 2];
         for hit in &self.arc.hits {
@@ -130,7 +135,8 @@ impl Likelihood<'_> {
         self.arc.nearest * sine / (1.0 - sine)
     }
 
-    /// Most likely circle, without weight; None if its radius is outside the bounds.
+    /// Most likely circle with these tangents; it has no weight in averages. None if its radius is
+    /// outside the bounds.
     pub(super) fn peak(&self, roots: Roots) -> Option<TangentCircle> {
         let found = self.at(roots, 0.0);
         let [smallest, largest] = self.radius(roots);
@@ -138,6 +144,8 @@ impl Likelihood<'_> {
         (smallest <= most && largest >= least).then_some(found)
     }
 
+    /// Most likely circle with these tangents, its radius limited to the bounds. `weight` is its
+    /// weight as a node of the integral over the roots.
     pub(super) fn at(&self, roots: Roots, weight: f64) -> TangentCircle {
         let view = self.view(roots);
         let (free, [gg, gz]) = self.distance(&view);
@@ -215,8 +223,9 @@ impl Likelihood<'_> {
         sums
     }
 
-    /// Logarithm of the probability that one ray returns nothing, and its derivatives. Below the
-    /// probability `least` of other reasons the ray has no influence.
+    /// Logarithm of the probability that one ray returns nothing, and its two derivatives by the
+    /// distance. `least` is the probability that it returns nothing for other reasons: where the
+    /// range limits make it less probable than that, the ray has no influence.
     fn miss(&self, g: f64, distance: f64, least: f64) -> [f64; 3] {
         let ([near, far], std) = (self.parameters.range_limits, self.parameters.range_std);
         let over = [(distance * g - far) / std, (near - distance * g) / std];
@@ -246,7 +255,8 @@ impl Likelihood<'_> {
     }
 }
 
-/// Sums over the hits of g, of its derivatives a by the roots, and of the ranges z.
+/// Weighted sums over the hits of products of g (range for a centre at distance 1), a (derivatives
+/// of g by the two roots) and z (measured range).
 #[derive(Default)]
 struct HitSums {
     gg: f64,

@@ -39,7 +39,7 @@ pub enum FitMethod {
 }
 
 impl FitMethod {
-    /// True if only the points count, not their neighbourhood.
+    /// True for the algebraic methods, which use only the points and not the rays beside them.
     pub(super) fn is_algebraic(self) -> bool {
         matches!(self, Self::Kasa | Self::Pratt | Self::Taubin)
     }
@@ -100,7 +100,7 @@ impl FitParameters {
     }
 }
 
-/// Circle fitter; keeps its memory between scans.
+/// Fits one circle to each segment of a scan. It reuses its buffers for every scan.
 #[derive(Debug)]
 pub struct Fitter {
     parameters: FitParameters,
@@ -124,7 +124,7 @@ impl Fitter {
         })
     }
 
-    /// Fit with another standard deviation of the ranges [m].
+    /// Set the standard deviation of the ranges [m] for the next fits.
     ///
     /// # Errors
     /// [`Error::Parameter`] if it is not positive.
@@ -135,7 +135,8 @@ impl Fitter {
         Ok(())
     }
 
-    /// Write one circle per segment of a scan to `circles`, in their order.
+    /// Write one circle per segment of a scan to `circles`, in the order of the segments and in the
+    /// frame of the scan.
     ///
     /// # Errors
     /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
@@ -158,7 +159,7 @@ impl Fitter {
         Ok(())
     }
 
-    /// Circle of all hits of a scan; None without a hit.
+    /// One circle fitted to all hits of a scan, in the frame of the scan; None if it has no hit.
     ///
     /// # Errors
     /// [`Error::Value`] for a range <= 0; [`Error::Length`] if ranges and bearings differ in
@@ -195,8 +196,8 @@ impl Fitter {
     }
 }
 
-/// Estimate found in an arc, or else an algebraic fit, in the frame of the scan. Its covariance
-/// grows if the largest radius limits the circle.
+/// Convert `found`, an estimate in the frame of an arc, to the frame of the scan. If it is None,
+/// the algebraic fit takes its place. The covariance grows if the largest radius limits the circle.
 pub(super) fn estimate(
     arc: &Arc,
     parameters: &FitParameters,

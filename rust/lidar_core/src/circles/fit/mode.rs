@@ -2,7 +2,7 @@
 
 use super::likelihood::{Likelihood, MisfitDerivatives, Roots};
 
-/// Bounds of the two roots.
+/// Lowest and highest value of each of the two roots (see [`Roots`]) [rad^(1/2)].
 pub(super) type RootBounds = [[f64; 2]; 2];
 
 /// A minimum of the misfit and its derivatives there.
@@ -13,7 +13,7 @@ pub(super) struct MisfitMinimum {
 }
 
 const MOST_STEPS: usize = 25;
-/// The search ends when the misfit falls by less.
+/// The search ends when the misfit falls by less than this in one step.
 const ENOUGH: f64 = 1e-9;
 /// Start values per side, as shares of the bounds.
 const STARTS: [f64; 3] = [0.15, 0.5, 0.85];
@@ -22,7 +22,8 @@ const STARTS: [f64; 3] = [0.15, 0.5, 0.85];
 /// hit the derivatives vanish.
 pub(super) const LEAST_SHARE: f64 = 0.01;
 
-/// Minimum from the best of a few starts (Levenberg-Marquardt, projected on the bounds).
+/// Minimum of the misfit within `bounds`, searched from the best of a few starts
+/// (Levenberg-Marquardt, projected on the bounds).
 pub(super) fn mode(likelihood: &Likelihood<'_>, bounds: &RootBounds) -> MisfitMinimum {
     let bounds = &bounds.map(|[low, high]| [low + LEAST_SHARE * (high - low), high]);
     let mut best =
@@ -67,7 +68,7 @@ fn inside(shares: [f64; 2], bounds: &RootBounds) -> Roots {
     })
 }
 
-/// True if a root is at a bound and the gradient points beyond it.
+/// True if the root of `side` is at a bound and the gradient points beyond it.
 pub(super) fn is_held(mode: &MisfitMinimum, side: usize, bounds: &RootBounds) -> bool {
     let ([low, high], root) = (bounds[side], mode.roots[side]);
     let gradient = mode.normal.gradient[side];

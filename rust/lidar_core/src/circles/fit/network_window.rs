@@ -26,7 +26,7 @@ const SCALES: [f64; 2] = [0.03, 1.0];
 const MOST_DIFFERENCE: f64 = 4.0;
 /// Largest half angle of a first guess [rad]: the scanner is outside of it.
 const MOST_HALF_ANGLE: f64 = 1.55;
-/// Largest input distances to the farther and to the nearer range limit [m].
+/// Distances to the far and to the near range limit [m] above which the input no longer grows.
 const LIMIT_REACH: [f64; 2] = [1.0, 0.3];
 /// Smallest radius of an answer [m].
 const SMALLEST_RADIUS: f64 = 1e-3;
@@ -38,9 +38,9 @@ pub struct SegmentWindow<'a> {
     pub bearings: &'a [f64],
     /// Range of every ray [m]; a range that is not finite is no hit.
     pub ranges: &'a [f64],
-    /// Kind of the neighbourhood beside the first and the last ray.
+    /// What lies beside the first and beside the last ray.
     pub sides: [Side; 2],
-    /// Angles from these rays to the next rays outside the window [rad].
+    /// Angles from the first and from the last ray to the next ray outside the window [rad].
     pub gaps: [f64; 2],
     /// Standard deviation of a range [m].
     pub range_std: f64,
@@ -53,13 +53,13 @@ pub struct SegmentWindow<'a> {
 /// Frame of a window: it converts an output of the network to a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowFrame {
-    /// Bearing of its x axis [rad].
+    /// Bearing of the x axis of the window in the frame of the scan [rad].
     pub bearing: f64,
     /// Unit of length of the window [m].
     pub scale: f64,
     /// First guess: distance of the centre, which is on the x axis, and radius [m].
     pub guess: [f64; 2],
-    /// Rays that returned.
+    /// Number of rays that returned.
     pub n_hits: usize,
 }
 
@@ -71,7 +71,8 @@ struct Hits {
     bearing: f64,
 }
 
-/// Fill `slots` and `context` with the input of the network.
+/// Fill `slots` and `context` with the input of the network. Returns the frame of the window, in
+/// which [`circle_of`] reads the output.
 ///
 /// # Errors
 /// [`Error::Length`] if the arrays differ in length or are not as long as they must be,

@@ -4,7 +4,7 @@ use super::FitMethod;
 use super::likelihood::{Likelihood, Roots, TangentCircle};
 use super::mode::{LEAST_SHARE, MisfitMinimum, RootBounds, is_held, mode};
 
-/// A circle (x, y, radius) and its covariance.
+/// A circle (x, y, radius) [m] and its covariance [m^2], in the frame of the arc.
 pub(in crate::circles) type Estimate = ([f64; 3], [[f64; 3]; 3]);
 
 /// Drop of the log-likelihood below its peak at which the integrals end [nepers].
@@ -38,7 +38,8 @@ const GAUSS_10: [[f64; 2]; 5] = [
     [0.865_063_366_688_984_5, 0.149_451_349_150_580_6],
     [0.973_906_528_517_171_7, 0.066_671_344_308_688_14],
 ];
-/// Lengths in standard deviations of the likelihood below which fewer points suffice.
+/// Lengths of an integral, in standard deviations of the likelihood, below which 6 and below which
+/// 8 points suffice; longer ones take 10.
 const SHORT: [f64; 2] = [3.0, 7.0];
 
 /// Bounds of an integral, with the curvature of the log-likelihood between them.
@@ -65,7 +66,7 @@ fn gauss(span: Span) -> impl Iterator<Item = [f64; 2]> {
     })
 }
 
-/// Integrator; keeps its memory between arcs.
+/// Integrates over the circles that an arc allows. It reuses its buffer for every arc.
 #[derive(Debug, Default)]
 pub(in crate::circles) struct Posterior {
     nodes: Vec<TangentCircle>,
@@ -93,7 +94,7 @@ impl Posterior {
         Some(self.mean_square(circle))
     }
 
-    /// Add the nodes of one part of the plane of roots.
+    /// Add the integration nodes of one part of the plane of the two roots.
     fn integrate(
         &mut self,
         likelihood: &Likelihood<'_>,
@@ -115,7 +116,8 @@ impl Posterior {
         }
     }
 
-    /// Expected circle.
+    /// Integrate over the circles of an arc: expected circle (x, y, radius) [m]; None if no circle
+    /// within the bounds of the radius explains the arc.
     fn mean(&mut self, likelihood: &Likelihood<'_>) -> Option<[f64; 3]> {
         self.nodes.clear();
         let (low, high) = (pieces(likelihood, 0), pieces(likelihood, 1));
@@ -129,7 +131,8 @@ impl Posterior {
         self.average()
     }
 
-    /// Convert logarithms to shares of the weight, and average.
+    /// Replace the logarithms of the weights by shares of their sum, and return the mean circle;
+    /// None if no node has a weight.
     fn average(&mut self) -> Option<[f64; 3]> {
         // Shares relative to the peak: the plain likelihoods of many rays underflow.
         let peak = self.nodes.iter().map(|node| node.log_weight).fold(f64::NEG_INFINITY, f64::max);
@@ -160,12 +163,12 @@ impl Posterior {
         self.nodes.iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
     }
 
-    /// Largest log-likelihood of the arc that was integrated last.
+    /// Largest log-likelihood of the arc that was integrated last; None if no circle explains it.
     pub(in crate::circles) fn log_likelihood(&self) -> Option<f64> {
         self.best().map(|node| node.log_likelihood)
     }
 
-    /// Mean square distance from `about`.
+    /// Mean square difference of the circles from `about`, as a matrix of x, y and radius [m^2].
     fn mean_square(&self, about: [f64; 3]) -> [[f64; 3]; 3] {
         let mut sum =
             [[LEAST_VARIANCE, 0.0, 0.0], [0.0, LEAST_VARIANCE, 0.0], [0.0, 0.0, LEAST_VARIANCE]];
@@ -182,8 +185,8 @@ impl Posterior {
     }
 }
 
-/// Intervals of the root of one side. At a ray that returned nothing and may cross the circle the
-/// likelihood has a step: then there are two intervals.
+/// Intervals of the root of one side. The likelihood has a step at a ray that returned nothing and
+/// may cross the circle: then there are two intervals.
 fn pieces(likelihood: &Likelihood<'_>, side: usize) -> [Option<[f64; 2]>; 2] {
     let edge = &likelihood.arc.edges[side];
     let end = edge.reach.sqrt();
@@ -210,7 +213,7 @@ impl RootWindow<'_> {
         if self.outer == 0 { [outer, inner] } else { [inner, outer] }
     }
 
-    /// Bounds of the outer root.
+    /// Bounds of the outer root; None if no radius within its bounds is possible.
     fn outer(&self) -> Option<Span> {
         let (side, other) = (self.outer, 1 - self.outer);
         let [h00, h01, h11] = self.mode.normal.hessian;
@@ -228,7 +231,8 @@ impl RootWindow<'_> {
         self.allowed(window, least, most)
     }
 
-    /// Bounds of the inner root for a value of the outer one.
+    /// Bounds of the inner root for a value of the outer one; None if no radius within its bounds
+    /// is possible.
     fn inner(&self, outer: f64) -> Option<Span> {
         let side = 1 - self.outer;
         let [h00, h01, h11] = self.mode.normal.hessian;

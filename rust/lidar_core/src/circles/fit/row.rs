@@ -38,7 +38,8 @@ pub(super) fn one_segment(
     into.sides.push([beside(before), beside(after)]);
 }
 
-/// Distance from the nearest limit beyond which a surface does not reach below it [m].
+/// Distance of the nearest hit from the near range limit [m] above which no part of the object is
+/// nearer than that limit.
 const CLOSE: f64 = 0.15;
 
 /// Ray after the longest run of rays without a hit, in a full circle.

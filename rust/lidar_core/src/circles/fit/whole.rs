@@ -11,17 +11,20 @@ use super::likelihood::Likelihood;
 use super::posterior::Posterior;
 use super::{FitParameters, algebraic, estimate};
 
-/// Largest radius of a circle of which a side is seen, in largest radii of any other.
+/// Largest radius of a circle beside which free space begins, in units of the largest radius of all
+/// other circles.
 const WHOLE: f64 = 3.0;
 /// Share of the largest radius above which a circle may be limited by it.
 const LIMITED: f64 = 0.8;
-/// Largest mean square distance of the hits from such a circle, in variances of a range.
+/// Largest mean square distance of the hits from a circle above the usual largest radius, in
+/// variances of a range.
 const MISFIT: f64 = 4.0;
-/// Largest standard deviation of its radius, as a share of it.
+/// Largest standard deviation of the radius of such a large circle, as a share of its radius.
 const KNOWN: f64 = 0.05;
 
 impl FitParameters {
-    /// The circle of which only a side is seen, as one that is seen whole.
+    /// These parameters with a largest radius that is three times as large, for circles beside
+    /// which free space begins.
     pub(in crate::circles) fn of_whole(&self) -> Self {
         let [least, most] = self.radius;
         Self { radius: [least, WHOLE * most], ..*self }
@@ -55,7 +58,7 @@ pub(in crate::circles) fn whole(
     (is_known && misfit < MISFIT * arc.n_hits as f64).then_some((circle, misfit))
 }
 
-/// Length from the first hit to the last one [m].
+/// Distance between the first hit of an arc and its last one [m]; 0 without hits.
 pub(in crate::circles) fn width(arc: &Arc) -> f64 {
     let (Some(first), Some(last)) = (arc.hits.first(), arc.hits.last()) else {
         return 0.0;

@@ -4,14 +4,14 @@
 use super::view::earlier::Trace;
 use serde::{Deserialize, Serialize};
 
-/// What earlier scans met where something new is.
+/// What earlier scans met at the place of something new.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum BirthPlace {
-    /// They did not see the place.
+    /// Earlier scans did not see the place.
     Revealed,
-    /// Free space: something came, or is a part of something that did.
+    /// Earlier scans met free space: something came, or is a part of something that did.
     Free,
-    /// A surface; no element was made of it.
+    /// Earlier scans met a surface of which no element was made.
     Surface,
     /// Unknown: too few rays hit the new object to show its size. Often it is a piece of a wall
     /// that shows between two others.
@@ -20,13 +20,13 @@ pub(super) enum BirthPlace {
 
 /// Number of sorts of places.
 const SORTS: usize = 4;
-/// Shares of objects before anything was learnt, in the order of [`BirthPlace`], and their weight
-/// [elements].
+/// Shares of objects among new elements before anything was learnt, in the order of [`BirthPlace`].
 const PRIOR: [f64; SORTS] = [0.85, 0.7, 0.6, 0.5];
+/// Weight of these first shares, as a number of elements.
 const WEIGHT: f64 = 5.0;
-/// Number of elements after which one counts 1/e.
+/// Number of later elements after which the weight of an element has fallen to 1/e.
 const MEMORY: f64 = 100.0;
-/// Largest share: one look is no proof.
+/// Largest probability that something new is an object: one scan is no proof.
 const MOST: f64 = 0.94;
 /// Share of its points on earlier surfaces above which something is where a surface was.
 const THERE: f64 = 0.5;
@@ -46,7 +46,8 @@ impl BirthPlace {
     }
 }
 
-/// Objects among the elements that began at each sort of place.
+/// Counts per sort of place, in which old elements fade: elements that began there, and how many of
+/// them were objects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Arrivals {
     objects: [f64; SORTS],
@@ -61,7 +62,8 @@ impl Arrivals {
         share.min(MOST)
     }
 
-    /// Take in what became of an element: the probability that there was an object.
+    /// Count an element that began at `place`; `existence` is the probability that it was an
+    /// object.
     pub(super) fn learn(&mut self, place: BirthPlace, existence: f64) {
         let sort = place as usize;
         let kept = 1.0 - 1.0 / MEMORY;

@@ -10,16 +10,19 @@ use super::view::visibility::CircleVisibility;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use serde::{Deserialize, Serialize};
 
-/// Mean time for which an object stays, and one that has never moved [s]: furniture and posts do not
-/// leave while nobody looks.
+/// Mean time for which an object that moves stays [s].
 const LIFETIME: f64 = 60.0;
+/// Mean time for which an object that has never moved stays [s]: furniture and posts do not leave
+/// while nobody looks.
 const LIFETIME_STANDING: f64 = 600.0;
-/// Mean time for which a chance group shows [s], and the probability that it shows twice at all.
+/// Mean time for which a chance group of rays shows [s].
 const CHANCE: f64 = 0.2;
+/// Probability that a chance group of rays shows a second time.
 const TWICE: f64 = 0.4;
-/// Rates at which the logarithm of the odds that an object is still there falls while rays pass its
-/// place, and while they end there but show no object [1/s].
+/// Rate at which the logarithm of the odds that an object is still there falls while rays pass its
+/// place [1/s].
 const SEEN_THROUGH: f64 = 40.0;
+/// The same rate while rays end at its place but show no object [1/s].
 const UNMATCHED: f64 = 18.0;
 /// Longest time that one scan speaks for [s]: successive scans show nearly the same, so that time
 /// counts and not their number.
@@ -27,7 +30,8 @@ const SPEAKS: f64 = 0.1;
 /// Odds of an object that shows once and is then covered by another, over those of a chance group:
 /// such a group shows for a moment in a gap.
 const COVERED: f64 = 0.15;
-/// The same if it is gone: of what was measured once, and of what was measured more often.
+/// Odds of an object that is gone when its element ends, over those of a chance group: measured
+/// once, and measured more often.
 const GONE: [f64; 2] = [0.02, 0.3];
 
 /// Probability below which there is no object.
@@ -39,37 +43,40 @@ const MOST: f64 = 1.0 - 1e-6;
 
 /// Shares of kinds among new elements, in the order of `TrackKind::ALL`: most stand.
 const SHARES: [f64; KINDS] = [0.05, 1e-3, 0.3, 0.6, 0.05];
-/// Rates at which the logarithm of the odds of a kind changes [1/s]: of what moves, that it is
-/// something that stands; of what stands, that it is something that moves at times.
+/// Rate at which the logarithm of the odds changes, while an element moves, that it is of a kind
+/// that stands [1/s].
 const MOVING: f64 = -6.0;
+/// Rate at which the logarithm of the odds changes, while an element stands, that it is of a kind
+/// that moves at times [1/s].
 const RESTING: f64 = -0.1;
 /// Longest time that one scan speaks for about the kind [s].
 const LONGEST: f64 = 0.5;
 
-/// Probabilities of the causes of an element.
+/// Probabilities that an element of the map was an object and still is there, and of its kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ElementBelief {
-    /// Probability that it was an object when it was measured last.
+    /// Probability that the element was an object when it was measured last.
     was: f64,
-    /// Probability that this is still there, at the place where it is expected.
+    /// Probability that this object is still there, at the place where it is expected.
     is_there: f64,
-    /// Probability that it is there or, if its place is not known well, elsewhere.
+    /// Probability that this object is at the expected place or, if its place is not known well,
+    /// elsewhere.
     is_anywhere: f64,
     kinds: KindBelief,
-    /// Where it began; None once it is known if an object did.
+    /// Sort of place where the element began; None once its result was passed to [`Arrivals`].
     began: Option<BirthPlace>,
-    /// Time since the last scan that said something [s].
+    /// Time since the last scan that was evidence for or against the object [s].
     since: f64,
     is_measured_once: bool,
-    /// How likely an object that is still there makes what was seen since it was measured last, over
-    /// none.
+    /// Likelihood of all scans since the last measurement if the object is still there, divided by
+    /// their likelihood if it is gone.
     missed: f64,
-    /// The last scan of which something is known measured it.
+    /// True if the last scan that was taken in measured the element.
     is_in_sight: bool,
 }
 
 impl ElementBelief {
-    /// Of an element that one scan measured at such a place.
+    /// Belief about a new element that one scan measured at a place of this sort.
     pub(super) fn new(place: BirthPlace, arrivals: &Arrivals) -> Self {
         Self {
             was: arrivals.share(place),
@@ -89,7 +96,8 @@ impl ElementBelief {
         self.was * self.is_there
     }
 
-    /// Probability that there is an object, which may be elsewhere: its number is kept so long.
+    /// Probability that there is an object, at the expected place or elsewhere. The element keeps
+    /// its number as long as this is large enough.
     pub(super) fn existence_anywhere(&self) -> f64 {
         self.was * self.is_anywhere
     }
@@ -99,12 +107,12 @@ impl ElementBelief {
         self.was
     }
 
-    /// Probabilities of its kinds.
+    /// Probabilities of the kinds of the element.
     pub(super) fn kinds(&self) -> &KindBelief {
         &self.kinds
     }
 
-    /// The same after `dt` [s] without a scan.
+    /// Predict over `dt` [s]: the object may leave in this time.
     pub(super) fn predict(&mut self, dt: f64) {
         let stands = self.kinds.probabilities()[TrackKind::Static as usize];
         let rate = stands / LIFETIME_STANDING + (1.0 - stands) / LIFETIME;
@@ -122,8 +130,9 @@ impl ElementBelief {
         self.is_in_sight = true;
     }
 
-    /// Take in a scan that did not. With probability `doubt` an object that is still there is elsewhere
-    /// than the scan was asked for: no number of scans makes it less likely than that.
+    /// Take in a scan that did not measure the element. `doubt` is the probability that an object
+    /// that is still there is at another place than the one the scan was asked for: no number of
+    /// scans makes it less likely than that.
     pub(super) fn unmeasured(&mut self, visibility: CircleVisibility, doubt: f64) {
         let was_in_sight = std::mem::take(&mut self.is_in_sight);
         let rate = match visibility {
@@ -142,7 +151,8 @@ impl ElementBelief {
         self.missed = missed;
     }
 
-    /// Tell once if there was an object, when it is as good as known; `is_over` if the element goes.
+    /// Report once to `arrivals` whether the element was an object: when this is nearly certain, or
+    /// when the element ends (`is_over`).
     pub(super) fn settle(&mut self, is_over: bool, arrivals: &mut Arrivals) {
         if (is_over || self.was > SURE)
             && let Some(place) = self.began.take()
@@ -156,7 +166,8 @@ impl ElementBelief {
         }
     }
 
-    /// Take in whether it stands, `dt` [s] after the last time.
+    /// Update the probabilities of the kinds with whether the element stands; `dt` is the time
+    /// since the last update [s].
     pub(super) fn moves(&mut self, stands: bool, dt: f64) {
         let dt = dt.clamp(0.0, LONGEST);
         let [moving, standing] = if stands { [RESTING, 0.0] } else { [0.0, MOVING] };
@@ -169,13 +180,14 @@ impl ElementBelief {
         if other.existence() > self.existence() { other } else { self }
     }
 
-    /// Time that a scan speaks for [s].
+    /// Time that the present scan speaks for [s], limited to `SPEAKS`. The time since the last such
+    /// scan starts again.
     fn spoken(&mut self) -> f64 {
         std::mem::take(&mut self.since).min(SPEAKS)
     }
 }
 
-/// A probability after something was seen that has this ratio of likelihoods.
+/// Probability after an observation with this ratio of likelihoods (Bayes' rule).
 fn weighed(probability: f64, ratio: f64) -> f64 {
     let odds = ratio * probability;
     (odds / (odds + 1.0 - probability)).min(MOST)

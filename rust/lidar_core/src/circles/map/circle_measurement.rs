@@ -14,7 +14,7 @@ pub(super) trait Measures<const N: usize, const M: usize> {
     fn against(&self, state: &SVector<f64, N>) -> Linearised<N, M>;
 }
 
-/// A circle in the world.
+/// A measured circle in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct CircleMeasurement {
     /// Centre and radius [m].
@@ -46,12 +46,13 @@ pub(super) fn centre_matrix<const N: usize, const M: usize>(delay: f64) -> SMatr
     H
 }
 
-/// State of eqs 18-20: a circle at rest, of unknown velocity.
+/// State of eqs 18-20: a circle at rest; `speed` is the standard deviation of its velocity [m/s].
 pub(super) fn new_state(measurement: &CircleMeasurement, speed: f64) -> Gaussian<5> {
     at_rest(measurement.z, measurement.R, measurement.delay, speed)
 }
 
-/// State of an object measured for the first time: at rest, of unknown velocity.
+/// State of an object measured for the first time: at rest; `speed` is the standard deviation of
+/// its velocity [m/s].
 pub(super) fn at_rest<const N: usize, const M: usize>(
     z: SVector<f64, M>,
     R: Square<M>,

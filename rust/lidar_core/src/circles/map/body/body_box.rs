@@ -99,7 +99,7 @@ impl BodyBox {
         self.state.fits(motion)
     }
 
-    /// Box of a body of which only this is known: along the sight it is about as deep as it is wide.
+    /// Box of a body from its first scan: the depth along the line of sight is guessed from the width.
     pub(super) fn new(hull: &Hull, (look, delay): (&Look, f64), rules: &Rules) -> Self {
         let [from_x, from_y] = look.place();
         let middle = [[1.0, 0.0], [0.0, 1.0]].map(|axis| 0.5 * hull.ends(axis).iter().sum::<f64>());
@@ -129,12 +129,12 @@ impl BodyBox {
         self.spread += TURN * step.seconds;
     }
 
-    /// Take its velocity for zero, as uncertain as it is.
+    /// Set the velocity to zero and keep its uncertainty.
     pub(super) fn halt(&mut self) {
         self.state.halt();
     }
 
-    /// Correct with what one scan shows of the body; `is_in_free` if it is where space was free.
+    /// Correct with the points of one scan; `is_in_free` is true if earlier scans met free space at their place.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; the box is then half corrected.
@@ -162,7 +162,7 @@ impl BodyBox {
         self.state.correct(&sides, None)
     }
 
-    /// Ends of a body, each with its variance.
+    /// Ends of the body along both axes of the box as one scan shows them, each with its variance [m^2].
     fn seen(&self, hull: &Hull, look: &Look, state: &Gaussian<6>) -> Sides {
         let center = [state.mean[0], state.mean[1]];
         let axes = axes(self.heading);
@@ -200,7 +200,7 @@ impl BodyBox {
         sides
     }
 
-    /// Take the direction of motion for the heading.
+    /// Turn the heading towards the direction of motion, if the velocity is known well enough.
     fn turn(&mut self) {
         let Gaussian { mean, covariance } = self.state.combined();
         let speed = libm::hypot(mean[2], mean[3]);
@@ -232,7 +232,7 @@ impl BodyBox {
         self.has_moved
     }
 
-    /// Probability that it stands.
+    /// Probability that the body stands.
     pub(super) fn standing(&self, motion: &ElementMotion) -> f64 {
         self.state.standing(motion)
     }

@@ -1,8 +1,8 @@
 //! One face of a body whose other sides are known from before.
 //!
-//! A face tells where one side is, and nothing about the depth behind it: alone, its middle is taken
-//! for half as deep as the face is wide, whatever was known. Of a rectangle that showed two sides
-//! before, the depth is known: its centre is that far behind the face.
+//! A face shows where one side is, and nothing about the depth behind it. Without other knowledge,
+//! its middle is assumed to be half of a half width behind it. If a rectangle showed two sides
+//! before, its depth is known: the centre is half of this depth behind the face.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -17,14 +17,14 @@ use std::f64::consts::FRAC_PI_2;
 /// Depth of the middle behind a face of which nothing else is known, in half widths: where the choice of
 /// circles and shapes (`selection.rs`) has put it.
 const BEHIND: f64 = 0.5;
-/// Ratio of half lengths below which an ellipse may be a face, and the least sine of the angle between
-/// its longer axis and the sight then.
+/// Ratio of half lengths below which an ellipse may be a face.
 const FLAT: f64 = 0.5;
+/// Least sine of the angle between the longer axis of such an ellipse and the line of sight.
 const BROAD: f64 = 0.8;
 /// Standard deviation of a side of a real body from its ideal place [m].
 const SIDE: f64 = 0.03;
-/// Difference of the width of a face from that of the body, in standard deviations, up to which it is
-/// this face.
+/// Largest difference between the half width of a face and that of the body, in standard
+/// deviations, up to which the face is a side of this body.
 const SAME: f64 = 3.0;
 
 /// A face in the world: middle [m] and half width [m].
@@ -34,7 +34,8 @@ struct Face {
 }
 
 impl BodyMeasurement {
-    /// The face that is seen, if it is all that is seen; `normal` points away from the scanner.
+    /// The visible face, if the measurement shows only one face; else None. `normal` is the
+    /// direction across the face that points away from the scanner.
     fn face(&self, normal: Vector2<f64>) -> Option<Face> {
         let center = Vector2::new(self.circle.z[0], self.circle.z[1]);
         if self.is_face {
@@ -52,8 +53,9 @@ impl BodyMeasurement {
 }
 
 impl Outline {
-    /// The circle that a measurement of one face shows, by the sides known from before; None if more
-    /// than a face is seen, or nothing else is known.
+    /// Circle of the body from a measurement of one face and from the half lengths known from
+    /// earlier scans. None if the measurement shows more than a face or a face of another width, or
+    /// if the body is no known rectangle.
     pub(super) fn behind(&self, seen: &BodyMeasurement) -> Option<CircleMeasurement> {
         let (kind, Gaussian { mean, covariance: P }) = self.reported()?;
         if kind != ShapeKind::Rectangle || self.is_large() {

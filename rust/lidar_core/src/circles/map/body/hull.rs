@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 /// Number of directions. Between two of them the farthest point may be missed by 2 % of the extent.
 const DIRECTIONS: usize = 16;
-/// The directions: their sines are not taken anew for every point.
+/// The directions as vectors of length one, computed only once.
 static AXES: LazyLock<[[f64; 2]; DIRECTIONS]> = LazyLock::new(|| {
     std::array::from_fn(|number| {
         let angle = TAU * number as f64 / DIRECTIONS as f64;
@@ -14,24 +14,25 @@ static AXES: LazyLock<[[f64; 2]; DIRECTIONS]> = LazyLock::new(|| {
     })
 });
 
-/// Of the points of one object in one scan, those that reach farthest in directions all around.
+/// The points of one object in one scan that reach farthest in 16 directions all around.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Hull {
     /// Points of the hull in the world, seen from above [m].
     points: [[f64; 2]; DIRECTIONS],
-    /// Something nearer hides one side of the object.
+    /// True if something nearer hides one side of the object.
     is_covered: bool,
 }
 
 impl Hull {
-    /// None without points.
+    /// Hull of points in the world, seen from above [m]; None without points. `is_covered` is true
+    /// if something nearer hides a side of the object.
     pub(in crate::circles::map) fn of(points: &[[f64; 2]], is_covered: bool) -> Option<Self> {
         let (&first, others) = points.split_first()?;
         let start = Self { points: [first; DIRECTIONS], is_covered };
         Some(others.iter().fold(start, |hull, &point| hull.with([point; DIRECTIONS])))
     }
 
-    /// Hull of both, parts of one object.
+    /// Hull of this and of another part of the same object.
     pub(super) fn joined(self, other: &Self) -> Self {
         let both = Self { is_covered: self.is_covered || other.is_covered, ..self };
         both.with(other.points)

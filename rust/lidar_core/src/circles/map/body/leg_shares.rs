@@ -13,18 +13,21 @@ const REACH: f64 = 0.6;
 /// Standard deviation of the middle of two legs, or of a single leg, from where the person is expected
 /// [m]: of two legs the steps are not even, and one may be half hidden.
 const SPREAD: f64 = 0.25;
-/// Costs of a leg that is not seen, and of a person of whom none is: -2 ln of their probabilities.
+/// Cost of a leg that is not seen: -2 ln of its probability.
 pub(super) const HIDDEN: f64 = 6.0;
+/// Cost of a person of whom no leg is seen: -2 ln of its probability.
 const NOBODY: f64 = 18.0;
-/// Radius up to which a limb may be a leg, whatever the radius of the other one, and the standard deviation
-/// of a radius beyond it [m].
+/// Radius up to which a limb may be a leg, whatever the radius of the other one [m].
 const THICK: f64 = 0.1;
+/// Standard deviation of the difference of two radii beyond `THICK` [m].
 const ALIKE: f64 = 0.02;
-/// Largest number of people of a group, and of legs of a person, for which all ways are compared.
+/// Largest number of people of a group for which all ways to share the legs are compared.
 const MOST_PEOPLE: usize = 4;
+/// Largest number of legs that are considered for one person.
 const MOST_LEGS: usize = 6;
 
-/// Legs that one person may have.
+/// One way to give legs to a person: its cost (-2 ln of its probability), the number of the person,
+/// and the numbers of one or two legs.
 #[derive(Clone, Debug)]
 struct LegChoice {
     cost: f64,
@@ -32,8 +35,9 @@ struct LegChoice {
     legs: Vec<usize>,
 }
 
-/// Legs of each person who is expected at `people`, no more than two, and no leg of two people. Legs of
-/// one person are less than `step` [m] apart.
+/// Share legs out: for each person the numbers of at most two measurements in `seen`; no leg
+/// belongs to two people. `people` are the expected places (x, y, radius) [m], and `free` the
+/// numbers of the measurements that may be legs. Legs of one person are less than `step` [m] apart.
 pub(super) fn shared_out(
     people: &[Vector3<f64>],
     seen: &[BodyMeasurement],
@@ -94,14 +98,15 @@ fn choices_of(
     choices
 }
 
-/// Cost of two radii for a pair: an arm beside a trunk, which is thicker than any leg, is none.
+/// Cost of the radii of two limbs that may be a pair of legs. It is high for an arm beside a trunk,
+/// which is thicker than any leg.
 pub(super) fn difference(one: &BodyMeasurement, two: &BodyMeasurement) -> f64 {
     let [first, second] = [one, two].map(|one| one.circle.z[2]);
     let off = (first.max(second) - first.min(second).max(THICK)).max(0.0);
     off * off / (one.circle.R[(2, 2)] + two.circle.R[(2, 2)] + ALIKE * ALIKE)
 }
 
-/// People who may share legs, in groups.
+/// Numbers of the people in groups: only members of one group may have the same legs.
 fn groups(choices: &[LegChoice], people: usize, legs: usize) -> Vec<Vec<usize>> {
     let mut group_of: Vec<usize> = (0..people).collect();
     let mut user: Vec<Option<usize>> = vec![None; legs];
@@ -118,7 +123,8 @@ fn groups(choices: &[LegChoice], people: usize, legs: usize) -> Vec<Vec<usize>> 
     (0..people).map(members).filter(|group: &Vec<usize>| !group.is_empty()).collect()
 }
 
-/// The likeliest choices first, in a crowd.
+/// Legs of each of `members`, the likeliest choices first; for groups that are too large for all
+/// ways.
 fn greedily(choices: &[LegChoice], members: &[usize]) -> Vec<Vec<usize>> {
     let mut found = vec![Vec::new(); members.len()];
     for choice in choices {
@@ -130,7 +136,8 @@ fn greedily(choices: &[LegChoice], members: &[usize]) -> Vec<Vec<usize>> {
     found
 }
 
-/// The way of least cost, with no leg of two people.
+/// Search all ways for the one of least cost in which no leg belongs to two people. `best` receives
+/// its cost and the legs of each person.
 fn search(
     all: &[Vec<&LegChoice>],
     cost: f64,

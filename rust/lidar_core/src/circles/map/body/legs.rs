@@ -1,4 +1,4 @@
-//! Legs: two of them are one person.
+//! Joins two legs to one person.
 //!
 //! Near the ground a scan meets two legs, which go in turns: one stands while the other swings twice
 //! as fast as the person walks. Where both were free space a moment ago, two legs near each other are
@@ -18,18 +18,19 @@ use nalgebra::Vector3;
 const THICKEST: f64 = 0.17;
 /// Longest step from leg to leg [m].
 const STEP: f64 = 0.75;
-/// Shares of the points of two legs, and of each, that may have been surfaces before: one leg stands
-/// for half a step.
+/// Largest mean share of the points of two legs that may lie on surfaces of earlier scans.
 const BOTH: f64 = 0.5;
+/// The same share of each of the two legs: one leg stands for half a step.
 const EACH: f64 = 0.85;
-/// Standard deviation of the middle of a person from that of the legs, and from a single leg [m].
+/// Standard deviation of the middle of a person from that of both legs [m].
 const MIDDLE: f64 = 0.05;
+/// Standard deviation of the middle of a person from a single leg [m].
 const SINGLE: f64 = 0.12;
-/// Standard deviations of the radius [m].
+/// Standard deviations of the radius of a person of whom two legs are seen, and one leg [m].
 const SIZE: [f64; 2] = [0.1, 0.3];
-/// Distance within which a leg belongs to a body that is no person [m], and the time for which that
-/// body was measured at least [s].
+/// Distance within which a leg belongs to a body that is no person [m].
 const OWN: f64 = 0.12;
+/// Least time for which such a body was measured [s].
 const KNOWN: f64 = 1.0;
 
 /// Put legs together: a person's measurement takes the place of one leg, and the other one becomes a
@@ -83,8 +84,8 @@ pub(super) fn put_together(
 }
 
 impl RoundBody {
-    /// True if a measurement is of this body, which is no person on two legs. What was free space
-    /// is nothing of what has stood here.
+    /// True if a measurement belongs to this body, which was measured for long enough and is no
+    /// person on two legs. What is where space was free does not belong to a body that stands.
     fn holds(&self, seen: &BodyMeasurement) -> bool {
         self.known >= KNOWN
             && !self.person.has_legs()
@@ -92,13 +93,13 @@ impl RoundBody {
             && apart(&self.place(), &seen.circle.z) < OWN
     }
 
-    /// True if a measurement is of this body, which stands and is no person.
+    /// True if a measurement belongs to this body, which stands and is no person.
     fn is_at(&self, seen: &BodyMeasurement) -> bool {
         self.is_fixture() && apart(&self.place(), &seen.circle.z) < OWN
     }
 }
 
-/// The two nearest legs that may be of one person.
+/// Numbers of the two nearest legs in `free` that may belong to one person; None if there are none.
 fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
     let mut best: Option<(f64, [usize; 2])> = None;
     for (place, &one) in free.iter().enumerate() {

@@ -12,16 +12,17 @@ use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Change of the bearing of an object's side, in spacings of rays, above which its error is another.
+/// Change of the bearing of an object's side, in spacings of rays, above which its error is a new
+/// one.
 const OTHER: f64 = 0.3;
 /// Weight of the newest look in the share of looks that were the same.
 const NEWEST: f64 = 0.1;
 /// Rows of x, y and the radius in the state of an element.
 const PLACES: [usize; 3] = [0, 1, 4];
-/// Largest share of the covariance of a fit that such errors have.
+/// Largest share of the covariance of a fit that errors which do not average out may have.
 const MOST: f64 = 0.9;
 
-/// Place of the scanner, and its rays, when an object was seen.
+/// From where a scanner saw an object: its place and yaw in the world, and the spacing of its rays.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Look {
     /// Place of the scanner [m], and its yaw [rad].
@@ -41,12 +42,12 @@ impl Look {
         self.place
     }
 
-    /// Distance from ray to ray at a distance [m].
+    /// Distance between neighbouring rays at `distance` [m] from the scanner [m].
     pub(super) fn gap(&self, distance: f64) -> f64 {
         self.spacing.abs() * distance
     }
 
-    /// Bearings of both sides of a circle (x, y, r), seen from here.
+    /// Bearings of both sides of a circle (x, y, r) as the scanner sees it, from its yaw [rad].
     fn sides(&self, circle: &Vector3<f64>) -> [f64; 2] {
         let [x, y] = [circle[0] - self.place[0], circle[1] - self.place[1]];
         let half = libm::asin((circle[2] / libm::hypot(x, y).max(1e-9)).min(1.0));
@@ -54,14 +55,15 @@ impl Look {
         [bearing - half, bearing + half]
     }
 
-    /// True if rays meet the sides of a circle as they did at other bearings of its sides.
+    /// True if the sides of a circle are at nearly the same bearings as `before`, so that the rays
+    /// meet them in the same way and the error stays the same.
     fn is_same(&self, circle: &Vector3<f64>, before: [f64; 2]) -> bool {
         let mut sides = self.sides(circle).into_iter().zip(before);
         sides.all(|(one, other)| turn(one - other).abs() < OTHER * self.spacing)
     }
 
-    /// Covariance of the errors of a fit (x, y, r) of covariance `R` that come from the places of
-    /// its sides between rays, each spread evenly over the angle from ray to ray.
+    /// Covariance of those errors of a fit (x, y, r) of covariance `R` that last: each side of the
+    /// circle is anywhere between two rays, with equal probability.
     fn lasting(&self, circle: &Vector3<f64>, R: &Matrix3<f64>) -> Matrix3<f64> {
         let [x, y] = [circle[0] - self.place[0], circle[1] - self.place[1]];
         let distance = libm::hypot(x, y).max(1e-9);
@@ -77,15 +79,17 @@ impl Look {
     }
 }
 
-/// Looks at one object.
+/// Statistics of the looks at one object: how large its lasting errors are, and how often the rays
+/// met it in the same way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Looks {
-    /// Bearings of its sides in the last one [rad].
+    /// Bearings of the sides of the object in the last look [rad]; None before the first one.
     last: Option<[f64; 2]>,
     /// Share of recent looks that were the same as the one before.
     same: f64,
+    /// Mean covariance of the lasting errors of x, y and radius [m^2].
     lasting: Matrix3<f64>,
-    /// Share of the covariance of the fits that such errors have.
+    /// Share of the covariance of the fits that the lasting errors have.
     share: f64,
 }
 
@@ -107,8 +111,9 @@ impl Looks {
         self.last = Some(look.sides(circle));
     }
 
-    /// A state with the error that no number of the same looks makes smaller, in place of the part
-    /// of its covariance that the filter takes for new in every scan.
+    /// Add the lasting error to the covariance of `state`, since no number of the same looks makes
+    /// it smaller. It replaces the part of the covariance that the filter takes for new in every
+    /// scan.
     pub(in crate::circles::map) fn widen(&self, state: &mut Gaussian<5>) {
         let mut kept = SMatrix::<f64, 5, 5>::identity();
         let lasting = self.lasting * self.same;

@@ -18,19 +18,23 @@ use nalgebra::{Matrix3, Vector2};
 const LIKELY: f64 = 0.2;
 /// Probability of standing above which a body has stood.
 const STOOD: f64 = 0.8;
-/// Squared distance that is left of a larger one then: the centre tells less than the trace.
+/// Squared Mahalanobis distance to which a larger one of a body that stays is reduced: the centre
+/// tells less than the trace.
 const STAYING: f64 = 1.0;
-/// Largest squared distance of the centre of what is not surely round, or has stayed.
+/// Largest squared Mahalanobis distance of a measurement with full weight, for a body that is not
+/// surely round or has stayed.
 const NEAR: f64 = 9.0;
-/// Probability that another part of a body is seen, and how far its circle is then: a length and a
-/// share of the radius, one standard deviation [m].
+/// Probability that a measurement shows another part of a body.
 const OTHER: f64 = 0.05;
+/// Standard deviation of the circle of another part of a body: constant part [m].
 const PART: f64 = 0.03;
+/// Standard deviation of the circle of another part of a body: share of the radius.
 const PART_SHARE: f64 = 0.5;
-/// The same of what is surely round, for the decision if it stands.
+/// Probability that a measurement shows another part of a surely round body, for the decision
+/// whether it stands.
 const OTHER_OF_ROUND: f64 = 0.001;
-/// Speed since the last scan above which a measurement is of another body [m/s]; since its last
-/// measurement, where its place is not known.
+/// Speed above which a measurement belongs to another body [m/s]. It is the speed since the last
+/// scan; if the place of the body is not known, it is the speed since its last measurement.
 const FASTEST: f64 = 3.0;
 /// Squared distance up to which something is a body that comes back into sight: 99.7 % of where it
 /// may be, chi-square of 2 degrees of freedom.
@@ -38,19 +42,21 @@ const RETURN: f64 = 11.8;
 /// Mean time for which a body is out of sight, if it comes back at all [s].
 const HIDDEN: f64 = 5.0;
 
-/// Time for which the centre of somebody who walks stays off by the same [s], and the least time
-/// between measurements that counts.
+/// Time for which the centre of somebody who walks keeps the same error [s].
 const LASTS: f64 = 0.15;
+/// Least time between measurements that counts [s].
 const SHORTEST: f64 = 0.01;
-/// Standard deviation of that error: of a trunk in its radii, and of a single leg [m].
+/// Standard deviation of the error of the centre of a trunk, in radii.
 const SWAY: f64 = 0.1;
+/// Standard deviation of the error of the centre that a single leg gives [m].
 const STRIDE: f64 = 0.2;
-/// Weight of the newest radius in the variance of radii, and its largest square [m^2].
+/// Weight of the newest radius in the variance of the measured radii.
 const ROUGHNESS: f64 = 0.1;
+/// Largest squared deviation of a radius that counts [m^2].
 const ROUGHEST: f64 = 0.01;
 
 impl RoundBody {
-    /// What tells a person from other bodies.
+    /// Legs, speed, radius and form of the body, which tell a person from other bodies.
     pub(super) fn gait(&self, legs: Legs) -> Gait {
         let mean = self.mean();
         Gait {
@@ -61,7 +67,8 @@ impl RoundBody {
         }
     }
 
-    /// A measurement with the noise of this body.
+    /// The measurement with a covariance that contains the additional noise of this body in centre
+    /// and radius.
     pub(super) fn noisy(&self, seen: &CircleMeasurement) -> CircleMeasurement {
         let mut seen = *seen;
         for axis in 0..2 {
@@ -72,10 +79,10 @@ impl RoundBody {
         seen
     }
 
-    /// Variance of the centre of somebody who walks, beyond that of one scan: arms swing, the trunk turns
-    /// and one leg is seen before the other, so that the same error lasts for a part of a step.
-    /// Measurements `dt` [s] after each other then tell little more than one of them. What is surely
-    /// round has no such parts.
+    /// Variance of the centre of somebody who walks, beyond that of one scan [m^2]. Arms swing, the
+    /// trunk turns and one leg is seen before the other, so that the same error lasts for a part of
+    /// a step: measurements `dt` [s] after each other tell little more than one of them. It is 0
+    /// for what is surely round and for what stands.
     pub(super) fn sway(&self, legs: Legs, dt: f64) -> f64 {
         if !self.is_like_a_person() || self.stands {
             return 0.0;
@@ -188,18 +195,19 @@ impl RoundBody {
         })
     }
 
-    /// Probability that a measurement shows another part of this body, for the decision if it stands.
+    /// Probability that a measurement shows another part of this body, for the decision whether it
+    /// stands.
     pub(super) fn share_of_parts(&self) -> f64 {
         if self.outline.is_surely_round() { OTHER_OF_ROUND } else { OTHER }
     }
 
-    /// A measurement if it shows another part of this body.
+    /// The measurement with the covariance that it has if it shows another part of this body.
     pub(super) fn of_part(&self, seen: &CircleMeasurement) -> CircleMeasurement {
         let spread = PART + PART_SHARE * self.place()[2].max(seen.z[2]);
         CircleMeasurement { R: seen.R + Matrix3::identity() * (spread * spread), ..*seen }
     }
 
-    /// Take in how the centre jitters.
+    /// Update the noise of the centre and of the radius with a measurement.
     pub(super) fn listen(&mut self, seen: &CircleMeasurement, time_ns: i64) {
         let variance = 0.5 * (seen.R[(0, 0)] + seen.R[(1, 1)]);
         self.jitter.add(time_ns, [seen.z[0], seen.z[1]], variance);

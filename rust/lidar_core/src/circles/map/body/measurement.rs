@@ -7,10 +7,11 @@ use crate::circles::map::circle_measurement::CircleMeasurement;
 use crate::circles::map::view::earlier::Trace;
 use serde::{Deserialize, Serialize};
 
-/// Largest logarithm of the Bayes factor that earlier scans give.
+/// Largest logarithm of the Bayes factor for standing that the traces of earlier scans give.
 const EVIDENCE: f64 = 1.5;
-/// Traces that tell nothing, and that tell most.
+/// Trace (share of points on earlier surfaces) that tells nothing about standing or moving.
 const EVEN: f64 = 0.8;
+/// Trace from which on a measurement shows that the body has not moved.
 pub(super) const STAYED: f64 = 0.95;
 /// Share of the points of a measurement on earlier surfaces below which it is where space was free.
 pub(super) const FREE: f64 = 0.5;
@@ -31,28 +32,28 @@ pub(in crate::circles::map) enum Legs {
 pub(in crate::circles::map) struct BodyMeasurement {
     /// Circle of the body, or the circle that represents it.
     pub(in crate::circles::map) circle: CircleMeasurement,
-    /// Circle that its rays may show, if its shape looks different.
+    /// Circle that the rays may show if the segment looks like another shape; None otherwise.
     pub(in crate::circles::map) round: Option<CircleMeasurement>,
-    /// Outline, if it is no circle.
+    /// Ellipse or rectangle that the segment shows; None if it is a circle.
     pub(in crate::circles::map) outline: Option<OutlineMeasurement>,
-    /// Only one face was seen, which does not show its kind.
+    /// True if only one face was seen, which does not show the kind of the body.
     pub(in crate::circles::map) is_face: bool,
     /// Time of the measurement [ns].
     pub(in crate::circles::map) time_ns: i64,
-    /// Direction from the sensor to it, of length one.
+    /// Direction from the sensor to the body in the world, of length one.
     pub(in crate::circles::map) sight: [f64; 2],
-    /// Place of the scanner, and its rays; None: unknown.
+    /// Place of the scanner and spacing of its rays in this scan; None: unknown.
     pub(in crate::circles::map) look: Option<Look>,
-    /// How far its points reach; None: unknown.
+    /// Points of the body that reach farthest; None: unknown.
     pub(in crate::circles::map) hull: Option<Hull>,
     /// Share of its points where earlier scans met a surface, not free space; None: unknown.
     pub(in crate::circles::map) trace: Option<Trace>,
-    /// Whether it is put together of the legs of a person.
+    /// How many legs of a person it is put together of.
     pub(in crate::circles::map) legs: Legs,
 }
 
 impl BodyMeasurement {
-    /// True if all of it is where earlier scans met a surface.
+    /// True if (nearly) all of it is where earlier scans met a surface.
     pub(super) fn has_stayed(&self) -> bool {
         self.trace.is_some_and(|trace| trace >= STAYED)
     }
@@ -62,7 +63,8 @@ impl BodyMeasurement {
         self.trace.is_some_and(|trace| trace < FREE)
     }
 
-    /// Logarithm of the Bayes factor for standing: what moves is where space was free.
+    /// Logarithm of the Bayes factor for standing, from the trace: what moves is where space was
+    /// free. 0 if the trace is unknown.
     pub(super) fn evidence(&self) -> f64 {
         self.trace
             .map_or(0.0, |trace| EVIDENCE * ((trace - EVEN) / (STAYED - EVEN)).clamp(-1.0, 1.0))

@@ -1,4 +1,4 @@
-//! Which bodies may be one, and which are surely two.
+//! Decides which measurements and bodies may be one object, and which bodies are surely two.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -8,15 +8,18 @@ use crate::circles::map::element::exceeds;
 use crate::circles::map::rules::Rules;
 use nalgebra::{Matrix3, Vector3};
 
-/// Ratio of radii, and a length [m], up to which a measurement is of a body that is near.
+/// Ratio of radii up to which a measurement may be of a body that is near.
 const ALIKE: f64 = 2.0;
+/// Length that is added to this limit of the radius [m].
 const SLACK: f64 = 0.05;
-/// Distance from the surface of what may show two people at once up to which both touch it [m].
+/// Distance of a person from the surface of a measurement up to which it may show this person and
+/// another one at once [m].
 const TOUCH: f64 = 0.1;
 
 impl RoundBody {
-    /// Bodies that were not measured but touch a measurement that none explains: a change of the
-    /// visible part, not a new object. Owners of such measurements are set.
+    /// Give measurements that no body explains to bodies that were not measured but touch them: the
+    /// visible part of the body changed, and there is no new object. Their entries in `owners` are
+    /// set.
     pub(super) fn adopt<'a>(
         all: impl Iterator<Item = &'a Self>,
         seen: &[BodyMeasurement],
@@ -48,19 +51,19 @@ impl RoundBody {
         }
     }
 
-    /// True if they surely are two, however close they come: people who pass each other or something
-    /// that stands, and what has stood beside each other.
+    /// True if both bodies are surely objects of their own, however close they come: people who
+    /// pass each other or something that stands, and what has stood beside each other.
     pub(super) fn passes(&self, other: &Self) -> bool {
         self.is_known() && other.is_known()
     }
 
-    /// True if it surely is an object of its own.
+    /// True if the body surely is an object of its own.
     fn is_known(&self) -> bool {
         self.is_somebody() || self.is_fixture()
     }
 
-    /// Give back their own measurements to bodies that surely are two: gaps between them come and go
-    /// with their fits.
+    /// Separate measurements that were joined in `wholes` although they belong to two bodies that
+    /// surely are two: gaps between these come and go with their fits.
     pub(super) fn keep_apart(bodies: &[&Self], seen: &[BodyMeasurement], wholes: &mut [usize]) {
         let owner = |number: usize| {
             let z = &seen[number].circle.z;
@@ -82,7 +85,8 @@ impl RoundBody {
         }
     }
 
-    /// What shows two people at once tells little of either: its centre is between them.
+    /// Increase the covariance of measurements that show two people at once: their centre is
+    /// between the people and tells little of either.
     pub(super) fn share(bodies: &[&Self], seen: &mut [BodyMeasurement], wholes: &[usize]) {
         let people: Vec<Vector3<f64>> =
             bodies.iter().filter(|body| body.is_somebody()).map(|body| body.place()).collect();
@@ -106,23 +110,23 @@ impl RoundBody {
         }
     }
 
-    /// True if it is a person, and surely no part of another one.
+    /// True if the body is a person, and surely no part of another one.
     pub(super) fn is_somebody(&self) -> bool {
         self.is_like_a_person() && self.is_its_own()
     }
 
-    /// True if it is something that stands, and surely no part of a person.
+    /// True if the body stands, is no person, and surely is no part of a person.
     pub(super) fn is_fixture(&self) -> bool {
         self.stands && !self.is_like_a_person() && self.is_its_own()
     }
 
-    /// True if it was measured for long enough to be no part of another: what was first seen beside a
-    /// person and is one of its parts becomes one with it before.
+    /// True if the body was measured for long enough to be no part of another. What was first seen
+    /// beside a person and is a part of this person is joined with it before that time.
     fn is_its_own(&self) -> bool {
         self.known >= if self.is_beside { BESIDE_FOR } else { MET }
     }
 
-    /// True if it was seen on two legs, or is most probably a person.
+    /// True if the body was seen on two legs, or is most probably a person.
     pub(super) fn is_like_a_person(&self) -> bool {
         self.person.has_legs() || self.person() > PERSON
     }

@@ -45,21 +45,25 @@ const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
 const TRUST: f64 = 4.0;
 
-/// Squared velocity, in its covariance, from which an element that stood moves: 95 % of chi-square of
-/// 2 degrees of freedom, 50 % where space was free; and below which one that moved stands.
+/// Squared velocity, in its covariance, from which a body that stood moves (95 % of chi-square of 2
+/// degrees of freedom).
 const MOVES: f64 = 5.99;
+/// The same for a known body where space was free (50 %).
 const LEAVES: f64 = 1.39;
+/// Squared velocity, in its covariance, below which a body that moved stands.
 const RESTS: f64 = 0.25;
-/// Measurements in a row that must tell so: a single one may show another part of what stands.
+/// Measurements in a row that must show motion until a standing body moves: a single one may show
+/// another part of it.
 const DEPARTS: u32 = 2;
 
 /// Probability above which a body is a person.
 const PERSON: f64 = 0.5;
 /// Time for which both of two people were measured before they met [s].
 const MET: f64 = 1.0;
-/// Distance from a person within which something new may be a part of it [m], and the time for which
-/// it was measured until it is none [s].
+/// Distance from a person within which something new may be a part of this person [m].
 const BESIDE: f64 = 1.0;
+/// Time for which something new beside a person was measured until it is no part of this person
+/// [s].
 const BESIDE_FOR: f64 = 2.0;
 
 /// A body: its circle, or the circle that represents it, and its outline.
@@ -86,8 +90,9 @@ pub(super) struct RoundBody {
     /// Direction in which it was seen last, of length one.
     sight: [f64; 2],
     looks: Looks,
-    /// Scans since its last measurement, the next one included, and their time [s].
+    /// Scans since its last measurement, the next one included.
     waits: u32,
+    /// Time since its last measurement [s].
     waiting: f64,
     /// Time for which it was measured [s].
     known: f64,

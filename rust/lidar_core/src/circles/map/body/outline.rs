@@ -14,14 +14,15 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Shape that a circle represents.
+/// Shape of a segment that is represented by a circle in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutlineEstimate {
     /// Ellipse, rectangle, or line: one face of an unknown object.
     pub shape: ShapeEstimate,
-    /// True if it is too large to be reported as a circle.
+    /// True if the shape is too large to be reported as a circle.
     pub is_large: bool,
-    /// Circle fitted to the rays, used if the element is known to be round.
+    /// Circle fitted to the same rays, used if the element is known to be round; None without such
+    /// a circle.
     pub round: Option<CircleEstimate>,
 }
 
@@ -34,17 +35,19 @@ const NEWEST: f64 = 0.1;
 const SURE: f64 = 0.7;
 /// Weight of the newest measurement in the doubt that a body is round.
 const LATEST: f64 = 0.03;
-/// Share of other shapes up to which there is no doubt.
+/// Share of other shapes among the measurements up to which there is no doubt that a body is round.
 const ROUND: f64 = 0.15;
-/// Standard deviations of the middle of what is not round, along and across the line of sight, in
-/// half widths: it may be less than half as deep as it is wide, or more than twice.
+/// Standard deviation of the middle of what is not round along the line of sight, in half widths:
+/// it may be less than half as deep as it is wide, or more than twice.
 const DEPTH: f64 = 1.0;
+/// Standard deviation of the middle of what is not round across the line of sight, in half widths.
 const WIDTH: f64 = 0.35;
-/// Ratio of half lengths up to which an ellipse is one bent face, and from which on it is none; and
-/// sines of the angle between its longer axis and the sight, from which on it is seen broadside.
+/// Ratio of half lengths up to which an ellipse is one bent face, and from which on it is none.
 const FLAT: [f64; 2] = [0.35, 0.5];
+/// Sines of the angle between the longer axis of an ellipse and the line of sight: up to the first
+/// one it is not seen broadside, from the second one on it is.
 const BROAD: [f64; 2] = [0.5, 0.8];
-/// Lead in weight that another kind needs.
+/// Lead in weight that another kind needs before the kind of a body changes.
 const AHEAD: f64 = 0.1;
 
 /// An ellipse or rectangle in the world.
@@ -53,10 +56,11 @@ pub(in crate::circles::map) struct OutlineMeasurement {
     pub(in crate::circles::map) kind: ShapeKind,
     /// Centre x and y [m], bearing of the first half length [rad], both half lengths [m].
     pub(in crate::circles::map) z: SVector<f64, 5>,
+    /// Covariance of the measured values.
     pub(in crate::circles::map) R: SMatrix<f64, 5, 5>,
     /// Time of the measurement after the stamp of the scan [s].
     pub(in crate::circles::map) delay: f64,
-    /// Too large to be reported as a circle.
+    /// True if it is too large to be reported as a circle.
     pub(in crate::circles::map) is_large: bool,
 }
 
@@ -84,16 +88,16 @@ impl OutlineMeasurement {
     }
 }
 
-/// Outline of a body.
+/// Outline of a body over time: the kind that most measurements show, and the state of its filter.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Outline {
     state: Option<ElementModes<7>>,
     /// Weights of the kinds in recent measurements.
     shares: [f64; 3],
     kind: usize,
-    /// Weight of large measurements.
+    /// Share of recent measurements that were too large for a circle.
     large: f64,
-    /// Weight of measurements that look like no circle, over a longer time.
+    /// Share of measurements that look like no circle, over a longer time.
     unround: f64,
 }
 
@@ -103,7 +107,7 @@ impl Outline {
         self.kind < self.shares.len() && self.state.iter().all(|state| state.fits(motion))
     }
 
-    /// Outline from the first measurement; None for a circle.
+    /// Outline from the first measurement; `seen` is None for a circle.
     pub(in crate::circles::map) fn new(
         seen: Option<&OutlineMeasurement>,
         is_face: bool,
@@ -132,8 +136,8 @@ impl Outline {
         }
     }
 
-    /// Correct with a measurement of the body; None for a circle. A measurement outside the gate is
-    /// weighted down until it would be inside.
+    /// Correct with a measurement of the body; `seen` is None for a circle. A measurement outside
+    /// the gate is weighted down until it would be inside.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
@@ -177,9 +181,9 @@ impl Outline {
         self.large > 0.5
     }
 
-    /// Covariance of the middle of a body, represented by a circle of this radius and seen in the
-    /// direction `sight`, since nobody sees how deep it is; zero for what is surely round. No
-    /// number of scans from the same side makes it smaller.
+    /// Covariance of the middle of a body [m^2] because nobody sees how deep it is. The body is
+    /// represented by a circle of this radius and was seen in the direction `sight`. Zero for what
+    /// is surely round. No number of scans from the same side makes it smaller.
     pub(in crate::circles::map) fn unseen(&self, radius: f64, [x, y]: [f64; 2]) -> Matrix2<f64> {
         let longer = self.reported().map_or(0.0, |(_, state)| state.mean[5]);
         let half = radius.max(longer) * self.doubt();
@@ -187,8 +191,8 @@ impl Outline {
         along * along.transpose() * (DEPTH * DEPTH) + across * across.transpose() * (WIDTH * WIDTH)
     }
 
-    /// How sure one bent face is all that was seen of it from this direction, 0 to 1: a flat ellipse
-    /// seen from its flat side.
+    /// How sure it is, 0 to 1, that one bent face is all that was seen of the body in the direction
+    /// `sight`: it looks like a flat ellipse seen from its flat side.
     pub(in crate::circles::map) fn is_bent(&self, sight: [f64; 2]) -> f64 {
         let ellipse = |&(kind, _): &(ShapeKind, _)| kind == ShapeKind::Ellipse;
         self.reported().filter(ellipse).map_or(0.0, |(_, state)| {
@@ -200,7 +204,7 @@ impl Outline {
         })
     }
 
-    /// Note if a measurement looked like something that is not round.
+    /// Count whether a measurement looked like something that is not round.
     pub(in crate::circles::map) fn doubted(&mut self, is_unround: bool) {
         self.unround += LATEST * (f64::from(u8::from(is_unround)) - self.unround);
     }
@@ -218,7 +222,9 @@ impl Outline {
         }
     }
 
-    /// Kind and state with the longer half length first, if the body is no circle.
+    /// Kind and state of the outline, with the longer half length first; None for a circle. The
+    /// state is centre and velocity, bearing of the longer half length [rad], and both half lengths
+    /// [m].
     pub(in crate::circles::map) fn reported(&self) -> Option<(ShapeKind, Gaussian<7>)> {
         let Gaussian { mut mean, mut covariance } = self.state.as_ref()?.combined();
         if mean[6] > mean[5] {
@@ -242,7 +248,8 @@ fn started(seen: &OutlineMeasurement, rules: &Rules) -> ElementModes<7> {
     ElementModes::new(at_rest(seen.z, seen.R, seen.delay, rules.speed()), rules.motion())
 }
 
-/// Description of an outline that is nearest to a state, and its squared distance.
+/// The description of a measured outline that is nearest to a state, and its squared Mahalanobis
+/// distance. An outline has several: half a turn, or a quarter turn with exchanged half lengths.
 fn nearest(
     state: &Gaussian<7>,
     seen: &OutlineMeasurement,

@@ -3,27 +3,33 @@
 use super::measurement::Legs;
 use serde::{Deserialize, Serialize};
 
-/// Logarithm of the odds that a new body is a person, and the largest odds either way.
+/// Logarithm of the odds that a new body is a person.
 const PRIOR: f64 = -1.5;
+/// Largest logarithm of the odds, for and against a person.
 const MOST: f64 = 4.0;
-/// Rates at which the logarithm of the odds changes [1/s]. Successive scans show nearly the same, so
-/// that time counts and not their number.
+/// Rate at which the logarithm of the odds changes while a body walks on two legs [1/s]. Successive
+/// scans show nearly the same, so that time counts and not their number.
 const TWO_LEGS: f64 = 4.0;
+/// The same rate while a body of the size of a person moves at walking speed [1/s].
 const WALKS: f64 = 2.0;
+/// The same rate while a body is too fast for a person, or walks and has another size [1/s].
 const OTHERWISE: f64 = -2.0;
+/// The same rate while a body does not walk [1/s].
 const STANDS: f64 = -0.5;
-/// The same for what stands after it walked: people stop.
+/// The same rate while a body that was probably a person does not walk [1/s]: people stop.
 const STOPPED: f64 = -0.02;
-/// Speeds at which people walk [m/s], the speed above which nobody does, and radii of bodies.
+/// Lowest and highest speed at which people walk [m/s].
 const PACE: [f64; 2] = [0.3, 2.5];
+/// Speed above which nobody walks [m/s].
 const FASTEST: f64 = 3.5;
+/// Smallest and largest radius of a person [m].
 const SIZE: [f64; 2] = [0.03, 0.45];
 /// Radius above which a rectangle is no person [m]; of a trunk near by, one side looks straight.
 const SQUARE: f64 = 0.25;
 /// Longest time that one measurement speaks for [s].
 const LONGEST: f64 = 0.5;
 
-/// What is seen of a body that tells if it is a person.
+/// What is seen of a body and tells if it is a person.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gait {
     pub(super) legs: Legs,
@@ -31,7 +37,7 @@ pub(super) struct Gait {
     pub(super) speed: f64,
     /// Radius [m].
     pub(super) radius: f64,
-    /// It looks like a rectangle.
+    /// True if the body looks like a rectangle.
     pub(super) is_angular: bool,
 }
 
@@ -39,7 +45,7 @@ pub(super) struct Gait {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Person {
     log_odds: f64,
-    /// It was seen on two legs.
+    /// True if the body was seen on two legs.
     has_legs: bool,
 }
 
@@ -59,7 +65,7 @@ impl Person {
         self.has_legs && self.log_odds > PRIOR - 1.0
     }
 
-    /// Take in a measurement, `dt` seconds after the last one.
+    /// Update the odds with a measurement, `dt` seconds after the last one.
     pub(super) fn hear(&mut self, gait: &Gait, dt: f64) {
         self.has_legs |= gait.legs == Legs::Two;
         let is_square = gait.is_angular && gait.radius > SQUARE;

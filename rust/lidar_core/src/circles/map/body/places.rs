@@ -7,9 +7,10 @@ use crate::circles::map::rules::Rules;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-/// Radius from which a body is large [m], and the least ratio of the radii of two circles of a large
-/// object: what stands inside its circle is another one.
+/// Radius from which a body is large [m].
 const LARGE: f64 = 0.5;
+/// Least ratio of the radii of two circles of one large object: what stands inside its circle is
+/// another object.
 const LEAST_RATIO: f64 = 0.5;
 
 /// True if two circles may be of one object by their radii.
@@ -23,7 +24,8 @@ pub(super) fn apart(one: &Vector3<f64>, two: &Vector3<f64>) -> f64 {
     libm::hypot(one[0] - two[0], one[1] - two[1])
 }
 
-/// True if two circles (x, y, r) are one object.
+/// True if two circles (x, y, r) show one object: one contains the centre of the other, or the gap
+/// between them is small.
 pub(super) fn is_one(one: &Vector3<f64>, two: &Vector3<f64>, rules: &Rules) -> bool {
     let gap = rules.parameters().merge_gap;
     let [x, y] = [one[0] - two[0], one[1] - two[1]];
@@ -51,7 +53,8 @@ pub(super) fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
     wholes
 }
 
-/// Squared velocity of a body in its covariance: small if it may as well stand.
+/// Squared velocity of a body in its covariance (without unit): small if the body may as well
+/// stand.
 pub(super) fn moves_by(state: &Gaussian<5>) -> f64 {
     let velocity = Vector2::new(state.mean[2], state.mean[3]);
     let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(2, 2).into_owned();

@@ -23,14 +23,15 @@ impl RoundBody {
         if self.stands { halted(state) } else { state }
     }
 
-    /// How sure its box is the better outline, 0 to 1: of what moves, or shows a bent face only. The
-    /// shape of what stands is known from its fits.
+    /// How sure the box is the better outline of the body, 0 to 1. It is for a body that is not
+    /// round and has moved, or shows only a bent face. The shape of what stands is known from its
+    /// fits.
     pub(super) fn boxiness(&self, extent: &BodyBox) -> f64 {
         let is_box = if extent.has_moved() { 1.0 } else { self.outline.is_bent(self.sight) };
         self.outline.doubt() * is_box
     }
 
-    /// Probability that it stands, and its squared velocity in its covariance.
+    /// Probability that the body stands, and its squared velocity in its covariance.
     pub(super) fn motion(&self, rules: &Rules) -> (f64, f64) {
         match self.extent.as_ref().filter(|_| self.outline.doubt() > 0.5) {
             Some(extent) => (extent.standing(rules.motion()), moves_by(&extent.circle())),
@@ -38,7 +39,8 @@ impl RoundBody {
         }
     }
 
-    /// Follow the box around what may not be round.
+    /// Update the box around a body that may not be round. A body that is surely round, or was seen
+    /// on two legs, has no box.
     pub(super) fn surround(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
         let is_boxy = self.outline.doubt() > 0.0 && !self.person.has_legs();
         let Some((hull, look)) = seen.hull.as_ref().zip(seen.look.as_ref()).filter(|_| is_boxy)

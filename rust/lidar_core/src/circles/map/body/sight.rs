@@ -41,8 +41,8 @@ impl RoundBody {
         around.map(ask).fold(here, CircleVisibility::max)
     }
 
-    /// Of a normal distribution of the place, what lies beyond the places asked for and the radius
-    /// around them.
+    /// Probability that the body is beyond the places asked for and its radius around them, for a
+    /// normal distribution of its place.
     pub(super) fn share_beyond(&self, visibility: CircleVisibility) -> f64 {
         let state = self.circle();
         let std = (0.5 * (state.covariance[(0, 0)] + state.covariance[(1, 1)])).sqrt();
@@ -54,8 +54,8 @@ impl RoundBody {
         libm::exp(-0.5 * reach * reach)
     }
 
-    /// Take in the few rays that end on what stands: too few to measure it, but it has not moved.
-    /// True if there are such rays.
+    /// Take in rays that end on a body that stands: too few to measure it, but they show that it
+    /// has not moved. True if there are such rays.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
