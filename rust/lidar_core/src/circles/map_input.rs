@@ -23,7 +23,7 @@ pub(super) struct Parts {
     too_near: Vec<bool>,
 }
 
-/// Elements of all segments.
+/// For every segment the number of its body and of its line in the map; None without one.
 pub(super) struct ByKind {
     pub(super) bodies: Vec<Option<i64>>,
     pub(super) lines: Vec<Option<i64>>,

@@ -34,7 +34,7 @@ impl Default for ScannerParameters {
 /// All parameters of the pipeline. The range limits of the parts are those of the scanner.
 #[derive(Clone, Debug)]
 pub struct PipelineParameters {
-    /// Scanners that are not in `scanners`.
+    /// Parameters of every scanner that is not named in `scanners`.
     pub scanner: ScannerParameters,
     /// Scanners by name.
     pub scanners: Vec<(String, ScannerParameters)>,

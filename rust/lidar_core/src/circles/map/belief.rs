@@ -10,7 +10,7 @@ use super::view::visibility::CircleVisibility;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use serde::{Deserialize, Serialize};
 
-/// Mean time for which an object that moves stays [s].
+/// Mean time for which an object stays, unless it has never moved [s].
 const LIFETIME: f64 = 60.0;
 /// Mean time for which an object that has never moved stays [s]: furniture and posts do not leave
 /// while nobody looks.

@@ -71,8 +71,8 @@ pub(super) trait State: Clone {
     /// Visibility of the element in a scan that did not measure it.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility;
 
-    /// Take in rays of such a scan that end on the element but are too few to measure it; true if
-    /// there are any.
+    /// Take in rays of a scan that did not measure the element: they end on it, but are too few to
+    /// measure it. True if there are any.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
@@ -88,7 +88,7 @@ pub(super) trait State: Clone {
         false
     }
 
-    /// Decide what the state is reported as, after a scan; true if it stands.
+    /// Decide after a scan whether the element is reported as standing; true if it is.
     fn settle(&mut self, _: &Rules) -> bool {
         true
     }
@@ -99,7 +99,7 @@ pub(super) trait State: Clone {
     /// Merge with the state of the same object.
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
-    /// What earlier scans met where a measurement is.
+    /// What earlier scans met at the place of a measurement.
     fn birth_place(_: &Self::Measurement) -> BirthPlace {
         BirthPlace::Revealed
     }
@@ -132,26 +132,27 @@ impl ScanEvidence {
     }
 }
 
-/// Time for which what was measured is still known to be where it was [s].
+/// Time after a measurement for which the place of an element is still known [s].
 const MOMENT: f64 = 0.5;
-/// Time for which what is not where it is expected may come back with its number [s].
+/// Time for which an element that is not at its expected place may come back with its number [s].
 const AWAY: f64 = 2.5;
 
-/// One object.
+/// One object of the map: its state, and what the scans told about it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Element<S> {
     pub(super) id: i64,
     pub(super) state: S,
     pub(super) born_ns: i64,
-    /// Time of the last measurement.
+    /// Time of the last measurement [ns].
     pub(super) seen_ns: i64,
     pub(super) n_measurements: u32,
-    /// It is, or was, probable enough to be reported.
+    /// True if the element is probable enough to be reported. It stays true until the probability
+    /// falls below half of that limit.
     pub(super) confirmed: bool,
     pub(super) belief: ElementBelief,
-    /// Time since the belief last heard whether it stands [s].
+    /// Time since the probabilities of the kinds were updated [s].
     unheard: f64,
-    /// The position is too uncertain to be reported.
+    /// True if the position is too uncertain to be reported.
     lost: bool,
     /// Observation by the newest scan of `watcher`.
     seen: ScanEvidence,
@@ -228,7 +229,7 @@ impl<S: State> Element<S> {
         self.seen.is_visible()
     }
 
-    /// Note if the element is probable enough to be reported.
+    /// Decide if the element is probable enough to be reported.
     fn confirm(&mut self, rules: &Rules) {
         let (existence, report) = (self.belief.existence(), rules.parameters().report_existence);
         let least = if self.confirmed { 0.5 * report } else { report };

@@ -15,7 +15,8 @@ pub(super) const SLOTS: usize = MAX_MODES + 1;
 const MAX_STEP: f64 = 0.1;
 /// Largest number of steps of one prediction; for longer times the steps become longer.
 const MAX_STEPS: f64 = 600.0;
-/// Random walk of the sides of a box [m^2/s]: another height of the body is seen.
+/// Density of the random walk of the half lengths of a box [m^2/s]: another height of the body is
+/// seen.
 const LENGTHS: f64 = 1e-5;
 /// Largest product of rate and time for which the exponential series is summed.
 const SERIES: f64 = 1e-3;
@@ -25,7 +26,7 @@ pub(super) type Square<const N: usize> = SMatrix<f64, N, N>;
 /// Entry (i, j): probability of mode j after a time, if the mode was i before.
 type Switching = SMatrix<f64, SLOTS, SLOTS>;
 
-/// Transition matrix of eqs 13 and 15.
+/// Transition matrix of eqs 13 and 15 over `dt` [s]: the centre moves with its velocity.
 pub(super) fn transition<const N: usize>(dt: f64) -> Square<N> {
     let mut F = Square::<N>::identity();
     F[(0, 2)] = dt;
@@ -58,7 +59,7 @@ fn wandering<const N: usize>(dt: f64, density: f64, wander: &[f64]) -> Square<N>
     Q
 }
 
-/// Motion of elements.
+/// Model of the motion of elements: modes, rates of switching between them, and random walks.
 #[derive(Clone, Debug)]
 pub(super) struct ElementMotion {
     pub(super) modes: Vec<MotionMode>,
@@ -66,11 +67,11 @@ pub(super) struct ElementMotion {
     radius_density: f64,
     turn_density: f64,
     line_density: f64,
-    /// Rates of the chain [1/s].
+    /// Rates of switching from mode to mode [1/s].
     rates: Switching,
 }
 
-/// Prediction of states of N values.
+/// Prediction of states of N values, in `count` equal steps.
 pub(super) struct Move<const N: usize> {
     pub(super) count: usize,
     /// Variance of the velocity after standing; None without that mode [m^2/s^2].

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 /// Largest number of scans kept, whatever their time.
 const MAX_SCANS: usize = 1_000;
 
-/// A scan and the elements before it.
+/// A processed scan, and the elements as they were before it.
 #[derive(Clone, Serialize, Deserialize)]
 struct Entry {
     before: Elements,

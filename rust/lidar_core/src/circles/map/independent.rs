@@ -132,8 +132,8 @@ impl Elements {
         shapes
     }
 
-    /// True if all points lie on one confirmed line of at least this length, up to the error of
-    /// ranges with deviation `std`.
+    /// True if all points, in the world, lie on one confirmed line of at least this length [m], up
+    /// to the error of ranges with deviation `std` [m].
     pub(super) fn is_on_line(
         &self,
         rules: &Rules,
@@ -245,7 +245,8 @@ fn take_in<S: State>(
     Ok(())
 }
 
-/// Merge, decide what is reported, and remove.
+/// Merge elements of one object, decide which are reported, and remove those that are over. Returns
+/// pairs of the number that stays and the one that was merged into it.
 fn tidy<S: State>(
     rules: &Rules,
     all: &mut Vec<Element<S>>,

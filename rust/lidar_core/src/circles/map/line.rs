@@ -163,7 +163,8 @@ impl Line {
         square <= rules.reach * rules.reach * variance
     }
 
-    /// Linearised measurement of a surface that is not exactly straight, and its squared distance.
+    /// Linearised measurement of a surface that is not exactly straight, and its squared
+    /// Mahalanobis distance.
     fn compared(
         &self,
         seen: &LineMeasurement,
@@ -175,7 +176,7 @@ impl Line {
         Ok((model, squared))
     }
 
-    /// Squared distance of a measurement of the same surface; None for another surface.
+    /// Squared Mahalanobis distance of a measurement of the same surface; None for another surface.
     fn distance(&self, seen: &LineMeasurement, rules: &Rules) -> Result<Option<f64>, Error> {
         let turned = turn(seen.angle - self.state.mean[0]).abs();
         if turned > WIDEST || self.gap(seen.middle, seen.half) > rules.lines().gap {

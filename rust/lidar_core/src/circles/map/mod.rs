@@ -58,9 +58,10 @@ pub struct MapElement {
     pub seen_ns: i64,
     /// Number of scans that measured it.
     pub n_measurements: u32,
-    /// The newest scan of a sensor measured the element, or it was in view and not hidden.
+    /// True if the newest scan of a sensor measured the element, or if it was in view and not
+    /// hidden.
     pub visible: bool,
-    /// The element is probable enough to be reported, and its place is known.
+    /// True if the element is probable enough to be reported, and its place is known.
     pub confirmed: bool,
     /// Probability that it is a person; 0 with the filter of the paper.
     pub person: f64,
@@ -84,22 +85,24 @@ pub struct MapShape {
     /// shorter half length [m]. The covariance of a line contains only the bearing and the position
     /// across it.
     pub state: Gaussian<7>,
-    /// Ends of a line [m]; seen from the first towards the second, the face is on the left.
+    /// Ends of a line [m]: seen from the first towards the second, the face is on the left. None
+    /// for other shapes.
     pub ends: Option<[[f64; 2]; 2]>,
     /// Time since its first measurement [s].
     pub age: f64,
     /// Time of its last measurement [ns].
     pub seen_ns: i64,
-    /// The newest scan of a sensor measured the element, or it was in view and not hidden.
+    /// True if the newest scan of a sensor measured the element, or if it was in view and not
+    /// hidden.
     pub visible: bool,
-    /// The element is probable enough to be reported, and its place is known.
+    /// True if the element is probable enough to be reported, and its place is known.
     pub confirmed: bool,
 }
 
 /// Changes of the map by a scan, as numbers of elements.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MapStats {
-    /// The scan was older than the newest one.
+    /// True if the scan was older than the newest one.
     pub late: bool,
     /// True if the scanner moved although earlier scans have the very same pose: the source of the
     /// poses stopped.
@@ -118,7 +121,8 @@ pub struct MapStats {
     pub merged: Vec<[i64; 2]>,
 }
 
-/// Result of a scan that the elements do not show.
+/// Result of an update that the list of elements does not show: whether the scan was late, the
+/// elements of its objects, and which elements were merged.
 struct MapOutcome {
     late: bool,
     found: ScanElements,

@@ -101,7 +101,7 @@ impl<const N: usize> ElementModes<N> {
         }
     }
 
-    /// Take the velocity for zero in every mode, as uncertain as it is.
+    /// Set the velocity to zero in every mode and keep its uncertainty.
     pub(super) fn halt(&mut self) {
         for state in &mut self.states {
             let variance = 0.5 * (state.covariance[(2, 2)] + state.covariance[(3, 3)]);
@@ -183,9 +183,9 @@ impl<const N: usize> ElementModes<N> {
         Ok((best <= gate).then(|| -2.0 * log_sum(&costs)))
     }
 
-    /// Correct with a measurement. What stands may show another part of itself: `standing` is the
-    /// measurement then, the probability of that, and other evidence for the first mode, as the
-    /// logarithm of its Bayes factor against the other modes.
+    /// Correct with a measurement. What stands may show another part of itself: `standing` holds the measurement for
+    /// this case, its probability, and other evidence for the first mode, as the logarithm of its Bayes factor against
+    /// the other modes.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
@@ -220,8 +220,8 @@ impl<const N: usize> ElementModes<N> {
         Ok(())
     }
 
-    /// Take in a rough measurement whose error may be the same in every scan: it tells which mode is
-    /// right, and where the others may be, but adds nothing to the first one.
+    /// Correct with a rough measurement whose error may be the same in every scan. It changes the probabilities of the
+    /// modes and the states of all modes but the first.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
@@ -239,8 +239,8 @@ impl<const N: usize> ElementModes<N> {
     }
 }
 
-/// The state with velocity zero, and with the covariance of its error then: that it moves after all
-/// stays as probable as it is.
+/// The state with velocity zero. The velocity that it had is added to the covariance, so that motion stays as probable
+/// as it was.
 pub(super) fn halted<const N: usize>(mut state: Gaussian<N>) -> Gaussian<N> {
     let speed = [state.mean[2], state.mean[3]];
     for row in 0..2 {

@@ -103,13 +103,13 @@ pub struct Independent {
     /// Probability of existence from which on an element is reported, until it falls below half of
     /// it.
     pub report_existence: f64,
-    /// Limits above which elements are too uncertain.
+    /// Largest standard deviations of a visible element; one above them is removed.
     pub limits: Limits,
     /// Time for which an element stays while hidden or out of view [s]; None: for ever.
     pub coast: Option<f64>,
-    /// Rule for elements that should have been measured.
+    /// Test whether a scan should have measured an element.
     pub visibility_test: VisibilityTest,
-    /// Largest delay of a scan [s].
+    /// Largest time by which a scan may be older than the newest one [s].
     pub buffer_time: f64,
     /// Rules for wall lines of the map.
     pub lines: LineRules,
@@ -181,7 +181,7 @@ pub enum ElementFilter {
 pub struct CircleMapParameters {
     /// Filter of the elements.
     pub filter: ElementFilter,
-    /// Probability that a true pair passes the gate.
+    /// Probability that a measurement of an element passes its gate.
     pub gate_probability: f64,
     /// Standard deviation of a new element's velocity, per axis [m/s].
     pub initial_speed: f64,

@@ -9,7 +9,7 @@ use crate::estimation::chi2;
 /// Span of usual radii [m].
 const RADII: f64 = 0.5;
 
-/// Rules for elements.
+/// Parameters of the map, with the model of motion and the gates that follow from them.
 pub(super) struct Rules {
     parameters: Independent,
     motion: ElementMotion,

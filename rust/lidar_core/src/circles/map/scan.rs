@@ -63,11 +63,11 @@ pub struct CircleScan<'a> {
     pub view: Option<ScanWithLimits<'a>>,
 }
 
-/// Objects of one kind in the world.
+/// Measured objects of one kind in the world, each with its element.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct MeasuredObjects<M> {
     pub(super) measurements: Vec<M>,
-    /// Element of each object, after the scan was processed.
+    /// Number of the element of each object, after the scan was processed; None without an element.
     pub(super) elements: Vec<Option<i64>>,
 }
 
@@ -160,7 +160,7 @@ impl KeptScan {
         before.has_stuck_pose()
     }
 
-    /// Key for the order of scans.
+    /// Key for the order of scans: stamp [ns] and number of the sensor.
     pub(super) fn key(&self) -> (i64, u32) {
         self.from.key()
     }
@@ -181,7 +181,7 @@ impl KeptScan {
     }
 }
 
-/// Elements that the objects of a scan belong to.
+/// Numbers of the elements that the objects of a scan belong to.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ScanElements {
     pub(super) circles: Vec<i64>,

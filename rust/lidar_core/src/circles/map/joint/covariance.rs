@@ -5,9 +5,9 @@
 use nalgebra::{SMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Errors of the robot: position x and y, angle.
+/// Number of errors of the robot: position x and y, angle.
 pub(super) const ROBOT: usize = 3;
-/// Errors of an element, eq. 9: position, velocity, radius.
+/// Number of errors of an element, eq. 9: two of the position, two of the velocity, and the radius.
 pub(super) const ELEMENT: usize = 5;
 
 /// Covariance of all errors, row after row: the robot's first, then every element's.

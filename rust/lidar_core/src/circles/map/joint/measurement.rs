@@ -63,7 +63,8 @@ impl MeasurementModel {
     }
 }
 
-/// Place a circle by eqs 18-20, with the Jacobians by the robot's error and by the measurement.
+/// Place a measured circle in the world by eqs 18-20, with the Jacobians by the robot's error and
+/// by the measurement.
 pub(super) fn mapped(
     pose: &LevelPose,
     z: &Vector3<f64>,

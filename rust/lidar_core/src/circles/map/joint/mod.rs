@@ -103,7 +103,7 @@ impl JointMap {
         Ok(())
     }
 
-    /// Predict, associate, correct, map, delete.
+    /// Update the map with a scan: predict, associate, correct, create and delete elements.
     pub(super) fn update(
         &mut self,
         scan: &CircleScan<'_>,
@@ -137,7 +137,7 @@ impl JointMap {
         Ok(MapOutcome { late: false, found, merged: Vec::new() })
     }
 
-    /// All elements, one prediction step later.
+    /// All elements, predicted to `stamp_ns` in one step.
     pub(super) fn at(&self, stamp_ns: i64) -> Vec<MapElement> {
         let Some(newest_ns) = self.state.stamp_ns else { return Vec::new() };
         let F = transition(seconds(newest_ns, stamp_ns));

@@ -13,45 +13,48 @@ use crate::circles::map::seconds;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Ages of the scans that are asked [s]: in the shortest, what walks leaves its own place.
+/// Ages of the earlier scans with which a scan is compared [s]: even in the shortest time, what
+/// walks leaves its own place.
 const AGES: [f64; 4] = [0.4, 0.8, 1.2, 1.6];
 /// Shares of an age by which a scan may be younger, and time by which it may be older [s].
 const SLACK: (f64, f64) = (0.1, 0.6);
 /// Least time between scans that are kept [s].
 const APART: f64 = 0.1;
-/// Least and largest distance of a point from a surface that was met there [m], and how many times
-/// the usual distance it is: noise of ranges and poses, which most of the scan shows.
+/// Least and largest distance up to which a point lies on a surface that an earlier scan met [m].
 const MARGIN: [f64; 2] = [0.02, 0.12];
+/// This distance as a multiple of the usual one, which is the noise of ranges and poses.
 const USUAL: f64 = 4.0;
-/// Points by which a scan shows the usual distance, at least and at most, and the largest distance
-/// of one that was met before [m].
+/// Least and largest number of points from which the usual distance is determined.
 const SAMPLES: [usize; 2] = [20, 100];
+/// Largest distance of a point from an earlier surface that counts for the usual distance [m].
 const KNOWN: f64 = 0.3;
 /// Largest distance behind its old place of a surface that moved away from the scanner [m].
 const RECEDED: f64 = 0.3;
-/// Usual distance up to which a scan is from where its pose says [m].
+/// Usual distance between two scans up to which their poses agree with what they show [m].
 const OFF: f64 = 0.02;
 /// Largest number of points of one object that are looked up.
 const MOST_POINTS: usize = 40;
-/// Least share of the answers that must tell something.
+/// Least share of the looked up points for which earlier scans must tell surface or free space.
 const LEAST_KNOWN: f64 = 0.5;
 
 /// Share of the points of an object at which earlier scans met a surface, among those at which they
 /// met a surface or free space.
 pub(in crate::circles::map) type Trace = f64;
 
-/// Earlier scans that are asked about one scan.
+/// Earlier scans with which the scan `now` is compared.
 pub(in crate::circles::map) struct EarlierViews<'a> {
     now: &'a Viewpoint,
     asked: Vec<Asked<'a>>,
 }
 
-/// An earlier scan, and the largest distance of a point from a surface that it met there [m].
+/// An earlier scan, and how closely a point has to lie on a surface that it met.
 struct Asked<'a> {
     from: &'a Viewpoint,
     view: &'a SortedView,
-    /// Usual distance of a point from it; None if too few points tell [m].
+    /// Usual distance of a point of the present scan from a surface of this one [m]; None if too
+    /// few points tell.
     usual: Option<f64>,
+    /// Largest distance of a point that lies on a surface of this scan [m].
     margin: f64,
 }
 
@@ -133,7 +136,7 @@ impl Earlier {
         self.views.iter().all(|one| one.view.as_ref().is_some_and(|view| view.is_sound()))
     }
 
-    /// Scans of before a viewpoint that tell what moves.
+    /// Earlier scans that are compared with the viewpoint `now` to tell what moves.
     pub(in crate::circles::map) fn before<'a>(&'a self, now: &'a Viewpoint) -> EarlierViews<'a> {
         let mut asked: Vec<Asked<'a>> = Vec::new();
         for age in AGES {

@@ -29,7 +29,7 @@ impl LevelPose {
         Self { origin: [pose.translation[0], pose.translation[1]], cos, sin }
     }
 
-    /// True if both are the same, up to rounding.
+    /// True if both poses are the same, up to rounding.
     pub(in crate::circles::map) fn is_same(&self, other: &Self) -> bool {
         let (one, two) = ([self.origin[0], self.origin[1], self.cos, self.sin], other);
         let two = [two.origin[0], two.origin[1], two.cos, two.sin];

@@ -14,7 +14,7 @@ pub(super) struct SurfacePiece {
     after: [f64; 2],
     /// End of the ray [m].
     pub(super) end: [f64; 2],
-    /// The ray before it met the same surface.
+    /// True if the ray before it met the same surface.
     is_joined: bool,
 }
 

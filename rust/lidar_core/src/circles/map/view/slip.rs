@@ -8,12 +8,13 @@
 use super::visibility::SortedView;
 use nalgebra::{Matrix3, Vector3};
 
-/// Largest number of ends of rays that are compared, and the least number that decides.
+/// Largest number of ends of rays that are compared.
 const SAMPLES: usize = 100;
+/// Least number of ends of rays for a decision.
 const FEWEST: usize = 30;
 /// Distance from the surface of the earlier scan within which an end lies on it [m].
 const ON: f64 = 0.05;
-/// Share of the ends on it above which the scanner rests.
+/// Share of the ends on the surface of the earlier scan above which the scanner rests.
 const BEFORE: f64 = 0.5;
 /// Least gap between two surfaces [m].
 const GAP: f64 = 0.5;
@@ -21,18 +22,21 @@ const GAP: f64 = 0.5;
 /// move side by side, but the more surfaces agree, the less is it chance. The other ends may be people
 /// and vehicles, which go their own ways.
 const AFTER: [(usize, f64); 2] = [(3, 0.85), (6, 0.7)];
-/// One sample of so many is tried first, and the share of these that a motion has to explain: things
-/// that move on their own rarely pass, at a quarter of the cost.
+/// One sample of so many is tried first, which costs a quarter: things that move on their own
+/// rarely pass.
 const FIRST: usize = 4;
+/// Share of the first samples that a motion has to explain.
 const FIRST_AFTER: f64 = 0.6;
-/// Largest distance at which a surface is looked for [m]; the search ends that much nearer in every round.
+/// Largest distance at which a surface is looked for in the first round [m].
 const REACH: f64 = 0.6;
+/// Number of rounds of the search.
 const ROUNDS: usize = 12;
+/// Factor on the search distance from round to round.
 const NARROWER: f64 = 0.85;
 /// Damping that keeps a motion along a single wall at zero.
 const DAMPING: f64 = 1e-3;
 
-/// Motion in the plane: a turn about the scanner, then a shift [m].
+/// Motion in the plane: a turn about the scanner [rad], then a shift [m].
 #[derive(Clone, Copy, Debug, Default)]
 struct ScanSlip {
     shift: [f64; 2],
@@ -47,8 +51,8 @@ impl ScanSlip {
     }
 }
 
-/// True if the scanner moved from one scan to the next, both in the frame of one pose; None if it rests, or
-/// if too few ends tell.
+/// True if the scanner moved from one scan to the next, both in the frame of one pose; false if no
+/// motion of the scanner explains them. None if it rests, or if too few ends tell.
 pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> Option<bool> {
     let ends: Vec<[f64; 2]> = now.pieces().iter().flatten().map(|piece| piece.end).collect();
     let every = ends.len().div_ceil(SAMPLES).max(1);

@@ -46,7 +46,8 @@ impl SortedView {
         if is_free && distance < self.range_max() { Met::Free } else { Met::Unknown }
     }
 
-    /// Where the ray beside a place ended, if that was nearer than the place.
+    /// End of the ray beside a place, in the frame of the scan [m], if the ray ended before the
+    /// place; else None.
     pub(super) fn before(&self, point: [f64; 2]) -> Option<[f64; 2]> {
         let (distance, bearing) =
             (libm::hypot(point[0], point[1]), libm::atan2(point[1], point[0]));
@@ -136,8 +137,9 @@ impl SortedView {
 /// The nearest piece to a point, of the surfaces that were looked at.
 struct NearestPiece {
     point: [f64; 2],
-    /// Square of the distance, or of how far is looked [m^2].
+    /// Squared distance of the nearest piece; as long as none is found, that of the search [m^2].
     square: f64,
+    /// Way from the nearest piece to the point [m]; None if none is found.
     way: Option<[f64; 2]>,
 }
 

@@ -14,7 +14,7 @@ pub(in crate::circles::map) struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// Key for the order of scans.
+    /// Key for the order of scans: stamp [ns] and number of the sensor.
     pub(in crate::circles::map) fn key(&self) -> (i64, u32) {
         (self.stamp_ns, self.sensor)
     }

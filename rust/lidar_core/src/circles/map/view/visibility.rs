@@ -45,7 +45,7 @@ pub struct SortedView {
     ranges: Vec<f64>,
     range_min: f64,
     range_max: f64,
-    /// What the rays met, from the first question on: later scans ask many.
+    /// Surfaces that the rays met, computed at the first query.
     #[serde(skip)]
     pieces: OnceLock<Vec<Option<SurfacePiece>>>,
 }
@@ -119,8 +119,9 @@ impl SortedView {
         self.votes([bearing - half, bearing + half], surface).visibility(test)
     }
 
-    /// Centre that the rays show which end on `circle`, in the frame of the scan: each of them is
-    /// taken for one that meets it in the middle. None if not most rays at its place end there.
+    /// Centre of an object on which the rays at the place of `circle` end, in the frame of the scan
+    /// [m]: each of these rays is taken for one that meets its middle. None unless most rays there
+    /// end on it.
     pub(in crate::circles::map) fn glimpse(
         &self,
         circle: &Circle,
@@ -159,7 +160,7 @@ impl SortedView {
         self.pieces.get_or_init(|| SurfacePiece::all(&self.bearings, &self.ranges, self.step()))
     }
 
-    /// Rays up to an angle `half` beside a bearing.
+    /// Numbers of the rays up to an angle `half` beside a bearing [rad].
     pub(super) fn around(&self, bearing: f64, half: f64) -> Range<usize> {
         let ends = self.bearings.first().zip(self.bearings.last());
         if ends.is_none_or(|(&first, &last)| bearing + half < first || bearing - half > last) {
@@ -169,7 +170,8 @@ impl SortedView {
         low..self.bearings.partition_point(|&ray| ray <= bearing + half).max(low)
     }
 
-    /// The first ray from a bearing on, if any ray is up to an angle `half` beside it.
+    /// Number of the first ray from a bearing on; None unless a ray is up to an angle `half` beside
+    /// it [rad].
     pub(super) fn first_from(&self, bearing: f64, half: f64) -> Option<usize> {
         let (&first, &last) = self.bearings.first().zip(self.bearings.last())?;
         if bearing + half < first || bearing - half > last {
