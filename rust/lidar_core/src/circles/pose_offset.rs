@@ -17,23 +17,27 @@ use std::collections::BTreeMap;
 const LONGEST: f64 = 0.5;
 /// Time without a measurement after which an object begins anew [s].
 const MEMORY: f64 = 5.0;
-/// Variance of the drift of places [m^2/s^2], and densities of random walks of places [m^2/s] and of
-/// their drift [m^2/s^3].
+/// Variance of the drift of places [m^2/s^2].
 const DRIFT: f64 = 0.05 * 0.05;
+/// Density of the random walk of places [m^2/s].
 const WANDER: f64 = 0.002 * 0.002;
+/// Density of the random walk of the drift of places [m^2/s^3].
 const CHANGE: f64 = 0.002 * 0.002;
 /// Number of measurements that the regression remembers.
 const MOST: f64 = 20_000.0;
 /// Variance of a place beyond that of its fit [m^2].
 const ROUGH: f64 = 0.005 * 0.005;
-/// Squared innovation, in variances, above which it is no error of a fit.
+/// Squared innovation, in variances, above which a measurement shows another object, or another
+/// part of it.
 const FAR: f64 = 16.0;
 /// Standard deviation from which on the offset is known [s].
 const KNOWN: f64 = 0.005;
-/// Measurements of which one tells something new: errors of neighbouring scans are alike.
+/// Number of measurements that tell as much as one independent one: errors of neighbouring scans
+/// are alike.
 const ALIKE: f64 = 8.0;
-/// Standard deviations, and time [s], that an offset has at least to be used.
+/// Least size of an offset that is used, in standard deviations.
 const SURE: f64 = 4.0;
+/// Least size of an offset that is used [s].
 const LEAST: f64 = 0.004;
 /// Least standard deviation of an offset in use [s]: clocks are no better.
 const RESOLUTION: f64 = 0.001;
@@ -44,7 +48,7 @@ const STEP: f64 = 0.002;
 /// Number of objects above which old ones are forgotten.
 const MANY: usize = 500;
 
-/// A pose as it was given.
+/// Pose of the scanner as the caller gave it: stamp, place in the world [m] and yaw [rad].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct GivenPose {
     stamp_ns: i64,
@@ -58,7 +62,8 @@ impl GivenPose {
         Self { stamp_ns, place: pose.translation, yaw }
     }
 
-    /// Velocity [m/s] and turn rate [rad/s] up to another pose.
+    /// Velocity [m/s] and turn rate [rad/s] up to the pose `next`; None if it is not later, or much
+    /// later.
     fn motion(&self, next: &Self) -> Option<([f64; 3], f64)> {
         let dt = (i128::from(next.stamp_ns) - i128::from(self.stamp_ns)) as f64 * 1e-9;
         let velocity = [0, 1, 2].map(|axis| (next.place[axis] - self.place[axis]) / dt);
@@ -80,7 +85,7 @@ struct StandingCircle {
     weight: f64,
 }
 
-/// Filter of one object.
+/// Filter of the place of one standing object.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Thing {
     stamp_ns: i64,
@@ -94,17 +99,22 @@ struct Thing {
 /// Estimate of the offset of one scanner's poses.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct PoseOffset {
-    /// Poses of the two last scans.
+    /// Pose of the scan before the last one.
     before: Option<GivenPose>,
+    /// Pose of the last scan.
     last: Option<GivenPose>,
     /// Standing circles of the last scan; the motion at its time is known after the next one.
     waiting: Vec<StandingCircle>,
     things: BTreeMap<i64, Thing>,
-    /// Sums of products of innovations over their variance: rates, both, places; and their number.
+    /// Sum of squared innovations of the rates over their variance.
     rates: f64,
+    /// Sum of products of the innovations of places and rates over their variance.
     both: f64,
+    /// Sum of squared innovations of the places over their variance.
     places: f64,
+    /// Number of innovations in these sums.
     count: f64,
+    /// Offset in use [s].
     used: f64,
 }
 
@@ -123,8 +133,8 @@ impl PoseOffset {
         (offset.is_finite() && std.is_finite()).then_some((offset, std))
     }
 
-    /// Velocity and turn rate in the time that the poses are moved on by, from those since the last
-    /// scan and before it; None if poses are used as given.
+    /// Velocity [m/s] and turn rate [rad/s] of the scanner during the offset, extrapolated from its
+    /// last poses; None if poses are used as given.
     fn coming(&self, now: &GivenPose) -> Option<([f64; 3], f64)> {
         let last = self.last.filter(|_| self.used != 0.0)?;
         let (velocity, rate) = last.motion(now)?;
@@ -139,7 +149,8 @@ impl PoseOffset {
         Some((velocity, faster(rate, slower)))
     }
 
-    /// Covariance of a pose with that of the part by which it is moved on; None for an exact pose.
+    /// Covariance of a pose and of the motion by which it is moved on; None for an exact pose that
+    /// is used as given.
     pub(super) fn covariance(
         &self,
         stamp_ns: i64,

@@ -16,16 +16,17 @@ const SHARED: f64 = 8.0;
 const PRIOR: f64 = 4.0;
 /// Number of independent differences that the mean remembers.
 const MEMORY: f64 = 2_000.0;
-/// Logarithm of the ratio to the estimate at which another deviation is used, and the same in
-/// standard deviations of the estimate.
+/// Logarithm of the ratio of the estimated to the used deviation above which the estimate is used.
 const STEP: f64 = 0.15;
+/// The same limit in standard deviations of the estimate.
 const SURE: f64 = 3.0;
-/// Largest factor on the configured deviation, up and down: below it the shape of surfaces and the
-/// steps of the ranges count, not noise.
+/// Largest factor on the configured deviation, up and down.
 const FACTOR: f64 = 8.0;
+/// Least estimated deviation [m], unless a smaller one is configured: below it the shape of
+/// surfaces and the steps of the ranges count, not noise.
 const LEAST: f64 = 0.002;
 
-/// Deviation of the ranges of one scanner.
+/// Standard deviation of the ranges of one scanner, estimated from its scans.
 ///
 /// On a smooth surface the range is a smooth function of the bearing: third differences of four
 /// neighbouring rays hold hardly anything but noise, whether the surface stands, moves or is bent,
@@ -44,8 +45,9 @@ impl RangeNoise {
         Self { configured, used: configured, variance: configured * configured, weight: PRIOR }
     }
 
-    /// Standard deviation of a range that fits use [m]: the configured one as long as it is right,
-    /// and no other with every scan, so that scans in another order give the same map.
+    /// Standard deviation of a range that fits use [m]. It is the configured one as long as that is
+    /// right, and does not change with every scan, so that scans in another order give the same
+    /// map.
     pub(super) fn std(&self) -> f64 {
         self.used
     }
@@ -92,7 +94,8 @@ impl RangeNoise {
     }
 }
 
-/// Magnitude of the third difference of the ranges of four neighbouring rays.
+/// Magnitude of the third difference of the ranges of four neighbouring rays [m]; None if they do
+/// not follow each other, or one has no range.
 fn third_difference(scan: &PolarScan, four: &[u32]) -> Option<f64> {
     let &[a, b, c, d] = four else { return None };
     let is_row = [(a, b), (b, c), (c, d)].iter().all(|&(one, next)| one.abs_diff(next) == 1);

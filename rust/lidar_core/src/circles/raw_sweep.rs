@@ -18,11 +18,11 @@ pub struct RawSweep<'a> {
     pub ranges: &'a [f32],
     /// Poses `world_from_lidar`, 4x4 row-major: one pose, or a stream.
     pub poses: &'a [[f64; 16]],
-    /// Stamps of the pose stream [ns].
+    /// Stamps of the pose stream [ns]; None for a single pose.
     pub pose_stamps_ns: Option<&'a [i64]>,
-    /// Time of every ray [ns].
+    /// Time of every ray [ns]; None if all rays share the stamp.
     pub ray_time_ns: Option<&'a [i64]>,
-    /// Covariance of the pose: translation, then the angles about x, y, z.
+    /// Covariance of the pose: translation, then the angles about x, y, z; None for an exact pose.
     pub pose_covariance: Option<PoseCovariance>,
 }
 

@@ -88,13 +88,15 @@ impl Scanner {
         Ok(())
     }
 
-    /// Range limits from above, for the smallest ratio of horizontal to full length over all rays.
+    /// Smallest and largest horizontal range [m]; `upright` is the smallest ratio of horizontal to
+    /// full length over all rays.
     pub(super) fn horizontal_limits(&self, upright: f64) -> [f64; 2] {
         let [near, far] = self.range_limits;
         [near, (far * upright).max(2.0 * near)]
     }
 
-    /// What stands for a ray without return, a sweep included if it may be learnt.
+    /// How the ranges of the scanner mark rays without return, learnt also from this sweep if the
+    /// pipeline learns such properties.
     pub(super) fn misses_with(
         &self,
         raw: &RawSweep<'_>,

@@ -43,7 +43,8 @@ impl ShapeParameters {
         require_positive("model_std", self.model_std)
     }
 
-    /// Circle that represents a line without neighbours: its middle lies behind the line.
+    /// Circle that represents a line with free space on both sides. Its middle lies behind the
+    /// line. None if the line is too long for a body.
     fn behind(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [start, end] = shape.ends()?;
         let half = 0.5 * libm::hypot(end[0] - start[0], end[1] - start[1]);
@@ -65,7 +66,8 @@ impl ShapeParameters {
         })
     }
 
-    /// Shape that a circle represents; None for a circle, or if the outline is unknown.
+    /// Outline of a shape that the map represents by a circle; None for a circle, or if the outline
+    /// is not known.
     pub(super) fn outline(&self, shape: &ShapeEstimate) -> Option<OutlineEstimate> {
         if shape.kind == ShapeKind::Line {
             return Some(OutlineEstimate { shape: *shape, is_large: false, round: None });
@@ -77,7 +79,8 @@ impl ShapeParameters {
         is_known.then_some(OutlineEstimate { shape: *shape, is_large, round: None })
     }
 
-    /// Circle whose radius is the mean half length.
+    /// Circle that represents an ellipse or rectangle, with the mean half length as radius. None
+    /// for a line, or without a usable radius and covariance.
     fn equivalent(&self, shape: &ShapeEstimate) -> Option<CircleEstimate> {
         let [x, y, long, short, _] = shape.parameters;
         let scale = shape.kind.half_length().unwrap_or(1.0);
@@ -143,7 +146,7 @@ pub(super) fn part(
     }
 }
 
-/// Circle of a segment, if its hits lie on it.
+/// Circle of a segment; None if its hits do not lie on it.
 fn round(
     prepared: &PreparedSweep,
     number: usize,
@@ -153,15 +156,17 @@ fn round(
     Some(*circle).filter(|_| deviation(prepared, number, circle) <= max_deviation)
 }
 
-/// Variance of so many hits around a circle beyond that of their noise, if it is not by chance.
+/// Variance of the distances of `count` hits from a circle that noise does not explain [m^2]; 0 if
+/// it may be chance. `deviation` is their root mean square distance [m].
 fn departure(deviation: f64, range_std: f64, count: usize) -> f64 {
     let by_chance = 1.0 + CHANCE * (2.0 / count as f64).sqrt();
     (deviation * deviation - range_std * range_std * by_chance).max(0.0)
 }
 
-/// Circle of a segment that looks like another shape, if its hits lie on it. Its centre is as
-/// uncertain as the hits depart from it beyond the noise of ranges: by chance, a circle looks like
-/// another shape now and then, and is known as well then as ever.
+/// Circle of a segment that looks like another shape; None if its hits do not lie on it, or if its
+/// covariance is not positive definite. The variance of the hits that noise does not explain is
+/// added to that of the centre: a circle that looks like another shape by chance is known as well
+/// as ever.
 pub(super) fn doubted(
     prepared: &PreparedSweep,
     number: usize,

@@ -48,7 +48,7 @@ const KIND: &str = "circle map";
 /// An element, predicted to a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapElement {
-    /// Number, never reused.
+    /// Number of the element, never reused.
     pub id: i64,
     /// Centre x and y [m], its velocity [m/s], radius [m]: the order of eq. 9.
     pub state: Gaussian<5>,

@@ -5,10 +5,12 @@ use serde::{Deserialize, Serialize};
 /// Share of the rays that are invalid if invalid values stand for misses. A surface that is too
 /// dark or too slanting makes fewer.
 const MANY: f64 = 0.05;
-/// Most values of a better known kind beside one that stands for misses, as a share of it.
+/// Largest number of values of a better known kind beside one that stands for misses, as a share of
+/// the latter.
 const RARE: f64 = 0.05;
-/// Scans that the counts remember, and scans before NaN can stand for misses.
+/// Number of scans that the counts remember.
 const MEMORY: f64 = 200.0;
+/// Number of scans before NaN can stand for misses.
 const FIRST: f64 = 20.0;
 
 /// Distance above the nearest range that the scanner measures, in standard deviations, within which

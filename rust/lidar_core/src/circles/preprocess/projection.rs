@@ -17,7 +17,7 @@ pub enum Projection {
     Paper,
 }
 
-/// A scan in the level frame.
+/// A scan in the level frame: origin at the scanner at the stamp, z up, yaw of the scanner kept.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LevelScan {
     /// Horizontal ranges and bearings; bearings are continuous, so they may exceed pi.

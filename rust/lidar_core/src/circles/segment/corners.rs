@@ -75,14 +75,16 @@ fn span(scan: &PolarScan, rays: &[u32]) -> f64 {
     steps.sum::<f64>().abs()
 }
 
-/// The hit farthest from the sensor in the middle half.
+/// Index of the hit farthest from the sensor, in the middle half of the points; None if that is
+/// empty.
 fn farthest(points: &[[f64; 2]]) -> Option<usize> {
     let square = |index: &usize| points[*index][0].powi(2) + points[*index][1].powi(2);
     let quarter = points.len() / 4;
     (quarter..points.len() - quarter).max_by(|one, other| square(one).total_cmp(&square(other)))
 }
 
-/// The hit deepest behind the chord, if it is deep enough.
+/// Index of the hit deepest behind the chord; None if the corner is not deep or the chord not long
+/// enough.
 fn deepest(points: &[[f64; 2]], parameters: &CornerParameters) -> Option<usize> {
     let ([x, y], [to_x, to_y]) = (*points.first()?, *points.last()?);
     let length = libm::hypot(to_x - x, to_y - y);

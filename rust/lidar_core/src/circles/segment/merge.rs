@@ -10,8 +10,8 @@ pub(super) struct Run {
     pub(super) end: usize,
 }
 
-/// First run of the object of every run. Two runs are one object if everything between them is
-/// nearer or unknown, their ends are close, and one circle or line fits both.
+/// For every run the number of the first run of its object. Two runs are one object if everything
+/// between them is nearer or unknown, their ends are close, and one circle or line fits both.
 pub(super) fn merged(
     sweep: &HitSweep<'_>,
     runs: &[Run],
@@ -40,7 +40,7 @@ pub(super) fn merged(
     roots
 }
 
-/// Next run that may continue run `first` behind something nearer.
+/// Number of the next run that may continue run `first` behind something nearer; None without one.
 fn continuation(
     sweep: &HitSweep<'_>,
     runs: &[Run],

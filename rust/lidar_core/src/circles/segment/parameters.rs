@@ -9,7 +9,8 @@ pub const INCIDENCE: f64 = std::f64::consts::PI / 18.0;
 /// Nearest and farthest surface that the scanner of the paper measures [m].
 pub(in crate::circles) const RANGE_LIMITS: [f64; 2] = [0.1, 10.0];
 
-/// Largest distances from the nearer and the farther range limit at which it may cut an object [m].
+/// Largest distances of an object from the near and from the far range limit at which the limit may
+/// cut it [m].
 pub const CUT_MARGINS: [f64; 2] = [0.15, 1.2];
 
 /// Bound on the distance of neighbours.
@@ -18,16 +19,17 @@ pub enum Bound {
     /// Adaptive breakpoint detector: the largest distance of neighbours on a surface that rays hit
     /// at an angle of at least `incidence` [rad], plus `slack` [m].
     Adaptive {
-        /// Smallest angle between a ray and a surface.
+        /// Smallest angle between a ray and a surface [rad].
         incidence: f64,
-        /// Addition for the noise of the ranges.
+        /// Addition for the noise of the ranges [m].
         slack: f64,
     },
     /// Constant distance [m].
     Fixed(f64),
 }
 
-/// Deviations of the ranges by which neighbours on one surface may be apart.
+/// Difference of the ranges of neighbours on one surface that noise may cause, in standard
+/// deviations.
 const SLACK: f64 = 3.0;
 
 impl Bound {
@@ -56,9 +58,9 @@ pub struct SegmentParameters {
     pub merge_deviation: f64,
     /// Rules for the split of surfaces at corners.
     pub corner: CornerParameters,
-    /// Least number of rays.
+    /// Least number of rays of a segment.
     pub min_points: usize,
-    /// Least share of all rays of the scan.
+    /// Least share of all rays of the scan that a segment has.
     pub min_fraction: f64,
     /// Smallest and largest range that is measured [m].
     pub range_limits: [f64; 2],

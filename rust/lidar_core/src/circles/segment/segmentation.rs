@@ -119,12 +119,13 @@ impl HitSweep<'_> {
         segments
     }
 
-    /// Kind of the neighbourhood of a surface: another surface if it ends in a corner.
+    /// What lies beside a surface, after its last ray or before its first ray `ray`. `Occluded` if
+    /// the surface ends in a corner there.
     fn side_at(&self, ray: u32, corner: bool, after: bool, parameters: &SegmentParameters) -> Side {
         if corner { Side::Occluded } else { self.side(ray, after, parameters) }
     }
 
-    /// The ray after `ray`, or the one before it.
+    /// Number of the ray after `ray`, or of the one before it; None at an end of the field of view.
     fn neighbour(&self, ray: u32, after: bool) -> Option<u32> {
         let last = self.scan.len() as u32 - 1;
         match (after, ray) {
@@ -135,7 +136,7 @@ impl HitSweep<'_> {
         }
     }
 
-    /// Kind of the neighbourhood beyond the outermost ray of a segment.
+    /// What lies beyond `ray`, the last ray of a segment (`after`) or its first one.
     fn side(&self, ray: u32, after: bool, parameters: &SegmentParameters) -> Side {
         let Some(next) = self.neighbour(ray, after) else { return Side::FieldEdge };
         let range = self.scan.ranges[ray as usize];

@@ -1,6 +1,6 @@
 //! Segments: groups of rays of a scan that belong together.
 
-/// Kind of the neighbourhood of a segment, given by the ray beside it.
+/// What lies beside a segment, as the next ray shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
     /// The next ray passed: no return, or a hit farther away. The object ends before it.
@@ -24,7 +24,7 @@ pub struct Segments {
     pub rays: Vec<u32>,
     /// Start of each segment in `rays`; one more entry at the end.
     pub starts: Vec<usize>,
-    /// Kind of the neighbourhood before the first and after the last ray of each segment.
+    /// What lies before the first and after the last ray of each segment.
     pub sides: Vec<[Side; 2]>,
 }
 

@@ -2,19 +2,19 @@
 
 use crate::circles::preprocess::polar_scan::{PolarScan, turn};
 
-/// Joined hits in the order of the sweep, first to last.
+/// The hits of one scan in the order of the sweep, first to last.
 pub(crate) struct HitSweep<'a> {
     pub(crate) scan: &'a PolarScan,
     /// Ranges before the scan was limited to a volume.
     pub(crate) seen: &'a [f64],
-    /// Rays with a return.
+    /// Numbers of the rays with a return.
     pub(crate) hits: Vec<u32>,
     /// True if the ray after the last one is the first one.
     pub(crate) wraps: bool,
 }
 
 impl HitSweep<'_> {
-    /// Rays from `from` to `to`, across the seam if necessary.
+    /// Number of steps from ray `from` to ray `to`, across the seam if necessary.
     pub(super) fn steps(&self, from: u32, to: u32) -> usize {
         let (from, to) = (from as usize, to as usize);
         if to >= from { to - from } else { to + self.scan.len() - from }

@@ -12,14 +12,14 @@ use crate::circles::fit::circle::Circle;
 use crate::circles::preprocess::polar_scan::turn;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Least distance from a tangent, in units of that of the centre, that a derivative is divided by: what
-/// it is multiplied with vanishes there.
+/// Least distance from a tangent by which a derivative is divided, in units of that of the centre:
+/// the factor of that derivative vanishes there.
 const LEAST_DISTANCE: f64 = 1e-9;
 /// Smallest semi-axis [m].
 const LEAST_AXIS: f64 = 0.01;
-/// Start values: ratios of the distances, and inverse hyperbolic tangents of k relative to a
-/// circle.
+/// Start values of the ratio of both distances of the centre from the tangents.
 const RATIOS: [f64; 5] = [0.4, 0.65, 1.0, 1.5, 2.5];
+/// Start values of the inverse hyperbolic tangent of k, relative to that of a circle.
 const TURNS: [f64; 5] = [-1.6, -0.8, 0.0, 0.8, 1.6];
 /// Number of starts that are refined.
 const FOLLOWED: usize = 3;
@@ -38,7 +38,7 @@ pub(super) struct Ellipse<'a> {
 }
 
 impl Ellipse<'_> {
-    /// Bearings of the tangents.
+    /// Lower and upper bearing of the tangents, from the middle of the arc [rad].
     fn tangents(&self, parameters: &[f64; 5]) -> [f64; 2] {
         let [low, high] = &self.arc.edges;
         let beyond = |reach: f64, angle: f64| 0.5 * reach * (1.0 - libm::cos(angle));
@@ -63,7 +63,8 @@ impl Ellipse<'_> {
         gain(self, self.arc, std, &[angles[0], angles[1], size, size, squeeze])
     }
 
-    /// Centre x, y, semi-axes [m], bearing of the first one [rad], not the shorter one.
+    /// Centre x, y, longer and shorter semi-axis [m], and bearing of the longer one [rad], in the
+    /// frame of the arc.
     pub(super) fn reported(&self, parameters: &[f64; 5]) -> [f64; 5] {
         let [low, high] = self.tangents(parameters);
         let scale = 1.0 / libm::sin(high - low);
@@ -160,7 +161,8 @@ pub(super) fn fit_ellipse(
     (long <= largest && short >= LEAST_AXIS).then_some(best)
 }
 
-/// `start` in the size that fits the ranges best, which grow with it, after its misfit.
+/// Sum of squared residuals of the ranges [m^2] and parameters of the ellipse `start` in the size
+/// that fits the ranges best.
 fn scaled(ellipse: &Ellipse<'_>, start: [f64; 5]) -> (f64, [f64; 5]) {
     let range = ellipse.range(&start);
     let (mut gg, mut gz) = (0.0, 0.0);

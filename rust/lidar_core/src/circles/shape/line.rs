@@ -7,7 +7,7 @@ use super::solve::{FittedShape, Solved, solve};
 use crate::circles::fit::arc::{Arc, Hit};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Largest range that counts [m].
+/// Largest range to a line, and its range on rays that do not meet it [m].
 const FAR: f64 = 1e3;
 
 /// Range along a ray to the line with normal at bearing `angle`, `distance` from the sensor, and its
@@ -101,7 +101,7 @@ impl Sums {
     }
 }
 
-/// Direction of least scatter, and the scatter there.
+/// Direction of least scatter [rad], and the scatter in this direction [m^2].
 fn least([xx, xy, yy]: [f64; 3]) -> (f64, f64) {
     let angle = 0.5 * libm::atan2(2.0 * xy, xx - yy) + FRAC_PI_2;
     let spread = libm::hypot(0.5 * (xx - yy), xy);

@@ -69,14 +69,14 @@ pub struct ShapeEstimate {
 }
 
 impl ShapeEstimate {
-    /// The circle, if it is one.
+    /// The circle, if the shape is one; else None.
     #[must_use]
     pub fn circle(&self) -> Option<Circle> {
         let [x, y, radius, ..] = self.parameters;
         (self.kind == ShapeKind::Circle).then_some(Circle { center: [x, y], radius })
     }
 
-    /// The ends of the line [m], if it is one.
+    /// Both ends of the line [m], if the shape is one; else None.
     #[must_use]
     pub fn ends(&self) -> Option<[[f64; 2]; 2]> {
         let [angle, distance, start, end, _] = self.parameters;
@@ -86,7 +86,7 @@ impl ShapeEstimate {
     }
 }
 
-/// Shape fitter; keeps its memory between scans.
+/// Fits one shape to each segment of a scan. It reuses its buffers for every scan.
 #[derive(Debug)]
 pub struct ShapeFitter {
     parameters: FitParameters,
@@ -111,7 +111,7 @@ impl ShapeFitter {
         Ok(Self { parameters, arc: Arc::default(), posterior: Posterior::default() })
     }
 
-    /// Fit with another standard deviation of the ranges [m].
+    /// Set the standard deviation of the ranges [m] for the next fits.
     ///
     /// # Errors
     /// [`Error::Parameter`] if it is not positive.
@@ -166,7 +166,8 @@ impl ShapeFitter {
         Ok(())
     }
 
-    /// Circle of the arc and its misfit, if it is larger than usual and a side of it is seen.
+    /// Circle of the arc and its misfit, if it is larger than usual and free space begins beside
+    /// it; else None.
     fn larger(
         &mut self,
         scan: (&PolarScan, bool),

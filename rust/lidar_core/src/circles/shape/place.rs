@@ -26,7 +26,7 @@ const EXCESS: f64 = 2.0;
 /// Factor on the correlations of these parameters.
 const CORRELATED: f64 = 0.97;
 
-/// A circle that is already in its place.
+/// Shape estimate of a circle that is already in the frame of the scan.
 pub(super) fn circle(arc: &Arc, found: CircleEstimate, misfit: f64) -> ShapeEstimate {
     let [x, y] = found.circle.center;
     let mut covariance = [[0.0; 5]; 5];
@@ -38,7 +38,7 @@ pub(super) fn circle(arc: &Arc, found: CircleEstimate, misfit: f64) -> ShapeEsti
     ShapeEstimate { kind, parameters, covariance, misfit, n_hits: arc.n_hits }
 }
 
-/// An ellipse.
+/// Shape estimate of a fitted ellipse, in the frame of the scan.
 pub(super) fn ellipse(shape: &Ellipse<'_>, found: &Solved<5>) -> ShapeEstimate {
     let arc = shape.arc;
     let report = |parameters: &[f64; 5]| {
@@ -53,7 +53,7 @@ pub(super) fn ellipse(shape: &Ellipse<'_>, found: &Solved<5>) -> ShapeEstimate {
     estimate(arc, ShapeKind::Ellipse, parameters, covariance, found.misfit)
 }
 
-/// A line between the outermost rays.
+/// Shape estimate of a fitted line between the outermost rays, in the frame of the scan.
 pub(super) fn line(arc: &Arc, found: &Solved<2>) -> ShapeEstimate {
     let [angle, distance] = found.parameters;
     let ends = [0, 1].map(|side| end(arc, side, [angle, distance]));
@@ -66,7 +66,8 @@ pub(super) fn line(arc: &Arc, found: &Solved<2>) -> ShapeEstimate {
     estimate(arc, ShapeKind::Line, parameters, covariance, found.misfit)
 }
 
-/// A rectangle of which two faces are seen; None if one of them has no length.
+/// Shape estimate of a rectangle of which two faces are seen, in the frame of the scan; None if one
+/// of them has no length.
 pub(super) fn rectangle(arc: &Arc, found: &Solved<3>) -> Option<ShapeEstimate> {
     let [angle, first, second] = found.parameters;
     let ends = [end(arc, 0, [angle, first]), end(arc, 1, [angle - FRAC_PI_2, second])];
@@ -95,7 +96,7 @@ fn turned(arc: &Arc, [x, y]: [f64; 2]) -> [f64; 2] {
     [cosine * x - sine * y, sine * x + cosine * y]
 }
 
-/// Position of one end along a line, and its variance.
+/// Position of one end along a line, from the foot of its normal [m], and its variance [m^2].
 fn end(arc: &Arc, side: usize, [angle, distance]: [f64; 2]) -> (f64, f64) {
     let edge = &arc.edges[side];
     let sign = if side == 0 { -1.0 } else { 1.0 };

@@ -6,12 +6,13 @@ use nalgebra::{SMatrix, SVector};
 /// Largest residual of a range [m]: a ray that passes a shape has no range.
 const LARGEST: f64 = 0.5;
 const MOST_STEPS: usize = 30;
-/// The search ends when the misfit falls by less.
+/// The search ends when the misfit falls by less than this in one step.
 const ENOUGH: f64 = 1e-4;
 /// Standard deviation of unmeasured parameters [m], [rad].
 const UNKNOWN: f64 = 1.0;
-/// The search ends, too, where this many times the fall that the second derivatives promise does not
-/// lead to the misfit that is asked: near a minimum the promise is nearly kept, far from it, it is large.
+/// The search also ends where this many times the fall of the misfit that the second derivatives
+/// predict does not lead to the misfit that is asked for: near a minimum the prediction is nearly
+/// right, far from it, it is large.
 const PROMISES: f64 = 3.0;
 
 /// A shape of K parameters.
@@ -74,7 +75,7 @@ impl<const K: usize> NormalEquations<K> {
         Some(-damped.cholesky()?.solve(&self.gradient))
     }
 
-    /// Fall of the misfit that the second derivatives promise.
+    /// Fall of the misfit from here to its minimum that the second derivatives predict.
     fn promise(&self) -> f64 {
         let known = self.hessian + SMatrix::identity();
         let factor = known.cholesky();

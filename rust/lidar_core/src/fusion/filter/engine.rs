@@ -78,7 +78,7 @@ pub type AcceptInnovation<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
 pub trait Engine: Clone + Send + Sync + 'static {
     /// State that is estimated.
     type State: Clone + Send + Sync + 'static;
-    /// Plane or space.
+    /// World in which the target moves: plane or space.
     type World: Sights;
 
     /// State of a target that has been seen once.
@@ -156,7 +156,7 @@ pub struct Link {
     pub Q: SMatrix<f64, MAX_STATES, MAX_STATES>,
     /// Predicted mean, the heading not wrapped.
     pub mean: SVector<f64, MAX_STATES>,
-    /// Index of the state that is a heading.
+    /// Index of the state that is a heading; None if there is none.
     pub heading: Option<usize>,
 }
 
@@ -193,7 +193,7 @@ pub struct Single<const N: usize, M> {
     pub sensing: Sensing,
 }
 
-/// Correction of a state by a linearised measurement, if it is believed.
+/// Corrects `state` by a linearised measurement if `believe` accepts its innovation.
 struct Corrected<'a, 'b, const N: usize> {
     state: &'a mut Gaussian<N>,
     believe: AcceptInnovation<'b>,

@@ -73,7 +73,7 @@ struct Member<const N: usize, M> {
     state: Gaussian<N>,
 }
 
-/// A model for [`Imm`].
+/// The model of an extended Kalman filter as one of those that [`Imm`] mixes.
 pub fn mode<const N: usize, M: StateConversion<N> + SeenMotion<N>>(
     engine: Single<N, M>,
 ) -> Arc<dyn Mode<M::World>> {

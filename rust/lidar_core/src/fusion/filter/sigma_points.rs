@@ -61,7 +61,7 @@ impl<const N: usize> SigmaState<N> {
     }
 }
 
-/// Correction of a state by a measurement, if it is believed.
+/// Corrects the state `prior` by a measurement if `believe` accepts its innovation.
 struct SigmaCorrected<'a, 'b, const N: usize> {
     rule: &'a SigmaRule,
     prior: &'a mut SigmaState<N>,
