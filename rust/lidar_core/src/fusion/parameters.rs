@@ -133,7 +133,7 @@ impl FusionParameters {
         Self { life: LifecycleRules { buffer_ns: 0, ..self.life }, ..*self }
     }
 
-    /// The same with process noise of `share` times the strength.
+    /// These parameters with process noise of `share` times the strength.
     pub(super) fn with_noise(&self, share: f64) -> Self {
         let Strengths { acceleration, jerk, turn, .. } = self.strengths;
         let [acceleration, jerk, turn] = [acceleration, jerk, turn].map(|noise| share * noise);

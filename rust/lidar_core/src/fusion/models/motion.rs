@@ -7,7 +7,7 @@ use super::world::{Plane, Space, World};
 use crate::estimation::kalman::{Gaussian, add_scaled};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-/// Independent noises that may drive a model.
+/// Largest number of independent noises that drive a model.
 pub const INPUTS: usize = 3;
 
 /// A noise that drives a model.
@@ -102,13 +102,15 @@ impl First {
 /// The state is in the frame of the sensor if the sensor stands still or the model moves it, else
 /// in the world.
 pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
-    /// Plane or space.
+    /// World of the model: plane or space.
     type World: World;
     /// Noises that drive the model, in the order of the columns of [`Self::impulses`].
     const NOISES: [Noise; INPUTS];
-    /// Index of the state that is a heading: it is kept unwrapped and wrapped on output.
+    /// Index of the state that is a heading: it is kept unwrapped and wrapped on output. None for a
+    /// model without heading.
     const HEADING: Option<usize>;
-    /// Index of the state that is the turn rate of the platform.
+    /// Index of the state that is the turn rate of the platform; None for a model without this
+    /// state.
     const PLATFORM_RATE: Option<usize> = None;
 
     /// State after `dt` [s].
@@ -147,7 +149,8 @@ pub trait Motion<const N: usize>: Clone + Send + Sync + 'static {
     /// Response to each noise when it is constantly 1 for `dt` [s], on a straight line.
     fn step_response(&self, s: &SVector<f64, N>, dt: f64) -> SMatrix<f64, N, INPUTS>;
 
-    /// Response to the error of a given input, times its standard deviation.
+    /// Response to the error of a given input, times its standard deviation; None for a model
+    /// without such an input.
     fn input_response(
         &self,
         _s: &SVector<f64, N>,
@@ -201,7 +204,7 @@ pub enum NoiseForm {
 /// Process noise of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProcessNoise {
-    /// Time behaviour.
+    /// Time behaviour of the noise.
     pub form: NoiseForm,
     /// Strength of each noise, in the units that `form` asks for.
     pub strength: [f64; INPUTS],

@@ -10,30 +10,30 @@ use serde::{Deserialize, Serialize};
 pub struct Pose {
     /// Time of the pose [ns].
     pub stamp_ns: i64,
-    /// Position of its origin [m].
+    /// Position of the platform's origin in the world [m].
     pub position: [f64; 2],
     /// Heading, counter-clockwise from the world's x [rad].
     pub yaw: f64,
-    /// Velocity of its origin, axes of the world [m/s].
+    /// Velocity of the platform's origin, axes of the world [m/s].
     pub velocity: [f64; 2],
     /// Turn rate [rad/s].
     pub rate: f64,
-    /// Covariance of x, y and yaw; None for an exact pose.
+    /// Covariance of x and y [m^2] and yaw [rad^2]; None for an exact pose.
     pub covariance: Option<Matrix3<f64>>,
 }
 
 /// State of the platform. Without a pose, the frame of the target's state is the sensor's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Platform {
-    /// The last pose; states are in the world where there is one.
+    /// The last pose; None before the first one. With a pose, states are in the world.
     pub pose: Option<Pose>,
     /// The last pose in space; filters in the plane have none.
     pub in_space: Option<Box<SpacePose>>,
     /// Turn rate measured by a gyro [rad/s]: the mean over the step that is predicted.
     pub rate: f64,
-    /// How fast that rate changes [rad/s^2].
+    /// Change of the measured turn rate [rad/s^2].
     pub slope: f64,
-    /// The last reading of the gyro.
+    /// The last reading of the gyro; None before the first one.
     pub gyro: Option<GyroReading>,
     /// Variance of the turn rate [rad^2/s^2].
     pub rate_variance: f64,
@@ -43,7 +43,7 @@ pub struct Platform {
     pub lever: [f64; 3],
 }
 
-/// Readings of a gyro further apart [s] tell nothing of the time between them.
+/// Longest time between two readings of a gyro that tell the turn rate between them [s].
 const GYRO_GAP: f64 = 0.5;
 /// Time [s] over which the change of the turn rate is smoothed: differences of readings are noisy.
 const SMOOTHED: f64 = 0.1;
@@ -79,7 +79,7 @@ fn seconds(from_ns: i64, to_ns: i64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-9
 }
 
-/// The sensor in the world.
+/// Place and motion of the sensor in the world, at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorPose {
     /// Position [m].
@@ -127,8 +127,9 @@ impl Platform {
         self.gyro = Some(GyroReading { stamp_ns, rate, slope });
     }
 
-    /// Motion of the platform from `start_ns` to `end_ns`: `rate` is the mean of the turn rate. It
-    /// is interpolated between the last two readings, and constant after the last one.
+    /// The platform with its mean turn rate from `start_ns` to `end_ns`. The rate is interpolated
+    /// between the last two readings of the gyro, and constant after the last one. None without a
+    /// reading.
     #[must_use]
     pub fn between(&self, start_ns: i64, end_ns: i64) -> Option<Self> {
         let gyro = self.gyro?;

@@ -16,14 +16,14 @@ const SMALL: f64 = 3.0 - 1e-6;
 pub struct SpacePose {
     /// Time of the pose [ns].
     pub stamp_ns: i64,
-    /// Position of its origin [m].
+    /// Position of the platform's origin in the world [m].
     pub position: Vector3<f64>,
     /// Roll, pitch and yaw [rad]: from the axes of the world turned about z by the yaw, then about
     /// the new y by the pitch, then about the new x by the roll.
     pub attitude: Vector3<f64>,
-    /// Velocity of its origin, axes of the world [m/s].
+    /// Velocity of the platform's origin, axes of the world [m/s].
     pub velocity: Vector3<f64>,
-    /// Turn rates about its own axes [rad/s].
+    /// Turn rates of the platform about its own axes [rad/s].
     pub rates: Vector3<f64>,
     /// Covariance of x, y, z, roll, pitch and yaw; None for an exact pose.
     pub covariance: Option<Matrix6<f64>>,

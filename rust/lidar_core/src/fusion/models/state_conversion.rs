@@ -8,7 +8,7 @@ use super::world::World;
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
 
-/// Least speed that is divided by [m/s].
+/// Least speed by which the derivatives are divided [m/s].
 const SLOWEST: f64 = 0.1;
 /// Variance of an unknown heading [rad^2].
 pub(super) const ANY_HEADING: f64 = 4.0;
@@ -81,7 +81,7 @@ pub(super) fn spread<const N: usize>(state: &Gaussian<N>) -> Gaussian<6> {
     through(&state.covariance, &J, mean)
 }
 
-/// That form of a state, and its Jacobian.
+/// Position, velocity and acceleration of a state with speed and heading, and their Jacobian.
 pub(super) fn spread_slopes<const N: usize>(
     s: &SVector<f64, N>,
 ) -> (Vector6<f64>, SMatrix<f64, 6, N>) {

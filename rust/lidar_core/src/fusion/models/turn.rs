@@ -4,8 +4,9 @@
 const SERIES_UP_TO: f64 = 0.5;
 /// Terms of the series: the first omitted term is below 1e-17 at `SERIES_UP_TO`.
 const TERMS: usize = 7;
-/// Terms of the series below `SHORT_UP_TO` [rad], with the same error.
+/// Terms of the series for turn angles below `SHORT_UP_TO`, with the same error.
 const SHORT: usize = 4;
+/// Turn angle up to which the shorter series is used [rad].
 const SHORT_UP_TO: f64 = 0.03;
 
 /// Integrals of t^k cos(w t) and t^k sin(w t) over a step, for k = 0 to K - 1, K at most 3.

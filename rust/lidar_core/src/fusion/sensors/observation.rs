@@ -15,21 +15,21 @@ const OVERHEAD: f64 = 1e-6;
 pub enum Observation {
     /// Position in the frame of the sensor.
     Position {
-        /// Measured [m].
+        /// Measured position [m].
         z: Vector2<f64>,
-        /// Its covariance.
+        /// Covariance of the measured values.
         R: Matrix2<f64>,
     },
     /// Range, bearing and range rate.
     Polar {
-        /// Measured.
+        /// Measured range [m], bearing [rad] and range rate [m/s].
         z: Vector3<f64>,
-        /// Its covariance.
+        /// Covariance of the measured values.
         R: Matrix3<f64>,
     },
     /// Some of range, bearing and range rate.
     Part {
-        /// Measured; zero what is not.
+        /// Range [m], bearing [rad] and range rate [m/s]; zero for values that are not measured.
         z: Vector3<f64>,
         /// Covariance of the values; zero for values that are not measured.
         R: Matrix3<f64>,
@@ -38,9 +38,9 @@ pub enum Observation {
     },
     /// Turn rate of the platform.
     Rate {
-        /// Measured [rad/s].
+        /// Measured turn rate [rad/s].
         z: f64,
-        /// Variance of the turn rate.
+        /// Variance of the turn rate [rad^2/s^2].
         R: f64,
     },
 }

@@ -14,21 +14,21 @@ use crate::fusion::models::world::Plane;
 use nalgebra::{Matrix1, Matrix2, Matrix3, Matrix4};
 use nalgebra::{SMatrix, SVector, Vector1, Vector2, Vector3};
 
-/// A position in the plane.
+/// A measured position in the plane, compared with a state.
 struct PlaceSeen<'a, const N: usize, M> {
     sight: LineOfSight<'a, N, M>,
     z: Vector2<f64>,
     R: Matrix2<f64>,
 }
 
-/// Range, bearing and range rate in the plane.
+/// Measured range, bearing and range rate in the plane, compared with a state.
 struct PolarSeen<'a, const N: usize, M> {
     sight: LineOfSight<'a, N, M>,
     z: Vector3<f64>,
     R: Matrix3<f64>,
 }
 
-/// The turn rate of the platform, which is one of the states.
+/// A measured turn rate of the platform, compared with the state that is this turn rate.
 struct RateSeen {
     index: usize,
     state: f64,

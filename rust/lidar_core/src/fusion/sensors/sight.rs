@@ -16,7 +16,7 @@ pub trait SeenValues<const N: usize, const K: usize> {
     fn measured(&self) -> SVector<f64, K>;
     /// Values that the sensor is expected to measure of `s`.
     fn expected(&self, s: &SVector<f64, N>) -> SVector<f64, K>;
-    /// That of the state for which the model was made, and its Jacobian.
+    /// Values that are expected for the state for which the model was made, and their Jacobian.
     fn linear(&self) -> (SVector<f64, K>, SMatrix<f64, K, N>);
     /// Difference of two measurements, angles wrapped.
     fn minus(&self, a: &SVector<f64, K>, b: &SVector<f64, K>) -> SVector<f64, K>;
@@ -28,7 +28,7 @@ pub trait SeenValues<const N: usize, const K: usize> {
 pub trait Observer<const N: usize> {
     /// Result of the computation.
     type Output;
-    /// Compute.
+    /// Compute with the values `seen`.
     fn observe<const K: usize, V: SeenValues<N, K>>(self, seen: &V) -> Self::Output;
 }
 
@@ -64,7 +64,7 @@ pub trait SeenMotion<const N: usize>: Motion<N, World: SeenIn<N, Self>> {}
 
 impl<const N: usize, M: Motion<N, World: SeenIn<N, M>>> SeenMotion<N> for M {}
 
-/// Some of P values.
+/// K chosen values of a measurement of P values.
 struct ChosenValues<'a, const P: usize, const K: usize, V> {
     whole: &'a V,
     rows: [usize; K],
@@ -108,7 +108,8 @@ impl<const N: usize, const P: usize, const K: usize, V: SeenValues<N, P>> SeenVa
     }
 }
 
-/// Let `observer` compute with the values of `whole` in `rows`, one to three of them.
+/// Let `observer` compute with the values of `whole` in `rows`, one to three of them; None for
+/// another number.
 pub(super) fn observe_part<const N: usize, const P: usize, V: SeenValues<N, P>, T: Observer<N>>(
     whole: &V,
     rows: &[usize],

@@ -74,7 +74,7 @@ fn polar_of(p: &Vector3<f64>, v: &Vector3<f64>) -> Vector4<f64> {
     Vector4::new(range, libm::atan2(p.y, p.x), libm::atan2(p.z, flat), p.dot(v) / range)
 }
 
-/// Jacobian of these by the position, and of the range rate by the velocity.
+/// Jacobian of range, bearing, elevation and range rate by the position, and of the range rate by the velocity.
 fn polar_slopes(p: &Vector3<f64>, v: &Vector3<f64>) -> (Matrix4x3<f64>, RowVector3<f64>) {
     // Above the sensor a target has no bearing; the least distance keeps the Jacobian finite.
     let flat = libm::sqrt(p.x * p.x + p.y * p.y).max(NEAREST);
@@ -92,14 +92,14 @@ fn polar_slopes(p: &Vector3<f64>, v: &Vector3<f64>) -> (Matrix4x3<f64>, RowVecto
     (Matrix4x3::from_rows(&rows), ahead.transpose())
 }
 
-/// A position in space.
+/// A measured position in space, compared with a state.
 struct SpacePlaceSeen<'a, const N: usize, M> {
     sight: SpaceSight<'a, N, M>,
     z: Vector3<f64>,
     R: Matrix3<f64>,
 }
 
-/// Range, bearing, elevation and range rate.
+/// Measured range, bearing, elevation and range rate, compared with a state.
 struct SpacePolarSeen<'a, const N: usize, M> {
     sight: SpaceSight<'a, N, M>,
     z: Vector4<f64>,

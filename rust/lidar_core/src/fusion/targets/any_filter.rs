@@ -221,7 +221,7 @@ impl Filter {
         self.0.innovations(m, visit)
     }
 
-    /// Innovation of a measurement for the foreseen state; None outside the gate.
+    /// Innovation of a measurement for the foreseen state; None outside the gate, or if no state was foreseen.
     pub(super) fn score(&mut self, m: &Measurement) -> Option<Innovation> {
         self.0.score(m)
     }
@@ -253,7 +253,7 @@ impl Filter {
         self.0.stamp_ns()
     }
 
-    /// Link of the state to the one at `stamp_ns`, for smoothing.
+    /// Transition from the state to the one at `stamp_ns`, for smoothing; None while the target starts.
     pub(super) fn link(&self, stamp_ns: i64) -> Option<Link> {
         self.0.link(stamp_ns)
     }
@@ -275,8 +275,8 @@ impl Filter {
         self.0.output()
     }
 
-    /// State predicted to `stamp_ns`, without changing the filter. For a time before the last
-    /// measurement it is the state at that measurement.
+    /// State predicted to `stamp_ns`, without changing the filter; None before the target has been seen. For a time
+    /// before the last measurement it is the state at that measurement.
     #[must_use]
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
         self.0.output_at(stamp_ns)

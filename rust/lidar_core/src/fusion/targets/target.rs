@@ -20,11 +20,11 @@ const MOST_KEPT: usize = 10_000;
 pub struct FilterStep {
     /// Outcome of the measurement.
     pub outcome: Outcome,
-    /// Time of the state [ns].
+    /// Time of the state [ns]; the smallest integer before the first measurement.
     pub stamp_ns: i64,
     /// Output of the state; None before the target has been seen.
     pub output: Option<Output>,
-    /// Innovation of the measurement.
+    /// Innovation of the measurement; None if it was not compared with a state.
     pub innovation: Option<Innovation>,
 }
 
@@ -244,8 +244,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         }
     }
 
-    /// Innovation of a measurement for the foreseen state; None outside the gate. The target does
-    /// not change.
+    /// Innovation of a measurement for the foreseen state; None outside the gate, before the first
+    /// measurement, or without [`Self::foresee`]. The target does not change.
     pub fn score(&mut self, m: &Measurement) -> Option<Innovation> {
         let Self { rules, now, ahead, .. } = self;
         let (phase, mut ignored) = (&mut ahead.as_mut()?.phase, |_: &Innovation| false);
@@ -258,7 +258,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         (innovation.nis <= rules.life.gate[innovation.count - 1]).then_some(innovation)
     }
 
-    /// Linearised transition from the present state to `stamp_ns`; None while the target starts.
+    /// Linearised transition from the present state to `stamp_ns`; None before the target has been
+    /// seen, while it starts, or if its filter cannot be smoothed.
     pub fn link(&self, stamp_ns: i64) -> Option<Link> {
         let Phase::Running(state) = &self.now.phase else { return None };
         let (start_ns, platform) = (self.now.stamp_ns, &self.now.platform);
@@ -282,7 +283,7 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         self.now.errors
     }
 
-    /// Time of the state [ns].
+    /// Time of the state [ns]; the smallest integer before the first measurement.
     pub fn stamp_ns(&self) -> i64 {
         self.now.stamp_ns
     }
@@ -292,8 +293,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         self.output_of(&self.now.phase)
     }
 
-    /// State predicted to `stamp_ns`, without changing the target. For a time before the last
-    /// measurement it is the state at that measurement.
+    /// State predicted to `stamp_ns`, without changing the target; None before the target has been
+    /// seen. For a time before the last measurement it is the state at that measurement.
     pub fn output_at(&self, stamp_ns: i64) -> Option<Output> {
         if let Some(ahead) = self.ahead.as_ref().filter(|ahead| ahead.stamp_ns == stamp_ns) {
             return self.output_of(&ahead.phase);

@@ -18,7 +18,8 @@ use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 const UNASSIGNED: f64 = 1e6;
 
 impl TargetAssociation {
-    /// Cost of a track and a measurement with this innovation.
+    /// Cost of giving a measurement with this innovation to a track; `standing` is the density of
+    /// clutter at its place.
     pub(super) fn cost(&self, m: &Measurement, innovation: &Innovation, standing: f64) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
         match self {
@@ -103,7 +104,8 @@ impl Tracks {
         }
     }
 
-    /// The `wanted` tracks with those measurements in their gates that have no track yet.
+    /// Pairs of the `wanted` tracks and the measurements in their gates that have no track yet,
+    /// with their costs and innovations.
     pub(super) fn candidates(
         &mut self,
         parameters: &ManyParameters,

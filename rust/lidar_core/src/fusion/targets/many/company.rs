@@ -10,15 +10,16 @@ const STEP_NS: i64 = 1_000_000_000;
 /// How far back the mean speed looks that says whether a track stands, and how long the track must
 /// be known [ns].
 const STANDING_NS: [i64; 2] = [15_000_000_000, 5_000_000_000];
-/// The same for the velocity of tracks that go along with one another.
+/// How far back the mean velocity looks that says which tracks go along with one another, and how
+/// long a track must be known for it [ns].
 const ALONG_NS: [i64; 2] = [5_000_000_000, 2_000_000_000];
 /// Largest distance of parts of one object along its way and across it, over the distance within
 /// which no track starts: objects are long rather than wide, and what goes abreast is another one.
 const PART: [f64; 2] = [1.5, 0.6];
-/// How far abeam of a track another one may start, over that distance. It is less than for parts: which of the
-/// two it is shows while they move.
+/// How far abeam of a track another one may start, over the distance within which no track starts.
+/// It is less than for parts: which of the two it is shows while they move.
 const ABREAST: f64 = 0.5;
-/// Half of the width of an object, over that distance.
+/// Half of the width of an object, over the distance within which no track starts.
 const HALF_WIDTH: f64 = 0.25;
 /// Largest difference of the velocities of parts [m/s].
 const SLIP: f64 = 3.0;
@@ -27,7 +28,7 @@ const SLOWEST: f64 = 0.3;
 /// Scans for which a track has to go along before it counts as a part.
 const PATIENCE: u32 = 5;
 
-/// Where a track was, and with whom.
+/// Recent places of a track, and whether it stands or goes along with an older track.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct RecentPath {
     /// Times [ns] and places [m], oldest first.
@@ -53,7 +54,7 @@ impl RecentPath {
         self.places.retain(|(stamp, _)| *stamp >= oldest);
     }
 
-    /// Where it is, and the velocity of late.
+    /// Place of the track, and its mean velocity over the last seconds.
     pub(super) fn course(&self, stamp_ns: i64, place: [f64; 2]) -> Course {
         Course { place, velocity: self.velocity(stamp_ns, place, ALONG_NS) }
     }
@@ -81,7 +82,7 @@ pub(super) struct Fellow<'a> {
     pub(super) rank: (Reverse<u32>, i64, i64),
 }
 
-/// Where a track is, and how it moves.
+/// Place of a track [m], and its mean velocity [m/s]; None if it is known for too short a time.
 #[derive(Clone, Copy)]
 pub(super) struct Course {
     pub(super) place: [f64; 2],

@@ -6,24 +6,26 @@ use crate::fusion::sensors::measurement::Measurement;
 use crate::tracking::existence::Presence;
 use std::f64::consts::TAU;
 
-/// Largest number of pairs of tracks and measurements of a scan that are weighed; beyond, each track
-/// keeps its likeliest ones ...
+/// Largest number of pairs of tracks and measurements of a scan that are weighed. With more pairs,
+/// each track keeps only its likeliest ones.
 const MOST_PAIRS: usize = 20_000;
-/// ... but this many.
+/// Number of its likeliest pairs that each track keeps in any case.
 const LEAST_PAIRS: usize = 8;
 /// Share of the measurements of targets which come back from hiding that are not believed: those
 /// furthest from where the target was expected.
 const FOREIGN: f64 = 0.02;
-/// The same, below which it is not looked at: of targets that hardly were hidden.
+/// Share of measurements that are not believed, below which this test is left out: for targets that
+/// were hardly hidden.
 const CERTAINLY_OWN: f64 = 1e-3;
 
-/// A pair of one track.
+/// A measurement in the gate of a track: its index in the scan, the probability that it comes from
+/// the target, and its innovation.
 #[derive(Clone, Copy)]
 pub(super) struct OwnPair {
     pub(super) column: usize,
     pub(super) probability: f64,
     pub(super) innovation: Innovation,
-    /// True if it is likelier than a miss while no other pair is thought of.
+    /// True if the pair is likelier than a miss when all other pairs are left out of account.
     pub(super) is_likely: bool,
 }
 
@@ -64,7 +66,8 @@ impl TargetTrack {
         self.belief.presence.existence
     }
 
-    /// Velocity [vx, vy] from the first measurement to a time [m/s].
+    /// Mean velocity [vx, vy] from the first measurement to `stamp_ns` [m/s]; None if no time lies
+    /// between.
     pub(super) fn mean_velocity(&self, stamp_ns: i64) -> Option<[f64; 2]> {
         let dt = stamp_ns.saturating_sub(self.born_ns) as f64 * 1e-9;
         let now = self.filter.output_at(stamp_ns)?.mean;

@@ -16,8 +16,8 @@ use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 use std::f64::consts::PI;
 
-/// Measurements up to which a track is divided: each further one starts a track of its own, so that
-/// its speed comes from the places of measurements and not from the mean of several.
+/// Number of measurements up to which a track is divided: each further one starts a track of its
+/// own, so that its speed comes from the places of measurements and not from the mean of several.
 pub(super) const DIVIDED: u32 = 2;
 /// Mean time for which a target stays, before tracks show it [s].
 const LIFETIME: f64 = 30.0;
@@ -159,7 +159,7 @@ impl Tracks {
         told
     }
 
-    /// Learn what the scanner does.
+    /// Learn the properties of the scanner and of the targets from the probabilities of a scan.
     fn learn(
         &mut self,
         space: &IntegratedScan<'_>,

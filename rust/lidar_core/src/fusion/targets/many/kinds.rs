@@ -11,16 +11,20 @@ use serde::{Deserialize, Serialize};
 
 /// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`: nothing is known of them.
 const SHARES: [f64; KINDS] = [0.02, 0.3, 0.3, 0.33, 0.05];
-/// Largest logarithm of what the kept places say together of a climb: a wrong one may be among them.
+/// Largest logarithm of the likelihood ratio for flying that the kept places give together: a wrong
+/// place may be among them.
 const MOST: f64 = 5.0;
-/// Standard deviations of the rate of climb of what flies [m/s], of what is on level ground [m/s], and of slopes.
+/// Standard deviation of the rate of climb of what flies [m/s].
 const CLIMBS: f64 = 1.0;
+/// Standard deviation of the rate of climb of what is on level ground [m/s].
 const LEVEL: f64 = 0.1;
+/// Standard deviation of the slope of the ground.
 const SLOPES: f64 = 0.1;
-/// Whether a target stands is asked from so many places on: their scatter tells the noise of the first ones. With
-/// too small a noise, later places would contradict standing still.
+/// Least number of places for the question whether a target stands: their scatter tells the noise
+/// of the first ones. With too small a noise, later places would contradict standing still.
 const FEWEST: usize = 6;
-/// Fewer places tell no rate of climb: one car in two would seem to climb a little more steeply than its road.
+/// Least number of places for a rate of climb: with fewer, one car in two would seem to climb a
+/// little more steeply than its road.
 const FEWEST_OF_CLIMB: usize = 6;
 /// Share of the time for which what flies neither climbs nor sinks.
 const CRUISES: f64 = 0.5;

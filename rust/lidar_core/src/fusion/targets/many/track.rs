@@ -66,7 +66,7 @@ pub(super) struct Shared<'a> {
 /// A track at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackState {
-    /// Number, never reused.
+    /// Number of the track, never reused.
     pub id: i64,
     /// State, predicted to the requested time.
     pub output: Output,
@@ -162,7 +162,9 @@ pub(super) struct TargetTrack<F = Filter> {
     /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
     /// measured.
     pub(super) history: u64,
+    /// Number of scans in `history`.
     pub(super) looks: u32,
+    /// Scanners that have measured the track, one bit each.
     pub(super) sources: u64,
     pub(super) born_ns: i64,
     pub(super) seen_ns: i64,
@@ -203,7 +205,7 @@ impl NewNumbers {
         all.all(|id| (0..next_id).contains(id))
     }
 
-    /// No number has been given yet, in a scan of `count` measurements.
+    /// Numbers for a scan of `count` measurements, none of which has been given yet.
     #[must_use]
     pub fn of_scan(count: usize) -> Self {
         Self { of_column: vec![None; count], of_pair: BTreeMap::new() }
@@ -326,7 +328,7 @@ impl TargetTrack {
     }
 }
 
-/// Place of the sensor of a measurement among what is known of its scanner.
+/// Index of the sensor of a measurement in what is known of its scanner: 0 for LiDAR, 1 for radar.
 pub(super) fn kind(m: &Measurement) -> usize {
     usize::from(m.sensor() == Sensor::Radar)
 }
