@@ -19,7 +19,7 @@ pub struct Pair {
 /// Memory that a pair may take, and as much for every row and column [bytes].
 const ROOM_OF_PAIR: usize = 128;
 
-/// Column assigned to every row such that the sum of costs is minimal.
+/// Column assigned to every row such that the sum of costs is minimal; None for a row without one.
 ///
 /// A row may stay without a column, which costs `unassigned`; pairs that are not listed are
 /// forbidden. Ties go to the lower column, an assignment to no column being the last.
@@ -186,7 +186,7 @@ impl PathSearch {
         self.from_row[column] = row;
     }
 
-    /// Mark and return the nearest column not yet done.
+    /// Mark and return the nearest column not yet done; None if no such column was reached.
     fn nearest(&mut self) -> Option<usize> {
         let open = self.reached.iter().copied().filter(|&column| !self.done[column]);
         let nearest =

@@ -8,7 +8,8 @@ const TERM: f64 = 1e-17;
 /// Limit of the number of terms; no argument below 1e12 needs as many.
 const MAX_TERMS: usize = 20_000_000;
 
-/// Number of terms after which the neighbour of 1 ends a fraction, too.
+/// Number of terms after which the continued fraction also ends at a factor that is the float next
+/// to 1.
 const SETTLED: usize = 10_000;
 
 /// Probability that a chi-square variable of `degrees` degrees of freedom is at most `x`; NaN for

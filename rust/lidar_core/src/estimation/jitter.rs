@@ -49,7 +49,7 @@ impl Jitter {
         self.excess.max(0.0)
     }
 
-    /// Mean of all samples [m^2], and their number with that of the start.
+    /// Mean of all samples [m^2], and their number, in which the start counts with its weight.
     #[must_use]
     pub fn mean(&self) -> (f64, f64) {
         (self.excess, self.weight)
@@ -69,7 +69,8 @@ impl Jitter {
     }
 }
 
-/// Variance of one position beyond the stated ones, from four [m^2].
+/// Variance of one position beyond the stated ones, from four successive positions [m^2]; None if
+/// they span too long a time or their stated variances are too large.
 fn alternation(four: [Sample; 4]) -> Option<f64> {
     let [first, second, third, fourth] = four;
     let one = Departure::of([first, second, third])?;
@@ -82,9 +83,9 @@ fn alternation(four: [Sample; 4]) -> Option<f64> {
     is_sharp.then(|| (product - stated) / (shared[0] + shared[1]))
 }
 
-/// Departure of the third of three positions from a steady motion.
+/// Departure of the third of three positions from a steady motion through the first two.
 struct Departure {
-    /// Weights of the positions in it.
+    /// Weights of the three positions in the departure.
     weights: [f64; 3],
     off: [f64; 2],
 }

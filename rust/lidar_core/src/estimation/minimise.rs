@@ -7,7 +7,7 @@ pub struct SimplexSearch {
     pub step: f64,
     /// The search ends when the values at the corners differ by less.
     pub tolerance: f64,
-    /// Largest number of evaluations.
+    /// Largest number of evaluations of the cost, after which the search ends.
     pub evaluations: usize,
 }
 

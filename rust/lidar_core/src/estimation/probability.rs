@@ -111,7 +111,7 @@ struct Nested {
     factor: [[f64; 3]; 3],
     low: [f64; 3],
     high: [f64; 3],
-    /// The last two rows, conditional on the rows before.
+    /// The last two rows, conditional on the rows before; None if they are integrated one by one.
     pair: Option<CorrelatedPair>,
 }
 

@@ -12,7 +12,7 @@ pub const MAX_ROWS: usize = 13;
 pub struct Rooted<const N: usize> {
     /// Expected value.
     pub mean: SVector<f64, N>,
-    /// Lower triangle.
+    /// Lower triangle L; the covariance is L L'.
     pub root: SMatrix<f64, N, N>,
 }
 

@@ -8,15 +8,17 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-/// Bearings of an echo and of its target differ by such a standard deviation [rad]: targets are long.
+/// Standard deviation of the difference between the bearing of an echo and that of its target
+/// [rad]: targets are long.
 const APART: f64 = 6.0 * PI / 180.0;
 /// Standard deviations of how far an echo drifts from its target's bearing [rad] and from twice its range [m].
 const DRIFTS: [f64; 2] = [4.0 * PI / 180.0, 15.0];
 /// Standard deviation across the line of sight of the part of a target that reflects, and of the target's place [m]:
 /// a near target takes a large angle.
 const ACROSS: f64 = 5.0;
-/// Standard deviation of the velocity of targets along every axis [m/s], and the share that rests.
+/// Standard deviation of the velocity of targets along every axis [m/s].
 const SPEED: f64 = 3.0;
+/// Share of the targets that rest.
 const RESTS: f64 = 0.3;
 /// Least range of an echo over that of its target: twice, but targets are long.
 const LEAST_RATIO: f64 = 1.8;
@@ -25,13 +27,14 @@ const LEGS: f64 = 2.0;
 /// Probability that a track beyond twice the range of a target is an echo, before the two are compared. One of twenty
 /// hides 0.5 % of the sights of other boats in simulated scenes, one of five 0.8 %, and more of the echoes.
 const SHARE: f64 = 0.2;
-/// What rests behind something that rests looks like an echo of it. Where what stands counts, following the target
-/// must after so long [s] explain the sights so much better than rest, as a logarithm (20 times).
+/// Time after which a track must move with its target to count as its echo, where what stands
+/// counts as a target [s]: what rests behind something that rests looks like an echo of it.
 const PATIENCE: f64 = 10.0;
+/// Logarithm (of 20) by which following the target must then explain the sights better than rest.
 const MOVED: f64 = 3.0;
-/// Largest number of targets that a track is compared with, and the largest difference of bearings at which a
-/// comparison begins, in standard deviations.
+/// Largest number of targets with which a track is compared.
 const MOST_TARGETS: usize = 16;
+/// Largest difference of bearings at which a comparison begins, in standard deviations.
 const FARTHEST: f64 = 5.0;
 /// Fewest sights for a verdict.
 const FEWEST: u32 = 3;
@@ -63,13 +66,13 @@ pub struct EchoTrace {
     last_ns: i64,
     first: [PolarPlace; 2],
     last_bearing: f64,
-    /// Since the first sight, the track has turned by so much about the radar [rad].
+    /// Angle by which the track has turned about the radar since the first sight [rad].
     turned: f64,
     count: u32,
     /// Sums of the difference of the bearings [rad] and of both ranges [m].
     sums: [f64; 3],
-    /// Largest change since the first sight: of the difference of the bearings, of the range beyond twice that of
-    /// the target, of the bearing, of the range.
+    /// Largest changes since the first sight: of the difference of the bearings [rad], of the range
+    /// beyond twice that of the target [m], of the bearing [rad], and of the range [m].
     most: [f64; 4],
 }
 
@@ -145,7 +148,7 @@ impl EchoTrace {
     }
 }
 
-/// Nearer targets; the track may be an echo of one of them.
+/// Comparison of a track with the nearer targets of which it may be an echo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrackEchoes {
     traces: BTreeMap<i64, EchoTrace>,
@@ -175,9 +178,10 @@ impl TrackEchoes {
         *self = Self { is_denied: true, ..Self::default() };
     }
 
-    /// Compare the track, at a scan that measured it, with the sights of nearer `targets`. Traces
-    /// of unknown targets are dropped; at most [`MOST_TARGETS`] are kept. `stands` states whether a
-    /// static object can be a target.
+    /// Compare the track with nearer `targets`, each with its number and place. `measured` is the
+    /// time [ns] and place of the track; None if the scan did not measure it. Traces of unknown
+    /// targets are dropped; at most [`MOST_TARGETS`] are kept. `stands` states whether a static
+    /// object can be a target.
     pub fn compare(
         &mut self,
         measured: Option<(i64, PolarPlace)>,

@@ -67,8 +67,9 @@ impl Presence {
         Self { existence: kept * self.existence, hidden: kept * hidden, returned: kept * returned }
     }
 
-    /// Presence after something was seen that a target which can be measured makes `observable` times,
-    /// and a hidden one `hidden` times, as likely as no target does.
+    /// Presence after an observation: `observable` and `hidden` are its likelihoods under a target
+    /// that can be measured and under a hidden one, each divided by its likelihood without a
+    /// target.
     ///
     /// # Source
     /// Bayes' rule. One measurement of likelihood ratio L, of a target measured with probability d, is
@@ -82,7 +83,7 @@ impl Presence {
         Self { existence, hidden, returned: observable * self.returned / total }
     }
 
-    /// Presence by two histories that exclude each other.
+    /// Presence of a target with two histories that exclude each other: their probabilities add up.
     #[must_use]
     pub fn united(&self, other: &Self) -> Self {
         let existence = self.existence + other.existence;

@@ -11,7 +11,7 @@ const KEPT: usize = 128;
 const OF_SCAN: usize = 32;
 /// Share of the measurements that is left out at each end of an axis; one at least.
 const OUTER: f64 = 0.05;
-/// Largest bound, so that volumes stay finite.
+/// Largest magnitude of a bound, so that volumes stay finite.
 const LARGEST: f64 = 1e30;
 
 /// The last measurements of a scanner.

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub const MOST_EVENTS: usize = 10_000;
 /// Largest number of rounds of messages of belief propagation.
 const MOST_ROUNDS: usize = 100;
-/// Largest change of a message at which they have converged.
+/// Largest change of a message at which the messages have converged.
 const SETTLED: f64 = 1e-9;
 /// Largest logarithm of a weight: sums of weights stay finite.
 const LARGEST: f64 = 600.0;
@@ -46,7 +46,7 @@ pub fn probabilities(tracks: usize, measurements: usize, pairs: &[Pair]) -> Vec<
     found
 }
 
-/// The options of every track of a group: indices of pairs.
+/// The options of every track of a group, as indices of pairs.
 type TrackOptions = Vec<Vec<usize>>;
 
 /// Indices of the pairs of every track and of every measurement.
@@ -143,7 +143,7 @@ impl Links {
     }
 }
 
-/// Sums of all values but one, of each.
+/// For each of several values, the sum of all others.
 #[derive(Default)]
 struct Others {
     sums: Vec<f64>,
@@ -151,8 +151,8 @@ struct Others {
 }
 
 impl Others {
-    /// From the sums before and after each value, not from the total less the value: values differ
-    /// by more than a double holds.
+    /// Replace the sums by those of `values`. They are formed from the sums before and after each
+    /// value, not from the total less the value: values differ by more than a double holds.
     fn fill(&mut self, values: impl Iterator<Item = f64>) {
         let Self { sums, values: kept } = self;
         kept.clear();

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 pub const KINDS: usize = 5;
 /// Least probability of a kind: no evidence rules one out for good.
 pub const LEAST: f64 = 1e-6;
-/// A kind that is not more probable than all others together is not known.
+/// Probability above which a kind counts as known: it is then more probable than all others
+/// together.
 const DECIDED: f64 = 0.5;
 
 /// Kind of the target of a track.
@@ -16,13 +17,13 @@ pub enum TrackKind {
     /// None of the others, or not decided.
     #[default]
     Unknown = 0,
-    /// It flies.
+    /// The target flies.
     Flying = 1,
-    /// It moves on the ground.
+    /// The target moves on the ground.
     Ground = 2,
-    /// It is at rest.
+    /// The target is at rest.
     Static = 3,
-    /// It moves, but is not a target: insects, leaves, dust, rain.
+    /// Something that moves but is not a target: insects, leaves, dust, rain.
     Clutter = 4,
 }
 
@@ -59,7 +60,7 @@ impl KindBelief {
         if prior.log == even { Self::normalised(even) } else { prior }
     }
 
-    /// Belief after something was seen that each kind makes with its `likelihood` >= 0.
+    /// Belief after an observation; `likelihood` is its likelihood under each kind, >= 0.
     ///
     /// Only ratios count. Likelihoods that are negative or not a number, or all zero, are no
     /// information.
@@ -95,7 +96,7 @@ impl KindBelief {
         TrackKind::ALL.into_iter().find(is_decided).unwrap_or_default()
     }
 
-    /// With a sum of 1, and none below [`LEAST`] but for rounding.
+    /// Logarithms of probabilities with a sum of 1, none below [`LEAST`] but for rounding.
     fn normalised(mut log: [f64; KINDS]) -> Self {
         for _ in 0..2 {
             let largest = log.iter().copied().fold(f64::NEG_INFINITY, f64::max);

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 /// Largest number of measurements that are kept. None counts after that: of a target that changes its
 /// motion, far away, a small weight would still decide.
 const KEPT: usize = 12;
-/// Measurements that the told noise counts as: it may be wrong, and bodies scatter by their size.
+/// Number of measurements as which the told noise counts: it may be wrong, and bodies scatter by
+/// their size.
 const TOLD: f64 = 1.0;
 /// Largest correlation of successive errors that is allowed for.
 const MOST_ALIKE: f64 = 0.9;
@@ -57,7 +58,7 @@ struct PlaceAt {
 /// square successive difference to the variance", 1941), the variance is (1 + r) / (1 - r) as large.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaceTrend {
-    /// Oldest first.
+    /// Places, the oldest first.
     places: Vec<PlaceAt>,
 }
 
@@ -103,7 +104,7 @@ impl PlaceTrend {
         sum / self.places.len().max(1) as f64
     }
 
-    /// See [`Self::slope`].
+    /// Line through the places along one axis; None as for [`Self::slope`].
     fn line(&self, axis: usize) -> Option<FittedLine> {
         let first = self.places.first().filter(|_| self.places.len() >= 3 && axis < 3)?;
         let count = self.places.len() as f64;

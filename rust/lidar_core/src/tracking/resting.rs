@@ -4,24 +4,26 @@ use super::kind::LEAST;
 use super::place_trend::PlaceNoise;
 use serde::{Deserialize, Serialize};
 
-/// Motions: stands for good, rests for a while, moves at one of several speeds.
+/// Number of motions: stands for good, rests for a while, moves at one of several speeds.
 const MOTIONS: usize = 2 + SPEEDS.len();
 /// Standard deviation of the velocity of what stands or rests [m/s]: poses of the platform drift.
 const WANDERS: f64 = 0.05;
 /// Standard deviations of the velocity of what moves, over that of new targets: few are as fast as they may be.
 const SPEEDS: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
-/// Least of them [m/s]: what is slower wanders.
+/// Least standard deviation of the velocity of what moves [m/s]: what is slower wanders.
 const SLOWEST: f64 = 0.1;
-/// Share of the time for which what moves rests, and mean time between two changes of its motion [s].
+/// Share of the time for which what moves rests.
 const RESTS: f64 = 0.3;
+/// Mean time between two changes of the motion of what moves [s].
 const CHANGES: f64 = 10.0;
-/// Mean time for which what stands does so, and after which what moves stands for good [s].
+/// Mean time for which a target stands for good, and after which what moves comes to stand for good
+/// [s].
 const STANDS: f64 = 300.0;
 /// Mean time for which a velocity is kept while the motion does not change [s]: targets turn.
 const KEEPS: f64 = 30.0;
 /// Largest logarithm of the ratio of likelihoods of one place: it may be wrong.
 const MOST: f64 = 3.0;
-/// Steps of [`KEEPS`] below which differences of exponentials lose their digits.
+/// Time, in units of [`KEEPS`], below which differences of exponentials lose their digits.
 const SHORT: f64 = 0.01;
 /// How far a probability of a restored state may be out of its range, by rounding.
 const ROUNDING: f64 = 1e-6;
@@ -29,11 +31,11 @@ const ROUNDING: f64 = 1e-6;
 /// Place and velocity along one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct AxisMotion {
-    /// [m]
+    /// Expected place [m].
     place: f64,
-    /// [m/s]
+    /// Expected velocity [m/s].
     velocity: f64,
-    /// Variance of the place, covariance, variance of the velocity.
+    /// Variance of the place [m^2], covariance [m^2/s], variance of the velocity [m^2/s^2].
     spread: [f64; 3],
 }
 
@@ -49,7 +51,7 @@ struct AxisMotion {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MotionBelief {
     probability: [f64; MOTIONS],
-    /// x and y by motion.
+    /// State along x and along y for each motion.
     axes: [[AxisMotion; 2]; MOTIONS],
 }
 
@@ -89,7 +91,8 @@ impl MotionBelief {
         self.probability[0]
     }
 
-    /// True if it is a belief: not of a forged state, nor after places beyond what numbers hold.
+    /// True if the probabilities and states are possible: not of a forged state, nor after places
+    /// beyond what numbers hold.
     pub(crate) fn is_sound(&self) -> bool {
         let is_share = |p: &f64| (-ROUNDING..=1.0 + ROUNDING).contains(p);
         let sum: f64 = self.probability.iter().sum();
@@ -98,7 +101,8 @@ impl MotionBelief {
             && self.axes.iter().flatten().all(AxisMotion::is_sound)
     }
 
-    /// Take in a place after `dt` > 0 [s], with its noise along x and y.
+    /// Take in a place [m] after `dt` > 0 [s], with its noise along x and y; `speed` is the
+    /// variance of the speed of new targets [m^2/s^2].
     pub(crate) fn see(&mut self, dt: f64, place: [f64; 2], noise: [PlaceNoise; 2], speed: f64) {
         let velocities = velocities(speed);
         self.renew(dt, &velocities);
@@ -161,12 +165,13 @@ fn arrivals(motion: usize, [changes, ends]: [f64; 2], share: f64) -> [f64; 3] {
 }
 
 impl AxisMotion {
-    /// At a place with its variance, with a velocity that is zero on average.
+    /// State at a place with its variance [m, m^2] and a velocity that is zero on average, with the
+    /// variance `velocity` [m^2/s^2].
     fn drawn([place, variance]: [f64; 2], velocity: f64) -> Self {
         Self { place, velocity: 0.0, spread: [variance, 0.0, velocity] }
     }
 
-    /// Mean and covariance of several with their weights, not all zero.
+    /// Mean and covariance of several states with their weights, not all zero.
     fn mixed(parts: &[(f64, Self)]) -> Self {
         let sum: f64 = parts.iter().map(|(weight, _)| weight).sum();
         let mean = |value: fn(&Self) -> f64| {
@@ -184,7 +189,8 @@ impl AxisMotion {
         Self { place, velocity, spread }
     }
 
-    /// After `dt` [s], where the velocity has this variance in the long run and fades within [`KEEPS`].
+    /// State after `dt` [s]; `velocity` is the variance of the velocity in the long run, which
+    /// fades within [`KEEPS`] [m^2/s^2].
     fn predicted(&self, dt: f64, velocity: f64) -> Self {
         let steps = dt / KEEPS;
         let [lost, lost_twice] = [1.0, 2.0].map(|times| -libm::expm1(-times * steps));

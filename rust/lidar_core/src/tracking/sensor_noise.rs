@@ -2,15 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Information of the prior, in that of two measurements each: a few measurements outweigh it.
+/// Fisher information of the prior, where each measurement has 1/2: a few measurements outweigh it.
 const PRIOR: f64 = 2.0;
-/// Largest squared ratio of an innovation to its deviation that counts: one outlier says no more
-/// than three deviations.
+/// Largest squared ratio of an innovation to its standard deviation that counts: one outlier says
+/// no more than three standard deviations.
 const MOST_SQUARED: f64 = 9.0;
 /// Largest logarithm of the variance's factor: a standard deviation is at most 8 times as large or
 /// as small as configured.
 const WIDEST: f64 = 4.158_883_083_359_672;
-/// Information from which on the noise counts as known.
+/// Fisher information from which on the noise counts as known.
 const KNOWN: f64 = 8.0;
 /// Steps of Newton's method for one measurement.
 const STEPS: usize = 4;
@@ -20,7 +20,7 @@ const STEPS: usize = 4;
 pub struct NoiseFactor {
     /// Natural logarithm of the factor.
     log: f64,
-    /// Fisher information about it.
+    /// Fisher information about the logarithm of the factor.
     information: f64,
 }
 

@@ -20,7 +20,7 @@ const NARROWEST: f64 = 3.0 / 16.0;
 /// much of it is of the body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredSpread {
-    /// Mean of xx, xy and yy [m^2].
+    /// Mean of the products xx, xy and yy of the offsets [m^2].
     mean: [f64; 3],
     scans: f64,
 }

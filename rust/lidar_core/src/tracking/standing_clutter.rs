@@ -3,16 +3,17 @@
 use super::near::{NearIndex, Rectangle};
 use serde::{Deserialize, Serialize};
 
-/// Only measurements that are older count [ns]: by then, what moves has left its place.
+/// Least age of the measurements that count [ns]: by then, what moves has left its place.
 const OLDER_NS: i64 = 10_000_000_000;
-/// Scans without a measurement with which every place begins.
+/// Number of scans without a measurement with which every place begins.
 const PRIOR: f64 = 10.0;
 /// Time for which scans are kept [ns]; the more measurements they have, the fewer of them are kept.
 const KEPT_NS: i64 = 60_000_000_000;
-/// Largest numbers of scans and of measurements of a scanner that are kept.
+/// Largest number of scans of a scanner that are kept.
 const MOST_SCANS: usize = 300;
+/// Largest number of measurements of a scanner that are kept.
 const MOST_PLACES: usize = 4096;
-/// No log has dropped more: saved states say otherwise only if they are forged.
+/// Largest number of dropped entries of a log: saved states have more only if they are forged.
 const FARTHEST: u64 = u64::MAX / 2;
 
 /// Measurements of a scanner, kept once for all states of a tracker that know parts of them.
@@ -34,7 +35,7 @@ pub struct PlaceLog {
 pub struct StandingClutter {
     /// Numbers of the first scan and of the one after the last, counted from the first ever.
     scans: [u64; 2],
-    /// The same of places.
+    /// Numbers of the first place and of the one after the last, counted from the first ever.
     places: [u64; 2],
 }
 
@@ -65,8 +66,8 @@ impl PlaceLog {
     }
 }
 
-/// Drop the values before number `first`, the first one here being number `dropped`. Only if these are at
-/// least half: so each value is moved once or twice.
+/// Drop the values before number `first`, if they are at least half of all; the first value has the
+/// number `dropped`. So each value is moved once or twice.
 fn drop_front<T>(values: &mut Vec<T>, dropped: &mut u64, first: u64) {
     let count = first.saturating_sub(*dropped);
     if 2 * count >= values.len() as u64 {
@@ -82,7 +83,7 @@ fn window<T>(values: &[T], dropped: u64, [first, end]: [u64; 2]) -> &[T] {
 }
 
 impl StandingClutter {
-    /// True for a part of this log.
+    /// True if this can be a part of `log`.
     #[must_use]
     pub fn is_of(&self, log: &PlaceLog) -> bool {
         let is_inside = |[first, end]: [u64; 2], dropped: u64, count: usize| {

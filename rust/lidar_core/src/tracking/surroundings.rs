@@ -19,11 +19,12 @@ const END_PRIOR: f64 = 0.5;
 const HIDING_PRIOR: f64 = 0.1;
 /// Number of targets after which the speed of one counts 1/e.
 const SPEEDS: f64 = 50.0;
-/// Least variance of the speed, over that before any target.
+/// Least variance of the speed of new targets, as a share of the configured one.
 const SLOWEST: f64 = 1.0 / 9.0;
-/// Scans within which a target is found that was there before: they say nothing about arrivals.
+/// Number of first scans in which a target is found that was there before: they say nothing about
+/// arrivals.
 const FIRST_SCANS: f64 = 5.0;
-/// Limits of the probability of detection.
+/// Smallest and largest estimated probability of detection.
 const DETECTION: [f64; 2] = [0.05, 0.99];
 
 /// Probability from which on a measurement that no track explains counts as clutter where it lies.
@@ -43,14 +44,15 @@ pub struct ScannerPrior {
 /// Running sums over the scans of one scanner.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Surroundings {
-    /// The last measurements, and the last ones of clutter: where targets are dense, few of all.
+    /// The last measurements.
     all: Recent,
+    /// The last measurements of clutter: where targets are dense, few of all are.
     strays: Recent,
-    /// Width of the space that they take, by axis.
+    /// Width of the space that the measurements take, by axis, in their units.
     widths: [f64; AXES],
     scans: f64,
     clutter: f64,
-    /// Of the measurements in `clutter`, those which are now thought to be the first of a target.
+    /// Number of the measurements in `clutter` that are now thought to be the first of a target.
     first: f64,
     looks: f64,
     hits: f64,
@@ -98,7 +100,7 @@ impl Surroundings {
         self.first = first;
     }
 
-    /// Number of false measurements.
+    /// Number of measurements that count as clutter, less those that were the first of a target.
     fn false_ones(&self) -> f64 {
         (self.clutter - self.first).max(0.0)
     }
@@ -121,13 +123,15 @@ impl Surroundings {
         self.arrivals += 1.0;
     }
 
-    /// Volume of the space that the scanner is known to see, in the units of its measurements.
+    /// Volume of the space that the scanner is known to see, in the units of its measurements; 0
+    /// before it is known.
     #[must_use]
     pub fn volume(&self, axes: usize) -> f64 {
         self.widths.iter().take(axes).product()
     }
 
-    /// Density of clutter: mean of its posterior, which has a gamma distribution.
+    /// Density of clutter in the units of a measurement with this number of axes: mean of its
+    /// posterior, a gamma distribution.
     #[must_use]
     pub fn clutter(&self, prior: &ScannerPrior, axes: usize) -> f64 {
         let exposure = CLUTTER_PRIOR / prior.clutter;
@@ -159,12 +163,13 @@ pub struct Population {
     /// Sum of the times for which targets existed [s].
     stayed: f64,
     ends: f64,
-    /// Sum of the times for which they were observable [s], and how often they were hidden and came
-    /// back.
+    /// Sum of the times for which targets were observable [s].
     visible: f64,
+    /// Number of times that targets were hidden and came back.
     returns: f64,
-    /// Sum of the squared speeds of targets, per axis [m^2/s^2], and their number.
+    /// Sum of the squared speeds of targets, per axis [m^2/s^2].
     squared: f64,
+    /// Number of targets in this sum.
     speeds: f64,
 }
 

@@ -69,7 +69,7 @@ pub struct MapElement {
     pub existence: f64,
     /// Probabilities of the kinds of the object, if there is one.
     pub kinds: [f64; KINDS],
-    /// The kind that is more probable than all others together.
+    /// The kind that is more probable than all others together; `Unknown` without such a kind.
     pub kind: TrackKind,
 }
 

@@ -36,7 +36,8 @@ pub struct Tracks {
     pub(super) all: Vec<TargetTrack>,
     /// Knowledge about every scanner, for its LiDAR and its radar measurements.
     pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
-    /// How long targets stay.
+    /// How long targets stay, how often they are hidden and how fast they move, as certain tracks
+    /// show it.
     pub(super) population: Population,
     /// Standing clutter, by scanner; none where targets may stand.
     pub(super) standing: BTreeMap<u8, StandingClutter>,
