@@ -21,7 +21,7 @@ pub(crate) fn rows3<'a, T: Element>(
     Ok(flat(name, array)?.as_chunks::<3>().0)
 }
 
-/// Borrow an optional (N, 3) array as rows.
+/// Borrow an optional (N, 3) array as rows; None for None.
 pub(crate) fn maybe_rows3<'a, T: Element>(
     name: &'static str,
     array: &'a Option<PyReadonlyArray2<'_, T>>,
@@ -37,7 +37,7 @@ pub(crate) fn flat<'a, T: Element, D: Dimension>(
     array.as_slice().map_err(|_| BorderError::NotContiguous { name })
 }
 
-/// Borrow an optional one-dimensional array.
+/// Borrow an optional one-dimensional array as a slice; None for None.
 pub(crate) fn maybe_flat<'a, T: Element>(
     name: &'static str,
     array: &'a Option<PyReadonlyArray1<'_, T>>,
@@ -45,7 +45,7 @@ pub(crate) fn maybe_flat<'a, T: Element>(
     array.as_ref().map(|array| flat(name, array)).transpose()
 }
 
-/// Borrow a (K, 4, 4) array as matrices.
+/// Borrow a (K, 4, 4) array as matrices, each row by row.
 pub(crate) fn matrices<'a>(
     name: &'static str,
     array: &'a PyReadonlyArray3<'_, f64>,
@@ -68,7 +68,7 @@ pub(crate) fn count(name: &'static str, value: i64) -> Result<usize, BorderError
     })
 }
 
-/// Check a number of threads; a value that is no count or too large is refused.
+/// A number of threads from Python; a value that is no count or too large is refused.
 pub(crate) struct Threads(pub(crate) usize);
 
 impl<'py> FromPyObject<'_, 'py> for Threads {
@@ -97,7 +97,7 @@ pub(crate) fn rows_into<T: Element>(
     Ok(rows.into_flattened().into_pyarray(py).reshape([count, 3])?)
 }
 
-/// Find one of a list of names.
+/// The choice with the name `value`; an error about the parameter `name` for an unknown name.
 pub(crate) fn choice<T: Copy>(
     name: &'static str,
     value: &str,

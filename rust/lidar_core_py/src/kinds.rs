@@ -5,7 +5,7 @@ use lidar_core::tracking::kind::{KINDS, TrackKind};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 
-/// Kind (T,) and probabilities of the kinds (T, 5).
+/// Kinds of tracks as arrays: kind (T,) and probabilities of the kinds (T, 5).
 pub(crate) type KindArrays<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f64>>);
 
 /// Kind and probabilities of every track, one row each.

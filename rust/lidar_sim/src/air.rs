@@ -6,7 +6,7 @@ use lidar_core::Error;
 use lidar_core::geometry::transform::{dot, minus, norm};
 use std::f64::consts::PI;
 
-/// Largest number of volumes of one scene.
+/// Largest number of volumes of particles in one scene.
 pub const MAX_VOLUMES: usize = 256;
 
 /// Diameter of a ray where it leaves the sensor [m], and its growth with the range [rad]: those of
@@ -16,7 +16,8 @@ const BEAM: [f64; 2] = [0.0095, 0.0031];
 /// Share of a ray's section that a drop must fill to be seen, a typical value of sensors.
 const VISIBLE_SHARE: f64 = 0.01;
 
-/// Up to here droplets of fog give returns [m]: from further away too little light comes back.
+/// Largest range at which droplets of fog give returns [m]: from further away too little light
+/// comes back.
 const SPECKLE_RANGE: f64 = 6.0;
 
 /// A volume of particles. Every ray of every scan hits other particles: they are far smaller than
@@ -96,9 +97,9 @@ impl Particles {
         }
     }
 
-    /// Distance at which `ray` ends on a particle, from `start` [m] on, `seconds` after time 0.
-    /// `depth` is a sample of the standard exponential distribution, the optical depth at which the
-    /// ray ends.
+    /// Distance [m] at which `ray` ends on a particle, from `start` [m] on, `seconds` after time 0;
+    /// None if it passes all particles. `depth` is a sample of the standard exponential
+    /// distribution, the optical depth at which the ray ends.
     pub(crate) fn meet(&self, ray: &CastRay, start: f64, seconds: f64, depth: f64) -> Option<f64> {
         match *self {
             Self::Rain { density, size } => {

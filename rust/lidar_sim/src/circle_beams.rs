@@ -42,7 +42,8 @@ impl Beams {
         self.angle_min + self.angle_increment * f64::from(ray)
     }
 
-    /// Rays within `half_angle` of `bearing`: a first run of them, and one after the seam.
+    /// Numbers of the rays within `half_angle` of `bearing` [rad]: a first run of them, and one
+    /// after the seam.
     fn runs(&self, bearing: f64, half_angle: f64) -> [Range<u32>; 2] {
         let mut runs = [0..0, 0..0];
         let middle = (bearing - self.angle_min) / self.angle_increment;
@@ -93,7 +94,7 @@ impl Beams {
         CircleWindow { first_ray, ranges }.trimmed(self.n_beams)
     }
 
-    /// Neighbourhood of the ends of a window.
+    /// What lies beside both ends of a window.
     pub(crate) fn sides(&self, window: &CircleWindow, cut_margins: [f64; 2]) -> [Side; 2] {
         let last = (window.first_ray + window.ranges.len() as u32 - 1) % self.n_beams;
         let turned = self.angle_increment.abs() * (f64::from(self.n_beams) - 0.5);

@@ -71,7 +71,7 @@ pub struct Samples {
     pub first_ray: Vec<u32>,
     /// Number of rays in the window.
     pub n_rays: Vec<u32>,
-    /// Neighbourhood of the window: numbers of [`Side`] in its order.
+    /// What lies beside both ends of the window: numbers of [`Side`] in its order.
     pub sides: Vec<[u8; 2]>,
     /// Ranges of all windows [m]; +inf is a miss between hits.
     pub ranges: Vec<f32>,
@@ -188,7 +188,7 @@ impl SampleGenerator<'_> {
         Ok(samples)
     }
 
-    /// A circle and its window.
+    /// A circle that the scanner sees, and its window without noise.
     fn seen(
         &self,
         number: u64,

@@ -94,7 +94,7 @@ impl Mesh {
         Self::new(vertices, faces)
     }
 
-    /// Corners [m].
+    /// Vertices of the mesh [m].
     #[must_use]
     pub fn vertices(&self) -> &[[f64; 3]] {
         &self.vertices
@@ -144,7 +144,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Distance along `ray` to a triangle, from either side.
+/// Distance along `ray` to a triangle, from either side; None if it misses the triangle.
 ///
 /// # Source
 /// Moeller & Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.

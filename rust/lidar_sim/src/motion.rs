@@ -17,9 +17,11 @@ const SAMPLES: usize = 10;
 const KNOTS: usize = 25;
 /// Proposals for one control point; those of the first half must be in the sensor's view.
 const PROPOSALS: usize = 32;
-/// Starts tried, walks tried from starts that are free, proposals per control point of a walk.
+/// Largest number of starts that are tried.
 const STARTS: usize = 4096;
+/// Largest number of walks that are tried, each from a start that is free.
 const WALKS: usize = 64;
+/// Largest number of proposals per control point of a walk.
 const EFFORT: usize = 64;
 
 /// Condition to stay in the view of a sensor.
@@ -44,9 +46,9 @@ pub struct RandomMotion<'a> {
     pub acceleration_max: f64,
     /// Least distance of the centre from every body at rest [m].
     pub clearance: f64,
-    /// Least distance of the centre from moving objects [m].
+    /// Trajectories of moving objects, each with the least distance of the centre from it [m].
     pub apart: Vec<(&'a Trajectory, f64)>,
-    /// View in which the motion stays, preferably not hidden.
+    /// View in which the motion stays, preferably not hidden; None: anywhere in the box.
     pub near: Option<Near<'a>>,
     /// Start and end [ns].
     pub span_ns: (i64, i64),
@@ -107,7 +109,7 @@ impl RandomMotion<'_> {
         Ok(())
     }
 
-    /// Three control points on a line: a motion at constant velocity.
+    /// Three control points on a line, a motion at constant velocity; None if they are not free.
     fn start(&self, scene: &Scene, numbers: &mut Stream, in_view: bool) -> Option<Vec<[f64; 3]>> {
         let share = numbers.uniforms();
         let BoundingBox { min, max } = self.bounds;
@@ -121,7 +123,8 @@ impl RandomMotion<'_> {
         free.then_some(points)
     }
 
-    /// Append control points up to `needed`; step back if there is no free proposal.
+    /// Append control points up to `needed`; step back if there is no free proposal. None after too
+    /// many proposals.
     fn walk(
         &self,
         scene: &Scene,

@@ -29,7 +29,7 @@ pub struct BoundingBox {
 }
 
 impl BoundingBox {
-    /// Whether the tree's arithmetic, squares in f32, can hold it.
+    /// True if the tree's arithmetic, squares in f32, can hold the box.
     pub(crate) fn is_near(&self) -> bool {
         self.min.iter().chain(&self.max).all(|value| value.abs() <= FARTHEST)
     }
@@ -85,8 +85,8 @@ impl Tree {
         Self { bvh, center, radius }
     }
 
-    /// Nearest hit closer than `limit` [m]: its number and distance. `hit(number, limit)` tests
-    /// one candidate. Of equal distances it is always the same one.
+    /// Nearest hit closer than `limit` [m]: its number and distance; None without one. `hit(number,
+    /// limit)` tests one candidate. Of equal distances it is always the same one.
     pub(crate) fn nearest(
         &self,
         ray: &CastRay,

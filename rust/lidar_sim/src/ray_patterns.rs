@@ -9,10 +9,11 @@ use std::f64::consts::TAU;
 /// Largest number of lines of a beam.
 const MOST_LINES: usize = 64;
 
-/// Turns, or swings, of a rosette in azimuth, and its swings in elevation [Hz]. Ten times the golden
-/// ratio and a thousand times the root of five have no common measure with each other or with usual
-/// scan rates, so the pattern does not repeat.
+/// Turns, or swings, of a rosette in azimuth [Hz]. Ten times the golden ratio and a thousand times
+/// the root of five (`SWING_RATE`) have no common measure with each other or with usual scan rates,
+/// so the pattern does not repeat.
 const TURN_RATE: f64 = 16.180_339_887;
+/// Swings of a rosette in elevation [Hz].
 const SWING_RATE: f64 = 2_236.067_977;
 
 /// Ray directions of a scan and their firing times.
@@ -65,7 +66,7 @@ pub struct Beam {
     pub echo_length: f64,
 }
 
-/// A LiDAR.
+/// Model of a LiDAR.
 #[derive(Clone, Debug)]
 pub struct Lidar {
     /// Ray pattern.
@@ -89,9 +90,9 @@ pub struct Lidar {
 /// Rays of one scan in the LiDAR's frame.
 #[derive(Clone, Debug)]
 pub struct SweepRays {
-    /// Unit directions.
+    /// Unit directions of the rays.
     pub directions: Vec<[f64; 3]>,
-    /// Firing of every ray.
+    /// Firing of every ray, as an index into `offsets_ns`.
     pub firings: Vec<u32>,
     /// Time of every firing after the start of the scan [ns].
     pub offsets_ns: Vec<i64>,

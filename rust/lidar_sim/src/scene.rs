@@ -29,11 +29,11 @@ pub struct Sway {
 /// A shape at rest, or swaying.
 #[derive(Clone, Debug)]
 pub struct SceneObject {
-    /// Surface of the object.
+    /// Shape of the object, in its own frame.
     pub shape: Shape,
     /// Pose of the body.
     pub world_from_shape: Transform,
-    /// Sway of the body.
+    /// Sway of the body; None: at rest.
     pub sway: Option<Sway>,
     /// Optical properties; None: every ray that hits it returns.
     pub surface: Option<Surface>,
@@ -44,7 +44,7 @@ pub struct SceneObject {
 /// A moving shape.
 #[derive(Clone, Debug)]
 pub struct Mover {
-    /// Surface of the object.
+    /// Shape of the object, in its own frame.
     pub shape: Shape,
     /// Trajectory of the shape.
     pub trajectory: Trajectory,
@@ -61,7 +61,8 @@ pub struct RayHit {
     pub distance: f64,
     /// Label of the body.
     pub label: i32,
-    /// Optical properties of the body and its unit normal there, if they are given.
+    /// Optical properties of the body and its unit normal at the hit; None if no properties are
+    /// given.
     pub surface: Option<(Surface, [f64; 3])>,
 }
 
@@ -190,7 +191,8 @@ impl Scene {
         Ok(Self { carried: bodies.into_iter().map(of).collect(), ..self })
     }
 
-    /// First hit, before `limit` [m], of a ray in `direction` of the sensor's frame on its carrier.
+    /// First hit, before `limit` [m], of a ray in `direction` of the sensor's frame on its carrier;
+    /// None without one.
     #[must_use]
     pub fn meet_carried(&self, direction: [f64; 3], limit: f64) -> Option<RayHit> {
         let ray = CastRay { origin: [0.0; 3], direction };
@@ -229,7 +231,7 @@ impl Scene {
         &self.objects
     }
 
-    /// First body that `ray` hits before `limit` [m], `seconds` after time 0.
+    /// First hit of `ray` on a body before `limit` [m], `seconds` after time 0; None without one.
     #[must_use]
     pub fn meet(&self, ray: &CastRay, limit: f64, seconds: f64) -> Option<RayHit> {
         let test = |index: u32, limit: f64| {

@@ -17,8 +17,9 @@ pub const SEQUENCE: u64 = 61;
 const PERIOD_NS: i64 = 100_000_000;
 const SEED: u64 = 20_240_607;
 
-/// Size x, y, height, centre x, y [m]; drawn by `lidar_core.sim.scenes.performance` (numpy
-/// `default_rng(20240607)`), whose test compares both tables.
+/// Boxes of the scene: size x, y, height, centre x, y [m]; drawn by
+/// `lidar_core.sim.scenes.performance` (numpy `default_rng(20240607)`), whose test compares both
+/// tables.
 pub const BOXES: [[f64; 5]; 15] = [
     [
         5.0702065986294675,
@@ -103,7 +104,7 @@ pub const BOXES: [[f64; 5]; 15] = [
     ],
 ];
 
-/// Radius, height, centre x, y [m]; drawn after the boxes.
+/// Cylinders of the scene: radius, height, centre x, y [m]; drawn after the boxes.
 pub const CYLINDERS: [[f64; 4]; 15] = [
     [1.4294012547330124, 8.47254720584207, -0.9073633058638073, 8.134985609109123],
     [0.47191104363975145, 13.536438915213536, -26.58164306771754, 26.222561746397794],
@@ -149,7 +150,7 @@ pub struct WorldScan {
     pub ranges: Vec<f64>,
 }
 
-/// Scene 1 (sensor 10 m above ground) or 2 (3 m).
+/// The fixed scene of this number: 1 with the sensor 10 m above the ground, 2 with 3 m.
 ///
 /// # Errors
 /// [`Error::Parameter`] for any other number.
@@ -240,7 +241,7 @@ fn at(translation: [f64; 3]) -> Transform {
     Transform { translation, ..Transform::IDENTITY }
 }
 
-/// Trajectory from `start` with `step` per scan.
+/// Trajectory from `start` [m] with `step` [m] per scan.
 fn line(start: [f64; 3], step: [f64; 3]) -> Result<Trajectory, Error> {
     let place = |scan: u64| at(std::array::from_fn(|axis| start[axis] + scan as f64 * step[axis]));
     // A stamp of its own at the end of the scene: it is the same to the bit as without what follows.

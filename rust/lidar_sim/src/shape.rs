@@ -95,7 +95,7 @@ impl Shape {
         Ok(Self::Sphere { radius })
     }
 
-    /// Distance [m] along `ray` (in the shape's frame) to the first intersection before `limit`.
+    /// Distance [m] along `ray` (in the shape's frame) to the first intersection before `limit`; None without one.
     #[must_use]
     #[inline]
     pub fn meet(&self, ray: &CastRay, limit: f64) -> Option<f64> {
@@ -141,7 +141,7 @@ impl Shape {
         }
     }
 
-    /// Distance [m] of `point` (in the shape's frame). It is 0 inside a solid; a mesh counts as a
+    /// Distance [m] of `point` (in the shape's frame) from the shape. It is 0 inside a solid; a mesh counts as a
     /// surface, an elliptic cylinder as the round one around it.
     #[must_use]
     pub fn clearance(&self, point: [f64; 3], limit: f64) -> f64 {
@@ -245,7 +245,7 @@ fn extent_of_cylinder(pose: &Transform, [a, b]: [f64; 2], half_height: f64) -> [
     })
 }
 
-/// First intersection of a ray that is inside between `near` and `far`.
+/// Distance to the first intersection of a ray that is inside from `near` to `far`; None if that is behind it.
 #[inline]
 fn first([near, far]: [f64; 2]) -> Option<f64> {
     if near > far || far < 0.0 {

@@ -40,7 +40,7 @@ const RAYS_PER_CHUNK: usize = 4096;
 pub struct Task<'a> {
     /// Scene that the rays hit.
     pub scene: &'a Scene,
-    /// LiDAR.
+    /// Model of the LiDAR.
     pub lidar: &'a Lidar,
     /// Trajectory of the LiDAR.
     pub sensor: &'a Trajectory,
@@ -174,7 +174,8 @@ impl Task<'_> {
         part
     }
 
-    /// Hit of a beam whose lines are rotated from `direction` about the z axis.
+    /// Hit of a beam whose lines are rotated from `direction` about the z axis; None if no line
+    /// hits.
     fn echo(
         &self,
         [x, y, z]: [f64; 3],

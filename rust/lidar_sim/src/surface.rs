@@ -11,7 +11,7 @@ pub const USUAL_REFLECTIVITY: f64 = 0.3;
 /// Standard deviation of the logarithm of the returned power.
 const FADING: f64 = 0.4;
 
-/// Shares of the incident light.
+/// Optical properties of a surface, as shares of the incident light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
     /// Share scattered back at normal incidence; it falls with the cosine (Lambert).

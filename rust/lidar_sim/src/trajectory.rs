@@ -42,7 +42,7 @@ impl Trajectory {
         Ok(Self { stamps_ns, poses })
     }
 
-    /// Constant pose.
+    /// Trajectory with a constant pose.
     #[must_use]
     pub fn at_rest(pose: Transform) -> Self {
         Self { stamps_ns: vec![0], poses: vec![pose] }

@@ -18,7 +18,8 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-/// Parameters (C, 3), covariance (C, 3, 3), number of hits (C,), true for fallbacks (C,).
+/// Circles as arrays: centre x, y and radius (C, 3) [m], covariance (C, 3, 3) [m^2], number of hits
+/// (C,), true for fallbacks (C,).
 pub(crate) type CircleArrays<'py> = (
     Rows3<'py, f64>,
     Bound<'py, PyArray3<f64>>,
@@ -26,7 +27,7 @@ pub(crate) type CircleArrays<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// Rays, starts and sides of `Segments`.
+/// Rays, starts and sides of `Segments`, as arrays from Python.
 type SegmentArrays<'py> =
     (PyReadonlyArray1<'py, u32>, PyReadonlyArray1<'py, i64>, PyReadonlyArray2<'py, u8>);
 
@@ -84,7 +85,8 @@ pub(crate) fn fit_circles<'py>(
     circle_arrays(py, &found)
 }
 
-/// Kind (S,), parameters (S, 5), covariance (S, 5, 5), misfit (S,), number of hits (S,).
+/// Shapes as arrays: kind (S,), parameters (S, 5), covariance (S, 5, 5), misfit (S,), number of
+/// hits (S,).
 pub(crate) type ShapeArrays<'py> = (
     Bound<'py, PyArray1<u8>>,
     Bound<'py, PyArray2<f64>>,
@@ -113,7 +115,7 @@ pub(crate) fn fit_shapes<'py>(
     shape_arrays(py, &found)
 }
 
-/// `ShapeKind` of Python.
+/// Number of a kind of shape in the enumeration `ShapeKind` of Python.
 pub(crate) fn kind_number(kind: ShapeKind) -> u8 {
     match kind {
         ShapeKind::Circle => 0,
@@ -184,7 +186,7 @@ fn read_segments((rays, starts, sides): &SegmentArrays<'_>) -> Result<Segments, 
     })
 }
 
-/// Circles as arrays; NaN where there is none.
+/// Circles as arrays; NaN and no hits where there is none.
 pub(crate) fn circle_arrays<'py>(
     py: Python<'py>,
     circles: &[Option<CircleEstimate>],

@@ -92,13 +92,14 @@ const FILTERS: [(&str, Kind); 2] = [("paper", Kind::Paper), ("independent", Kind
 
 pub(crate) type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
-/// True for a late scan; element of every circle; numbers of new, confirmed and removed elements;
-/// pairs of merged elements.
+/// Events of an update as arrays: true for a late scan; element of every circle; numbers of new,
+/// confirmed and removed elements; pairs of merged elements.
 pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
-/// Number, mean (M, 5), covariance (M, 5, 5), age, time of the last measurement, visible,
-/// confirmed, probability of a person, of existence, kind and probabilities of kinds (M, 5).
+/// Elements of the map as arrays: number, mean (M, 5), covariance (M, 5, 5), age [s], time of the
+/// last measurement [ns], visible, confirmed, probability of a person, of existence, kind and
+/// probabilities of kinds (M, 5).
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,
@@ -112,8 +113,8 @@ pub(crate) type Elements<'py> = (
     (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f64>>),
 );
 
-/// Number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2, 2), age, time of the last
-/// measurement, visible, confirmed.
+/// Other shapes of the map as arrays: number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2,
+/// 2) (NaN without ends), age [s], time of the last measurement [ns], visible, confirmed.
 pub(crate) type MapShapes<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray1<u8>>,
@@ -126,7 +127,7 @@ pub(crate) type MapShapes<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// Ranges, bearings, and the limits of the ranges.
+/// A scan as arrays from Python: ranges [m], bearings [rad], and the limits of the ranges [m].
 type ViewArrays<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, (f64, f64));
 
 #[pyclass(frozen, name = "CircleMap", module = "lidar_core._core")]

@@ -8,7 +8,7 @@ use lidar_core::circles::preprocess::misses::{Misses, NoReturn};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 
-/// Name of what stands for a ray without return.
+/// Name in Python of the value that marks a ray without return.
 pub(crate) fn no_return_name(value: NoReturn) -> &'static str {
     match value {
         NoReturn::Infinite => "inf",

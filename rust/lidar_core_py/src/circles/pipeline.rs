@@ -64,7 +64,7 @@ pub(crate) struct PyPreparedSweep(PreparedSweep);
 
 #[pymethods]
 impl PyPreparedSweep {
-    /// Ranges, bearings, heights.
+    /// The level scan: ranges [m], bearings [rad], heights [m].
     fn scan<'py>(&self, py: Python<'py>) -> LevelArrays<'py> {
         level_arrays(py, self.0.level.clone())
     }
@@ -74,7 +74,7 @@ impl PyPreparedSweep {
     }
 }
 
-/// Arrays of one sweep, borrowed.
+/// One sweep as arrays that are borrowed from Python.
 struct SweepArrays<'py> {
     ranges: PyReadonlyArray1<'py, f32>,
     world_from_lidar: PyReadonlyArray3<'py, f64>,

@@ -11,7 +11,7 @@ use lidar_sim::circle_samples::{self, Disturbance, Samples, Source};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// The attributes of a scanner model.
+/// Rays of a scanner from the attributes of its Python model.
 fn beams_of(scanner: &Bound<'_, PyAny>) -> PyResult<Beams> {
     Ok(Beams {
         angle_min: scanner.getattr("angle_min")?.extract()?,
@@ -24,7 +24,7 @@ fn beams_of(scanner: &Bound<'_, PyAny>) -> PyResult<Beams> {
     })
 }
 
-/// The attributes of a dataset model.
+/// Disturbances of samples from the attributes of a Python dataset model.
 fn disturbance_of(config: &Bound<'_, PyAny>) -> PyResult<Disturbance> {
     Ok(Disturbance {
         range_std: config.getattr("range_std")?.extract()?,
@@ -52,7 +52,8 @@ pub(crate) fn circle_lattice<'py>(
     arrays::rows_into(py, circles)
 }
 
-/// Circles, noise, beam width, first ray, rays, sides, ranges.
+/// Samples as arrays: circles, noise of the ranges, beam width, first ray, number of rays, sides,
+/// ranges.
 type Arrays<'py> = (
     Rows3<'py, f32>,
     Bound<'py, PyArray1<f32>>,

@@ -20,14 +20,14 @@ use pyo3::prelude::*;
 
 type Column<'py, T> = Bound<'py, PyArray1<T>>;
 
-/// Ranges, bearings, heights.
+/// A level scan as arrays: ranges [m], bearings [rad], heights above the scanner [m].
 pub(crate) type LevelArrays<'py> = (Column<'py, f64>, Column<'py, f64>, Column<'py, f64>);
 
-/// Labels, rays, starts, sides.
+/// Segments as arrays: labels, rays, starts, sides.
 pub(crate) type SegmentArrays<'py> =
     (Column<'py, i32>, Column<'py, u32>, Column<'py, i64>, Bound<'py, PyArray2<u8>>);
 
-/// Names of the projections.
+/// Names of the projections in configurations.
 pub(crate) const PROJECTIONS: [(&str, Projection); 2] =
     [("exact", Projection::Exact), ("paper", Projection::Paper)];
 
@@ -111,7 +111,7 @@ pub(crate) fn segment_scan<'py>(
     segment_arrays(py, segments)
 }
 
-/// Move segments out.
+/// Segments as arrays for Python.
 pub(crate) fn segment_arrays(
     py: Python<'_>,
     segments: Segments,

@@ -20,7 +20,7 @@ use pyo3::prelude::*;
 const FRAME: usize = 5;
 const SIDES: [Side; 4] = [Side::Free, Side::Occluded, Side::FieldEdge, Side::RangeCut];
 
-/// Slots, context, frames.
+/// Input of the network as arrays, one row per window: slots, context, frames.
 type Described<'py> =
     (Bound<'py, PyArray3<f32>>, Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f64>>);
 
@@ -124,7 +124,7 @@ impl Windows<'_> {
     }
 }
 
-/// Circles and covariances, nine numbers per covariance.
+/// Circles (N, 3) [m] and covariances (N, 3, 3) [m^2].
 type Circles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
 
 #[pyfunction]

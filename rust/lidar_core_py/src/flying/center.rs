@@ -7,7 +7,7 @@ use lidar_core::flying::detect::center;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// Position (3,), covariance (3, 3), radius.
+/// Centre of a target as arrays: position (3,) [m], covariance (3, 3) [m^2], radius [m].
 type CenterArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>, f64);
 
 #[pyfunction]

@@ -97,7 +97,7 @@ struct SensorConfig {
     returns_per_ray: usize,
 }
 
-/// True if detections are centres.
+/// Names of the position of a detection in configurations: true if it is the centre of the target.
 const POSITIONS: [(&str, bool); 2] = [("paper", false), ("center", true)];
 
 impl FlyingConfig {
@@ -211,7 +211,7 @@ impl ClassifyConfig {
 /// `SensorConfig.beam_table`: kind, angles, number of rays.
 type BeamTable = (String, Vec<f64>, usize);
 
-/// The rays of a known sensor.
+/// Rays of a beam table; None for a table that names no angles.
 fn beam_rays((kind, angles, count): &BeamTable) -> Option<RayPattern> {
     match (kind.as_str(), angles.as_slice()) {
         ("rows", elevations) => {

@@ -19,10 +19,11 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 
-/// Position, covariance, radius, extent, points, confidence, time after the scan's stamp [s].
-/// Directions of rays and their lengths.
+/// Rays into the sky as arrays: unit directions in the world, and lengths [m].
 type SkyRays<'py> = (Rows3<'py, f64>, Bound<'py, PyArray1<f32>>);
 
+/// Detections as arrays: position, covariance, radius, extent, number of points, confidence, time
+/// after the scan's stamp [s].
 type DetectionArrays<'py> = (
     Rows3<'py, f64>,
     Bound<'py, PyArray3<f64>>,
@@ -151,7 +152,7 @@ impl PyFlyingObjectDetector {
         Ok(states.into_pyarray(py))
     }
 
-    /// Centres of all voxels that are at least tentatively occupied, world frame.
+    /// Centres of all voxels that are at least tentatively occupied, in the world [m].
     fn occupied_points<'py>(&self, py: Python<'py>) -> Result<Rows3<'py, f64>, BorderError> {
         let centers = self.0.with(py, |detector| {
             let (map, world_from_map) = (detector.map(), detector.world_from_map());
@@ -198,7 +199,7 @@ impl PyFlyingObjectDetector {
         self.0.with(py, |detector| Ok(detector.map().to_bytes()))
     }
 
-    /// Voxels stored, voxels observed, bytes held.
+    /// Numbers of voxels stored and observed, and bytes held by the map.
     fn map_size(&self, py: Python<'_>) -> Result<(usize, usize, usize), BorderError> {
         self.0.with(py, |detector| {
             let map = detector.map();

@@ -120,8 +120,8 @@ impl TrackerConfig {
 
 type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
-/// True for a late cloud; numbers of corrected, new, confirmed and removed tracks; pairs of merged
-/// tracks; rejected measurements.
+/// Events of an update as arrays: true for a late cloud; numbers of corrected, new, confirmed and
+/// removed tracks; pairs of merged tracks; number of rejected measurements.
 type Events<'py> = (
     bool,
     Numbers<'py>,
@@ -132,8 +132,8 @@ type Events<'py> = (
     usize,
 );
 
-/// Number, mean (T, 9), covariance (T, 9, 9), extent (T, 3), detections, age, reported, existence,
-/// kinds.
+/// Tracks as arrays: number, mean (T, 9), covariance (T, 9, 9), extent (T, 3) [m], number of
+/// detections, age [s], reported, existence, kinds.
 pub(crate) type TrackArrays<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,

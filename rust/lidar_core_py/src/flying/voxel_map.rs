@@ -18,8 +18,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::PathBuf;
 
-/// Number of points per class; entries skipped, rays, rays without return; visits, and of these those
-/// that were skipped; voxels, and of these those that changed.
+/// Statistics of an integration: number of points per class; entries skipped, rays, rays without
+/// return; visits, and of these those that were skipped; voxels, of these those that changed, and
+/// voxels forgotten.
 type Stats = ([usize; 3], [usize; 3], [u64; 2], [usize; 3]);
 
 #[pyclass(frozen, name = "VoxelMap", module = "lidar_core._core")]
@@ -223,7 +224,7 @@ impl PyVoxelMap {
         self.with_map(py, |map| Ok(map.parameters().origin))
     }
 
-    /// Values of the configuration it was made with, by name.
+    /// Values of the configuration with which the map was made, by name.
     fn parameters<'py>(
         &self,
         py: Python<'py>,
@@ -232,7 +233,7 @@ impl PyVoxelMap {
         Ok(map_values(py, parameters)?)
     }
 
-    /// Voxels stored, voxels observed, bytes held.
+    /// Numbers of voxels stored and observed, and bytes held by the map.
     fn size(&self, py: Python<'_>) -> Result<(usize, usize, usize), BorderError> {
         self.with_map(py, |map| {
             Ok((map.stored_voxels(), map.observed_voxels(), map.memory_bytes()))

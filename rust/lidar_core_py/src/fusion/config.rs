@@ -113,8 +113,8 @@ impl FusionConfig {
         }
     }
 
-    /// Of range, bearing, elevation and range rate; of the bearing for an elevation that is not
-    /// told.
+    /// Standard deviations of range, bearing, elevation and range rate; without one of the
+    /// elevation, that of the bearing.
     fn radar(&self) -> Result<[f64; 4], Error> {
         match self.radar_std[..] {
             [range, bearing, rate] => Ok([range, bearing, bearing, rate]),

@@ -213,7 +213,7 @@ fn deviations<'py>(
     (PyArray1::from_slice(py, &lidar[..2]), PyArray1::from_slice(py, &[range, bearing, rate]))
 }
 
-/// Columns of recorded innovations that a filter can fill.
+/// Recorded innovations, cut to the columns that a filter can fill, and the number of these columns.
 pub(crate) fn cut(innovations: Vec<f64>, parameters: &FusionParameters) -> (Vec<f64>, usize) {
     let width = if parameters.is_in_space() { MAX_INNOVATION } else { 3 };
     let rows = innovations.chunks_exact(MAX_INNOVATION);

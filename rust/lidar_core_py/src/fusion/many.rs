@@ -59,12 +59,13 @@ impl MultiTargetConfig {
 #[pyclass(frozen, name = "MultiTargetTracker", module = "lidar_core._core")]
 pub(crate) struct PyMultiTargetTracker(Guarded<ManyTargets>);
 
-/// By measurement: number of the track, -1 for none; innovation; NIS.
+/// Result of a scan as arrays, a row per measurement: number of the track (-1 for none),
+/// innovation, NIS.
 type ScanArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// Numbers, states, covariances, times of birth and last measurement, measurements, confirmed,
-/// probabilities of existence, kinds.
+/// Tracks as arrays: numbers, states, covariances, times of birth and of the last measurement [ns],
+/// numbers of measurements, confirmed, probabilities of existence, kinds.
 type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray2<f64>>,
@@ -114,7 +115,7 @@ impl PyMultiTargetTracker {
         scan_arrays(py, &assigned, &parameters)
     }
 
-    /// Scans, predictions and pairs so far.
+    /// Numbers of scans, of predictions of tracks, and of compared pairs so far.
     fn work(&self, py: Python<'_>) -> Result<(u64, u64, u64), BorderError> {
         self.0.with(py, |tracker| {
             let TrackingWork { scans, predictions, pairs } = tracker.work();

@@ -124,7 +124,8 @@ impl SimTrajectory {
     }
 }
 
-/// Points, directions, no return, label, time of every ray; unoccluded rays of every object.
+/// A scan as arrays: points, directions, no return, label and time [ns] of every ray; unoccluded
+/// rays of every object.
 type ScanArrays<'py> = (
     Rows<'py, f32>,
     Rows<'py, f32>,
@@ -134,7 +135,7 @@ type ScanArrays<'py> = (
     Array1<'py, u32>,
 );
 
-/// Range and label of every ray; unoccluded rays of every object.
+/// A 2D sweep as arrays: range [m] and label of every ray; unoccluded rays of every object.
 type SweepArrays<'py> = (Array1<'py, f32>, Array1<'py, i32>, Array1<'py, u32>);
 
 #[pyclass(frozen, module = "lidar_core._core")]
