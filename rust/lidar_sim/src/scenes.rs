@@ -14,7 +14,9 @@ use rayon::ThreadPool;
 pub const SCANS: u64 = 20;
 /// Number of scans of the longer sequence: the same path further on, without boxes near it.
 pub const SEQUENCE: u64 = 61;
+/// Time from one scan to the next [ns].
 const PERIOD_NS: i64 = 100_000_000;
+/// Seed of the noise.
 const SEED: u64 = 20_240_607;
 
 /// Boxes of the scene: size x, y, height, centre x, y [m]; drawn by

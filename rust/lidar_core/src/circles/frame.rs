@@ -122,7 +122,7 @@ pub struct CircleFrame {
     pub range_std: Option<f64>,
     /// How the ranges of the scanner mark rays without return.
     pub no_return: NoReturn,
-    /// How late the poses of the scanner are, once it is known [s].
+    /// How late the poses of the scanner are [s]; None before it is known.
     pub pose_offset: Option<f64>,
     /// Time per stage [ms].
     pub timing: CircleTiming,

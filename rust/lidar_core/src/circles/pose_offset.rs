@@ -119,7 +119,7 @@ pub(super) struct PoseOffset {
 }
 
 impl PoseOffset {
-    /// How late the poses are, once that is known to a few milliseconds [s].
+    /// How late the poses are, once that is known to a few milliseconds [s]; None before.
     pub(super) fn known(&self) -> Option<f64> {
         let (offset, std) = self.estimate()?;
         (std < KNOWN).then_some(offset)

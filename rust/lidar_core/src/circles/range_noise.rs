@@ -18,7 +18,8 @@ const PRIOR: f64 = 4.0;
 const MEMORY: f64 = 2_000.0;
 /// Logarithm of the ratio of the estimated to the used deviation above which the estimate is used.
 const STEP: f64 = 0.15;
-/// The same limit in standard deviations of the estimate.
+/// Least difference of the estimated from the used deviation at which the estimate is used, in
+/// standard deviations of the estimate.
 const SURE: f64 = 3.0;
 /// Largest factor on the configured deviation, up and down.
 const FACTOR: f64 = 8.0;

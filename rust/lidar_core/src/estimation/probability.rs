@@ -1,11 +1,10 @@
 //! Probability that a trivariate normal variable lies in a box with edges along the axes.
 //!
-//! With the covariance factorised as `L L'`, the variable is `L z` with independent standard normal
-//! `z`, and the box bounds one entry of `z` after the other: nested one-dimensional integrals, the
-//! innermost in closed form. Where the variance left to an axis is small, the integrand rises or
-//! falls steeply at a known place: the integrals are split there, so that they stay accurate up to
-//! singular covariances, whose further axes only narrow the innermost interval. Where it is not
-//! small, the inner two integrals become one integral over the correlation, which is faster.
+//! With the covariance factorised as `L L'`, the variable is `L z` with independent standard normal `z`, and the box
+//! bounds one entry of `z` after the other: nested one-dimensional integrals, the innermost in closed form. Where the
+//! variance left to an axis is small, the integrand rises or falls steeply at a known place: the integrals are split
+//! there, so that they stay accurate up to singular covariances, whose further axes only narrow the innermost
+//! interval. Where it is not small, the inner two integrals become one integral over the correlation, which is faster.
 
 use super::quadrature::{KRONROD, NODES, integrate};
 use crate::Error;
@@ -23,8 +22,9 @@ const TOLERANCE: [f64; 2] = [1e-8, 1e-9];
 const PANEL: f64 = 3.0;
 /// Largest correlation for which the inner two integrals are computed as one.
 const LARGEST_CORRELATION: f64 = 0.9;
-/// The integral is split around steps that are narrower than this, at `STEP_REACH` widths.
+/// Width of a step of the integrand below which the integral is split around it, in standard deviations.
 const STEEP: f64 = 0.5;
+/// Distance from a step at which the integral is split, in widths of the step.
 const STEP_REACH: f64 = 7.0;
 
 /// Probability that a normal variable with mean 0 and this covariance lies between `low` and

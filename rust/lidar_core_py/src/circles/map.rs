@@ -88,6 +88,7 @@ enum Kind {
     Independent,
 }
 
+/// Names of the filters in configurations.
 const FILTERS: [(&str, Kind); 2] = [("paper", Kind::Paper), ("independent", Kind::Independent)];
 
 pub(crate) type Numbers<'py> = Bound<'py, PyArray1<i64>>;
@@ -114,7 +115,8 @@ pub(crate) type Elements<'py> = (
 );
 
 /// Other shapes of the map as arrays: number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2,
-/// 2) (NaN without ends), age [s], time of the last measurement [ns], visible, confirmed.
+/// 2) with NaN for shapes without ends, age [s], time of the last measurement [ns], visible,
+/// confirmed.
 pub(crate) type MapShapes<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray1<u8>>,

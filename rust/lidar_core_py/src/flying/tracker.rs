@@ -47,13 +47,16 @@ pub(crate) struct TrackerConfig {
     report_coast: f64,
 }
 
+/// Names of the forms of the association radius in configurations.
 const RADIUS_FORMS: [(&str, RadiusForm); 2] =
     [("paper", RadiusForm::Paper), ("sixth-root", RadiusForm::SixthRoot)];
+/// Names of the forms of the process noise in configurations.
 const NOISE_FORMS: [(&str, NoiseForm); 3] = [
     ("paper", NoiseForm::Paper),
     ("continuous", NoiseForm::Continuous),
     ("adaptive", NoiseForm::Adaptive),
 ];
+/// Names of the forms of the measurement noise in configurations.
 const MEASUREMENT_FORMS: [(&str, MeasurementForm); 3] = [
     ("paper", MeasurementForm::Paper),
     ("cluster", MeasurementForm::Cluster),

@@ -58,22 +58,30 @@ struct PublishedModel {
     elevation: f64,
 }
 
+/// Names of the readings of the published radar measurement in configurations.
 const READINGS: [(&str, Reading); 4] =
     [("a", Reading::A), ("b", Reading::B), ("c", Reading::C), ("d", Reading::D)];
+/// Names of the use of sigma points in configurations: true if the predicted points are carried on.
 const POINTS: [(&str, bool); 2] = [("redrawn", false), ("carried", true)];
 /// Choice between the printed form of an equation and the corrected one.
 const FIXES: [(&str, bool); 2] = [("literal", false), ("fixed", true)];
+/// Names of the forms of the platform's column in configurations: true if it is zero.
 const COLUMNS: [(&str, bool); 2] = [("literal", false), ("zero", true)];
+/// Names of the published predictions in configurations: true for that by the matrix.
 const PREDICTIONS: [(&str, bool); 2] = [("motion", false), ("matrix", true)];
+/// Names of the time behaviours of process noise in configurations.
 const FORMS: [(&str, NoiseForm); 2] =
     [("continuous", NoiseForm::Continuous), ("discrete", NoiseForm::Discrete)];
+/// Names of the uses of a gyro in configurations.
 const GYROS: [(&str, GyroUse); 4] = [
     ("input", GyroUse::Input),
     ("exact", GyroUse::Exact),
     ("measurement", GyroUse::Measurement),
     ("none", GyroUse::Ignored),
 ];
+/// Names of the sources of sensor noise in configurations: true if it is estimated.
 const NOISES: [(&str, bool); 2] = [("estimated", true), ("configured", false)];
+/// Names of the first speed of a target in configurations: true if the range rate gives it.
 const STARTS: [(&str, bool); 2] = [("range-rate", true), ("zero", false)];
 
 impl FusionConfig {

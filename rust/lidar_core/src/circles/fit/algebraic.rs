@@ -10,6 +10,7 @@ use super::posterior::Estimate;
 use super::{FitMethod, FitParameters};
 use nalgebra::{Matrix3, Vector3};
 
+/// Largest number of Newton's steps to the root of the characteristic polynomial.
 const MOST_STEPS: usize = 60;
 /// Determinant of points scaled to unit size, below which they lie on a line.
 const FLAT: f64 = 1e-12;

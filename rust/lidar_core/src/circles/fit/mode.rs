@@ -12,6 +12,7 @@ pub(super) struct MisfitMinimum {
     pub(super) normal: MisfitDerivatives,
 }
 
+/// Largest number of steps of the search for the minimum.
 const MOST_STEPS: usize = 25;
 /// The search ends when the misfit falls by less than this in one step.
 const ENOUGH: f64 = 1e-9;

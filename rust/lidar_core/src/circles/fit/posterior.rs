@@ -19,18 +19,20 @@ const HALVINGS: usize = 8;
 /// Largest factor between approximate and exact radii.
 const ROUGH: f64 = 1.5;
 
-/// Nodes and weights of Gauss's rules of 6, 8 and 10 points on -1..1, positive halves.
+/// Nodes and weights of Gauss's rule of 6 points on -1..1, positive half.
 const GAUSS_6: [[f64; 2]; 3] = [
     [0.238_619_186_083_196_9, 0.467_913_934_572_691_04],
     [0.661_209_386_466_264_5, 0.360_761_573_048_138_6],
     [0.932_469_514_203_152, 0.171_324_492_379_170_36],
 ];
+/// Nodes and weights of Gauss's rule of 8 points on -1..1, positive half.
 const GAUSS_8: [[f64; 2]; 4] = [
     [0.183_434_642_495_649_8, 0.362_683_783_378_362],
     [0.525_532_409_916_329, 0.313_706_645_877_887_27],
     [0.796_666_477_413_626_7, 0.222_381_034_453_374_48],
     [0.960_289_856_497_536_2, 0.101_228_536_290_376_26],
 ];
+/// Nodes and weights of Gauss's rule of 10 points on -1..1, positive half.
 const GAUSS_10: [[f64; 2]; 5] = [
     [0.148_874_338_981_631_22, 0.295_524_224_714_752_87],
     [0.433_395_394_129_247_2, 0.269_266_719_309_996_35],

@@ -22,7 +22,8 @@ const TWICE: f64 = 0.4;
 /// Rate at which the logarithm of the odds that an object is still there falls while rays pass its
 /// place [1/s].
 const SEEN_THROUGH: f64 = 40.0;
-/// The same rate while rays end at its place but show no object [1/s].
+/// Rate at which the logarithm of the odds that an object is still there falls while rays end at
+/// its place but show no object [1/s].
 const UNMATCHED: f64 = 18.0;
 /// Longest time that one scan speaks for [s]: successive scans show nearly the same, so that time
 /// counts and not their number.

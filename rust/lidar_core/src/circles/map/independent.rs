@@ -24,7 +24,7 @@ pub(super) struct Elements {
     stamp_ns: Option<i64>,
     bodies: Vec<Element<RoundBody>>,
     lines: Vec<Element<Line>>,
-    /// What new bodies and lines turned out to be.
+    /// Shares of objects among new elements: for bodies and for lines.
     arrivals: [Arrivals; 2],
 }
 

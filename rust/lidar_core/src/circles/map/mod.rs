@@ -43,6 +43,7 @@ use rules::Rules;
 use scan::{KeptScan, ScanElements};
 use serde::{Deserialize, Serialize};
 
+/// Name of the kind of a saved state, by which it is recognised.
 const KIND: &str = "circle map";
 
 /// An element, predicted to a time.

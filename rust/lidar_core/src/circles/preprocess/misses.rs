@@ -49,7 +49,7 @@ pub struct Misses {
 }
 
 impl Misses {
-    /// What stands for a ray without return, as far as the scans tell.
+    /// The value that marks a ray without return, as far as the scans tell.
     #[must_use]
     pub fn no_return(&self) -> NoReturn {
         self.no_return
@@ -81,7 +81,8 @@ impl Misses {
         self.no_return = self.meaning();
     }
 
-    /// What stands for a miss by the counts; the last answer where they tell nothing new.
+    /// The value that marks a ray without return by the counts; the last answer where they tell
+    /// nothing new.
     fn meaning(&self) -> NoReturn {
         let is_many = |count: f64| count > 0.0 && count >= MANY * self.rays;
         let can_be_zero = self.infinite.max(RARE * RARE * self.nan) <= RARE * self.zero;

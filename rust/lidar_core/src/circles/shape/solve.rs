@@ -5,6 +5,7 @@ use nalgebra::{SMatrix, SVector};
 
 /// Largest residual of a range [m]: a ray that passes a shape has no range.
 const LARGEST: f64 = 0.5;
+/// Largest number of steps of the search for the minimum.
 const MOST_STEPS: usize = 30;
 /// The search ends when the misfit falls by less than this in one step.
 const ENOUGH: f64 = 1e-4;

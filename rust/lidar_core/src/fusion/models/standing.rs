@@ -79,9 +79,10 @@ impl PlaneMotion<4> for StandingTarget {
 }
 
 impl StateConversion<4> for StandingTarget {
-    /// A target at rest stays there for minutes.
+    /// Mean time for which a target at rest stays there [s]: minutes.
     const SOJOURN: Option<f64> = Some(300.0);
-    /// In a crowd, at first only targets at rest are measured again at the same place.
+    /// How often a new target stands, relative to other models: in a crowd, at first only targets
+    /// at rest are measured again at the same place.
     const OF_NEW: f64 = 0.3;
 
     fn cartesian(&self, state: &Gaussian<4>, other: Option<&Gaussian<6>>) -> Gaussian<6> {

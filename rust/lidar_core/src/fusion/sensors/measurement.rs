@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 
 /// Largest number of values of one measurement.
 pub const MAX_VALUES: usize = 12;
-/// Largest number of values that have a covariance, and the entries of its upper triangle.
+/// Largest number of values that have a covariance.
 pub const MAX_NOISY: usize = 6;
+/// Number of entries of the upper triangle of a covariance.
 const PACKED: usize = MAX_NOISY * (MAX_NOISY + 1) / 2;
 
 /// Sensor that a measurement comes from.
@@ -15,10 +16,9 @@ const PACKED: usize = MAX_NOISY * (MAX_NOISY + 1) / 2;
 pub enum Sensor {
     /// Position of the target: x, y, or x, y, z [m].
     Lidar,
-    /// Range [m], bearing counter-clockwise from x [rad], elevation above the plane of x and y
-    /// [rad], range rate [m/s], positive when the range grows; as many of them as [`PolarValues`]
-    /// says. Or range, bearing, range rate and the target's true speed [m/s] and heading [rad],
-    /// which only reading C of the paper's model uses.
+    /// Range [m], bearing counter-clockwise from x [rad], elevation above the plane of x and y [rad], range rate
+    /// [m/s], positive when the range grows; as many of them as [`PolarValues`] says. Or range, bearing, range rate
+    /// and the target's true speed [m/s] and heading [rad], which only reading C of the paper's model uses.
     Radar,
     /// The platform: turn rate [rad/s]; or that and the velocity of its origin in its own axes
     /// [m/s].

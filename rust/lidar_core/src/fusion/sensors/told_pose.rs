@@ -15,7 +15,8 @@ pub trait TellPose {
 }
 
 impl TellPose for Plane {
-    /// Of a pose in space the place, heading and motion in the plane count.
+    /// Let the platform have the pose of `m`. Of a pose in space, only place, heading and motion in
+    /// the plane count.
     fn tell_pose(platform: &mut Platform, m: &Measurement, sensing: &Sensing) {
         let (v, stamp_ns) = (m.values(), m.stamp_ns());
         let (values, covariance) = if m.sensor() == Sensor::SpacePose {
@@ -57,7 +58,8 @@ fn motion_since(
 }
 
 impl TellPose for Space {
-    /// A pose in the plane is that of a level platform at the height zero.
+    /// Let the platform have the pose of `m`. A pose in the plane is that of a level platform at
+    /// the height zero.
     fn tell_pose(platform: &mut Platform, m: &Measurement, sensing: &Sensing) {
         let (v, stamp_ns) = (m.values(), m.stamp_ns());
         let triple = |first: usize| v.get(first..first + 3).map(Vector3::from_column_slice);

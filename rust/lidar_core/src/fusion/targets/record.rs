@@ -41,7 +41,8 @@ pub struct Record {
 
 /// Memory that a row of a run may take, with a copy for the caller [bytes].
 const ROOM_OF_ROW: usize = 2 * (size_of::<Output>() + 64);
-/// The same of a smoothed run, which keeps all states until the last is known [bytes].
+/// Memory that a row of a smoothed run may take [bytes]: it keeps all states until the last is
+/// known.
 const ROOM_OF_SMOOTHED_ROW: usize =
     size_of::<RunRow>() + size_of::<FilterStep>() + 2 * size_of::<Output>() + ROOM_OF_ROW;
 

@@ -1,15 +1,13 @@
 //! A box around a body that is not round, with the sides that are hidden now.
 //!
-//! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner than
-//! the middle, and moves as the body turns or the scanner passes. Here the sides of a box are
-//! followed, along the direction in which the body moves and across it. A side that faces the
-//! scanner is where the points end. A side that does not is as far away as the body is long, which is
-//! remembered from when it was seen; before, it is guessed from the width, and the covariance says
-//! so.
+//! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner than the middle, and
+//! moves as the body turns or the scanner passes. Here the sides of a box are followed, along the direction in which
+//! the body moves and across it. A side that faces the scanner is where the points end. A side that does not is as far
+//! away as the body is long. This length is remembered from when it was seen; before, it is guessed from the width,
+//! and the covariance says so.
 //!
-//! Source: the idea of Granstrom, Reuter, Meissner & Scheel, "A multiple model PHD approach to
-//! tracking of cars under an assumed rectangular shape", FUSION 2014: visible sides are measured,
-//! and the size is a part of the state.
+//! Source: the idea of Granstrom, Reuter, Meissner & Scheel, "A multiple model PHD approach to tracking of cars under
+//! an assumed rectangular shape", FUSION 2014: visible sides are measured, and the size is a part of the state.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -27,28 +25,29 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Random walk of the heading [rad^2/s].
 const TURN: f64 = 0.05;
-/// Standard deviations of a side that faces the scanner, and of one that ends at a corner [m]: real
-/// sides are bent, and corners are rounded.
+/// Standard deviation of a side that faces the scanner [m]: real sides are bent.
 const FACING: f64 = 0.02;
+/// Standard deviation of a side that ends at a corner [m]: real corners are rounded.
 const CORNER: f64 = 0.04;
-/// Cosine of the angle between a side's normal and the sight up to which it faces the scanner, and up
-/// to which a side is surely seen as far as it goes: under small angles many surfaces return nothing.
+/// Cosine of the angle between a side's normal and the line of sight above which the side faces the scanner.
 const GRAZING: f64 = 0.2;
+/// Cosine of the angle between a side's normal and the sight from which on the side is seen as far as it goes.
 const OPEN: f64 = 0.7;
-/// Half depth of what is seen from one side, and its standard deviation, in half widths.
+/// Half depth of a body that is seen from one side, in half widths.
 const DEPTH: f64 = 1.5;
+/// Standard deviation of this half depth, in half widths: the depth of the body is not seen.
 const DOUBT: f64 = 1.0;
 /// Least half length [m].
 const LEAST: f64 = 0.03;
-/// Share of its half lengths by which the middle of a real body is off that of its box: what counts as
-/// the middle of a vehicle is often near an axle.
+/// Offset of the middle of a body from that of its box, in half lengths: that of a vehicle is often near an axle.
 const MIDDLE: f64 = 0.4;
 /// Largest distance between the last ray on a body and the first that passes it [m].
 const GAP: f64 = 0.3;
-/// Speed from which it tells the heading [m/s], the share of it by which it may be wrong, and the
-/// standard deviation of the heading from it [rad].
+/// Speed of a body from which on its velocity tells the heading [m/s].
 const SPEED: f64 = 0.3;
+/// Largest standard deviation of the velocity that tells the heading, as a share of the speed.
 const SURE: f64 = 0.5;
+/// Standard deviation of the heading from the direction of motion [rad].
 const SLIP: f64 = 0.1;
 /// Squared distance of a side in its variances, above which it is weighted down.
 const FAR: f64 = 16.0;
@@ -60,10 +59,11 @@ const UNSEEN: f64 = 1e4;
 pub(super) struct BodyBox {
     /// Centre, velocity, half lengths along the heading and across it.
     state: ElementModes<6>,
-    /// Bearing of the first half length [rad], and its variance.
+    /// Bearing of the first half length [rad].
     heading: f64,
+    /// Variance of this bearing [rad^2].
     spread: f64,
-    /// It has moved, so that its heading is known.
+    /// True if the body has moved, so that its heading is known.
     has_moved: bool,
 }
 

@@ -20,7 +20,8 @@ const THICKEST: f64 = 0.17;
 const STEP: f64 = 0.75;
 /// Largest mean share of the points of two legs that may lie on surfaces of earlier scans.
 const BOTH: f64 = 0.5;
-/// The same share of each of the two legs: one leg stands for half a step.
+/// Largest share of the points of each of two legs that may lie on surfaces of earlier scans: one
+/// leg stands for half a step.
 const EACH: f64 = 0.85;
 /// Standard deviation of the middle of a person from that of both legs [m].
 const MIDDLE: f64 = 0.05;

@@ -48,7 +48,8 @@ const TRUST: f64 = 4.0;
 /// Squared velocity, in its covariance, from which a body that stood moves (95 % of chi-square of 2
 /// degrees of freedom).
 const MOVES: f64 = 5.99;
-/// The same for a known body where space was free (50 %).
+/// Squared velocity, in its covariance, from which a known body moves that stood where space was
+/// free (50 % of chi-square).
 const LEAVES: f64 = 1.39;
 /// Squared velocity, in its covariance, below which a body that moved stands.
 const RESTS: f64 = 0.25;
@@ -96,7 +97,7 @@ pub(super) struct RoundBody {
     waiting: f64,
     /// Time for which it was measured [s].
     known: f64,
-    /// It was first seen beside a person, and may be a part of it.
+    /// True if the body was first seen beside a person, and may be a part of it.
     is_beside: bool,
     person: Person,
 }

@@ -10,13 +10,16 @@ const MOST: f64 = 4.0;
 /// Rate at which the logarithm of the odds changes while a body walks on two legs [1/s]. Successive
 /// scans show nearly the same, so that time counts and not their number.
 const TWO_LEGS: f64 = 4.0;
-/// The same rate while a body of the size of a person moves at walking speed [1/s].
+/// Rate at which the logarithm of the odds changes while a body of the size of a person moves at
+/// walking speed [1/s].
 const WALKS: f64 = 2.0;
-/// The same rate while a body is too fast for a person, or walks and has another size [1/s].
+/// Rate at which the logarithm of the odds changes while a body is too fast for a person, or walks
+/// and has another size [1/s].
 const OTHERWISE: f64 = -2.0;
-/// The same rate while a body does not walk [1/s].
+/// Rate at which the logarithm of the odds changes while a body does not walk [1/s].
 const STANDS: f64 = -0.5;
-/// The same rate while a body that was probably a person does not walk [1/s]: people stop.
+/// Rate at which the logarithm of the odds changes while a body that was probably a person does not
+/// walk [1/s]: people stop.
 const STOPPED: f64 = -0.02;
 /// Lowest and highest speed at which people walk [m/s].
 const PACE: [f64; 2] = [0.3, 2.5];

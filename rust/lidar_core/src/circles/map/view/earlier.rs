@@ -22,7 +22,8 @@ const SLACK: (f64, f64) = (0.1, 0.6);
 const APART: f64 = 0.1;
 /// Least and largest distance up to which a point lies on a surface that an earlier scan met [m].
 const MARGIN: [f64; 2] = [0.02, 0.12];
-/// This distance as a multiple of the usual one, which is the noise of ranges and poses.
+/// Largest distance of a point that lies on an earlier surface, as a multiple of the usual one,
+/// which is the noise of ranges and poses.
 const USUAL: f64 = 4.0;
 /// Least and largest number of points from which the usual distance is determined.
 const SAMPLES: [usize; 2] = [20, 100];

@@ -22,7 +22,7 @@ const GAP: f64 = 0.5;
 /// move side by side, but the more surfaces agree, the less is it chance. The other ends may be people
 /// and vehicles, which go their own ways.
 const AFTER: [(usize, f64); 2] = [(3, 0.85), (6, 0.7)];
-/// One sample of so many is tried first, which costs a quarter: things that move on their own
+/// One of so many samples is tried first, which costs a quarter: things that move on their own
 /// rarely pass.
 const FIRST: usize = 4;
 /// Share of the first samples that a motion has to explain.

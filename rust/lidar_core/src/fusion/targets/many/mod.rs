@@ -32,6 +32,7 @@ use tracks::{SavedTracks, Tracks, within};
 
 /// Largest number of scanners.
 pub const MAX_SOURCES: u8 = 64;
+/// Name of the kind of a saved state, by which it is recognised.
 const KIND: &str = "fusion tracker";
 
 /// State of [`ManyTargets`] that changes with scans.

@@ -18,7 +18,8 @@ const SLACK: f64 = 1e-9;
 /// position.
 pub(super) type Placed = Option<([f64; 2], f64)>;
 
-/// Where measurements lie; `unseen` is a filter without a target that knows the platform.
+/// Places of measurements in the world; `unseen` is a filter without a target that knows the
+/// platform.
 pub(super) fn places_of(
     unseen: &Filter,
     sensing: &Sensing,
