@@ -29,9 +29,9 @@ const EFFORT: usize = 64;
 pub struct Near<'a> {
     /// Trajectory of the sensor.
     pub sensor: &'a Trajectory,
-    /// Least and greatest distance from it [m].
+    /// Least and greatest distance from the sensor [m].
     pub distance: [f64; 2],
-    /// Least and greatest elevation in its frame [rad].
+    /// Least and greatest elevation in the frame of the sensor [rad].
     pub elevation: [f64; 2],
 }
 
@@ -52,7 +52,7 @@ pub struct RandomMotion<'a> {
     pub near: Option<Near<'a>>,
     /// Start and end [ns].
     pub span_ns: (i64, i64),
-    /// Seed and stream of its random numbers.
+    /// Seed and stream of the random numbers.
     pub seed: (u64, u64),
 }
 

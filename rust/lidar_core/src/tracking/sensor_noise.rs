@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Fisher information of the prior, where each measurement has 1/2: a few measurements outweigh it.
+/// Fisher information of the prior, to which each measurement adds 1/2 at most: a few measurements
+/// outweigh it.
 const PRIOR: f64 = 2.0;
 /// Largest squared ratio of an innovation to its standard deviation that counts: one outlier says
 /// no more than three standard deviations.

@@ -114,9 +114,8 @@ pub(crate) type Elements<'py> = (
     (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f64>>),
 );
 
-/// Other shapes of the map as arrays: number, kind, mean (K, 7), covariance (K, 7, 7), ends (K, 2,
-/// 2) with NaN for shapes without ends, age [s], time of the last measurement [ns], visible,
-/// confirmed.
+/// Other shapes of the map as arrays: number, kind, mean (K, 7), covariance (K, 7, 7), both ends of
+/// a line (K, 2, 2) or NaN, age [s], time of the last measurement [ns], visible, confirmed.
 pub(crate) type MapShapes<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray1<u8>>,

@@ -119,8 +119,8 @@ impl HitSweep<'_> {
         segments
     }
 
-    /// What lies beside a surface, after its last ray or before its first ray `ray`. `Occluded` if
-    /// the surface ends in a corner there.
+    /// What lies beside a surface, beyond its last ray (`after`) or its first one; `ray` is this
+    /// outermost ray. `Occluded` if the surface ends there in a corner.
     fn side_at(&self, ray: u32, corner: bool, after: bool, parameters: &SegmentParameters) -> Side {
         if corner { Side::Occluded } else { self.side(ray, after, parameters) }
     }

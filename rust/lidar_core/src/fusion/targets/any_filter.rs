@@ -253,7 +253,7 @@ impl Filter {
         self.0.stamp_ns()
     }
 
-    /// Transition from the state to the one at `stamp_ns`, for smoothing; None while the target starts.
+    /// Transition from the state to the one at `stamp_ns`, for smoothing; None as for [`Target::link`].
     pub(super) fn link(&self, stamp_ns: i64) -> Option<Link> {
         self.0.link(stamp_ns)
     }

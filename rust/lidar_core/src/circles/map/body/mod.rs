@@ -82,11 +82,11 @@ pub(super) struct RoundBody {
     rough: f64,
     /// The body is reported as standing.
     stands: bool,
-    /// Number of measurements in a row that told that it moves.
+    /// Number of the last measurements in a row that showed that it moves.
     departs: u32,
-    /// All that the last scan met of it was there in earlier scans.
+    /// True if all that the last scan met of the body was there in earlier scans.
     has_stayed: bool,
-    /// Most of what the last scan met of it was free space in earlier scans.
+    /// True if most of what the last scan met of the body was free space in earlier scans.
     is_in_free: bool,
     /// Direction in which it was seen last, of length one.
     sight: [f64; 2],

@@ -82,7 +82,8 @@ pub(super) struct Fellow<'a> {
     pub(super) rank: (Reverse<u32>, i64, i64),
 }
 
-/// Place of a track [m], and its mean velocity [m/s]; None if it is known for too short a time.
+/// Place of a track [m] and its mean velocity [m/s]; the velocity is None for a track that is known
+/// for too short a time.
 #[derive(Clone, Copy)]
 pub(super) struct Course {
     pub(super) place: [f64; 2],
