@@ -9,11 +9,12 @@ use super::targets::lifecycle::LifecycleRules;
 /// Estimation method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
-    /// Linear: radar as a position, without its range rate. Models with a velocity vector only.
+    /// Linear Kalman filter: radar as a position, without its range rate. Models with a velocity
+    /// vector only.
     Linear,
-    /// Linearised at the mean.
+    /// Extended Kalman filter: models are linearised at the mean.
     Extended,
-    /// Unscented, in square-root form.
+    /// Unscented Kalman filter, in square-root form.
     Sigma {
         /// Square of the distance of the sigma points, in standard deviations; none: the number
         /// of states plus 2, which keeps all weights positive.
@@ -21,7 +22,7 @@ pub enum Method {
         /// Compare the predicted points with the measurement, instead of new ones.
         carries: bool,
     },
-    /// Cubature: unscented without a central point.
+    /// Cubature Kalman filter: unscented without a central point.
     Cubature,
     /// Interacting multiple models, each an extended filter; the model of the parameters is
     /// ignored.

@@ -67,7 +67,7 @@ struct OuterRays<'a> {
     ray: usize,
     /// True if the rays beyond have larger numbers.
     up: bool,
-    /// True if the first ray is the neighbour of the last.
+    /// True if the scan covers a full turn, so that its first ray is the neighbour of its last.
     wraps: bool,
 }
 

@@ -18,7 +18,8 @@ pub(super) trait State: Clone {
     /// Measurement of an element by one scan.
     type Measurement: Clone;
 
-    /// State from the first measurement.
+    /// State of a new element from its first measurement; `others` are the states of all other
+    /// elements.
     fn new<'a>(
         seen: &Self::Measurement,
         others: impl Iterator<Item = &'a Self>,

@@ -23,9 +23,9 @@ pub enum NoReturn {
     /// +inf, as REP-117 has it, or a range at or beyond the limit of the scanner.
     #[default]
     Infinite,
-    /// Zero.
+    /// A range of zero.
     Zero,
-    /// NaN.
+    /// A range of NaN.
     Nan,
 }
 

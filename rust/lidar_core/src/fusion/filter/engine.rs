@@ -31,7 +31,7 @@ pub struct Innovation {
     pub count: usize,
     /// Normalised innovation squared: chi-square with `count` degrees of freedom.
     pub nis: f64,
-    /// Natural logarithm of the determinant of its covariance.
+    /// Natural logarithm of the determinant of the innovation's covariance.
     pub log_determinant: f64,
     /// Variances of `values`.
     pub variances: [f64; MAX_INNOVATION],

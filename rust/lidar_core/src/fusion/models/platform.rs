@@ -82,7 +82,7 @@ fn seconds(from_ns: i64, to_ns: i64) -> f64 {
 /// Place and motion of the sensor in the world, at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorPose {
-    /// Position [m].
+    /// Position of the sensor in the world [m].
     pub position: [f64; 2],
     /// Cosine and sine of its heading.
     pub heading: [f64; 2],

@@ -32,7 +32,7 @@ pub struct SpacePose {
 /// Pose of a sensor in the world, with its velocities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpaceSensorPose {
-    /// Position [m].
+    /// Position of the sensor in the world [m].
     pub position: Vector3<f64>,
     /// Rotation from the axes of the world into those of the sensor.
     pub into: Matrix3<f64>,

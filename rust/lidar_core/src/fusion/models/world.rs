@@ -4,22 +4,22 @@ use crate::estimation::kalman::Gaussian;
 use nalgebra::{SMatrix, SVector};
 use std::fmt::Debug;
 
-/// Plane or space.
+/// World in which targets move, plane or space: the forms of a state that its models share.
 pub trait World: Clone + Copy + Debug + Send + Sync + 'static {
-    /// Position and velocity.
+    /// Distribution of position and velocity.
     type Cv: Clone + Debug + Send + Sync + 'static;
-    /// Position, velocity and acceleration: the form that models exchange.
+    /// Distribution of position, velocity and acceleration: the form that models exchange.
     type Wide: Clone + Debug + Send + Sync + 'static;
 
     /// `cv` with an acceleration that is zero.
     fn widened(cv: &Self::Cv) -> Self::Wide;
 }
 
-/// States [x, y, vx, vy] and [x, y, vx, vy, ax, ay].
+/// The plane, with the states [x, y, vx, vy] and [x, y, vx, vy, ax, ay].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plane;
 
-/// States [x, y, z, vx, vy, vz] and [x, y, z, vx, vy, vz, ax, ay, az].
+/// Space, with the states [x, y, z, vx, vy, vz] and [x, y, z, vx, vy, vz, ax, ay, az].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Space;
 

@@ -25,7 +25,7 @@ pub(super) enum Phase<T, C> {
 /// Phase of an engine.
 pub(super) type PhaseOf<E> = Phase<<E as Engine>::State, CvOf<E>>;
 
-/// State that changes with measurements.
+/// State of a filter that changes with measurements.
 #[derive(Clone)]
 pub(super) struct Now<P> {
     pub(super) stamp_ns: i64,
@@ -38,7 +38,7 @@ pub(super) struct Now<P> {
     pub(super) looseness: f64,
 }
 
-/// Parts that measurements do not change.
+/// Parts of a filter that measurements do not change.
 #[derive(Clone)]
 pub(super) struct FilterRules<E, S> {
     pub(super) engine: E,

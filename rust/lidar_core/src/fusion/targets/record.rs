@@ -102,7 +102,7 @@ impl Record {
     }
 }
 
-/// Values that were compared, then NaN.
+/// Recorded values of an innovation, then NaN; all NaN without an innovation.
 #[must_use]
 pub fn padded(innovation: Option<&Innovation>) -> [f64; MAX_INNOVATION] {
     let mut values = [f64::NAN; MAX_INNOVATION];

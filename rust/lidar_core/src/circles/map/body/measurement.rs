@@ -19,11 +19,11 @@ pub(super) const FREE: f64 = 0.5;
 /// How many legs a measurement is put together of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::circles::map) enum Legs {
-    /// One measurement, used as it is.
+    /// No legs: one measurement, used as it is.
     None,
     /// A single leg of a known person.
     One,
-    /// Two legs.
+    /// Two legs of a person.
     Two,
 }
 

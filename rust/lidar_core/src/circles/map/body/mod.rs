@@ -80,7 +80,7 @@ pub(super) struct RoundBody {
     /// Variance of the measured radii beyond that of the fits [m^2]: of what is not round, every
     /// view has another one.
     rough: f64,
-    /// The body is reported as standing.
+    /// True if the body is reported as standing; the value after the last scan.
     stands: bool,
     /// Number of the last measurements in a row that showed that it moves.
     departs: u32,

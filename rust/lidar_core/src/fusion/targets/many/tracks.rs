@@ -67,7 +67,7 @@ impl Tracks {
         Self { all: std::mem::take(&mut self.all), ..self.clone() }
     }
 
-    /// State that changes with scans.
+    /// The state of all tracks, for saving.
     pub fn saved(&self) -> SavedTracks {
         let one = |track: &TargetTrack| track.with_filter(track.filter.saved());
         SavedTracks {
