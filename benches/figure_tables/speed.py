@@ -13,8 +13,10 @@ from figure_tables.cells import (
 from figure_tables.results import Machine
 
 UNFAIR_NOTE = (
-    "(1) In this run the machine slowed down our reference program, so a comparison would be"
-    " unfair. This table leaves the ratios out; `docs/performance-beside-others.md` has them."
+    "(1) `make peers` also times a reference program (`ray_scalar` or `cluster_hash`), and compares"
+    " the time of one peer with it. In this run the machine slowed down the reference program. It"
+    " may have slowed down the other programs as well, so this table leaves out their ratios;"
+    " `docs/performance-beside-others.md` has them."
 )
 
 
@@ -40,8 +42,8 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
         ("`ray_scalar`, scene 2", ms_text(machine, scalar), "`cargo bench -- raycast`"),
         *(
             (
-                f"map update while the map grows, {title}, {words}, scenes 1 and 2: ratio to"
-                " `ray_scalar`",
+                f"map update, {title} of a sequence that starts with an empty map, {words},"
+                " scenes 1 and 2: ratio to `ray_scalar`",
                 sequence_text(machine, key, threads),
                 sequence,
             )
@@ -65,7 +67,8 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
             "`cargo bench -- cluster`",
         ),
         (
-            "classification of the points; removal of separate voxels from the map; scene 2",
+            "classification of the points; removal of small isolated groups of occupied voxels from"
+            " the map; scene 2",
             f"{ms_text(machine, 'classify/scene_2/classify')};"
             f" {ms_text(machine, 'classify/scene_2/remove_separate')}",
             "`cargo bench -- classify`",
@@ -76,17 +79,17 @@ def speed_rows(machine: Machine) -> list[tuple[str, str, str]]:
             "`cargo bench -- circles/scan`",
         ),
         (
-            "OctoMap, default: ratio to lidar_core",
+            "OctoMap, default: its time divided by that of lidar_core",
             peer_range(machine, "OctoMap, default", "into the map"),
             "`make peers`",
         ),
         (
-            "OctoMap, lazy and discretised: ratio to lidar_core",
+            "OctoMap, lazy and discretised: its time divided by that of lidar_core",
             peer_range(machine, "OctoMap, lazy", "into the map"),
             "`make peers`",
         ),
         (
-            "PCL, clusters: ratio to lidar_core",
+            "PCL, clusters: its time divided by that of lidar_core",
             peer_range(machine, "PCL", "clusters"),
             "`make peers`",
         ),
