@@ -46,7 +46,7 @@ def in_space(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def middles(edges: Sequence[float]) -> list[float]:
-    """Middles of groups between `edges`."""
+    """Middle of each interval between successive `edges`."""
     return [(near + far) / 2 for near, far in pairwise(edges)]
 
 

@@ -84,9 +84,9 @@ def run(jobs: Sequence[Job], request: Request) -> list[Part]:
 def flights(
     name: str, function: Callable[..., Part], request: Request, *, longest: int
 ) -> list[Job]:
-    """Return jobs `function(seed=, number=, scans=)` with about `request.scans` scans in total.
+    """Return jobs that call `function(seed=, number=, scans=)`, about `request.scans` scans in all.
 
-    A part has `longest` scans, or all of a shorter run.
+    Every job has `longest` scans. A run shorter than that is one job with `request.scans` scans.
     """
     scans = min(request.scans, longest)
     return [
@@ -124,7 +124,7 @@ def _in_processes(jobs: Sequence[Job], request: Request) -> dict[str, Part]:
 
 
 def _finished(job: Job, part: Part, request: Request) -> Part:
-    """Keep a part, and say so."""
+    """Store a finished part in `request.parts` if given, report its scans as done; return it."""
     if request.parts is not None:
         request.parts.mkdir(parents=True, exist_ok=True)
         save: Callable[..., None] = np.savez_compressed

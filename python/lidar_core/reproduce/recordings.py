@@ -28,7 +28,7 @@ def recording(name: str) -> Path:
 
 
 def is_missing(names: tuple[str, ...]) -> bool:
-    """True if one of these recordings cannot be read."""
+    """Return whether at least one of these recordings cannot be read."""
     try:
         return not all(recording(name) for name in names)
     except ConfigError:

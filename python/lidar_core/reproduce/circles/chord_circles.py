@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 def chord_circles(
     ranges: NDArray[np.floating], bearings: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Circles (N, 3) of the hits of scans (N, n_beams).
+    """Return the circle (x, y, radius) [m] around the hits of each scan, shape (N, 3).
 
     A line is fitted to the hits and cut off at the first and the last of them. On this chord an
     equilateral triangle is built, away from the scanner; the circle is its circumscribed circle.

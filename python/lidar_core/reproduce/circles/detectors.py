@@ -108,7 +108,7 @@ def _seconds(estimate: Estimate, samples: Samples, config: DatasetConfig) -> NDA
 
 
 def _rows(joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> Iterator[Row]:
-    """Rows by group, measure and detector, at last the times."""
+    """Yield rows of the errors per group, measure and detector, then the times per object."""
     for group, is_in in chosen.items():
         columns = {name: measures(joined[name][is_in]) for name in DETECTORS}
         told = [one for one in MEASURES.items() if one[0] != "p99" or group not in BY_HITS]
@@ -126,7 +126,7 @@ def _row(title: str, unit: str, name: str, value: float | None) -> Row:
 
 
 def _draw(figure: Any, joined: Part, chosen: dict[str, NDArray[np.bool_]]) -> None:
-    """MSE and MAE by hits."""
+    """Draw MSE and MAE per detector over the number of hits."""
     panels = figure.subplots(1, 2)
     for place, (axes, measure) in enumerate(zip(panels, ("MSE", "MAE"), strict=True)):
         for number, name in enumerate(DETECTORS):

@@ -22,7 +22,7 @@ def checksums() -> dict[str, str]:
 
 
 def errors_of(detector: CircleDetector, samples: Samples, scanner: Scanner) -> NDArray[np.float64]:
-    """Errors of x, y and radius, shape (N, 3) [m]."""
+    """Errors of x, y and radius of a detector on the samples, shape (N, 3) [m]."""
     bearings, found = scanner.bearings(), []
     for start in range(0, len(samples), _ROWS):
         rows = samples.take(np.arange(start, min(start + _ROWS, len(samples))))
@@ -52,7 +52,7 @@ def groups(hits: NDArray[np.int64], is_whole: NDArray[np.bool_]) -> dict[str, ND
 
 
 def hits_name(low: int, high: int | None) -> str:
-    """Name of a group by hits."""
+    """Name of the group of circles with `low` to `high` hits; None: no upper limit."""
     if high is None:
         return f"{low} or more hits"
     return f"{low} hits" if low == high else f"{low} to {high} hits"

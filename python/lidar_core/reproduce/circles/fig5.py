@@ -27,7 +27,7 @@ def _measure(request: Request) -> Measured:
 
 
 def curve(card: dict[str, Any], quantity: str) -> dict[float, float]:
-    """A quantity of the metrics in a card, by passes over the training data."""
+    """Values of one metric in a model card, by the number of passes over the training data."""
     parts, before = card["training"].get("parts", 1), card.get("start", {}).get("passes", 0)
     return {before + row["epoch"] / parts: row[quantity] for row in card["metrics"]}
 

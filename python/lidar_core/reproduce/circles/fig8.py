@@ -123,7 +123,7 @@ def _worlds(made: dict[str, MapRun]) -> dict[str, MapRun]:
 
 
 def _measures(made: dict[str, MapRun]) -> list[Measure]:
-    """What the maps of one mode show, by the names of their jobs."""
+    """Measures of the maps of one mode; `made` holds the runs by the names of their jobs."""
     cases = {kind: [one for name, one in made.items() if f"-{kind}-" in name] for kind in CASES}
     found = [
         measure for name, one in _worlds(made).items() for measure in world_measures(name, one)
@@ -132,7 +132,7 @@ def _measures(made: dict[str, MapRun]) -> list[Measure]:
 
 
 def world_measures(name: str, one: MapRun) -> list[Measure]:
-    """Return what the map shows of a scene of several posts."""
+    """Return the measures of the map of a scene with several posts."""
     ghosts = one.ghosts()
     reported, due = one.presence()
     errors = np.concatenate(
@@ -185,7 +185,7 @@ def are_apart(one: MapRun) -> NDArray[np.bool_]:
 
 
 def hidden_errors(one: MapRun) -> NDArray[np.float64]:
-    """Errors of posts while a quarter to three quarters of them are hidden, (N, 3)."""
+    """Errors of posts while 1/4 to 3/4 of a post is hidden, (N, 3)."""
     rays = np.maximum(one.part["rays"], 1)
     hidden = 1 - one.part["hits"] / rays
     is_due = (hidden >= 0.25) & (hidden <= 0.75) & (one.seconds >= CONFIRM_TIME)[:, None]
@@ -195,7 +195,7 @@ def hidden_errors(one: MapRun) -> NDArray[np.float64]:
 
 
 def _draw(figure: Any, worlds: dict[str, MapRun]) -> None:
-    """Ways of posts and of elements, seen from above."""
+    """Draw the paths of posts and of elements, seen from above."""
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, name in zip(panels, ("open, swinging", "room, swinging"), strict=True):
         part = worlds[name].part

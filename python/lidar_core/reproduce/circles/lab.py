@@ -92,13 +92,13 @@ def elements_near(one: MapRun, target: int) -> np.ndarray[Any, np.dtype[np.int64
 
 
 def _rms(errors: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
-    """Of the lengths of the rows that are known."""
+    """Root mean square of the lengths of the finite rows; None without such rows."""
     known = errors[np.isfinite(errors).all(axis=1)]
     return float(np.sqrt((known**2).sum(axis=1).mean())) if len(known) else None
 
 
 def _draw(figure: Any, one: MapRun) -> None:
-    """Ways of person and barrel, and of the elements, seen from above."""
+    """Draw the paths of person and barrel, and of the elements, seen from above."""
     axes = figure.subplots()
     axes.set_title("A person and a barrel", loc="left", fontweight="bold")
     for target, colour in ((PERSON, GREY), (BARREL, RED)):

@@ -117,7 +117,7 @@ def _rows(made: dict[str, Part]) -> list[Row]:
 
 
 def _draw(figure: Any, made: dict[str, Part]) -> None:
-    """Share of standing elements with speed, and jumps, per recording."""
+    """Draw, per recording, the share of static elements with speed and the number of jumps."""
     rows = {row.name: row.best_mode for row in _rows(made)}
     fast, jumps = figure.subplots(2, 1, sharex=True)
     for axes, what, color in (

@@ -34,7 +34,7 @@ LEAST_HITS, LEAST_SHARE = 5, 0.25
 
 
 def network_of(mode: Mode) -> str:
-    """SHA-256 of the network that a mode estimates circles with; empty if it takes a fit."""
+    """SHA-256 of the network that estimates circles in this mode; empty if the mode uses a fit."""
     return checksums()[PAPER_NETWORK] if mode == "paper" else ""
 
 
@@ -47,7 +47,10 @@ def both_modes() -> dict[str, circles.CirclesConfig]:
 
 
 def config_of(scene: Scene, network: str) -> CirclesConfig:
-    """Best mode for the scanner of a scene; with a network all stages as published."""
+    """Return the configuration for the scanner of a scene: best mode, or the paper's.
+
+    It is the paper's if `network`, the checksum of a network, is not empty.
+    """
     lidar = scene.lidar
     if not isinstance(lidar.pattern, sim.Planar):
         raise TypeError(f"expected a planar scene, got {lidar.pattern.kind}")
@@ -183,7 +186,7 @@ class MapRun:
         return np.array(found, np.float64)
 
     def presence(self) -> tuple[int, int]:
-        """Visible moments with a report, and all; without the time there is for confirmation."""
+        """Count visible object scans with a report, and all; time for confirmation is left out."""
         due = np.zeros(self.row.shape, np.bool_)
         for target in range(self.row.shape[1]):
             for first, last in self.spells(target):
@@ -216,7 +219,7 @@ class MapRun:
 
 
 def lasting(ghosts: NDArray[np.float64]) -> int:
-    """Return the false elements that last long enough to count."""
+    """Count the false elements that last longer than `GHOST_TIME`."""
     return int(np.count_nonzero(ghosts > GHOST_TIME + 1e-6))
 
 

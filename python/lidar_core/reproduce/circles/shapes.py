@@ -57,7 +57,10 @@ def shapes(*, seed: int, number: int, count: int) -> Part:
 
 
 def _taken_for(kind: int, rng: np.random.Generator, seed: int) -> int | None:
-    """Draw a shape and say what it is taken for; None if the scan shows too little of it."""
+    """Scan a random shape; return the estimated kind.
+
+    It is -1 unless there is exactly one segment, and None if the scan shows too little.
+    """
     body = _draw_shape(kind, rng)
     heading = rng.uniform(0, np.pi)
     distance, bearing = rng.uniform(1, 8), rng.uniform(-2.2, 2.2)
@@ -98,7 +101,7 @@ def _draw_shape(kind: int, rng: np.random.Generator) -> Shape:
 def _shows_two_faces(
     ends: NDArray[np.float64], body: Any, place: tuple[float, float, float], heading: float
 ) -> bool:
-    """Whether enough rays ended on each of two faces of a box."""
+    """Return whether enough rays ended on each of two faces of a box."""
     along = np.array([np.cos(heading), np.sin(heading)])
     away = ends - np.array(place[:2])
     inside = (
@@ -147,7 +150,7 @@ def _rows(table: NDArray[np.int64], true: NDArray[np.int64], taken: NDArray[np.i
 
 
 def _draw(figure: Any, table: NDArray[np.int64]) -> None:
-    """Shapes against what they are taken for."""
+    """Draw the confusion matrix of true and estimated shapes."""
     axes = figure.subplots()
     axes.set_title("What single shapes are taken for", loc="left", fontweight="bold")
     axes.imshow(table / np.maximum(1, table.sum(axis=1, keepdims=True)), cmap="Blues", vmin=0)

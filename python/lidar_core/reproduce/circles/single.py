@@ -86,7 +86,7 @@ def single(
 def runs(
     name: str, cases: Sequence[tuple[float, int]], request: Request
 ) -> dict[Mode, dict[Case, MapRun]]:
-    """All speeds and both sensors for cases of radius and trajectory, in both modes."""
+    """Run the given cases (radius, trajectory) with all speeds and both sensors, in both modes."""
     keys = [
         (radius, trajectory, speed, sensor)
         for radius, trajectory in cases
@@ -117,7 +117,7 @@ def runs(
 
 
 def settled(one: MapRun) -> NDArray[np.float64]:
-    """Errors from `SETTLED` after the first report on, (N, 3), without gaps."""
+    """Errors from `SETTLED` after the first report on, (N, 3) [m]; scans without one left out."""
     errors = one.errors(0)
     known = np.isfinite(errors[:, 0])
     if not known.any():
@@ -175,7 +175,7 @@ def _worst(some: Sequence[MapRun]) -> list[Measure]:
 
 
 def draw_errors(figure: Any, panels: dict[str, MapRun]) -> None:
-    """Errors of radius and centre over time, a column for each run."""
+    """Draw errors of radius and centre over time, one column per run."""
     axes = figure.subplots(2, len(panels), sharex=True, sharey="row", squeeze=False)
     for column, (name, one) in zip(axes.T, panels.items(), strict=True):
         errors = 1e3 * one.errors(0)
@@ -296,7 +296,7 @@ def _rows_of_one(made: Mapping[Mode, MapRun]) -> list[Row]:
 
 
 def _draw_one(figure: Any, one: MapRun) -> None:
-    """Truth and estimate above, errors below, as the paper does."""
+    """Draw truth and estimate above and errors below, as in the paper."""
     panels = figure.subplots(2, 3, sharex=True)
     errors = one.errors(0)
     center = one.part["center"][:, 0]

@@ -182,7 +182,10 @@ def situation(*, name: str, seed: int, scans: int) -> Part:
 def _believed(
     scene: Scene, truth: ObjectTruth, found: CircleElements
 ) -> Iterator[tuple[float, bool]]:
-    """Existence of every element, and whether it touches an object up to `TOUCH`."""
+    """Yield the existence of every element, and whether its circle is near a true object.
+
+    Near means: the gap between them is less than `TOUCH`.
+    """
     reach = [
         float(np.hypot(*target.shape.size[:2])) / 2
         if isinstance(target.shape, Box)
@@ -197,7 +200,10 @@ def _believed(
 def _object_rows(
     truth: ObjectTruth, found: CircleElements, wrong: NDArray[np.float64]
 ) -> Iterator[tuple[float, ...]]:
-    """A row per object that rays met, against the map `found`; `wrong` moves the truth into it."""
+    """Yield a row per object with at least 5 hits that compares it with the map `found`.
+
+    `wrong` transforms the truth into the frame of the map, which has errors of the poses.
+    """
     # Where two people pass, each has elements of its own.
     middles = truth.center @ wrong[:2, :2].T + wrong[:2, 3]
     apart = np.linalg.norm(found.center[:, None] - middles, axis=2)
@@ -320,7 +326,7 @@ def _people(parts: list[Part]) -> list[tuple[str, str, float | None]]:
 
 
 def _existence(believed: NDArray[np.float64]) -> list[tuple[str, str, float | None]]:
-    """Whether reported elements are objects as often as their existence says."""
+    """Measures that compare the existence of reported elements with the share of true objects."""
     if not len(believed):
         return []
     existence, is_object = believed[:, 0], believed[:, 1] > 0
@@ -354,7 +360,7 @@ def _changes(one: Part) -> int:
 
 
 def _draw(figure: Any, made: dict[str, list[Part]]) -> None:
-    """Errors of centres per situation."""
+    """Draw the errors of centres per situation."""
     rows = {row.name: row.best_mode for row in _rows(made)}
     names = [name for name in made if rows.get(f"{name}/centre, rms") is not None]
     axes = figure.subplots()

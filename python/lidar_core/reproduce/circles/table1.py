@@ -41,7 +41,7 @@ def _measure(request: Request) -> Measured:
 def _rows(
     paper: list[Layer], small: list[Layer], card: Mapping[str, Any], n_beams: int
 ) -> list[Row]:
-    """Sums, then single layers; what the paper says of them is in Table I."""
+    """Rows of the totals, then of single layers, with the values of the paper's Table I."""
     parameters = sum(layer.parameters for layer in paper)
     adds = (sum(layer.multiply_adds for layer in layers) for layers in (paper, small))
     rows = [
@@ -63,7 +63,7 @@ def _rows(
 
 
 def _draw(figure: Any, paper: list[Layer], small: list[Layer]) -> None:
-    """Parameters and multiply-adds of every layer."""
+    """Draw parameters and multiply-adds of every layer."""
     panels = figure.subplots(1, 2, sharey=True)
     for axes, what in zip(panels, ("parameters", "multiply_adds"), strict=True):
         start = 0

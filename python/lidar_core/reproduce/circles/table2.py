@@ -42,7 +42,7 @@ def _rows(circles: int, learnt: int, paper: dict[str, float], best: dict[str, fl
 
 
 def _counts(datasets: list[tuple[DatasetConfig, int]], seed: int) -> dict[str, float]:
-    """Samples per part, and the share of the test samples whose twin is in train."""
+    """Samples per part; under `twins` the share of test samples whose circle is also in train."""
     counts: dict[str, float] = dict.fromkeys(PARTS, 0.0)
     with_twin = 0
     for config, samples in datasets:
@@ -55,7 +55,7 @@ def _counts(datasets: list[tuple[DatasetConfig, int]], seed: int) -> dict[str, f
 
 
 def _draw(figure: Any, paper: dict[str, float], best: dict[str, float]) -> None:
-    """Samples per part."""
+    """Draw the samples per part."""
     axes = figure.subplots()
     columns: tuple[tuple[str, Mapping[Any, float], str], ...] = (
         ("paper", PAPER, GREY),

@@ -64,7 +64,7 @@ def _circles() -> NDArray[np.float64]:
 
 @cache
 def _is_test(seed: int) -> NDArray[np.bool_]:
-    """Which samples are of the test."""
+    """Return which samples belong to the test part, shape (samples,)."""
     config = DatasetConfig()
     count = len(_circles()) * config.draws
     is_test = np.zeros(count, np.bool_)
@@ -73,7 +73,7 @@ def _is_test(seed: int) -> NDArray[np.bool_]:
 
 
 def _jobs(request: Request, models: tuple[tuple[str, str], ...]) -> Iterator[Job]:
-    """Jobs with at least `request.scans` test samples, if there are so many."""
+    """Yield jobs with at least `request.scans` test samples together, or with all there are."""
     is_test = _is_test(request.seed)
     starts = np.arange(0, len(is_test), BLOCK)
     order = np.random.default_rng([request.seed, BLOCK]).permutation(starts)
@@ -125,7 +125,10 @@ def _add(found: Part, name: str, errors: NDArray[np.float64]) -> None:
 
 
 def _quantities(parts: Sequence[Part], name: str, where: str) -> Errors | None:
-    """Values of `QUANTITIES`. Eq. 7 sums the squared errors of x, y and radius: 3 MSE."""
+    """Values of `QUANTITIES` of a detector `name` over the samples `where`; None without samples.
+
+    The first is the loss of eq. 7: the sum of the squared errors of x, y and radius, 3 MSE.
+    """
     count, squares, absolutes = np.sum([part[f"{name}, {where}"] for part in parts], axis=0)
     if not count:
         return None
@@ -146,7 +149,7 @@ def _rows(errors: Table) -> Iterator[Row]:
 
 
 def _draw(figure: Any, errors: Table) -> None:
-    """MSE and MAE on the test samples."""
+    """Draw MSE and MAE on the test samples."""
     panels = figure.subplots(1, 2)
     colours = {"paper": GREY, PAPER_NETWORK: RED}
     values = {"paper": PAPER["test"]}

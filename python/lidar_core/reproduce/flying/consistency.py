@@ -69,12 +69,12 @@ def _own_model(config: TrackerConfig, seed: int, runs: int) -> Array:
 
 
 def counts(values: Array) -> NDArray[np.bool_]:
-    """Steps in which nearly all runs have a track, (steps,)."""
+    """Return in which steps nearly all runs have a track, (steps,)."""
     return np.asarray((~np.isnan(values)).mean(axis=0) >= ALIVE, np.bool_)
 
 
 def stated_std(config: TrackerConfig) -> float:
-    """Noise of a measurement per axis, as the filter takes it [m]."""
+    """Standard deviation of a measurement per axis that the filter assumes [m]."""
     if config.measurement == "paper":
         return config.measurement_std
     is_centroid = config.measurement == "cluster"  # its own covariance comes on top
@@ -133,7 +133,11 @@ def _run_tracker(config: TrackerConfig, measured: Array) -> tuple[Array, Array, 
 def _circle(
     config: TrackerConfig, seed: int, runs: int, acceleration: float, speed: float
 ) -> list[float | None]:
-    """Mean errors of position, velocity and prediction, mean NEES / 6; None without a track."""
+    """Track targets on circles of given speed [m/s] and acceleration [m/s^2].
+
+    Returns the mean errors of position [m], velocity [m/s] and predicted position [m], and the
+    mean NEES / 6; None for each without a track.
+    """
     rng = np.random.default_rng([4, seed])
     kept = []
     for _ in range(runs):
@@ -200,7 +204,7 @@ def _circle_rows(circles: list[list[list[float | None]]]) -> list[Row]:
 
 
 def _draw(figure: Any, found: list[Consistency | None], own: list[Array]) -> None:
-    """Mean NEES over the runs at every step, with its band."""
+    """Draw the mean NEES over the runs at every step, with its confidence band."""
     panels = figure.subplots(1, 2)
     for axes, values, one, name in zip(
         panels, own, found, ("paper mode", "best mode"), strict=True

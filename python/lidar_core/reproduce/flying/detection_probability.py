@@ -50,7 +50,7 @@ def _measure(request: Request) -> Measured:
 
 
 def share(*, sensor: str, distance: float, whole: bool, seed: int, scans: int) -> Part:
-    """Predict the probability, and simulate scans with targets at random places."""
+    """Predict the probability that a ray hits a target; simulate targets at random places."""
     lidar = sim.LidarModel.preset(sensor, ideal=True, snapshot=True, range_std=0.0)
     view = (-np.pi / 2, np.pi / 2) if whole else _field_of_view(lidar)
     rng = scene_rng(seed, round(distance), int(whole))
@@ -125,7 +125,7 @@ def standard_error(part: Part) -> float | None:
 
 
 def _draw(figure: Any, parts: list[Part]) -> None:
-    """One curve per sensor and region."""
+    """Draw one curve per sensor and region."""
     axes = figure.subplots()
     curves: dict[str, list[Part]] = {}
     for part in parts:

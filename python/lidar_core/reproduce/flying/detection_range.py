@@ -51,7 +51,7 @@ def _measure(request: Request) -> Measured:
 
 
 def configs() -> dict[str, FlyingConfig]:
-    """Both modes, with d_max 20 m and 50 m."""
+    """Configurations of both modes with d_max 20 m and 50 m, by name."""
     modes = both_modes()
     far = modes["paper"].voxel_map.model_copy(update={"max_range": FAR})
     return {
@@ -69,7 +69,7 @@ def flight(*, seed: int, number: int, scans: int) -> Part:
 
 
 def _scene(seed: int, number: int, scans: int) -> Scene:
-    """Open country: ground, three houses, ten trees; a sensor on its way; two drones."""
+    """Make open country: ground, three houses, ten trees; a moving sensor and two drones."""
     rng = scene_rng(seed, number)
     motion = sim.RandomMotion(
         box_min=(-45.0, -45.0, 2.0),
@@ -111,7 +111,7 @@ def _evaluation() -> EvaluationConfig:
 def _distances_and_errors(
     parts: Sequence[Part], name: str, kind: Kind, shape: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances of the sightings of `shape` that count, and errors; NaN where it is not found."""
+    """Distances of the sightings of `shape` that count [m], and errors [m]; NaN if not found."""
     seen = sightings(parts, name, kind, target=SHAPES.index(shape), config=_evaluation())
     counts = seen.distance >= EDGES[0]
     return seen.distance[counts], seen.error[counts]
@@ -159,7 +159,7 @@ def _false_tracks(parts: Sequence[Part], name: str) -> float:
 
 
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
-    """Recall over distance, one panel per shape."""
+    """Draw recall over distance, one panel per shape."""
     panels = figure.subplots(1, len(SHAPES), sharey=True)
     for panel, shape in zip(panels, SHAPES, strict=True):
         for mode, colour in ((mode, COLOURS[mode]) for mode in MODES):

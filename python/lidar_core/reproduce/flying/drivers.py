@@ -42,7 +42,7 @@ def _measure(request: Request) -> Measured:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Flights of every sensor, in turn with targets and without; two of each at least."""
+    """Jobs of flights per sensor, alternately with and without targets, at least two each."""
     each = max(15, min(SCANS_PER_FLIGHT, request.scans // (2 * len(SENSORS))))
     count = max(2, round(request.scans / (each * len(SENSORS))))
     return [
@@ -103,7 +103,7 @@ def scene(seed: int, number: int, scans: int, sensor: str) -> Scene:
 
 
 def _circle(azimuth_deg: float, rng: np.random.Generator) -> Scripted:
-    """Way of a target before the sensor."""
+    """Circular path of a target in front of the sensor."""
     azimuth, elevation = np.deg2rad(azimuth_deg), np.deg2rad(rng.uniform(*ELEVATIONS_DEG))
     distance = rng.uniform(*DISTANCES)
     level = distance * np.cos(elevation)
@@ -137,7 +137,7 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
-    """Recall per sensor and shape."""
+    """Draw recall per sensor and shape."""
     rows = {row.name: row.best_mode for row in _rows(of)}
     axes = figure.subplots()
     for offset, shape in zip((-0.25, 0.0, 0.25), SHAPES, strict=True):

@@ -46,7 +46,7 @@ def _measure(request: Request) -> Measured:
 
 
 def jobs(request: Request) -> list[Job]:
-    """Streets of every condition, at least one each."""
+    """Jobs of flights through streets, at least one per condition."""
     each = min(SCANS_PER_FLIGHT, request.scans)
     found = []
     for condition in CONDITIONS:
@@ -90,7 +90,7 @@ def _flown(simulator: Any, scans: int, noise: NoisyPoses | None) -> Part:
 
 
 def _false(number: int, tracks: Tracks, targets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows of scan, number of the track and place, of the tracks far from every target."""
+    """Tracks that are far from every target: rows of scan, track number and position."""
     away = np.linalg.norm(tracks.position[:, None] - targets, axis=2)
     is_false = np.min(away, axis=1, initial=np.inf) > GATE
     found = np.column_stack([tracks.id, tracks.position])[is_false]
@@ -122,7 +122,7 @@ def _scene(seed: int, number: int, scans: int, condition: str) -> Scene:
 
 
 def _grove(rng: np.random.Generator) -> list[Body]:
-    """Trees on both sides of the x axis, some 5 m from one another."""
+    """Make trees on both sides of the x axis, about 5 m apart."""
     return [
         sim.Body(
             shape=sim.Tree(
@@ -138,7 +138,10 @@ def _grove(rng: np.random.Generator) -> list[Body]:
 
 
 def _trees_with(bodies: Sequence[Body], **values: float) -> tuple[Body, ...]:
-    """Give all trees other leaves; with `sway` the outermost swing so far to either side."""
+    """Return the bodies with these `values` for the leaves of all trees.
+
+    With `sway` [m] the outermost leaves swing this far to either side.
+    """
     return tuple(
         body.model_copy(update={"shape": body.shape.model_copy(update=values)})
         if body.shape.kind == "tree"
@@ -148,7 +151,7 @@ def _trees_with(bodies: Sequence[Body], **values: float) -> tuple[Body, ...]:
 
 
 def _insects(rng: np.random.Generator, count: int) -> list[Target]:
-    """Specks of 1 to 3 cm that circle within a few metres of the sensor's way."""
+    """Make specks of 1 to 3 cm that circle within a few metres of the sensor's path."""
     return [
         sim.Target(
             shape=sim.Sphere(radius=rng.uniform(0.01, 0.03)),
@@ -165,7 +168,7 @@ def _insects(rng: np.random.Generator, count: int) -> list[Target]:
 
 
 def _air(rng: np.random.Generator, condition: str, seconds: float) -> tuple[Particles, ...]:
-    """Rain, or clouds of dust of 0.3 to 1.5 m that drift over the street and grow."""
+    """Make rain, or clouds of dust of 0.3 to 1.5 m that drift over the street and grow."""
     if condition == "rain":
         return (sim.Rain(),)
     count = {"dust": PUFFS, "thick dust": THICK_PUFFS}.get(condition, 0)
@@ -203,7 +206,7 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
-    """False tracks per 1000 scans, one group of bars per condition."""
+    """Draw false tracks per 1000 scans, one group of bars per condition."""
     axes = figure.subplots()
     axes.set_title("Tracks of nothing", loc="left", fontweight="bold")
     rows = {row.name: row for row in _rows(of)}

@@ -98,7 +98,10 @@ def _summary(
     is_occupied: NDArray[np.bool_],
     is_free: NDArray[np.bool_],
 ) -> tuple[float, float | None]:
-    """Scans in which the voxel counts as occupied; time from leaving until it is free."""
+    """Number of scans in which the voxel counts as occupied; time until it is free again [s].
+
+    The time starts when the object leaves the voxel; None if the voxel does not become free.
+    """
     after = np.flatnonzero(is_free & (times >= LEAVES))
     # An object is gone with the first scan after it left: that scan may free the voxel at once.
     until = float(times[after[0]] - LEAVES) + SECONDS_PER_SCAN if len(after) else None
@@ -111,7 +114,7 @@ def _draw(
     log_odds: NDArray[np.float64],
     values: dict[str, NDArray[np.float64]],
 ) -> None:
-    """Values above, states below."""
+    """Draw the values above and the states below."""
     panels = figure.subplots(3, 1, sharex=True)
     panels[0].step(times, log_odds, where="post", color="#57606a")
     panels[0].set_ylabel("L(v)")

@@ -42,7 +42,10 @@ def flight(*, seed: int, number: int, scans: int) -> Part:
 
 
 def _configs() -> dict[str, FlyingConfig]:
-    """Both modes, and both without the removal of separate background: no group is too small."""
+    """Configurations of both modes, with and without the removal of separate background.
+
+    Without removal, no group of occupied voxels counts as too small.
+    """
     configs = both_modes()
     for name, config in both_modes().items():
         separate = config.separate.model_copy(update={"min_confident": 0})
@@ -51,7 +54,7 @@ def _configs() -> dict[str, FlyingConfig]:
 
 
 def _scene(seed: int, number: int, scans: int) -> Scene:
-    """Four drones on the ground around a sensor that hovers; ideal, as in the paper."""
+    """Make four drones on the ground around a hovering sensor; no noise, as in the paper."""
     rng = scene_rng(seed, number)
     azimuth = np.pi / 2 * np.arange(4) + rng.uniform(-0.5, 0.5, 4)
     distance = rng.permutation(np.linspace(6, 14, 4)) + rng.uniform(-0.5, 0.5, 4)
@@ -112,7 +115,7 @@ def _summary(parts: list[Part], name: str, kind: Kind) -> tuple[float | None, fl
 
 
 def _draw(figure: Any, parts: list[Part]) -> None:
-    """Heights over time, with the first detections."""
+    """Draw heights over time, with the first detections."""
     panels = figure.subplots(1, 2, sharey=True)
     drones = sum(len(part["id"]) for part in parts)
     for axes, mode in zip(panels, MODES, strict=True):

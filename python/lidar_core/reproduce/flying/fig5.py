@@ -42,7 +42,7 @@ def _measure(request: Request) -> Measured:
 def _shares(
     level: tuple[float, float, float], distance: float, count: int, seed: int
 ) -> tuple[float, float]:
-    """Mean hit probability of points at a distance, and the share among drawn errors."""
+    """Mean predicted probability that the right voxel is updated, and the simulated share."""
     rng = np.random.default_rng([seed, int(distance * 10)])
     size = VoxelMapConfig().voxel_size
     position, angle, along = level[0], np.radians(level[1]), level[2]
@@ -65,7 +65,7 @@ def _shares(
 
 
 def _rotate(points: NDArray[np.float64], angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Every point turned about x, y and z by its own angles."""
+    """Rotate every point about x, y and z by its own angles [rad]."""
     turned = points
     for axis, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
         sine, cosine = np.sin(angles[:, axis]), np.cos(angles[:, axis])

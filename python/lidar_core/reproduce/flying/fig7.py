@@ -66,7 +66,7 @@ def _curves(
 
 
 def _draw(figure: Any, seen: dict[tuple[str, Kind], Sightings]) -> None:
-    """Errors above, recall below, one column per quantity."""
+    """Draw errors above and recall below, one column per quantity."""
     panels = figure.subplots(2, len(AXES), sharey="row", sharex="col")
     for column, (axis, unit, edges) in enumerate(AXES):
         for (mode, kind), one in seen.items():

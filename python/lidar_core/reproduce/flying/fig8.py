@@ -93,7 +93,7 @@ def flight(*, kind: str, mode: str, seed: int, number: int, scans: int) -> Part:
 
 
 def scene(kind: str, name: int, scans: int) -> Scene:
-    """A street with an open field, a hexacopter over it, and the observer."""
+    """Make a street with an open field, a hexacopter over it, and the observer."""
     side = np.arange(-FIELD - 2, FIELD + 3, 2.0)
     field = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     fast = kind == "manual"
@@ -158,7 +158,7 @@ def _distances(part: Part) -> NDArray[np.float64]:
 
 
 def _distance_error(parts: Sequence[Part]) -> float | None:
-    """Mean deviation of the true distance from the one to keep, once it was first reached."""
+    """Mean deviation of the true distance from the set distance, once it was reached [m]."""
     errors: list[float] = []
     for part in parts:
         error = np.abs(_distances(part) - FOLLOW_DISTANCE)
@@ -175,7 +175,7 @@ def _passes(parts: Sequence[Part]) -> int:
 
 
 def _draw(figure: Any, parts: Parts) -> None:
-    """Errors of the tracks over time above, distances below; the first flight of each kind."""
+    """Draw track errors over time above, distances below; for the first flight of each kind."""
     panels = figure.subplots(2, len(FLIGHTS), sharey="row", sharex=True)
     for column, flight_kind in enumerate(FLIGHTS):
         for mode, colour in (("paper", "#be185d"), ("best", "#0369a1")):
@@ -195,7 +195,7 @@ def _draw(figure: Any, parts: Parts) -> None:
 
 
 def _errors_over_time(part: Part, mode: str, kind: Kind) -> NDArray[np.float64]:
-    """Error per scan; NaN where there is none, or the drone need not be found."""
+    """Error of every scan [m]; NaN if the drone is not found or does not have to be found."""
     seen = sightings([part], mode, kind, target=0, config=evaluation_config())
     error = np.full(len(part["stamp_ns"]), np.nan)
     error[seen.scan.astype(int)] = seen.error

@@ -29,7 +29,7 @@ SEEN_HITS, SEEN_RANGE = 3, 19.0
 
 
 class JitterAndDrift:
-    """Poses with two errors: white noise per scan, and a random walk."""
+    """Source of poses with two errors: independent jitter per scan, and slow drift."""
 
     def __init__(self, *, seed: int) -> None:
         jitter = PoseNoise(position_std=JITTER[0], angle_std_deg=JITTER[1])
@@ -62,7 +62,7 @@ def _measure(request: Request) -> Measured:
 
 
 def _configs() -> dict[str, FlyingConfig]:
-    """Both modes, and best mode with the other ways to update the map."""
+    """Configurations of both modes, and of best mode with the other ways to update the map."""
     configs = both_modes()
     for weighting in ("off", "ends", "spread"):
         pose = PoseConfig.load({"weighting": weighting})
@@ -78,7 +78,7 @@ def flight(*, seed: int, number: int, scans: int) -> Part:
 
 
 def _scene(seed: int, number: int, scans: int) -> Scene:
-    """A street, a LiDAR with 64 rows on its way, and two drones on theirs."""
+    """Make a street with a moving LiDAR of 64 rows and two moving drones."""
     rng = scene_rng(seed, number)
     seconds = scans * 0.1
     pattern = sim.Spinning(elevations_deg=tuple(np.linspace(22.5, -22.5, 64).tolist()), columns=512)
@@ -105,7 +105,7 @@ def _scene(seed: int, number: int, scans: int) -> Scene:
 
 
 def _rows(parts: Sequence[Part], scans: int) -> list[Row]:
-    """False detections and tracks, and recall: of the modes, and of best mode's other ways."""
+    """Rows of false detections, false tracks and recall, for every configuration."""
     names = ("paper", "best", "off", "ends", "spread")
     counts = {name: _counts(parts, name) for name in names}
     kinds = (
@@ -124,7 +124,7 @@ def _rows(parts: Sequence[Part], scans: int) -> list[Row]:
 
 
 def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
-    """False detections, false tracks, and shares of sightings with a detection, with a track."""
+    """Counts of false detections and tracks; shares of sightings with a detection, with a track."""
     config = _evaluation()
     found = [
         score_detections(*tables(part, name, "detections", config=config), config=config)
@@ -143,12 +143,12 @@ def _counts(parts: Sequence[Part], name: str) -> tuple[int, int, float, float]:
 
 
 def _evaluation() -> EvaluationConfig:
-    """Sightings that count: near enough, with enough rays."""
+    """Scoring in which only sightings count that are near enough and have enough rays."""
     return evaluation_config(gate=GATE, max_distance=SEEN_RANGE, min_hits=SEEN_HITS)
 
 
 def _draw(figure: Any, parts: Sequence[Part], scans: int) -> None:
-    """False detections and recall, a bar per configuration."""
+    """Draw false detections and recall, one bar per configuration."""
     names = ("off", "ends", "spread")
     panels = figure.subplots(1, 2)
     counts = [_counts(parts, name) for name in names]

@@ -103,7 +103,7 @@ def flight(*, seed: int, name: str, number: int, scans: int) -> Part:
 
 @lru_cache(maxsize=1)
 def _load_scans(name: str) -> list[RealScan]:
-    """Scans of a sequence, kept for the next run in this process."""
+    """Scans of a sequence with their rays; the result is cached for later calls in this process."""
     return real_scans(list(sequence_scans(sequence_named(name))))
 
 
@@ -128,7 +128,7 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
-    """Recall per sequence and shape, and the false tracks of the sequence as it is."""
+    """Draw recall per sequence and shape, and the false tracks of the unchanged sequence."""
     rows = {row.name: row.best_mode for row in _rows(of)}
     recall, false = figure.subplots(2, 1, sharex=True)
     for offset, shape in zip((-0.25, 0.0, 0.25), TARGETS, strict=True):

@@ -137,7 +137,7 @@ def scene(seed: int, number: int, scans: int, condition: str) -> Scene:
 
 
 class Truth:
-    """Hits of the rays of a scene in clear air where every surface returns.
+    """True hits of the rays of a scene: in clear air, as if every surface returned all rays.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Truth:
         return np.array(found, np.bool_)
 
     def count_rays(self, step: int, detector: FlyingObjectDetector) -> list[int]:
-        """Count rays.
+        """Count the rays of the true sky and the lost returns that the detector takes as free.
 
         Returns
         -------
@@ -223,7 +223,7 @@ def _rows(of: dict[str, list[Part]]) -> list[Row]:
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
-    """Recall, share of the sky, and false tracks per condition."""
+    """Draw recall, share of the sky, and false tracks per condition."""
     rows = {row.name: row.best_mode for row in _rows(of)}
     shares, false = figure.subplots(2, 1, sharex=True)
     for offset, what, colour in ((-0.2, "recall", BLUE), (0.2, "sky known@8m", GREY)):

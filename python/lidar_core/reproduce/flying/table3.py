@@ -101,7 +101,7 @@ def _counts(parts: Sequence[Part], mode: str) -> tuple[int, ...]:
 
 
 def _draw(figure: Any, parts: Sequence[Part]) -> None:
-    """Distributions of the errors per shape, with the paper's mean."""
+    """Draw the distributions of the errors per shape, with the paper's mean."""
     panels = figure.subplots(1, 2, sharey=True)
     for axes, kind in zip(panels, KINDS, strict=True):
         for offset, mode in zip((-0.2, 0.2), MODES, strict=True):

@@ -19,7 +19,9 @@ def position_bound(
     *,
     acceleration_noise: float,
 ) -> NDArray[np.float64]:
-    """Least root mean square errors of x and y, constant velocity with white acceleration.
+    """Return the least root mean square errors of x and y [m] that a filter can reach.
+
+    The target moves with constant velocity, disturbed by white acceleration.
 
     Parameters
     ----------

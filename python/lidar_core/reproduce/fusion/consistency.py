@@ -64,7 +64,7 @@ def ensemble(model: str, runs: int, seed: int) -> Ensemble:
 
 
 def values(some: Ensemble, filters: FusionConfig, *, threads: int) -> Array:
-    """NEES of the states, of position and velocity for a mixture, (runs, steps)."""
+    """NEES of the states, (runs, steps); for `imm` only of position and velocity."""
     count = 4 if filters.method == "imm" else some.states.shape[2]
     found = []
     for run, truth in zip(
@@ -122,12 +122,12 @@ def _rows(found: Mapping[tuple[str, str, str], Array]) -> list[Row]:
 
 
 def degrees_of(model: str) -> int:
-    """Numbers whose errors `values` looks at."""
+    """Number of state components whose errors `values` uses."""
     return {"cv": 4, "ca": 6, "ctra": 6, SWITCHING: 4}.get(model, 5)
 
 
 def _draw(figure: Any, found: Mapping[tuple[str, str, str], Array]) -> None:
-    """Mean NEES of EKF-CTRV at every step, right and wrong, with the band."""
+    """Draw the mean NEES of EKF-CTRV at every step, with right and wrong noise, and the band."""
     panel = figure.subplots()
     degrees, seconds = degrees_of("ctrv"), np.arange(STEPS) * SECONDS
     for name, colour in ((RIGHT, BLUE), *zip(WRONG, (RED, GREY, RED, GREY), strict=True)):

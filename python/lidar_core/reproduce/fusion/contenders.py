@@ -43,7 +43,7 @@ def corrected() -> dict[str, Contender]:
 
 
 def _of_courses(model: str, method: str) -> FusionConfig:
-    """Process noise constant over a step, no gate, no way back for a lost filter."""
+    """Configuration with discrete process noise, no gate and no restart of a lost filter."""
     return FusionConfig.load(
         {
             "model": model,

@@ -80,7 +80,10 @@ class Ride:
     def gyro(
         self, seconds: NDArray[np.float64], bias: float = 0.0, delay: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return the turn rate that a gyro reads at these times [s], maybe late [rad/s]."""
+        """Return the turn rate [rad/s] that a gyro reads at the times `seconds` [s].
+
+        `bias` [rad/s] is added, and the reading is `delay` [s] old.
+        """
         return self.greatest * np.cos(np.pi / SWING * (seconds - delay)) + bias
 
     def relative(self, truth: TargetTruth) -> TargetTruth:
@@ -171,7 +174,7 @@ def _errors(
 def _late(
     motion: tuple[float, float], filters: Mapping[str, FusionConfig], request: Request
 ) -> dict[str, tuple[float, float]]:
-    """2-D error [m] and NEES/2 of the position with a gyro as it is delivered, by filter."""
+    """RMSE in the plane [m] and NEES / 2 of the position, by filter, for a gyro with faults."""
     seen, targets = _targets(motion, request, FAULTS)
     kept = seen.stamps_ns > seen.stamps_ns[0] + STARTED * 1e9
     found = {}
@@ -207,7 +210,7 @@ def _measurements(
     speed: NDArray[np.float64],
     rates: NDArray[np.float64],
 ) -> list[Measurement]:
-    """Every measurement, and before it what the gyro reads at its time."""
+    """Measurements in order of time, each after the gyro reading of the same time."""
     told: list[Measurement] = []
     stamps, is_lidar = seen.stamps_ns.tolist(), in_turn(len(values))
     for row, stamp_ns in enumerate(stamps):
@@ -229,7 +232,7 @@ def _name(motion: Sequence[float]) -> str:
 
 
 def _rows(found: Found, late: Late) -> list[Row]:
-    """Errors per axis, then the ratio to a sensor at rest, then those of a gyro as delivered."""
+    """Rows: errors per axis, their ratio to a sensor at rest, errors for a gyro with faults."""
     rows = []
     for motion, errors in found.items():
         for axis, name in enumerate("xy"):
@@ -267,7 +270,7 @@ def _rows(found: Found, late: Late) -> list[Row]:
 
 
 def _draw(figure: Any, found: Found, late: Late) -> None:
-    """Errors in the plane over the motion of the sensor."""
+    """Draw the position errors in the plane over the motion of the sensor."""
     panel = figure.subplots()
     spots = list(range(len(found)))
     for who, (colour, line) in STYLES.items():

@@ -89,7 +89,7 @@ def draw_ensemble(model: str, runs: int, rng: np.random.Generator) -> Ensemble:
 
 
 def _started(model: str, runs: int, rng: np.random.Generator) -> Array:
-    """States about that of the first measurement."""
+    """Draw initial states (runs, n) around the state of the first measurement."""
     (distance, bearing, speed), config = FIRST, FusionConfig.load(TRUE)
     along = np.array([np.cos(bearing), np.sin(bearing)])
     rate, push = config.initial_turn_rate, config.initial_acceleration
@@ -107,7 +107,7 @@ def _started(model: str, runs: int, rng: np.random.Generator) -> Array:
 
 
 def _simulate_states(model: str, state: Array, rng: np.random.Generator) -> Array:
-    """Every step of the ways from `state` (R, n)."""
+    """Simulate paths that start at `state` (R, n); return their states, (R, STEPS, n)."""
     config = FusionConfig.load(TRUE)
     pushes, jerks = config.acceleration_noise, config.jerk_noise
     turns = config.turn_noise
@@ -135,7 +135,7 @@ def _simulate_states(model: str, state: Array, rng: np.random.Generator) -> Arra
 
 
 def _switched(state: Array, rng: np.random.Generator) -> Array:
-    """Turns that end, and straight ways that become turns."""
+    """Return the states after random switches: turns end, straight motion becomes a turn."""
     state, chosen = state.copy(), rng.random(len(state)) < 1 - np.exp(-SECONDS / SOJOURN)
     rates = np.where(state[:, 4] == 0.0, TURN * rng.normal(size=len(state)), 0.0)
     state[chosen, 4] = rates[chosen]
@@ -143,7 +143,10 @@ def _switched(state: Array, rng: np.random.Generator) -> Array:
 
 
 def _cartesian(state: Array, half: float) -> Array:
-    """Position and velocity under an acceleration or a turn rate, after `half` a substep."""
+    """States with position and velocity after `half` a substep [s].
+
+    They move with the acceleration (6 components) or the turn rate (5 components) of the state.
+    """
     after, velocity = state.copy(), state[:, 2:4]
     if state.shape[1] == 6:
         after[:, 2:4] += state[:, 4:] * half
@@ -155,7 +158,10 @@ def _cartesian(state: Array, half: float) -> Array:
 
 
 def _polar(state: Array, half: float) -> Array:
-    """Position, speed, heading, turn rate and, where it is a state, acceleration: the same."""
+    """States with position, speed, heading and turn rate after `half` a substep [s].
+
+    A sixth component is the acceleration along the heading.
+    """
     after = state.copy()
     if state.shape[1] == 6:
         after[:, 2] += state[:, 5] * half
@@ -182,5 +188,5 @@ def _measure(model: str, states: Array, rng: np.random.Generator) -> Array:
 
 
 def _is_lidar() -> NDArray[np.bool_]:
-    """The radar comes first."""
+    """Return which steps the LiDAR measures, (STEPS,); the first step is the radar's."""
     return ~in_turn(STEPS)

@@ -37,7 +37,7 @@ FLIGHTS = {"level": False, "rolling and climbing": True}
 
 
 def scenes() -> dict[str, Overflight]:
-    """A walking person and a car."""
+    """Scenes with a walking person and with a car, by name."""
     car = Overflight(height=15.0, speed=7.5, target_speed=8.0, target_turn_rate=0.2)
     return {"walking": Overflight(), "driving": car}
 
@@ -76,7 +76,7 @@ def _measure(request: Request) -> Measured:
 
 
 def _follow(made: Overflown, mode: str) -> SpaceTrack:
-    """Level what was measured, filter it in the plane, and give it its height."""
+    """Project the measurements onto the plane, filter them there, and add the height."""
     sight = level_overflight(made)
     if mode == "paper":
         found = run(_flat(made, sight), FusionConfig.paper())
@@ -151,7 +151,7 @@ def _rows_in_space(scene: str, flights: Mapping[str, InSpace]) -> list[Row]:
 
 
 def _rows_of(scene: str, made: list[Overflown], found: Mapping[str, list[SpaceTrack]]) -> list[Row]:
-    """Errors of both forms, and how well their covariances are right."""
+    """Rows of errors in Cartesian and cylindrical form, and of the mean NEES / 3."""
     values: dict[str, list[float]] = {}
     for mode, tracks in found.items():
         wrong = np.array(
@@ -177,14 +177,14 @@ def _rows_of(scene: str, made: list[Overflown], found: Mapping[str, list[SpaceTr
 
 
 def _nees(wrong: NDArray[np.float64], covariances: list[NDArray[np.float64]]) -> float:
-    """Mean, per dimension; that of covariances without an inverse counts like any other."""
+    """Mean NEES per dimension; singular covariances count with their pseudoinverse."""
     P = np.array(covariances)[:, SETTLED:]
     e = wrong[:, SETTLED:, :, None]
     return float((np.swapaxes(e, 2, 3) @ np.linalg.pinv(P) @ e).mean() / 3)
 
 
 def _draw(figure: Any, found: Mapping[str, Flown]) -> None:
-    """Both scenes from above and from the side."""
+    """Draw both scenes from above and from the side."""
     panels = figure.subplots(2, len(found))
     for column, (scene, (flights, follows, _)) in zip(panels.T, found.items(), strict=True):
         made = flights[0]

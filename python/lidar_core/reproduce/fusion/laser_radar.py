@@ -116,7 +116,10 @@ def in_turn(rows: int) -> NDArray[np.bool_]:
 def measurements(
     of: Course, values: NDArray[np.float64], form: Form, noise: Noise, std: float
 ) -> Measurements:
-    """Hand `values`, which have `noise` and white noise of `std` per axis, to a filter."""
+    """Return `values` as measurements in the given form for a filter.
+
+    Their errors are `noise` plus white noise of standard deviation `std` [m] per axis.
+    """
     stamps, names = of.truth.stamps_ns, np.where(of.is_lidar, "lidar", "radar")
     if form == "position":
         return _positions_and_rates(of, values, noise, std)
@@ -145,7 +148,10 @@ def polar_covariances(
 def _positions_and_rates(
     of: Course, values: NDArray[np.float64], noise: Noise, std: float
 ) -> Measurements:
-    """Every radar row twice: as a position, then as a range rate that says nothing else."""
+    """Return measurements in which each radar row appears twice: as position, then as range rate.
+
+    In the second row, range and bearing have such large variances that they have no effect.
+    """
     first = np.zeros((len(values), 3, 3))
     c, s, rho = np.cos(values[:, 1]), np.sin(values[:, 1]), values[:, 0]
     T = np.moveaxis(np.array([[c, -rho * s], [s, rho * c]]), 2, 0)

@@ -82,7 +82,10 @@ def _configs(filters: Mapping[str, Mapping[str, Contender]]) -> dict[str, Fusion
 def sweep(
     of: Course, filters: Mapping[str, Contender], request: Request, *, share: float = 0.5
 ) -> Curves:
-    """Mean errors of several filters, over all levels; a share of the progress of an item."""
+    """Mean errors of several filters at all noise levels [m], by filter.
+
+    When it is done, it reports `share` of the progress of the item.
+    """
     curves: Curves = {name: [] for name in filters}
     for level in LEVELS:
         draws = draws_of(of, level, request.scans, seed=request.seed)
@@ -146,7 +149,7 @@ def _bound(of: Course, level: float) -> float:
 
 
 def _draw(figure: Any, modes: Mapping[str, Curves], raw: list[float], bound: list[float]) -> None:
-    """A panel per mode; the paper's axes."""
+    """Draw one panel per mode, with the axes of the paper."""
     panels = figure.subplots(1, len(modes), sharey=True)
     for panel, (mode, curves) in zip(panels, modes.items(), strict=True):
         panel.plot(LEVELS, raw, color="black", ls=":", label=RAW)

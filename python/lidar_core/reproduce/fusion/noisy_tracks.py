@@ -69,7 +69,7 @@ def ways(level: float, request: Request) -> Ways:
 
 
 def rows(what: str, errors: dict[str, float]) -> list[Row]:
-    """Errors of one kind: the filter in all modes, and no filter."""
+    """Rows of one kind of error: of the filter in all modes, and of the raw measurements."""
     return [
         Row(f"{what}, filter", "m", None, errors[PRINTED], errors[BEST], errors[EKF]),
         Row(f"{what}, {MEASURED}", "m", None, errors[MEASURED], errors[MEASURED]),
@@ -77,7 +77,7 @@ def rows(what: str, errors: dict[str, float]) -> list[Row]:
 
 
 def plane_errors(found: Ways) -> dict[str, float]:
-    """Mean error in the plane, for everybody."""
+    """Mean position error in the plane [m] of every filter and of the measurements, by name."""
     return {name: plane(way - truth()) for name, way in found.items()}
 
 
@@ -87,7 +87,7 @@ def plane(differences: NDArray[np.float64]) -> float:
 
 
 def draw_way(panel: Any, found: Ways, names: Sequence[str]) -> None:
-    """Draw the first draw in the plane."""
+    """Plot the named paths of the first noisy draw in the plane."""
     for name in names:
         panel.plot(*found[name][0].T, label=name, **STYLES[name])
     panel.plot(*truth().T, label="truth", **STYLES["truth"])

@@ -51,12 +51,12 @@ def _measure(request: Request) -> Measured:
 
 
 def _part(length: int, request: Request) -> int:
-    """Rows or scans of a recording of which `length` are run in full."""
+    """Number of rows or scans to run of a recording; a run of full length uses `length`."""
     return min(length, max(SHORTEST, round(length * request.scans / ITEM.scans)))
 
 
 def _over_all(boats: Sequence[Row]) -> list[Row]:
-    """Means over the scenarios."""
+    """Rows of the mean GOSPA, false tracks per scan and MOTA over all boat scenarios."""
     rows = []
     for what, unit in (("GOSPA", "m"), ("false tracks per scan", "1"), ("MOTA", "1")):
         values = [row.best_mode for row in boats if row.name.endswith(f"/{what}")]
@@ -72,7 +72,7 @@ def _rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def _draw(figure: Any, rows: Sequence[Row]) -> None:
-    """GOSPA of every scenario beside that of an empty output, and shares of time tracked."""
+    """Draw GOSPA of every scenario beside that of an empty output, and shares of time tracked."""
     values = {row.name: row.best_mode or 0.0 for row in rows}
     upper, lower = figure.subplots(2, 1, sharex=True)
     places = np.arange(len(SCENARIOS))

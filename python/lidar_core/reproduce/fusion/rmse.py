@@ -94,14 +94,14 @@ def _rows(found: Mapping[str, Mapping[str, float]], others: list[Row]) -> list[R
 
 
 def _names(found: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Every filter once: those that have a best mode first, then the readings of the paper."""
+    """Names of all filters, each once: first those of best mode, then the paper's variants."""
     everybody = [name for some in found.values() for name in some]
     known = [name for name in ours() if name in everybody]
     return list(dict.fromkeys([*known, *everybody]))
 
 
 def _contenders() -> dict[str, dict[str, Contender]]:
-    """By mode: the paper's, with every reading of its equations; corrected ones; ours."""
+    """Filters by mode: as published, in every reading of the equations; corrected; ours."""
     theirs = printed()
     for reading in ("a", "b", "d"):  # c is told the truth, which noise on a file does not bring
         for alpha in ("literal", "fixed"):
@@ -119,7 +119,7 @@ def _contenders() -> dict[str, dict[str, Contender]]:
 
 
 def _lost_rows(of: Course, request: Request) -> list[Row]:
-    """Share of runs of best mode that are lost, over all levels."""
+    """Row with the number of runs of best mode that diverge, summed over all noise levels."""
     each = max(1, round(request.scans / len(LEVELS)))
     lost = 0
     for level in LEVELS:
@@ -178,14 +178,17 @@ def _unit(axis: str) -> str:
 
 
 def _full_rmse(of: Course, one: Contender) -> list[float]:
-    """Of x, y, vx, vy with a filter whose states these are."""
+    """RMSE of x, y [m], vx, vy [m/s] of a filter whose state is these four values."""
     (found,) = one.follow(of, [of.values], 0.0, threads=1)
     truth = np.hstack([of.truth.position, of.truth.velocity])
     return [float(value) for value in np.sqrt(np.square(found.states - truth).mean(axis=0))]
 
 
 def _anew(request: Request) -> list[Row]:
-    """Fresh measurements along the way of the second recording: errors, NIS, smoothing."""
+    """Rows of errors and NIS for newly drawn measurements on the path of the second recording.
+
+    Two more rows are the errors of the smoothed estimates on the recorded measurements.
+    """
     of = course(OBJ_POSE)
     as_it_is = measurements(of, of.values, "fixed", FIXED, 0.0)
     known = FusionConfig(model="ctrv", acceleration_noise=1.0, sensor_noise="configured")
@@ -206,7 +209,7 @@ def _anew(request: Request) -> list[Row]:
 
 
 def _of_runs(runs: Sequence[Run], of: Course) -> list[Row]:
-    """Errors and NIS of CTRV, rows at the start left out."""
+    """Rows of the RMSE and the mean NIS of CTRV runs, without measurements at the start."""
     states = np.array([one.states for one in runs])[:, SETTLED:]
     speed, heading = states[..., 2:3], states[..., 3]
     velocity = speed * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -225,7 +228,7 @@ def _of_runs(runs: Sequence[Run], of: Course) -> list[Row]:
 
 
 def _draw(figure: Any, found: Mapping[str, Mapping[str, float]]) -> None:
-    """Errors in the plane, a bar per filter and mode."""
+    """Draw the position errors in the plane, one bar per filter and mode."""
     panel = figure.subplots()
     names = _names(found)
     for offset, (mode, some) in enumerate(found.items()):

@@ -15,7 +15,7 @@ ARM = (0.2, 0.0, 0.0)
 
 
 def config_in_space(*, tilted: bool) -> FusionConfig:
-    """Defaults in space; a tilted drone has its sensors off its origin."""
+    """Default configuration in space; the sensors of a tilted drone are off its origin."""
     return FusionConfig(model="ctrv-3d", lever_arm=ARM if tilted else (0.0, 0.0, 0.0))
 
 
@@ -98,7 +98,10 @@ def _sensed(
 
 
 def _stds(made: Overflown, far: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of range, bearing, elevation and range rate; nothing is told of a LiDAR's range rate."""
+    """Standard deviations of range [m], bearing, elevation [rad] and range rate [m/s], (K, 4).
+
+    That of a range rate of the LiDAR has no meaning.
+    """
     config, swivel = made.config, np.full(len(far), made.config.angle_std[0])
     level = np.full(len(far), config.lidar_std)
     lidar = np.stack([level, level / far, swivel, level], axis=1)
@@ -110,13 +113,13 @@ def _stds(made: Overflown, far: NDArray[np.float64]) -> NDArray[np.float64]:
 def _swing(
     seconds: NDArray[np.float64], most: float, period: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """To and fro, and how fast."""
+    """Value and rate of a sine with amplitude `most` and `period` [s] at the times `seconds`."""
     turns = 2 * np.pi / period
     return most * np.sin(turns * seconds), most * turns * np.cos(turns * seconds)
 
 
 def _body_rates(attitude: NDArray[np.float64], rates: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn rates about the axes of the body, of rates of roll, pitch and yaw."""
+    """Convert rates of roll, pitch and yaw into turn rates about the axes of the body [rad/s]."""
     (cr, cp, _), (sr, sp, _) = np.cos(attitude).T, np.sin(attitude).T
     roll, pitch, yaw = rates.T
     return np.stack(
@@ -125,7 +128,7 @@ def _body_rates(attitude: NDArray[np.float64], rates: NDArray[np.float64]) -> ND
 
 
 def _rotations(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From the axes of the body into those of the world, (K, 3, 3): yaw, then pitch, then roll."""
+    """Rotations from body axes to world axes, (K, 3, 3): yaw, then pitch, then roll."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(attitude).T, np.sin(attitude).T
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

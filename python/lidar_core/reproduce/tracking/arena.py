@@ -1,4 +1,4 @@
-"""Targets that cross a square among clutter, and who was found there."""
+"""Simulated targets that cross a square among clutter, and which of them a tracker finds."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ FAR = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A scan: true places of the targets, shape (N, 2), and measurements, shape (M, 2) [m]."""
+    """One scan: true positions of the targets (N, 2) [m], and measurements (M, 2) [m]."""
 
     stamp_ns: int
     truth: NDArray[np.float64]
@@ -86,7 +86,7 @@ class Arena:
         return np.stack(kept, axis=1)
 
     def _passed(self, states: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """One step later: some have gone, some have left the square, some are new."""
+        """Return the states one step later: targets end, leave the square, and new ones appear."""
         dt, lifetime = STEP_NS * 1e-9, self.lifetime or np.inf
         later = moved(states, rng)
         stays = rng.random(len(later)) < np.exp(-dt / lifetime)

@@ -93,7 +93,7 @@ def _rows(found: Mapping[tuple[str, int], list[Score]]) -> list[Row]:
 
 
 def _draw(figure: Any, found: Mapping[tuple[str, int], list[Score]]) -> None:
-    """OSPA, a bar per association and clutter."""
+    """Draw OSPA, one bar per association and clutter."""
     panel = figure.subplots()
     for offset, (name, colour) in enumerate(zip(ASSOCIATIONS, (BLUE, RED, GREY), strict=True)):
         means = [np.mean([run.ospa for run in found[name, clutter]]) for clutter in CLUTTER]

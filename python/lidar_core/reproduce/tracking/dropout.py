@@ -32,7 +32,7 @@ NAMES = ("first fix", "next 0.25 s")
 
 
 def way(speed: float, rate: float, *, turns_back: bool, heading: float) -> TargetTruth:
-    """A target on an arc, or on an S, about 20 m from the sensor."""
+    """Make a target on an arc, or on an S if it `turns_back`, about 20 m from the sensor."""
     rates = np.full(STEPS, rate)
     if turns_back:
         rates[BACK:] = -rate
@@ -95,7 +95,7 @@ def _rows(found: Mapping[str, NDArray[np.float64]]) -> list[Row]:
 
 
 def _draw(figure: Any, found: Mapping[str, NDArray[np.float64]]) -> None:
-    """First fixes, a bar per case and filter."""
+    """Draw the RMS errors of the first fix after the gap, one bar per case and filter."""
     panel, spots = figure.subplots(), np.arange(len(found))
     for offset, (name, colour) in enumerate({"without gate": GREY, "default": BLUE}.items()):
         heights = [errors[offset, 0] for errors in found.values()]

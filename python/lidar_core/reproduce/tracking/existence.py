@@ -55,7 +55,7 @@ class Hypotheses:
 
     @property
     def brier(self) -> float:
-        """Brier score over that of the base rate."""
+        """Brier score divided by the Brier score of a constant forecast of the base rate."""
         rate = self.is_true.mean()
         return float(np.square(self.existence - self.is_true).mean() / (rate * (1 - rate)))
 
@@ -67,7 +67,7 @@ class Hypotheses:
         return Hypotheses(self.existence[rows], self.is_true[rows], self.tracks)
 
     def bins(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Sums of probabilities and of true hypotheses, and how many there are, by bin."""
+        """Per bin: sum of the probabilities, number of true hypotheses, number of hypotheses."""
         place = np.minimum((self.existence * BINS).astype(np.int64), BINS - 1)
         told, true, count = np.zeros((3, BINS))
         np.add.at(told, place, self.existence)
@@ -152,7 +152,7 @@ def _rows(found: Mapping[tuple[str, str], Hypotheses]) -> list[Row]:
 
 
 def _draw(figure: Any, found: Mapping[tuple[str, str], Hypotheses]) -> None:
-    """Share that exists, by the probability told."""
+    """Draw the share of hypotheses that exist over their stated probability."""
     panel = figure.subplots()
     panel.plot([0, 1], [0, 1], color=GREY, linewidth=1)
     for name, style in zip(TOLD, ("o-", "s--", "^:"), strict=True):

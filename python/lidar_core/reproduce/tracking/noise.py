@@ -108,7 +108,7 @@ def _rows(found: Mapping[tuple[str, str], tuple[float, float, float]]) -> list[R
 
 
 def _draw(figure: Any, found: Mapping[tuple[str, str], tuple[float, float, float]]) -> None:
-    """RMSE over what is possible, by what the filter is told."""
+    """Draw the RMSE relative to the best possible one, over the noise that is configured."""
     panel = figure.subplots()
     factors = list(TOLD.values())
     for place, colour, label in ((0, BLUE, "estimated"), (2, RED, "believed")):

@@ -123,7 +123,7 @@ def _rows(found: Mapping[int, Cost]) -> list[Row]:
 
 
 def _draw(figure: Any, found: Mapping[int, Cost]) -> None:
-    """Time by the number of targets."""
+    """Draw the time per scan over the number of targets."""
     panel = figure.subplots()
     panel.loglog(list(found), [1e3 * cost.seconds for cost in found.values()], "o-", color=BLUE)
     panel.set(xlabel="targets", ylabel="time of a scan [ms]")

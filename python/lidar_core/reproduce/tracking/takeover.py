@@ -34,7 +34,10 @@ STOOD = {"1 m": (1.0, 1.0), "1 to 3 m": (1.0, 3.0)}
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Fate of a track number: whether it follows the target seen last, or any target."""
+    """Fate of the target that was shown last.
+
+    `has_number`: its track has the number in question. `is_found`: it has a track at all.
+    """
 
     has_number: bool
     is_found: bool
@@ -58,7 +61,7 @@ class Scene:
         self.step = 0
 
     def tracks(self) -> TargetTracks:
-        """All reported ones after the last scan."""
+        """All reported tracks after the last scan."""
         return self.tracker.tracks_at((self.step - 1) * 1_000_000_000 // RATE)
 
     def place(self) -> NDArray[np.float64]:
@@ -75,19 +78,19 @@ class Scene:
         self.step += 1
 
     def followed(self) -> int | None:
-        """Show the target, then hide it; returns its number, None if it has none."""
+        """Show the target for a while; return its track number, None if it has none."""
         for _ in range(round(BEFORE * RATE)):
             place = self.place()
             self.scan(place)
         return number_at(self.tracks(), place)
 
     def hide(self, seconds: float) -> None:
-        """Track scans of the bystanders alone."""
+        """Track scans in which only the bystanders are measured, for `seconds` [s]."""
         for _ in range(round(seconds * RATE)):
             self.scan()
 
     def ended(self, number: int, start: NDArray[np.float64]) -> Outcome:
-        """Show a target that starts at `start` and moves like the first one."""
+        """Show a target that starts at `start` and moves like the first; return its fate."""
         for k in range(round(AFTER * RATE)):
             place = start + self.velocity * k / RATE
             self.scan(place)
@@ -95,7 +98,7 @@ class Scene:
         return Outcome(found == number, found is not None)
 
     def far_off(self, number: int, hidden: float) -> NDArray[np.float64]:
-        """A place that is beyond [`OFF`] predicted deviations of the hidden target."""
+        """Position `OFF` predicted standard deviations from the hidden target, at least 1 m off."""
         tracks = self.tracker.tracks_at(self.step * 1_000_000_000 // RATE, confirmed=False)
         (rows,) = np.nonzero(tracks.id == number)
         if len(rows):
@@ -173,7 +176,7 @@ def _rows(found: Mapping[str, list[Outcome]]) -> list[Row]:
 
 
 def _draw(figure: Any, found: Mapping[str, list[Outcome]]) -> None:
-    """Share of targets that carry the old number."""
+    """Draw the share of targets that get the old number."""
     panel = figure.subplots()
     shares = [np.mean([outcome.has_number for outcome in some]) for some in found.values()]
     colours = [BLUE if is_kept(name) else RED for name in found]

@@ -1,7 +1,7 @@
-"""When a run first measured the places that its map holds at the end.
+"""The scan in which a run first measured each voxel of its final map.
 
-A run keeps its map once, as it is at the end. A place of it is shown from the first scan on that
-has a point there, so that the view grows with the run as the map did.
+A run stores its map only once, at the end. The view shows a voxel from the first scan on that has
+a point in it. So the displayed map grows with the run as the map did.
 """
 
 from collections.abc import Iterable
@@ -20,10 +20,10 @@ _SPAN = 1 << 20
 def first_seen(
     centers: NDArray[np.float64], voxel_size: float, clouds: Iterable[NDArray[Any]]
 ) -> NDArray[np.uint16]:
-    """Index of the first cloud with a point in each voxel.
+    """Return the index of the first cloud with a point in each voxel.
 
-    Voxels that no cloud hits take that of their surroundings, `COARSE` voxels wide; 0 where
-    there is none either, as for a map that the run began with.
+    A voxel that no cloud hits gets the index of its coarse cell, which is `COARSE` voxels wide. If
+    no cloud hits this cell either, as in a map that the run began with, the index is 0.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def first_seen(
 
 
 class _Cells:
-    """Cells of a lattice that hold the voxels, and the first cloud with a point in each."""
+    """Grid cells that contain the voxels, and the first cloud with a point in each cell."""
 
     def __init__(
         self, centers: NDArray[np.float64], corner: NDArray[np.float64], size: float
@@ -62,11 +62,11 @@ class _Cells:
 
     @property
     def first(self) -> NDArray[np.uint16]:
-        """Index of the first cloud in the cell of each voxel, or UNSEEN."""
+        """Index of the first cloud with a point in the cell of each voxel; UNSEEN for none."""
         return self._first[self._cell_of]
 
     def mark(self, points: NDArray[Any], index: int) -> None:
-        """Note that a cloud has points there."""
+        """Mark the cells that contain `points` [m] as hit by cloud `index`."""
         points = points[np.isfinite(points).all(axis=1)]
         keys = self._keys_of(points.astype(np.float64))
         places = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)

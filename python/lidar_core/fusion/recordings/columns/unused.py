@@ -89,7 +89,7 @@ def unused_note(names: Sequence[str], used: Collection[str], known: Sequence[str
 
 
 def _meant(name: str, known: Sequence[str]) -> str | None:
-    """The name of ours that a column probably means."""
+    """Return the known column name that `name` probably means; None if none is similar."""
     words = _words(name)
     bare = "_".join(word for word in words if word not in UNITS) or "_".join(words)
     ours = OTHER_NAMES.get(bare, bare)

@@ -96,7 +96,7 @@ def standing_measures(seen: Seen) -> list[Measure]:
 
 
 def identity_measures(seen: Seen) -> list[Measure]:
-    """Jumps within numbers, and reported elements whose position is unknown."""
+    """Measures of position jumps of an element, and of reported elements without a position."""
     last: dict[int, tuple[float, Points]] = {}
     jumps = lost = 0
     for second, found in zip(seen.seconds.tolist(), seen.maps, strict=True):
@@ -151,7 +151,7 @@ def vehicle_measures(
 
 
 def people_measures(seen: Seen, persons: int) -> list[Measure]:
-    """Count elements that moved a metre, and persons; the number of people is known."""
+    """Count elements that moved more than 1 m, and persons; `persons` is the true number."""
     paths: dict[int, list[Points]] = {}
     step = float(np.median(np.diff(seen.seconds)))
     alive: dict[int, float] = {}
@@ -170,7 +170,7 @@ def people_measures(seen: Seen, persons: int) -> list[Measure]:
 
 
 def _small_things(seen: Seen) -> set[int]:
-    """Standing things with an extent below `SMALL`."""
+    """Numbers of the static objects with an extent below `SMALL`."""
     low: dict[int, Points] = {}
     high: dict[int, Points] = {}
     for points, thing in zip(seen.points, seen.thing, strict=True):

@@ -88,7 +88,10 @@ def _way(
     distance: float,
     speed: float,
 ) -> NDArray[np.float64]:
-    """Places along a way across the line of sight, (K, 3), accelerated where it is hidden."""
+    """Positions on a path across the line of sight, (K, 3) [m].
+
+    The target accelerates only while it is hidden.
+    """
     sight = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     across = np.array([-sight[1], sight[0], 0.0]) * rng.choice([-1, 1])
     slope = np.array([0.0, 0.0, rng.uniform(-0.05, 0.05)])

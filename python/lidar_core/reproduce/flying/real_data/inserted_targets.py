@@ -66,7 +66,7 @@ class Flight:
     rate: float
 
     def at(self, sensor: NDArray[np.float64], seconds: float) -> NDArray[np.float64]:
-        """Place in the world."""
+        """Position of the target in the world [m], for the place of the sensor and a time [s]."""
         angle = self.rate * seconds
         return np.asarray(
             sensor + self.offset + np.cos(angle) * self.axes[0] + np.sin(angle) * self.axes[1]
@@ -108,7 +108,7 @@ class RealScan:
     def of(
         cls, item: PosedScan[Scan], seconds: float, pattern: RayPattern, rng: np.random.Generator
     ) -> "RealScan":
-        """Find the rays of a scan."""
+        """Make a `RealScan` from a scan: measured rays and, by the pattern, the lost ones."""
         points = item.scan.points.reshape(-1, 3)
         lengths = np.linalg.norm(points, axis=1)
         with np.errstate(invalid="ignore"):
@@ -133,14 +133,14 @@ class RealScan:
         return cls(item, pose, seconds, directions, lengths, rings, near[first], ground)
 
     def around(self, centre: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
-        """Rays in the directions of a sphere."""
+        """Indices of the rays whose direction meets a sphere (`centre`, `radius`, sensor frame)."""
         distance = float(np.linalg.norm(centre))
         cosine = np.sqrt(max(1 - (radius / distance) ** 2, 0.0))
         along = self.directions @ (centre / distance).astype(np.float32)
         return np.flatnonzero(along >= cosine)
 
     def to_sensor(self, world: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Place in the sensor's frame."""
+        """Transform a position in the world into the sensor's frame [m]."""
         return np.asarray(self.pose[:3, :3].T @ (world - self.pose[:3, 3]))
 
     def count_hits(self, body: SolidTarget, centre: NDArray[np.float64]) -> tuple[int, bool]:
@@ -155,7 +155,7 @@ class RealScan:
 def _ways(
     body: SolidTarget, directions: NDArray[np.float32], centre: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Way along rays from the sensor to an upright body; infinite where they miss it."""
+    """Distances [m] along rays from the sensor to an upright body; infinite for rays that miss."""
     origins = np.broadcast_to(-centre, directions.shape)
     return body.distances(np.ascontiguousarray(origins), directions.astype(np.float64))
 
@@ -177,9 +177,10 @@ def with_targets(
     sequence: RealSequence,
     rng: np.random.Generator,
 ) -> tuple[list[PosedScan[Scan]], NDArray[np.float64], NDArray[np.int64]]:
-    """Put targets into scans; also return where they are, (S, T, 3), and their returns, (S, T).
+    """Put targets into scans; return scans, target positions (S, T, 3) [m] and returns (S, T).
 
-    One column for each of `TARGETS`; those without a flight are nowhere: NaN, no returns.
+    There is one column for each of `TARGETS`. Targets without a flight have the position NaN and
+    no returns.
     """
     columns = [list(TARGETS).index(name) for name in flights]
     places = np.full((len(scans), len(TARGETS), 3), np.nan)
@@ -201,9 +202,10 @@ def inserted(
     range_max: float,
     rng: np.random.Generator,
 ) -> tuple[Scan, NDArray[np.int64]]:
-    """Put targets into a scan, each with its place in the sensor's frame; also their returns.
+    """Put targets, each with its place in the sensor's frame [m], into a scan.
 
-    Lost rays that hit a target get rows at the end of the cloud.
+    Returns the scan and the number of returns of each target. Lost rays that hit a target get
+    rows at the end of the cloud.
     """
     lengths = scan.lengths.copy()
     hits = np.zeros(len(bodies), np.int64)
@@ -217,7 +219,7 @@ def inserted(
 
 
 def _with_lengths(scan: RealScan, lengths: NDArray[np.float32]) -> Scan:
-    """The scan with other lengths of its rays; those that came back of lost ones are added."""
+    """Return the scan with new lengths of its rays; lost rays that now have one are added."""
     source = scan.item.scan
     points = source.points.reshape(-1, 3).copy()
     count = len(points)
@@ -244,7 +246,7 @@ def _with_lengths(scan: RealScan, lengths: NDArray[np.float32]) -> Scan:
 
 
 def _pad(intensity: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Intensities with `count` usual ones at their end."""
+    """Append `count` usual values to the intensities."""
     return np.concatenate([intensity, np.full(count, np.nanmedian(intensity), np.float32)])
 
 

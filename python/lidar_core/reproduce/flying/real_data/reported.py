@@ -18,7 +18,7 @@ OWN_REACH, OWN_DRIFT, OWN_WAY = 4.0, 0.5, 1.0
 
 @dataclass(slots=True)
 class Reported:
-    """Tracks and states of one detector, gathered scan by scan."""
+    """Collector of the tracks and states of one detector, filled scan by scan."""
 
     rows: list[NDArray[np.float64]] = field(default_factory=list)
     sensors: list[NDArray[np.float64]] = field(default_factory=list)
@@ -56,7 +56,7 @@ class Reported:
         )
 
     def columns(self) -> Part:
-        """Everything as arrays: one row per track and scan, one per scan."""
+        """Return all results as arrays, with one row per track and scan or one row per scan."""
         rows = np.concatenate([*self.rows, np.empty((0, 15))])
         return {
             "scan": rows[:, 0].astype(np.int64),
@@ -112,7 +112,7 @@ class FalseTrack:
 
 
 def false_tracks(part: Part, matched: Iterable[int] = ()) -> list[FalseTrack]:
-    """Distinct numbers of a run that are not among those `matched` to a target in some scan."""
+    """Tracks of a run whose numbers are not among those `matched` to a target in some scan."""
     names = sorted(set(part["id"].tolist()) - set(matched))
     return [_false_track(part, name) for name in names]
 

@@ -31,7 +31,7 @@ def matches(part: Part) -> NDArray[np.int64]:
 
 
 def scores(parts: Sequence[Part], names: Sequence[str]) -> list[tuple[str, str, float | None]]:
-    """Recall of every target of a run, errors of their tracks, and tracks of nothing beside them.
+    """Return the scores of runs: recall in all and per target, track errors, false tracks.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def scores(parts: Sequence[Part], names: Sequence[str]) -> list[tuple[str, str, 
     Returns
     -------
     list of tuple
-        Name, unit and value; None where nothing was there to be found.
+        Name, unit and value; None if no target had to be found.
     """
     is_due, is_found, is_open, along, across, false = [], [], [], [], [], 0
     for part in parts:

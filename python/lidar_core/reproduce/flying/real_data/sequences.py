@@ -67,7 +67,7 @@ class RealSequence:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Recordings that it needs, see `recordings.recording`."""
+        """Recordings that the sequence needs, see `recordings.recording`."""
         of_poses = () if self.pose in ("static", "kiss") else (self.pose,)
         return (self.source, *of_poses)
 
@@ -155,7 +155,7 @@ def sequence_scans(sequence: RealSequence, *, static: bool = False) -> Iterator[
 
 
 def _times(sequence: RealSequence, opened: Recording) -> dict[int, int]:
-    """Stamps of the scans [ns] by those of the reader, for a folder that states none."""
+    """New stamps of the scans [ns] by the reader's stamps, for a folder that states no times."""
     if sequence.spacing is None or not opened.path.is_dir():
         return {}
     own = (record.time_ns for record in opened.records(SCAN_KINDS))

@@ -83,7 +83,7 @@ def processed(
 
 @dataclass(slots=True)
 class Seen:
-    """Detections and tracks of one detector so far."""
+    """Collector of the detections and tracks of one detector, filled scan by scan."""
 
     detections_scan: list[int] = field(default_factory=list)
     detections_position: list[NDArray[np.float64]] = field(default_factory=list)
@@ -103,7 +103,7 @@ class Seen:
         self.burn_in_scans += frame.status.is_burn_in
 
     def columns(self) -> Part:
-        """Everything as arrays."""
+        """Return the collected detections and tracks as arrays."""
         return {
             "detections_scan": np.array(self.detections_scan, np.int64),
             "detections_position": np.reshape(np.array(self.detections_position, float), (-1, 3)),
@@ -140,7 +140,7 @@ def truth_columns(simulator: Simulator, scans: Iterable[SimulatedScan]) -> Part:
 
 
 def _position_hit(simulator: Simulator, made: SimulatedScan) -> NDArray[np.float64]:
-    """Positions of the targets at the time of their rays, (T, 3)."""
+    """Positions of the targets at the mean time of their points, (T, 3) [m]."""
     times = made.scan.point_time_ns
     if times is None:
         return made.truth.position

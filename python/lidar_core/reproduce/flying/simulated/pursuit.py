@@ -23,24 +23,27 @@ ATTACK_FROM, ATTACK_TO = 12.0, 2.5
 
 
 def follow(observer: Vector, target: Vector | None) -> Vector:
-    """Keep the distance on the observer's own side; stay in place without a target."""
+    """Return a goal at `FOLLOW_DISTANCE` from the target, on the observer's side.
+
+    Without a target, the goal is the observer's own position.
+    """
     return observer if target is None else _at_distance(observer, target, FOLLOW_DISTANCE)
 
 
 @dataclass(slots=True)
 class Interceptor:
-    """Fly at the target again and again, turning away just before the contact.
+    """Guide that approaches the target again and again and turns away just before contact.
 
     Attributes
     ----------
     is_attacking : bool
-        Or drawing back.
+        True while the observer approaches, false while it withdraws.
     """
 
     is_attacking: bool = True
 
     def __call__(self, observer: Vector, target: Vector | None) -> Vector:
-        """Return the next goal."""
+        """Return the next goal [m]; without a target, the observer's own position."""
         if target is None:
             self.is_attacking = False
             return observer
@@ -60,13 +63,13 @@ def _at_distance(observer: Vector, target: Vector, distance: float) -> Vector:
 
 @dataclass(slots=True)
 class Quarry:
-    """The track that is followed: one track as long as it lives, then the nearest to its end."""
+    """Choice of the track to follow: one until it ends, then the nearest to its last position."""
 
     id: int | None = None
     last: Vector | None = field(default=None)
 
     def choose(self, tracks: Tracks, observer: Vector) -> tuple[Vector, Vector] | None:
-        """Position and velocity of the chosen track."""
+        """Choose a track; return its position [m] and velocity [m/s], None without tracks."""
         if not len(tracks):
             return None
         same = np.flatnonzero(tracks.id == self.id)

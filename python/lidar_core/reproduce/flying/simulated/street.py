@@ -86,7 +86,7 @@ def flight(*, seed: int, number: int, scans: int, is_noisy: bool) -> Part:
 
 
 def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> Scene:
-    """Street, sensor and drones of flight `number`."""
+    """Make street, sensor and drones of flight `number`."""
     rng = np.random.default_rng([20240607, seed, number])
     way = WAYS[number % len(WAYS)]
     turn = rng.uniform(0, 2 * np.pi)
@@ -119,7 +119,7 @@ def scene(seed: int, number: int, scans: int, *, is_noisy: bool) -> Scene:
 
 
 def _motion(way: Way, azimuth: float, share: float, rng: np.random.Generator) -> Scripted:
-    """Way of one drone in the quarter around `azimuth`; `share` places it in the range."""
+    """Motion of one drone in the quarter around `azimuth`; `share` sets its distance."""
     near, far = RANGES
     low, high = rng.uniform(*HEIGHTS, 2).tolist()
     if way.kind == "circle":
@@ -151,7 +151,7 @@ def _place(azimuth: float, distance: float, height: float) -> tuple[float, float
 
 
 def _observer(number: int) -> Scripted:
-    """The sensor hovers, circles, or goes to and fro, in turn."""
+    """Motion of the sensor: by flight number in turn, it hovers, circles or goes to and fro."""
     return (
         sim.Hover(position=(0.0, 0.0, SENSOR_HEIGHT)),
         sim.Circle(center=(0.0, 0.0, SENSOR_HEIGHT), radius=1.5, speed=1.5),

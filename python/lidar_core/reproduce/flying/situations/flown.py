@@ -66,7 +66,7 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
 def _matched(
     tracks: Tracks, place: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Number, error and NEES of the track of every target, one to one."""
+    """Number, error [m] and NEES of the track that is paired with each target, one to one."""
     number = np.full(len(place), float(NOBODY))
     error, nees = np.full((2, len(place)), np.nan)
     offset = place - tracks.position[:, None]
@@ -81,7 +81,7 @@ def _matched(
 
 
 def _near(positions: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether a detection is on each target; one that moves fast is a little away of its place."""
+    """Return for each target whether a detection is near; a fast one moves within the scan."""
     away = np.linalg.norm(positions[:, None] - place, axis=2)
     reach = 4.0  # at 40 m/s within a scan; nothing else is near
     return np.asarray((away <= reach).any(axis=0), np.bool_)
@@ -114,12 +114,12 @@ class Counts:
 
     @property
     def recall(self) -> float | None:
-        """Share of target scans with a track."""
+        """Share of target scans with a track; None without target scans."""
         return self.found / self.due if self.due else None
 
     @property
     def error(self) -> float | None:
-        """Root of the mean square [m]."""
+        """Root mean square of the position errors [m]; None without tracks."""
         return float(np.sqrt(np.mean(self.errors**2))) if len(self.errors) else None
 
 
@@ -130,7 +130,7 @@ def is_due(part: Part) -> NDArray[np.bool_]:
 
 
 def counts(parts: Sequence[Part], due: Sequence[NDArray[np.bool_]]) -> Counts:
-    """Sums over flights, over the target scans `due` of each."""
+    """Sum the counts of several flights over the target scans that are `due` in each."""
     found = [mask & (part["track"] != NOBODY) for part, mask in zip(parts, due, strict=True)]
     pairs = list(zip(parts, found, strict=True))
     return Counts(
@@ -145,15 +145,16 @@ def counts(parts: Sequence[Part], due: Sequence[NDArray[np.bool_]]) -> Counts:
 
 
 def _changes(track: NDArray[np.float64]) -> int:
-    """How often a target goes on under another number."""
+    """Count how often the track number of a target changes."""
     of_targets = (column[column != NOBODY] for column in track.T)
     return int(sum((one[1:] != one[:-1]).sum() for one in of_targets))
 
 
 def passes(part: Part) -> tuple[list[bool], NDArray[np.bool_]]:
-    """Return whether each pass has a track by its third detection, and the scans after that.
+    """Return whether each pass has a track by its third detection, and which scans follow it.
 
-    A pass is the time within the scored range: targets turn outside of it.
+    A pass is the time within the scored range; targets turn outside of it. Passes with fewer than
+    three detections are left out. The scans, shape (S, T), start with the third detection.
     """
     away = np.linalg.norm(part["place"] - (0.0, 0.0, HEIGHT), axis=2)
     is_seen = (part["hits"] >= FEWEST) & (away <= SOUGHT)

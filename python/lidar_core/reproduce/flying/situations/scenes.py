@@ -61,25 +61,25 @@ def scene(name: str, seed: int, number: int, scans: int) -> Scene:
 
 
 def _sparse() -> sim.LidarModel:
-    """Mid-360."""
+    """Return the model of the sensor Livox Mid-360."""
     return sim.LidarModel.preset("livox-mid360").model_copy(update={"range_max": FEW_REACH})
 
 
 def _sight(way: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places between the sensor and a way, so that nothing hides it."""
+    """Positions (K, 2) between the sensor and a path, which must stay free of obstacles."""
     some = way[:: max(1, len(way) // 24)]
     return (np.linspace(0.0, 1.0, 30)[:, None, None] * some).reshape(-1, 2)
 
 
 def _way(target: Target, seconds: float) -> list[NDArray[np.float64]]:
-    """Places of a target over the ground; none of one that moves at random."""
+    """Horizontal positions (K, 2) of a target; an empty list if it moves at random."""
     if isinstance(target.motion, sim.RandomMotion):
         return []
     return [target.motion.knots(seconds)[1][:, :2, 3]]
 
 
 def _between(way: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places along a way within 40 m, a metre apart."""
+    """Positions on a path within 40 m, one metre apart."""
     parts = [way[:1]]
     for start, end in pairwise(way):
         steps = max(2, int(np.linalg.norm(end - start)))
@@ -91,7 +91,7 @@ def _between(way: NDArray[np.float64]) -> NDArray[np.float64]:
 def _contents(
     name: str, rng: np.random.Generator, scans: int
 ) -> tuple[tuple[Target, ...], tuple[Body, ...], tuple[Particles, ...]]:
-    """Targets, bodies and particles of a situation."""
+    """Make targets, bodies and particles of a situation."""
     kind, value = (*name.split(), "")[:2]
     if kind == "wall":
         return _wall(rng, float(value), scans)
@@ -116,7 +116,7 @@ def _drone(motion: Scripted) -> Target:
 
 
 def _few(rng: np.random.Generator, distance: float) -> Target:
-    """A ball far away that flies to and fro across the line of sight."""
+    """Make a ball far away that flies to and fro across the line of sight."""
     elevation, speed = np.deg2rad(rng.uniform(8.0, 25.0)), rng.uniform(2.0, 8.0)
     level, height = distance * np.cos(elevation), HEIGHT + distance * np.sin(elevation)
     half, rise = rng.uniform(4.0, 8.0), rng.uniform(-1.0, 1.0)
@@ -131,7 +131,7 @@ def _few(rng: np.random.Generator, distance: float) -> Target:
 
 
 def _turned(places: Sequence[_Place], angle: float) -> tuple[_Place, ...]:
-    """Places turned about the upright axis."""
+    """Rotate positions about the vertical axis by `angle` [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return tuple(
         (float(cosine * x - sine * y), float(sine * x + cosine * y), z) for x, y, z in places
@@ -139,7 +139,7 @@ def _turned(places: Sequence[_Place], angle: float) -> tuple[_Place, ...]:
 
 
 def _passes(rng: np.random.Generator, speed: float, aside: float, scans: int) -> sim.Waypoints:
-    """To and fro at constant speed past the sensor, after the first 1.5 s."""
+    """Path to and fro past the sensor at constant speed, which starts after 1.5 s."""
     height = HEIGHT + rng.uniform(0.5, 2.0)
     ends = _turned([(-FAR, aside, height), (FAR, aside, height)], rng.uniform(0, 2 * np.pi))
     times, places, number = [1.5], [ends[0]], 0
@@ -153,7 +153,7 @@ def _passes(rng: np.random.Generator, speed: float, aside: float, scans: int) ->
 def _wall(
     rng: np.random.Generator, gap: float, scans: int
 ) -> tuple[tuple[Target, ...], tuple[Body, ...], tuple[Particles, ...]]:
-    """A target that comes to a wall, flies along it at 1 m/s and leaves it, again and again."""
+    """Make a wall and a target that repeatedly comes to it, flies along it at 1 m/s and leaves."""
     angle, seconds = rng.uniform(0, 2 * np.pi), scans * 0.1
     height = HEIGHT + rng.uniform(-0.5, 1.0)
     near, away = WALL - gap - DRONE, WALL - BESIDE_WALL
@@ -179,7 +179,7 @@ def _wall(
 
 
 def _over_the_edge(rng: np.random.Generator) -> sim.Waypoints:
-    """Up and down at the upper edge of the field of view, which is 22.5 deg above the level."""
+    """Path up and down across the upper edge of the field of view, 22.5 deg above horizontal."""
     angle, away, times, places = rng.uniform(0, 2 * np.pi), 9.0, [0.0], [(9.0, 0.0, HEIGHT + 2.0)]
     edge = HEIGHT + away * np.tan(np.deg2rad(22.0))
     for number in range(20):
@@ -190,7 +190,7 @@ def _over_the_edge(rng: np.random.Generator) -> sim.Waypoints:
 
 
 def _hovers_first(rng: np.random.Generator) -> sim.Waypoints:
-    """At one place, and after that along a straight line."""
+    """Motion that hovers at one place and then follows a straight line."""
     distance, height = rng.uniform(5.0, 10.0), HEIGHT + rng.uniform(0.0, 2.0)
     start, end = (distance, 0.0, height), (distance, 12.0, height)
     ends = _turned([start, end], rng.uniform(0, 2 * np.pi))
@@ -198,7 +198,7 @@ def _hovers_first(rng: np.random.Generator) -> sim.Waypoints:
 
 
 def _swarm(rng: np.random.Generator) -> list[Target]:
-    """Targets on circles of their own, 1.5 m above or beside each other."""
+    """Make targets on separate circles, 1.5 m above or beside each other."""
     targets = []
     for number in range(SWARM):
         row, column = divmod(number, 10)
@@ -222,7 +222,7 @@ def _swarm(rng: np.random.Generator) -> list[Target]:
 
 
 def _sized(name: str, rng: np.random.Generator) -> Target:
-    """A target of another size that circles around the sensor."""
+    """Make the target of the size that `name` states; it circles around the sensor."""
     shape, span = SIZES[name]
     return Target(
         shape=shape,
@@ -238,7 +238,7 @@ def _sized(name: str, rng: np.random.Generator) -> Target:
 def _false(
     name: str, rng: np.random.Generator, scans: int
 ) -> tuple[tuple[Target, ...], tuple[Body, ...], tuple[Particles, ...]]:
-    """What moves and does not fly."""
+    """Make the moving objects that do not fly, of the situation `name`."""
     seconds = scans * 0.1
     air: dict[str, Callable[[], list[Particles]]] = {
         "rain": lambda: [sim.Rain()],
@@ -261,14 +261,14 @@ def _false(
 
 
 def _lamp(rng: np.random.Generator) -> Body:
-    """A ball that hangs in free air."""
+    """Make a ball that hangs in free air, such as a lamp."""
     angle = rng.uniform(0, 2 * np.pi)
     (place,) = _turned([(6.0, 0.0, HEIGHT + 1.0)], angle)
     return Body(shape=sim.Sphere(radius=0.2), position=place)
 
 
 def _tree(rng: np.random.Generator) -> Body:
-    """A tree of few small leaves that sway in the wind."""
+    """Make a tree with few small leaves that sway in the wind."""
     angle, distance = rng.uniform(0, 2 * np.pi), rng.uniform(5.0, 14.0)
     (place,) = _turned([(float(distance), 0.0, 0.0)], angle)
     tree = sim.Tree(
@@ -283,7 +283,7 @@ def _tree(rng: np.random.Generator) -> Body:
 
 
 def _walker(rng: np.random.Generator, seconds: float) -> Target:
-    """A person who walks along one line, turned to where they go."""
+    """Make a person who walks along a line and faces the direction of walking."""
     angle, side = rng.uniform(0, 2 * np.pi), rng.uniform(3.0, 9.0)
     speed = rng.uniform(0.8, 1.6)
     half = speed * seconds / 2
@@ -297,7 +297,7 @@ def _walker(rng: np.random.Generator, seconds: float) -> Target:
 
 
 def _car(rng: np.random.Generator, seconds: float, lane: float) -> Target:
-    """A car that drives to and fro at 8 m/s."""
+    """Make a car that drives to and fro at 8 m/s."""
     start = rng.uniform(-20, 20)
     ends = ((float(start - 25), lane, 0.85), (float(start + 25), lane, 0.85))
     return Target(
@@ -308,7 +308,7 @@ def _car(rng: np.random.Generator, seconds: float, lane: float) -> Target:
 
 
 def _insect(rng: np.random.Generator) -> Target:
-    """A speck of 1 to 3 cm that circles within a few metres of the sensor."""
+    """Make a speck of 1 to 3 cm that circles within a few metres of the sensor."""
     return Target(
         shape=sim.Sphere(radius=rng.uniform(0.01, 0.03)),
         motion=sim.Circle(
@@ -322,7 +322,7 @@ def _insect(rng: np.random.Generator) -> Target:
 
 
 def _puff(rng: np.random.Generator, seconds: float) -> sim.Dust:
-    """A cloud of dust that drifts past the sensor and grows."""
+    """Make a cloud of dust that drifts past the sensor and grows."""
     velocity = np.array([rng.uniform(-2, 2), rng.uniform(-2, 2), rng.uniform(0, 0.3)])
     middle = np.array([rng.uniform(-12, 12), rng.uniform(-8, 8), rng.uniform(1, 5)])
     x, y, z = (middle - seconds / 2 * velocity).tolist()

@@ -15,14 +15,14 @@ Box: tuple[tuple[int, int, int], ...] = (
 
 
 def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Corners of a box, numbered by the bits of their place."""
+    """Corners of a box (8, 3); bits of the index select the low or high end of each axis."""
     return np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
 
 
 def _mesh(boxes: list[NDArray[np.float64]]) -> sim.Mesh:
-    """Boxes as one mesh, the middle of its outline at the origin."""
+    """Join boxes into one mesh whose bounding box has its centre at the origin."""
     vertices = np.concatenate(boxes)
     vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     faces = np.concatenate([np.array(Box) + 8 * number for number in range(len(boxes))])
@@ -31,7 +31,7 @@ def _mesh(boxes: list[NDArray[np.float64]]) -> sim.Mesh:
 
 
 def fixed_wing(span: float) -> sim.Mesh:
-    """Wing along y, fuselage along x, tail plane and fin."""
+    """Make the mesh of a fixed-wing aircraft: wing along y, fuselage along x, tail, fin."""
     chord, length = 0.13 * span, 0.55 * span
     return _mesh(
         [
@@ -47,7 +47,7 @@ def fixed_wing(span: float) -> sim.Mesh:
 
 
 def octocopter(width: float) -> sim.Mesh:
-    """Eight rotors on crossed arms, and a box below."""
+    """Make the mesh of an octocopter: eight rotors on crossed arms and a box below."""
     arm, disc = 0.5 * width, 0.13 * width
     boxes = [
         _box((-0.15, -0.15, -0.05), (0.15, 0.15, 0.08)),

@@ -128,7 +128,7 @@ def _of_passes(parts: Sequence[Part]) -> list[Line]:
 def _of_some(
     parts: Sequence[Part], chosen: Callable[[Part], NDArray[np.bool_]], goal: float
 ) -> list[Line]:
-    """Recall where a target is in a place that is hard to see."""
+    """Rows of the scores over the `chosen` target scans, in which targets are hard to see."""
     found = counts(parts, [is_due(part) & chosen(part) for part in parts])
     return [
         ("target scans", "1", float(found.due), None),
@@ -139,7 +139,7 @@ def _of_some(
 
 
 def _at_wall(part: Part) -> NDArray[np.bool_]:
-    """Within 0.1 m of the least gap, of a target that was tracked before."""
+    """Return when a target that was tracked before is close to the wall, (S, T)."""
     level = np.linalg.norm(part["place"][..., :2], axis=2)
     known = np.maximum.accumulate(part["track"] != NOBODY, axis=0)
     # The nearest place is straight ahead of the wall; aside of it the way is longer.
@@ -183,7 +183,7 @@ def _of_swarm(parts: Sequence[Part]) -> list[Line]:
 
 
 def _of_few(name: str, parts: Sequence[Part]) -> list[Line]:
-    """Of targets of about one return per scan; precision counts tracks in all scans."""
+    """Rows for targets with about one return per scan; precision counts tracks in all scans."""
     due = [_was_met(part) & (part["seconds"][:, None] >= FEW_FROM_S) for part in parts]
     found = counts(parts, due)
     tracked = sum(int((part["track"] != NOBODY).sum()) for part in parts)
@@ -199,7 +199,7 @@ def _of_few(name: str, parts: Sequence[Part]) -> list[Line]:
 
 
 def _was_met(part: Part) -> NDArray[np.bool_]:
-    """Whether one of the last scans met each target, (S, T)."""
+    """Return whether each target had a hit in one of the last `FEW_SCANS` scans, (S, T)."""
     met = np.cumsum(part["hits"] > 0, axis=0)
     before = np.concatenate([np.zeros((FEW_SCANS, met.shape[1])), met[:-FEW_SCANS]])
     return np.asarray(met[: len(before)] > before[: len(met)], np.bool_)
@@ -229,7 +229,7 @@ def _of_nothing(name: str, parts: Sequence[Part]) -> list[Line]:
 
 
 def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
-    """Which goals are reached."""
+    """Draw which goals are reached."""
     met = [row for row in _rows(of) if row.name.endswith(", met")]
     values = [row.best_mode or 0.0 for row in met]
     figure.set_size_inches(7, 0.16 * len(met) + 1)

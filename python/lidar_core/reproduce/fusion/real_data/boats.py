@@ -62,7 +62,7 @@ class Matched:
 
 
 def files_of(scenario: int) -> tuple[str, str]:
-    """Detections and truth, within the folder of recordings."""
+    """Paths of the detections and of the truth, relative to the folder of recordings."""
     start = f"2d/autoferry/scenario{scenario}/scenario{scenario}"
     return f"{start}_detections.json", f"{start}_groundTruth.json"
 
@@ -130,9 +130,10 @@ def match(scan: DetectionScan, tracks: TargetTracks) -> Matched:
 def calibration(
     tracks: Sequence[TargetTracks], matched: Sequence[Matched]
 ) -> dict[tuple[str, str], float | None]:
-    """Compare the errors of matched tracks with their covariances.
+    """Return by name and unit: RMSE of matched tracks, NEES / 2, share of 95 % regions that hold.
 
-    A true place is that of an antenna, and up to 0.4 s old.
+    Empty without matched tracks. The errors include those of the truth: its positions are those
+    of an antenna, and up to 0.4 s old.
     """
     errors = np.concatenate([one.errors[one.target_of >= 0] for one in matched])
     spread = [
@@ -225,7 +226,7 @@ def on_other_boats(
 def _moves(
     number: int, rows: Sequence[int], scans: Sequence[DetectionScan], tracks: Sequence[TargetTracks]
 ) -> bool:
-    """Whether returns near a track persist and move."""
+    """Return whether returns near a track persist and move."""
     times, places = [np.empty(0)], [np.empty((0, 2))]
     for k in rows:
         own = tracks[k].position[tracks[k].id == number]

@@ -19,11 +19,12 @@ def known_share(
     reach: float,
     gap: float,
 ) -> float | None:
-    """Share of the lesser target if the truth told which return is of which target.
+    """Return the share of time in which the worst target is tracked if association is perfect.
 
-    Nothing but a return of each target shows that there are several. So until `needed` scans had
-    one of each, only one track is reported: of the return that is nearest to it. The share counts
-    as in `target_coverage`; None without targets.
+    The truth then assigns every return to its target. Only scans with a return of each target
+    show that there are several. So until there were `needed` such scans, only one track is
+    reported. It takes the return that is nearest to it. The share counts as in
+    `target_coverage`; None without targets.
     """
     numbers = sorted({number for scan in scans for number in scan.truth})
     seen = {number: seen_times(number, scans, reach, gap) for number in numbers}
@@ -44,7 +45,7 @@ def known_share(
 
 
 class _Track:
-    """A filter that starts anew after `max_coast` without a return."""
+    """Filter of one target that restarts after `max_coast` without a return."""
 
     def __init__(self, config: MultiTargetConfig) -> None:
         self._max_coast_ns = config.max_coast * 1e9
@@ -90,7 +91,7 @@ def _nearest(
 
 
 def _served(scan: DetectionScan, tracks: Sequence[_Track], reach: float) -> set[int]:
-    """Targets with a track of their own."""
+    """Numbers of the targets that are paired with a track, one to one, within `reach` [m]."""
     places = [track.place(scan.stamp_ns) for track in tracks]
     known = np.array([place for place in places if place is not None]).reshape(-1, 2)
     _, columns = assign(_distances(known, scan), gate=reach)
