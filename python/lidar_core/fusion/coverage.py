@@ -47,10 +47,11 @@ def target_coverage(
     reach: float,
     gap: float,
 ) -> dict[int, TargetCoverage]:
-    """Share of the time for which each target has a track of its own, outside detection gaps.
+    """Score for each target how long it has a track of its own, outside detection gaps.
 
-    In every scan tracks and all targets are paired one to one: as many pairs as possible within
-    `reach`, and among those the least sum of distances. A track between two targets serves one.
+    In every scan, tracks and all targets are paired one to one: as many pairs as possible within
+    `reach`, and among those the least sum of distances. So a track between two targets is paired
+    with one of them.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def target_coverage(
 def mean_gospa(
     scans: Sequence[DetectionScan], tracks: Sequence[TargetTracks], *, cutoff: float
 ) -> dict[str, float]:
-    """Mean over the scans of GOSPA of order 2, and of its parts [m], [m^2]."""
+    """Mean over the scans of GOSPA of order 2 [m] and of its parts [m^2], by name."""
     return _mean_gospa(scans, [state.position for state in tracks], cutoff)
 
 
@@ -94,7 +95,7 @@ def _mean_gospa(
 
 
 def _paired(scan: DetectionScan, state: TargetTracks, reach: float) -> dict[int, tuple[int, float]]:
-    """Track of every target that has one of its own, and how far off it is [m]."""
+    """Return for every paired target the ID of its track and the distance between both [m]."""
     numbers = list(scan.truth)
     truth = np.array([scan.truth[number] for number in numbers]).reshape(-1, 2)
     distance = np.linalg.norm(state.position[:, None] - truth[None], axis=-1)
@@ -132,7 +133,7 @@ def _coverage(
 def seen_times(
     number: int, scans: Sequence[DetectionScan], reach: float, gap: float
 ) -> NDArray[np.bool_]:
-    """Scans (K,) between two detections of a target that are at most `gap` [s] apart."""
+    """Return which scans lie between two detections of a target at most `gap` [s] apart, (K,)."""
     stamps = np.array([scan.stamp_ns for scan in scans], np.int64)
     has_truth = np.array([number in scan.truth for scan in scans], np.bool_)
     hits = [

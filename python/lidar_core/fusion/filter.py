@@ -1,4 +1,4 @@
-"""A filter of one target, measurement by measurement."""
+"""Filter of one target that processes one measurement at a time."""
 
 from dataclasses import dataclass
 from typing import Any, Self
@@ -125,7 +125,7 @@ class TargetFilter(FullState):
         return FilterHealth(configured[0], lidar, configured[1], radar)
 
     def state_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Mean (n,) and covariance (n, n), predicted to a time; nothing changes.
+        """Return mean (n,) and covariance (n, n), predicted to a time; the filter does not change.
 
         None before the target has been seen; a time before the last measurement gives the state
         at that measurement.

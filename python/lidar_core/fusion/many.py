@@ -63,12 +63,12 @@ class TrackerHealth:
 
 
 class MultiTargetTracker(FullState):
-    """Targets that LiDAR and radar see, any number of them.
+    """Tracker of any number of targets that LiDAR and radar measure.
 
-    Measurements are shared out by joint integrated probabilities: every track has a probability of
-    existence, on which report and end depend. By the other associations measurements go first to
-    confirmed tracks, and counts confirm. With measurements "pose" in a scan, tracks are in the
-    world.
+    By default, joint integrated probabilities assign measurements to tracks: every track has a
+    probability of existence, which decides when it is reported and when it ends. With the other
+    associations, measurements go first to confirmed tracks, and a track is confirmed by the number
+    of its measurements. With measurements "pose" in a scan, tracks are in the world.
 
     Parameters
     ----------

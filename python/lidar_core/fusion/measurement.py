@@ -188,7 +188,7 @@ class Measurements:
         *,
         covariances: ArrayLike | None = None,
     ) -> "Measurements":
-        """Many measurements at once.
+        """Make measurements from arrays, one per row.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class Measurements:
         sensors : array_like, shape (K,), str
             Names of sensors, as of `Measurement`.
         values : array_like, shape (K, W)
-            A row holds as many values as its sensor has at least; the rest is not looked at.
+            A row has at least as many values as its sensor; further ones are ignored.
         covariances : array_like, shape (K, 3, 3) or (K, 6, 6), optional
             Covariances as in `Measurement`, in the first rows and columns of each matrix; the rest
             is ignored. Without it the filter's configuration applies.
@@ -251,7 +251,7 @@ def as_measurements(measurements: Iterable[Measurement] | Measurements) -> Measu
 
 
 def measured_place(m: Measurement) -> list[float]:
-    """Level position that a LiDAR or a radar measured, in its frame; NaN without one."""
+    """Measured position x, y [m] of a LiDAR or a radar in its frame; NaN without a position."""
     if m.sensor == "lidar":
         x, y = m.values[:2].tolist()
         return [x, y]
@@ -273,7 +273,7 @@ def measured_values(measurements: Iterable[Measurement]) -> dict[str, list[str]]
 
 
 def _measures(sensor: str, measures: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
-    """What the values of a radar are; None for other sensors."""
+    """Names of the values of a radar; None for other sensors."""
     if sensor != "radar":
         if measures is not None:
             raise InputError(f"measures: expected none with sensor {sensor!r}")

@@ -29,7 +29,10 @@ def geographic_poses(measurements: Sequence[Measurement]) -> str | None:
 
 
 def geographic(measurements: Sequence[Measurement], sensor: str, what: str) -> list[str]:
-    """Places within the range of latitude and longitude that keep their first three digits."""
+    """Return a message if the positions of a sensor look like latitude and longitude; else none.
+
+    They do if they lie within the ranges of both and keep their first three digits.
+    """
     places = _places(measurements, sensor)
     if len(places) < LEAST:
         return []
@@ -45,7 +48,7 @@ def geographic(measurements: Sequence[Measurement], sensor: str, what: str) -> l
 
 
 def several(measurements: Sequence[Measurement]) -> list[str]:
-    """Places that jump to and fro, or measurements of one sensor and time that lie apart."""
+    """Return a message if the positions of a sensor jump to and fro, as of several targets."""
     for sensor in ("lidar", "radar"):
         places = _places(measurements, sensor)
         if len(places) < LEAST:
@@ -69,7 +72,7 @@ def several(measurements: Sequence[Measurement]) -> list[str]:
 
 
 def _places(measurements: Sequence[Measurement], sensor: str) -> NDArray[np.float64]:
-    """Places (K, 2) that a sensor measured, finite ones."""
+    """Finite positions (K, 2) that a sensor measured [m]."""
     rows = [m for m in measurements if m.sensor == sensor and np.isfinite(m.values).all()]
     if sensor == "radar":
         rows = [m for m in rows if (m.measures or ())[:2] == ("range", "bearing")]

@@ -66,7 +66,7 @@ class Implausible:
     possible: tuple[str, ...]
 
     def __str__(self) -> str:
-        """What is wrong, what the data shows of it, and what else it may be."""
+        """Return as text what is wrong, with the causes that the data shows, or likely causes."""
         how = f"{self.ratio:.3g} times what is expected"
         bound = (
             "far less than any target at rest would give"
@@ -169,7 +169,7 @@ def _shown(
     ratio: float,
     limit: float,
 ) -> list[str]:
-    """Causes that the data shows, of a sum of NIS that is too large, or may be."""
+    """Causes, shown by the data, of a sum of NIS that is too large or suspicious."""
     rates = _rates(measurements, config, options, limit)
     if rates:
         return rates
@@ -237,7 +237,7 @@ def either(causes: Sequence[str]) -> str:
 
 
 def _ratio(result: Run) -> tuple[float, int, int] | None:
-    """Sum of the least NIS over what it should be, degrees of freedom of all, their count."""
+    """Sum of the least NIS over its expected value; degrees of freedom and count of all NIS."""
     degrees = np.isfinite(result.innovations).sum(axis=1)
     compared = np.isfinite(result.nis) & (degrees > 0)
     nis, degrees = result.nis[compared], degrees[compared]
@@ -249,15 +249,15 @@ def _ratio(result: Run) -> tuple[float, int, int] | None:
 
 
 def _quantile(probability: float, degrees: int) -> float:
-    """Of the sum of the least NIS, per degree of freedom."""
+    """Quantile of the sum of the least NIS, relative to its expected value."""
     effective = max(1, int(degrees / KEPT_SPREAD))
     return chi2_quantile(probability, degrees=effective) / effective
 
 
 def _scatter(measurements: Sequence[Measurement], config: FusionConfig) -> float:
-    """Variance of the places of a LiDAR in its own frame over that of its noise.
+    """Variance of LiDAR positions in its own frame, divided by the variance of its noise.
 
-    Whatever target and platform do adds to it: it cannot be less than about 1.
+    Motion of target and platform adds to it: with correct noise it is not less than about 1.
     """
     rows = [m for m in measurements[:HEAD] if m.sensor == "lidar" and np.isfinite(m.values).all()]
     told = [
@@ -281,7 +281,7 @@ def _repairs(
     ratio: float,
     limit: float,
 ) -> list[str]:
-    """Mistakes without which the NIS is within reason, and a tenth of what it was: the best."""
+    """Texts of the mistakes whose correction reduces the NIS most: to a tenth, below `limit`."""
     known = {m.sensor for m in measurements}
     found = []
     # Without lengths of another sensor a smaller unit makes every error smaller: it would explain
@@ -326,7 +326,7 @@ def _repairs(
 def _rates(
     measurements: Sequence[Measurement], config: FusionConfig, options: TableOptions, limit: float
 ) -> list[str]:
-    """Units of range rates that the ranges show, and with which the NIS is less, within reason."""
+    """Texts of units of range rates that the ranges show and that reduce the NIS below `limit`."""
     changes = rate_repairs(measurements, options)
     before = _ratio(run(measurements, config)) if changes else None
     if before is None:
@@ -351,7 +351,7 @@ def _clock_text(sensor: SensorName, further: float, told: float) -> str:
 def _clock(
     measurements: Sequence[Measurement], config: FusionConfig
 ) -> tuple[SensorName, float] | None:
-    """The sensor whose clock is most likely off, and by how much it is ahead [s]."""
+    """Return the sensor whose clock is most likely wrong, and by how much it is ahead [s]."""
     known = sorted({m.sensor for m in measurements})
     sensors: list[SensorName] = [name for name in known if name in ("lidar", "radar")]
     if len(known) < 2:

@@ -41,16 +41,16 @@ class _Factors(NamedTuple):
         return float(np.min(self.slopes - reach)), float(np.max(self.slopes + reach))
 
     def hold(self, factor: float) -> bool:
-        """Whether a factor fits."""
+        """Return whether a factor lies within the bounds."""
         least, largest = self.bounds(LIKELY)
         margin = ROUGH * abs(factor)
         return least - margin <= factor <= largest + margin
 
     @property
     def contradict_told(self) -> bool:
-        """Whether the range rates as they are differ clearly from the changes of the ranges.
+        """Return whether the range rates in the stated unit contradict the changes of the ranges.
 
-        A factor whose sign is not known tells nothing: neither does a target at rest.
+        False if the sign of the factor is uncertain, as for a target at rest.
         """
         least, largest = self.bounds(CERTAIN)
         if not (np.isfinite([least, largest]).all() and least * largest > 0):
@@ -123,7 +123,7 @@ def _factors(measurements: Sequence[Measurement]) -> _Factors | None:
 
 
 def _between(sums: NDArray[np.float64]) -> _Factors:
-    """Both slopes from the products (W, 3) of W parts, with the scatter of leaving one out."""
+    """Factors from the products (W, 3) of W parts; jackknife standard deviations."""
     whole = sums.sum(axis=0)
     without = whole - sums
     slopes, scatter = whole[1:] / whole[:-1], without[:, 1:] / without[:, :-1]
@@ -144,7 +144,7 @@ def _products(
 def _series(
     measurements: Sequence[Measurement], name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times [s] and values of what a radar measures."""
+    """Times [s] and values of one quantity (`name`) that the radar measured."""
     rows = [m for m in measurements if m.measures is not None and name in m.measures]
     return _finite(rows, [m.values[(m.measures or ()).index(name)] for m in rows])
 
@@ -152,7 +152,7 @@ def _series(
 def _distances(
     measurements: Sequence[Measurement],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times [s] and distances of the places of a LiDAR [m]."""
+    """Times [s] of LiDAR positions, and their distances from the sensor [m]."""
     rows = [m for m in measurements if m.sensor == "lidar"]
     with np.errstate(over="ignore"):
         return _finite(rows, [float(np.linalg.norm(m.values)) for m in rows])
@@ -167,7 +167,7 @@ def _finite(
 
 
 def _middle(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The median around each value."""
+    """Running median: the median of the values around each value."""
     if len(values) < MEDIAN:
         return values
     padded = np.pad(values, MEDIAN // 2, mode="edge")

@@ -19,7 +19,7 @@ _PLACES = {"pose": {"yaw": 2}, "pose-3d": {"yaw": 5}, "gyro": {"rate": 0}}
 
 
 def of_value(name: str, new: Callable[[float], float]) -> Change:
-    """Return a change of one value, by its name; of nothing in measurements without it."""
+    """Return a change of one named value; it has no effect on measurements without this value."""
 
     def changed(m: Measurement) -> Measurement:
         named = {n: k for k, n in enumerate(m.measures or ())} or _PLACES.get(m.sensor, {})
@@ -33,17 +33,17 @@ def of_value(name: str, new: Callable[[float], float]) -> Change:
 
 
 def _with(new: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Change:
-    """A change of all values."""
+    """Return a change that applies `new` to all values of a measurement."""
     return lambda m: m.with_values(new(m.values))
 
 
 def _scaled(factor: float) -> Change:
-    """All values times a factor."""
+    """Return a change that multiplies all values by a factor."""
     return _with(lambda values: factor * values)
 
 
 def later(seconds: float) -> Change:
-    """Return the same measurement with a later time [s]."""
+    """Return a change that moves a measurement to a later time, by `seconds` [s]."""
 
     def changed(m: Measurement) -> Measurement:
         return m.with_values(m.values, stamp_ns=m.stamp_ns + round(seconds * 1e9))
@@ -52,7 +52,7 @@ def later(seconds: float) -> Change:
 
 
 def _way(what: str, told: Azimuth | None, right: Azimuth | None) -> list[str]:
-    """The option that corrects a direction in which something counts, if it is not told so."""
+    """Option that corrects the direction in which `what` counts; empty if it is already set."""
     if right == told:
         return []
     option = f'azimuth={{"{what}": "{right or told}"}}'
@@ -71,7 +71,7 @@ _ANGLES: Mapping[tuple[str, Azimuth | None], str] = {
 
 
 def _angle(told: TableOptions, what: Turned, unit: str, way: Azimuth | None) -> _AngleChange:
-    """What a column would have given with another unit and direction than those told."""
+    """Return a change of an angle: as if its column had been read with this unit and direction."""
     before = told.azimuth.get(what)
     scale = (DEGREES if unit == "deg" else 1.0) / (DEGREES if told.angle_unit == "deg" else 1.0)
 
@@ -84,7 +84,7 @@ def _angle(told: TableOptions, what: Turned, unit: str, way: Azimuth | None) -> 
 
 
 def _angles(told: TableOptions, what: Turned) -> Iterator[tuple[str, _AngleChange]]:
-    """What angles may be other than told, the options that say so, and what undoes it."""
+    """Yield possible mistakes of an angle: text with options, and the change that undoes it."""
     for (unit, way), text in _ANGLES.items():
         options = [] if unit == told.angle_unit else [f'angle_unit="{unit}"']
         options += _way(what, told.azimuth.get(what), way)
@@ -103,7 +103,7 @@ _LIDAR: Mapping[Azimuth | None, str] = {
 
 
 def _turned_place(values: NDArray[np.float64], way: Azimuth | None) -> NDArray[np.float64]:
-    """The place of a LiDAR whose x and y count otherwise; twice, the place itself."""
+    """Convert x and y of another convention; the conversion is its own inverse."""
     x, y = values[:2]
     flat = {None: (x, y), "clockwise": (x, -y), "compass": (y, x)}[way]
     return np.array([*flat, *values[2:]])
@@ -123,7 +123,7 @@ def _places_turned(told: TableOptions) -> Iterator[tuple[str, Change]]:
 
 
 def _rates(told: TableOptions) -> tuple[str, Change]:
-    """Turn rates of the other sign than told."""
+    """Mistake that turn rates have the opposite sign: its text and the change that undoes it."""
     before = told.azimuth.get("turn_rate")
     text = (
         "turn rates are counter-clockwise: they fit as they are"
@@ -135,7 +135,7 @@ def _rates(told: TableOptions) -> tuple[str, Change]:
 
 
 def factor_option(told: TableOptions, factor: float, *names: str) -> str:
-    """Return the option that multiplies columns, told factors included."""
+    """Return the option that multiplies the named columns by `factor` and factors already set."""
     factors = [f'"{name}": {told.scale.get(name, 1.0) * factor:g}' for name in names]
     return f"scale={{{', '.join(factors)}}}"
 
@@ -146,7 +146,7 @@ LATE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
 
 
 def repairs(told: TableOptions) -> list[Repair]:
-    """Return the mistakes in measurements that were read with these options, but for lengths."""
+    """Return possible mistakes in measurements read with these options, except those of lengths."""
     return [
         *(
             ("radar", f"bearings are {what}", of_value("bearing", change))
@@ -169,7 +169,7 @@ def repairs(told: TableOptions) -> list[Repair]:
 
 
 def lengths(told: TableOptions) -> list[Repair]:
-    """Return the mistakes about units of lengths: of a sensor, or of one column of places."""
+    """Return possible mistakes about units of length: of a sensor, or of one position column."""
     found: list[Repair] = []
     for unit, factor in _LENGTHS.items():
         fits = f"times {factor:g} ("
@@ -202,5 +202,5 @@ def lengths(told: TableOptions) -> list[Repair]:
 
 
 def _one_scaled(place: int, factor: float) -> Change:
-    """One value times a factor; nothing where there is no such value."""
+    """Return a change that multiplies the value at index `place`; no effect if there is none."""
     return _with(lambda v: np.where(np.arange(len(v)) == place, factor * v, v))

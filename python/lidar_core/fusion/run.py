@@ -1,4 +1,4 @@
-"""A filter over a whole recording."""
+"""Run of a filter or smoother over a whole recording."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -110,7 +110,7 @@ def level_sight(
 def _directions(
     bearing: NDArray[np.float64], up: NDArray[np.float64], down: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Level azimuth and elevation, and how they hang on all three angles, (K, 2, 3)."""
+    """Level azimuth and elevation [rad], and their Jacobian by all three angles, (K, 2, 3)."""
     (ca, sa), (cu, su) = (np.cos(bearing), np.sin(bearing)), (np.cos(up), np.sin(up))
     cd, sd = np.cos(down), np.sin(down)
     x, y, z = cd * cu * ca + sd * su, cu * sa, cd * su - sd * cu * ca
@@ -131,7 +131,7 @@ def in_space(
     *,
     drift: ArrayLike | None = None,
 ) -> SpaceTrack:
-    """Give a track in the plane its height.
+    """Add the height to a track in the plane.
 
     Parameters
     ----------
@@ -191,7 +191,10 @@ def in_space(
 def _filtered(
     height: NDArray[np.float64], covariance: NDArray[np.float64], drift: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Heights by a filter of one state, and covariances with theirs, x and y apart."""
+    """Filter the heights with a filter of one state; return heights and covariances.
+
+    The covariances then have the filtered variance of the height, without correlation to x and y.
+    """
     found, cov = height.copy(), covariance.copy()
     variance = covariance[:, 2, 2].copy()
     for row in range(1, len(height)):

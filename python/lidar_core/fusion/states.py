@@ -42,7 +42,7 @@ def is_in_space(config: FusionConfig) -> bool:
 
 
 def dimensions(config: FusionConfig) -> int:
-    """Number of states that are the position, the first ones."""
+    """Number of position coordinates: the first 2 states, or 3 in space."""
     return 3 if is_in_space(config) else 2
 
 

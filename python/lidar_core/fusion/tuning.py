@@ -122,7 +122,7 @@ def _fitted(
     least_rate: float,
     believes: bool,
 ) -> tuple[FusionConfig, float]:
-    """`settings` with the noise that makes measurements most likely, and how likely it does."""
+    """Return `settings` with the most likely noise, and the logarithm of the likelihood."""
     (acceleration, jerk, turn), lidar, radar, likelihood = _core.fusion_fit_noise(
         settings,
         [target._core for target in targets],

@@ -1,4 +1,4 @@
-"""Why a filter cannot use measurements: in words, for people."""
+"""Texts that tell a user why a filter cannot use measurements."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -51,7 +51,7 @@ def lacks_heights(measurements: Sequence[Measurement], config: FusionConfig) -> 
 
 
 def _has_place(m: Measurement, *, in_space: bool) -> bool:
-    """Whether a measurement can start a target, if its values can be used."""
+    """Return whether a measurement has a position, so that its finite values can start a target."""
     if m.sensor == "lidar":
         return len(m.values) > 2 or not in_space
     return m.sensor == "radar" and set(PLACE[in_space]) <= set(m.measures or ())

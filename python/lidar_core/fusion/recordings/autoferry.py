@@ -127,7 +127,7 @@ def read_autoferry(path: str | Path) -> list[DetectionScan]:
 def _targets(
     place: Path, beside: Path, entries: Sequence[Any], truths: Sequence[Any]
 ) -> list[list[Target]]:
-    """The targets of every entry; places that are not known are NaN."""
+    """Targets of every entry; unknown positions are NaN."""
     found = []
     for number, (entry, truth) in enumerate(zip(entries, truths, strict=True)):
         if not isinstance(entry, dict):
@@ -147,14 +147,14 @@ def _target(one: Mapping[str, Any], usual_time: object, place: str) -> Target:
 
 
 def _stamp_ns(time: Any, place: str) -> int:
-    """A time [s] in nanoseconds."""
+    """Convert a time [s] into nanoseconds."""
     if not abs(float(time)) <= MAX_TIME:
         raise FormatError(f"{place}: expected a time in seconds, got {time}")
     return round(float(time) * NS)
 
 
 def _ways(targets: Sequence[Sequence[Target]]) -> dict[int, Way]:
-    """Where every target was, by time, where that is known."""
+    """Return for every target the times [ns] and positions [m] that are known."""
     rows: dict[int, dict[int, NDArray[np.float64]]] = {}
     for number, stamp_ns, at in (one for known in targets for one in known):
         if np.isfinite(at).all():
@@ -166,14 +166,14 @@ def _ways(targets: Sequence[Sequence[Target]]) -> dict[int, Way]:
 
 
 def _place_at(way: Way, stamp_ns: int) -> NDArray[np.float64] | None:
-    """Where a target was; None where that is not known."""
+    """Position of a target at a time [ns], by interpolation [m]; None if it is unknown."""
     stamps, places = way
     found, is_known = between(stamps, places, np.array([stamp_ns]), longest_ns=LONGEST_STEP_NS)
     return found[0] if is_known[0] else None
 
 
 def _unknown_places(targets: Sequence[Sequence[Target]]) -> str | None:
-    """What to tell of places that are not finite."""
+    """Return a warning about true positions that are not finite; None without them."""
     bad = [
         (entry, number)
         for entry, known in enumerate(targets)
@@ -190,7 +190,7 @@ def _unknown_places(targets: Sequence[Sequence[Target]]) -> str | None:
 
 
 def _long_steps(ways: Mapping[int, Way], scans: Sequence[DetectionScan]) -> str | None:
-    """What to tell of times without true places, in which there are scans."""
+    """Return a warning about scans in times without true positions; None without them."""
     told = []
     seen = np.array([scan.stamp_ns for scan in scans], np.int64)
     start = int(seen.min()) if seen.size else 0

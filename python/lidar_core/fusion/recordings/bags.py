@@ -197,13 +197,13 @@ def _objects(stamp: int, message: Any, turn: Turn) -> Found:
 
 
 def _axes(vector: Any, turn: Turn) -> NDArray[np.float64]:
-    """A vector (3,) of a message, in the axes of the platform."""
+    """Rotate a vector (3,) of a message into the axes of the platform."""
     own = np.array([vector.x, vector.y, vector.z], np.float64)
     return own if turn is None else turn @ own
 
 
 def _planar(upper: Any, turn: Turn) -> NDArray[np.float64]:
-    """X and y of a covariance of three axes, of which a message has the upper triangle."""
+    """Covariance of x and y from the upper triangle of a covariance of three axes."""
     whole = np.array([upper[k] for k in (0, 1, 2, 1, 3, 4, 2, 4, 5)], np.float64).reshape(3, 3)
     if turn is not None:
         whole = turn @ whole @ turn.T
@@ -239,7 +239,10 @@ def _positions(stamp: int, message: Any, place: str, turn: Turn) -> Found:
 
 
 def _turn_rate(stamp: int, message: Any, turn: Turn) -> Found:
-    """About the vertical: from the rates of the sensor, where its orientation is known."""
+    """Measurement of the turn rate about the vertical [rad/s] from a message of an IMU.
+
+    It uses the orientation in the message, else the mounting `turn`, else the z axis as it is.
+    """
     rates, q = message.angular_velocity, message.orientation
     rate, variance = float(rates.z), float(message.angular_velocity_covariance[8])
     norm = float(np.linalg.norm([q.x, q.y, q.z, q.w]))
@@ -255,7 +258,7 @@ def _turn_rate(stamp: int, message: Any, turn: Turn) -> Found:
 
 
 def _pose(stamp: int, message: Any, place: str) -> Found:
-    """With the velocity in the world and the turn rate, where a twist tells them."""
+    """Measurement of a pose, with velocity in the world and turn rate if a twist states them."""
     matrix, covariance = matrix_of(message, place)
     yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
     values = [*matrix[:2, 3].tolist(), yaw]

@@ -110,7 +110,7 @@ def _scan(place: str, message: Any) -> DetectionScan:
 
 
 def _numbers(entry: Any, *keys: str, place: str) -> NDArray[np.float64]:
-    """Finite numbers under keys, whose parts are divided by points.
+    """Read the finite numbers of an entry under `keys`; a point separates the parts of a key.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def _numbers(entry: Any, *keys: str, place: str) -> NDArray[np.float64]:
 
 
 def _detection(stamp_ns: int, entry: Any, place: str) -> Measurement | None:
-    """None for one whose range or azimuth the radar calls invalid."""
+    """Convert a detection to a measurement; None if the radar marks range or azimuth as invalid."""
     names = {
         "range": ("range", "distance"),
         "bearing": ("azimuth_angle", "azimuth"),
@@ -159,7 +159,7 @@ def _detection(stamp_ns: int, entry: Any, place: str) -> Measurement | None:
 
 
 def _object(stamp_ns: int, message: Any, entry: Any, place: str) -> Measurement | None:
-    """None for an object at the radar itself."""
+    """Convert a tracked object to a measurement; None for an object at the radar itself."""
     if "dist_x" in entry:
         position = _numbers(entry, "dist_x", "dist_y", place=place)
         own = _numbers(message, "ego_vx", place=place)

@@ -74,7 +74,7 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
 
 
 def _files(place: Path) -> list[Path]:
-    """One file may have any ending."""
+    """List the CSV files of a folder; a single file may have any ending."""
     return files_of(place, ".csv") if place.is_dir() else [place]
 
 
@@ -109,7 +109,10 @@ def _rows(place: Path) -> NDArray[np.void]:
 
 
 def _bounds(rows: NDArray[np.void]) -> Sequence[tuple[int, int]]:
-    """First and next row of every scan: they end at a pause, and before a slot that comes again."""
+    """Return the first row of every scan and the row after its last one.
+
+    A scan ends at a pause, and before a slot that it already contains.
+    """
     starts, slots = [0], {float(rows["slot"][0])}
     for row in range(1, len(rows)):
         slot = float(rows["slot"][row])

@@ -186,7 +186,7 @@ def _times(place: Path, boxes: Mapping[str, Any]) -> dict[str, int]:
 
 
 def is_boxes(path: Path) -> bool:
-    """True if a JSON file contains an object, as results of nuScenes do, not a list."""
+    """Return whether a JSON file contains an object, as results of nuScenes do, and not a list."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

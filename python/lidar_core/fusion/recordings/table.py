@@ -225,7 +225,7 @@ def _unused(
 
 
 def is_of_table(log_format: str) -> bool:
-    """Whether a format is that of a `MeasurementLog` from a table."""
+    """Return whether a format is that of a `MeasurementLog` from a table."""
     return log_format.startswith(_FORMAT)
 
 
@@ -247,7 +247,7 @@ def _measurement(
     row: int,
     spread: Mapping[int, NDArray[np.float64]],
 ) -> Measurement:
-    """A measurement of what is there in a row; of all values where there is nothing."""
+    """Make a measurement from the finite values in a row; if there are none, from all values."""
     own = values[sensor][row]
     known = np.isfinite(own)
     if sensor == "radar":
@@ -265,7 +265,7 @@ def _measurement(
 
 
 def _in_metres(place: Path, columns: Columns) -> tuple[Columns, tuple[float, float, float] | None]:
-    """Latitude, longitude and altitude as east, north and up, and where they begin.
+    """Convert latitude, longitude and altitude to east, north and up; return also their origin.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def _renamed(place: Path, columns: Columns, names: Mapping[str, str]) -> Columns
 def _values(
     place: Path, columns: Columns, angle: float, azimuth: Mapping[Turned, Azimuth]
 ) -> dict[SensorName, NDArray[np.float64]]:
-    """Values (K, n) of every sensor whose columns are there; NaN for those of a radar that are not.
+    """Values (K, n) of every sensor that has columns; values that a radar lacks are NaN.
 
     A radar's are range, bearing, elevation and range rate; others are those of `VALUES`, and those
     of `IN_SPACE` if there are such columns.
@@ -372,7 +372,7 @@ def _rows_of_sensors(
 
 
 def _is_there(sensor: SensorName, values: NDArray[np.float64]) -> list[bool]:
-    """Rows that hold a measurement: any value of a radar, all of others but what is in space."""
+    """Return which rows contain a measurement: any value of a radar, all planar ones of others."""
     known = np.isfinite(values)
     rows = known.any(axis=1) if sensor == "radar" else known[:, : len(VALUES[sensor])].all(axis=1)
     return [bool(row) for row in np.atleast_1d(rows)]

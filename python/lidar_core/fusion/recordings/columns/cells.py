@@ -19,7 +19,7 @@ MAX_SECONDS = 9e9
 
 
 def numbers_in(place: Path, columns: Columns, name: str) -> NDArray[np.float64]:
-    """A column as numbers; empty cells are NaN."""
+    """Return a column as numbers; empty cells are NaN."""
     column = columns[name]
     if column.dtype.kind in "fiub":
         return column.astype(np.float64)
@@ -40,7 +40,7 @@ def _refused(place: Path, row: int, name: str, value: object) -> FormatError:
 
 
 def scaled(place: Path, columns: Columns, factors: Mapping[str, float]) -> Columns:
-    """Columns with the numbers of some multiplied; the others as they are.
+    """Return the columns with those in `factors` multiplied; the others do not change.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def truth_in(
 
 
 def targets_in(place: Path, columns: Columns, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Numbers of the targets of these rows, -1 for none; None without such a column."""
+    """Target numbers of these rows, -1 for none; None if the table has no such column."""
     if TRUE_ID not in columns:
         return None
     numbers = numbers_in(place, columns, TRUE_ID)[rows]
@@ -126,7 +126,7 @@ def targets_in(place: Path, columns: Columns, rows: NDArray[np.int64]) -> NDArra
 
 
 def pose_covariances(place: Path, columns: Columns, angle: float) -> dict[int, NDArray[np.float64]]:
-    """Covariance of the pose by row, where all its deviations are above zero."""
+    """Covariances of the pose by row number, for rows in which all its deviations are positive."""
     if not set(POSE_STD) <= set(columns):
         return {}
     scales = (1.0, 1.0, angle)

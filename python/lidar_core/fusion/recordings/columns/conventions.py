@@ -32,7 +32,7 @@ WORDS: dict[str, SensorName] = {
 
 
 def turned(values: NDArray[np.float64], azimuth: Azimuth | None) -> NDArray[np.float64]:
-    """Angles [rad] counter-clockwise from x, of angles that count otherwise.
+    """Convert angles [rad] of another convention into angles counter-clockwise from x [rad].
 
     Examples
     --------
@@ -47,7 +47,7 @@ def turned(values: NDArray[np.float64], azimuth: Azimuth | None) -> NDArray[np.f
 def earth_fixed(
     latitude: NDArray[np.float64], longitude: NDArray[np.float64], altitude: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Cartesian places (K, 3) [m] of geodetic ones on WGS84 [deg], [m]."""
+    """Convert coordinates on WGS84 [deg], [m] to Earth-centred Cartesian ones (K, 3) [m]."""
     phi, lam = np.deg2rad(latitude), np.deg2rad(longitude)
     square = FLATTENING * (2 - FLATTENING)
     across = SEMI_MAJOR / np.sqrt(1 - square * np.sin(phi) ** 2)
@@ -62,7 +62,7 @@ def local_places(
     altitude: NDArray[np.float64],
     origin: tuple[float, float, float],
 ) -> NDArray[np.float64]:
-    """East, north and up (K, 3) [m] of places on WGS84, from `origin` [deg, deg, m].
+    """Convert coordinates on WGS84 to east, north, up (K, 3) [m] from `origin` [deg, deg, m].
 
     Examples
     --------

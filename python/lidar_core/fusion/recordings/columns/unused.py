@@ -101,6 +101,6 @@ def _meant(name: str, known: Sequence[str]) -> str | None:
 
 
 def _words(name: str) -> list[str]:
-    """The words of a name in lower case: `Range [m]` and `rangeM` have range and m."""
+    """Split a name into words in lower case: `Range [m]` and `rangeM` give range and m."""
     split = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
     return [word for word in re.split(r"[^a-z0-9]+", split.lower()) if word]
