@@ -187,7 +187,7 @@ class Batch:
     def of(
         cls, folder: Path, jobs: Sequence[BatchJob], *, is_fresh: bool, remote: str | None = None
     ) -> Self:
-        """Name the jobs, and see which are done.
+        """Make a batch: name the jobs and find those that an earlier run completed.
 
         Raises
         ------
@@ -299,7 +299,7 @@ def _found(folder: Path, names: Sequence[str], remote: str | None) -> dict[str, 
 
 
 def _held(remote: str | None) -> frozenset[str]:
-    """Names of the jobs of which an address holds a folder or a table."""
+    """Names of the jobs with a folder or table at the address; empty if `remote` is None."""
     if remote is None:
         return frozenset()
     tables = {Path(name).stem for name in held_names(joined(remote, TRACKS))}
@@ -307,7 +307,10 @@ def _held(remote: str | None) -> frozenset[str]:
 
 
 def _begin(folder: Path, record: JobRecord) -> None:
-    """An empty folder that says whose it is, also before it is emptied."""
+    """Make an empty folder for a job with its record in it; files of an earlier job are removed.
+
+    The record is written first, so that an interruption leaves a folder that names its job.
+    """
     if folder.exists() and not all(is_temporary(one.name) for one in folder.iterdir()):
         if not (folder / NOTE).is_file():
             raise FileExistsError(f"{folder}: holds files that no job wrote; choose another folder")
@@ -329,14 +332,14 @@ def _remove_others(folder: Path, names: set[str]) -> None:
 
 
 def _name(job: BatchJob, key: str) -> str:
-    """What a person can read: the group and the values, then the beginning of the digest."""
+    """Readable name of a job's folder: group and values, then the beginning of the digest."""
     told = [_short(value) for value in job.values.values()]
     readable = "-".join([job.group, *(one for one in told if one)])
     return f"{readable[: NAME_LENGTH - KEY_LENGTH - 1].rstrip('-.')}-{key[:KEY_LENGTH]}"
 
 
 def _short(value: Any) -> str:
-    """A value in the name of a folder: of a path or an address the last part, without ending."""
+    """Text of a value for a folder name; of a path or address the last part, without ending."""
     text = str(value).lower() if isinstance(value, bool) else str(value)
     if isinstance(value, str) and "/" in text:
         text = PurePosixPath(text.rstrip("/")).stem
@@ -344,7 +347,7 @@ def _short(value: Any) -> str:
 
 
 def _key(job: BatchJob) -> str:
-    """Digest of what makes the result: build, commands, and size and time of the files named."""
+    """Digest of all that determines the result: build, commands, size and time of their files."""
     files: dict[str, Any] = {}
     for part in dict.fromkeys(part for command in job.commands for part in command):
         if is_remote(part):

@@ -69,14 +69,16 @@ class Checkpoints:
     _last: float = field(default_factory=monotonic)
 
     def resume(self, run: Resumable) -> int:
-        """Let `run` take over the last checkpoint; the number of items that it has used.
+        """Restore `run` from the last checkpoint; return the number of items it had processed.
+
+        Returns 0 if there is no checkpoint.
 
         Raises
         ------
         InputError
-            It is one of other inputs, another configuration or another build.
+            The checkpoint belongs to other inputs, another configuration or another build.
         FormatError
-            It is damaged.
+            The checkpoint is damaged.
         """
         place, content = self.folder / CHECKPOINT, self._checked()
         if content is None:
@@ -95,14 +97,14 @@ class Checkpoints:
         return int(kept["done"])
 
     def refuse(self, reason: str) -> None:
-        """Raise `InputError` for a checkpoint in the folder, which this run would destroy."""
+        """Raise `InputError` if the folder has a checkpoint, because this run would destroy it."""
         self._checked()
         place = self.folder / CHECKPOINT
         if place.exists():
             raise InputError(f"{place}: {reason}; {AGAIN}")
 
     def _checked(self) -> bytes | None:
-        """What the last checkpoint holds, once its inputs are found to be those of this run."""
+        """Check the inputs of the last checkpoint; return its content, or None if there is none."""
         place = self.folder / CHECKPOINT
         if not place.exists():
             return None
@@ -144,14 +146,14 @@ class Checkpoints:
         return self.folder / f".checkpoint-{number}"
 
     def _named(self) -> dict[str, Any]:
-        """Every input in a form that can be compared and told."""
+        """Return every input in a form that can be compared and shown to the user."""
         return {"build": build_digest()[:12]} | {
             name: _plain(value) for name, value in self.inputs.items()
         }
 
 
 def _plain(value: Any) -> Any:
-    """A text; of a table, the texts of its values by their names, with dots for inner tables."""
+    """Return a value as text; of a table, its texts by name, with dots for nested tables."""
     if not isinstance(value, Mapping):
         return _value_text(value)
     texts: dict[str, str] = {}

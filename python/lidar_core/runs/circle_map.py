@@ -107,7 +107,7 @@ def _with_scanners(
     topics: Sequence[str],
     span: PoseOptions,
 ) -> CirclesConfig:
-    """`config` with the scanners of the recording, where it does not name them itself.
+    """Return `config` with the scanners of the recording, if it does not name them itself.
 
     Their ranges are limited to those of `config.scanner`.
     """
@@ -129,7 +129,7 @@ def _with_scanners(
 
 
 def _layouts(scans: Iterable[LaserScan]) -> list[LaserScan]:
-    """A scan of every length that is no exception, the most frequent length first."""
+    """Return one scan for each length (number of rays) that is not rare, most frequent first."""
     first: dict[int, LaserScan] = {}
     counts: Counter[int] = Counter()
     for scan in scans:

@@ -14,17 +14,17 @@ SENSORS = {"flying": ("lidar",), "circles": ("lidar",), "fusion": ("lidar", "rad
 
 
 def is_run(place: Path) -> bool:
-    """True if a command wrote this folder."""
+    """Return whether this folder is one that a command wrote."""
     return (place / RUN_FILE).is_file()
 
 
 def convert_run(run: Path, output: Path, *, name: str | None) -> dict[str, Any]:
-    """Write the objects of a run; return a list of the files as plain values.
+    """Write the objects of a run; return paths, counts and topics as plain values.
 
     Raises
     ------
     ConfigError
-        Another ending.
+        No writer for the ending of `output`.
     """
     played = Playback(run)
     called = NAMES[played.capability] if name is None else name

@@ -153,7 +153,10 @@ def fuse(
 def _checkpoints(
     folder: Path, interval: float | None, source: Path | None, decides: Mapping[str, Any]
 ) -> Checkpoints:
-    """Return the checkpoints of a run on many targets; of no recording if none are kept."""
+    """Return the checkpoints of a run on many targets.
+
+    `source` is the recording, whose hash they keep; None if no checkpoints are written.
+    """
     inputs = {"command": "fuse", **decides}
     if source is not None:
         read = fingerprint(source)
@@ -271,5 +274,5 @@ def fit_config(
 
 
 def _given_values(**values: Any) -> dict[str, Any]:
-    """Values that are not None and not empty."""
+    """Return the values that are not None and not empty, by name."""
     return {name: value for name, value in values.items() if value}

@@ -34,7 +34,7 @@ UNCLEAR = "if the poses are those of {}: the recording does not say"
 
 
 class _Try(NamedTuple):
-    """Options that may tell where scans were taken, and what is to be said about them."""
+    """Options that may give poses to the scans, and a remark about them."""
 
     values: dict[str, str]
     remark: str = ""
@@ -82,7 +82,7 @@ def _command_line(command: str, path: str, *options: str) -> str:
 
 
 def _read_options(options: ReadOptions) -> list[str]:
-    """Those that are not the defaults, as words of a command line."""
+    """Read options that differ from the defaults, as words of a command line."""
     names = ("no_return", "point_time", "metadata", "stamps", "scan_rate")
     defaults = type(options)()
     given = {
@@ -100,7 +100,7 @@ def _read_options(options: ReadOptions) -> list[str]:
 def _poses(
     recording: Recording, info: RecordingInfo, topic: TopicInfo, stamps: str | None
 ) -> tuple[list[str], str]:
-    """Options that tell where the scans of a topic were taken, and a remark."""
+    """Find options that give poses to the scans of a topic; return them with a remark."""
     if "pose" in topic.kind and _tried(recording, topic, _Try({})) is True:
         return [], ""
     if stamps is not None:
@@ -133,7 +133,7 @@ def _others(topics: list[TopicInfo], chosen: TopicInfo, option: str, poses: list
 
 
 class _Remembered(Recording):
-    """A recording whose poses are read once, however many options are tried."""
+    """Recording that reads its poses only once, even if many options are tried."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording.path, recording.options)
@@ -157,7 +157,7 @@ class _Remembered(Recording):
 
 
 def _tries(info: RecordingInfo, topic: TopicInfo) -> Iterator[_Try]:
-    """The recording as it is, its odometry, a mounting on what moves."""
+    """Yield options to try: none, each odometry topic, a mounting on each moving frame."""
     moving = [child for _, child, is_static in info.transforms if not is_static]
     if not moving:
         return
@@ -172,7 +172,7 @@ def _tries(info: RecordingInfo, topic: TopicInfo) -> Iterator[_Try]:
 
 
 def _tried(recording: Recording, topic: TopicInfo, one: _Try) -> bool | list[str]:
-    """Whether a scan has a pose with these options; or the mountings one of which must be given."""
+    """Return whether scans get poses with these options, or the mountings to choose from."""
     is_planar = topic.kind.startswith("planar")
     values = {name: (value,) if name == "mounting" else value for name, value in one.values.items()}
     options = PoseOptions.load({**values, "cloud": topic.name, "end": TRIED_S})

@@ -181,7 +181,7 @@ class RecordingJob(Generic[ScanT]):
         return None
 
     def _checkpoints(self) -> Checkpoints:
-        """What writes checkpoints and finds the last one."""
+        """Return the object that writes checkpoints and finds the last one."""
         if self.checkpoint is None and not self.resume:
             return Checkpoints(self.folder.path, None, {})
         contents = {
@@ -193,7 +193,7 @@ class RecordingJob(Generic[ScanT]):
         return Checkpoints(self.folder.path, self.checkpoint, decides)
 
     def _fingerprints(self) -> dict[str, dict[str, Any]]:
-        """Hashes of everything that is read."""
+        """Hashes of all files that the run reads, by name."""
         files = {"recording": self.recording, "poses": Path(self.pose.pose), **self.inputs}
         self.on_progress("hashing the recording", 0, None)
         return {
@@ -219,9 +219,9 @@ def folder_to_write(
     checkpoint: float | None = None,
     resume: bool = False,
 ) -> tuple[RunFolder, bool]:
-    """Folder of a run, and whether it gets a run.mcap; refused before any work.
+    """Return the folder of a run, and whether it gets a run.mcap; raise errors before any work.
 
-    Runs with checkpoints get none: an interrupted file cannot be continued.
+    Runs with checkpoints get no run.mcap: an interrupted file cannot be continued.
 
     Raises
     ------

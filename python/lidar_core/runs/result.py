@@ -73,7 +73,7 @@ def count_unposed(summary: dict[str, Any]) -> None:
 
 
 def wants_mcap(mcap: bool | None) -> bool:
-    """True if run.mcap is written; None means: if the package for it is installed.
+    """Return whether run.mcap is written; `mcap` None: if the package for it is installed.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def no_mcap_of(stamps: NDArray[np.int64]) -> str | None:
 
 
 def no_progress(what: str, done: int, total: int | None) -> None:
-    """Ignore how far a run is."""
+    """Ignore the progress of a run."""
 
 
 def draw(

@@ -52,7 +52,7 @@ class ConfigChoice:
     values: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what no run can use."""
+        """Raise `ConfigError` for an unknown mode or a value of another type."""
         if self.mode not in get_args(Mode):
             known = " or ".join(map(repr, get_args(Mode)))
             raise ConfigError(f"mode: expected {known}, got {self.mode!r}")
@@ -149,7 +149,7 @@ def run_config(
 
 
 def _with_commands(error: ConfigError, model: type[Config], values: dict[str, Any]) -> ConfigError:
-    """The error with the commands whose configurations have the parameters that are unknown."""
+    """Return the error with the commands whose configurations have the unknown parameters."""
     lines = str(error).splitlines()
     for number, line in enumerate(lines):
         name, _, problem = line.partition(": ")
@@ -167,7 +167,7 @@ def _with_commands(error: ConfigError, model: type[Config], values: dict[str, An
 
 
 def _has(model: type[Config], name: str, value: Any) -> bool:
-    """True if a model has this parameter and, of a table, each of its entries."""
+    """Return whether a model has this parameter and, if it is a table, each of its entries."""
     if name not in model.model_fields:
         return False
     inner = tables_at(model, [name])
@@ -177,7 +177,7 @@ def _has(model: type[Config], name: str, value: Any) -> bool:
 
 
 def loaded(model: type[ConfigT], values: dict[str, Any], file: Path) -> ConfigT:
-    """Configuration of these values, which are those of a file.
+    """Make a configuration from the values of a file.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def with_assignments(
     argument: str = "values",
     example: str = "voxel_map.voxel_size=0.5",
 ) -> dict[str, Any]:
-    """`values` with those of `a.b=c` texts; `argument` and `example` are for the error.
+    """Return `values` changed by `a.b=c` texts; `argument` and `example` are for the error.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def with_assignments(
 
 
 def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """`values` with `changes`, table by table; a table of another `kind` replaces the whole one."""
+    """Merge `changes` into `values`, table by table; a table of another `kind` replaces all."""
     result = dict(values)
     for name, change in changes.items():
         before = result.get(name)
@@ -257,7 +257,7 @@ def model_of(file: Path) -> str:
 
 
 def _models_of(file: Path) -> Iterator[str]:
-    """Names of the models that a file may be for, the likeliest first."""
+    """Yield the names of the models that a file may be for, the likeliest first."""
     values = _toml(file)
     yield from (name for name in _noted(values) if name in MODELS)
     for name in ("flying", *MODELS):
@@ -266,13 +266,13 @@ def _models_of(file: Path) -> Iterator[str]:
 
 
 def _names_of(model: str) -> set[str]:
-    """Names that a file of a model may have, also one of an earlier version."""
+    """Names of parameters that a file of a model may have, those of earlier versions included."""
     kind = model_named(model)
     return {*kind.model_fields, *kind.removed}
 
 
 def _toml(file: Path) -> dict[str, Any]:
-    """Values of a file; a folder stands for the run.toml that a run left in it."""
+    """Read the values of a TOML file; a folder stands for its run.toml."""
     from lidar_core.run_folder import RUN_FILE
 
     file = file / RUN_FILE if file.is_dir() else file
@@ -280,13 +280,13 @@ def _toml(file: Path) -> dict[str, Any]:
 
 
 def _noted(values: dict[str, Any]) -> dict[str, Any]:
-    """Configurations of a run.toml by their models; none of other files."""
+    """Configurations in a run.toml by their models; empty for other files."""
     noted = values.get("config")
     return noted if isinstance(noted, dict) else {}
 
 
 def _assignment(text: str) -> dict[str, Any] | None:
-    """`a.b=c` as tables; what is no TOML value is taken as text. None for other texts."""
+    """Parse `a.b=c` into nested tables; a value that is not TOML is text. None for other texts."""
     key, equals, value = text.partition("=")
     for candidate in (text, f"{key}={json.dumps(value.strip())}"):
         try:

@@ -47,7 +47,7 @@ def check_static_map(path: Path, *, reads: tuple[Path | None, ...]) -> None:
 
 
 def _is_within(path: Path, folder: Path) -> bool:
-    """Whether a file lies in a folder, or deeper."""
+    """Return whether a file lies in a folder or in one of its subfolders."""
     return path.resolve().is_relative_to(folder.resolve())
 
 

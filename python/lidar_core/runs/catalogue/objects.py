@@ -193,7 +193,10 @@ def _scan_stamps(folder: Path) -> NDArray[np.int64]:
 def _distances(
     folder: Path, stamps: NDArray[np.int64], position: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """From the sensor; of one target by `fuse` only if that stands in the origin; else unknown."""
+    """Distances of objects from the sensor [m]; NaN where the sensor's position is unknown.
+
+    Of runs of `fuse` on one target they are known only if the sensor stands in the origin.
+    """
     planar = np.nan_to_num(position)
     timing, states = table_in(folder, "timing"), table_in(folder, "states")
     if timing is not None:

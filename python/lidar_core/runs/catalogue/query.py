@@ -69,7 +69,7 @@ def read_table(path: str | Path) -> Columns:
 
 
 def _without_tables(folder: Path) -> str:
-    """What a folder without tables is: a batch that was killed has its jobs alone."""
+    """Return the error text for a folder without tables, such as that of a killed batch."""
     records = [
         record for one in sorted(folder.glob(f"*/{NOTE}")) if (record := JobRecord.read(one.parent))
     ]
@@ -84,7 +84,7 @@ def _without_tables(folder: Path) -> str:
 
 
 def matching_rows(columns: Columns, query: str) -> Columns:
-    """The rows of a table for which a query is true.
+    """Return the rows of a table for which a query is true.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def absent_texts(columns: Columns, query: str) -> list[tuple[str, str, list[str]
 
 
 def _pairs(tree: ast.expr) -> Iterator[tuple[str, ast.expr]]:
-    """Names in comparisons for equality, each with what it is compared with."""
+    """Yield the names in comparisons for equality, each with the expression compared with it."""
     for node in ast.walk(tree):
         if not isinstance(node, ast.Compare):
             continue
@@ -179,7 +179,7 @@ def _parsed(query: str) -> ast.expr:
 
 
 def _with_double_signs(query: str) -> str | None:
-    """The query with == for every single =; None if that does not make it a query."""
+    """Return the query with == in place of every single =; None if that is no valid query."""
     cure = _SINGLE_SIGN.sub(lambda found: found[1] or "==", query.strip())
     try:
         ast.parse(cure, mode="eval")
@@ -236,7 +236,7 @@ def _value(node: ast.expr, columns: Columns, query: str, depth: int) -> Any:
 def _compared(
     node: ast.Compare, columns: Columns, query: str, of: Callable[[ast.expr], Any]
 ) -> Any:
-    """`a < b <= c` is both comparisons."""
+    """Value of a comparison; `a < b <= c` is true where both comparisons are."""
     _check_quotes(node, columns)
     values = [of(node.left), *(of(one) for one in node.comparators)]
     parts = []
@@ -250,7 +250,7 @@ def _compared(
 
 
 def _check_quotes(node: ast.Compare, columns: Columns) -> None:
-    """Refuse a word that is no column beside a column of texts: its quotes are missing."""
+    """Refuse a word that is compared with a text column and is no column: it lacks quotes."""
     for name, other in _pairs(node):
         if name not in columns or not _is_text(columns[name]):
             continue
@@ -264,7 +264,7 @@ def _check_quotes(node: ast.Compare, columns: Columns) -> None:
 
 
 class _Quoted(ast.NodeTransformer):
-    """Makes texts of words."""
+    """Transformer of a query's syntax tree that turns words into texts."""
 
     def __init__(self, words: set[str]) -> None:
         self._words = words

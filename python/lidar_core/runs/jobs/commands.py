@@ -74,15 +74,15 @@ def check_commands(job: BatchJob) -> None:
 
 
 def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
-    """Options and arguments of a command that name what it writes, with their values.
+    """Return the options and arguments of a command that name its output files, with their values.
 
-    An option that is not there has its default, which is no place of the job: None.
+    The value of an option that is not given is None: its default is outside of the job's folder.
 
     Raises
     ------
     UsageError
-        An option or an argument is unknown, or one is missing. Values are not looked at: their
-        checks may need files that the commands before make.
+        An option or an argument is unknown, or one is missing. Values are not checked: that may
+        need files that earlier commands write.
     """
     known = _commands()[command[0]]
     below: Mapping[str, Any] = getattr(known, "commands", {})
@@ -106,7 +106,7 @@ def _written(command: Sequence[str]) -> list[tuple[str, str | None]]:
 
 @cache
 def _parser(name: str, below: str | None = None) -> tuple[Any, Any]:
-    """A command, or one below it, and what parses its arguments: made once for all jobs."""
+    """Return a command, or its subcommand `below`, and its parser; made once for all jobs."""
     known = _commands()[name]
     if below is not None:
         known = known.commands[below]
@@ -116,7 +116,7 @@ def _parser(name: str, below: str | None = None) -> tuple[Any, Any]:
 
 
 def _is_inside(value: str | None) -> bool:
-    """Whether a place is in the folder of the job."""
+    """Return whether a path is in the folder of the job."""
     if value is None or not value.startswith(f"{{{OUTPUT}}}"):
         return False
     folder = Path(os.sep) / "job"

@@ -1,4 +1,4 @@
-"""Folders of this machine that batches pass files through, on their way to an address."""
+"""Temporary folders of this machine for files that batches send to an address."""
 
 import os
 import shutil
@@ -21,9 +21,9 @@ YOUNG_S = 60.0
 
 @contextmanager
 def passage() -> Iterator[Path]:
-    """A folder that is gone after the block; those that killed batches have left go first.
+    """Make a folder for the block and remove it afterwards; first remove those of killed batches.
 
-    They hold recordings, so that disks would fill up where batches are killed again and again.
+    Such folders hold recordings and would fill the disk if batches are killed repeatedly.
     """
     remove_abandoned(Path(tempfile.gettempdir()))
     with tempfile.TemporaryDirectory(prefix=PREFIX) as folder:

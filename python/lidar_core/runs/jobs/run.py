@@ -177,7 +177,7 @@ def told_error(error: Exception) -> str:
 def _with_fetched(
     commands: Sequence[Sequence[str]], folder: Path
 ) -> tuple[list[list[str]], dict[str, str]]:
-    """Commands that name files of this machine; addresses by the names that runs note."""
+    """Fetch remote files; return the commands with local paths, and the address of each path."""
     addresses = dict.fromkeys(part for one in commands for part in one if is_remote(part))
     # Each in a folder of its own: files of different folders may have one name.
     places = {
@@ -224,7 +224,7 @@ def _tabled(workplace: Workplace, names: Mapping[str, str]) -> list[dict[str, An
 
 
 def _anywhere(value: Any, workplace: Workplace, names: Mapping[str, str]) -> Any:
-    """A text without places of this machine: the same job tells the same on every machine."""
+    """Return a text without paths of this machine, so that it is the same on every machine."""
     if not isinstance(value, str):
         return value
     for place, address in names.items():
@@ -233,7 +233,7 @@ def _anywhere(value: Any, workplace: Workplace, names: Mapping[str, str]) -> Any
 
 
 def _named(recording: str, workplace: Workplace, names: Mapping[str, str]) -> str:
-    """Name of a recording outside of this machine or job, where it has one."""
+    """Name of a recording that does not depend on the machine, if it has one; else its path."""
     if recording in names:
         return names[recording]
     folder = f"{workplace.folder}{os.sep}"
@@ -243,14 +243,14 @@ def _named(recording: str, workplace: Workplace, names: Mapping[str, str]) -> st
 
 
 def _prefix(commands: Sequence[Sequence[str]], index: int) -> str:
-    """What the numbers of a command begin with: its name; counted, if the job has it again."""
+    """Prefix of the names of a command's results: its name, numbered if the job repeats it."""
     names = [command[0] for command in commands]
     name = names[index]
     return f"{name}-{names[: index + 1].count(name)}" if names.count(name) > 1 else name
 
 
 def _told_by(command: Sequence[str], told: Path, threads: int) -> Any:
-    """Do one command; return what it told as JSON in the file `told`, if it can."""
+    """Run one command; return its JSON result, written to the file `told`; empty without one."""
     options = options_of(command[0])
     more = ["--json", str(told)] if "--json" in options and "--json" not in command else []
     if "--threads" in options and not {"--threads", OVERFLIGHT} & set(command):

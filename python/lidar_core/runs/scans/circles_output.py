@@ -43,7 +43,7 @@ PERSON, PERSON_NS = 0.5, 10**9  # probability of a person, and time for which it
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """Circles of one scan that went into the map: all that tables need of a frame."""
+    """Circles of one scan that were used for the map: the part of a frame that tables need."""
 
     scanner: str
     time_ns: NDArray[np.int64]
@@ -139,7 +139,7 @@ class CirclesRun:
 
     @property
     def person_ids(self) -> list[int]:
-        """Numbers of the elements that were probably persons for a second in all."""
+        """Numbers of the elements that were probably persons for at least a second in total."""
         times_ns = Counter[int]()
         for state, later in pairwise(self.maps):
             for number in state.id[state.person_probability > PERSON].tolist():
@@ -210,7 +210,7 @@ class CirclesRun:
         return [table.name, shapes.name, whole.name, found.name, timing.name, TRACKS_FOLDER]
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
-        """The picture of a run on the recording `name`, and the film where it is wanted."""
+        """Return the picture of a run on the recording `name`, and the film if it is wanted."""
         view = self.view(f"{name}: {len(self.maps)} scans, {len(self.element_ids)} elements")
         picture, film = folder.path / "picture.png", folder.path / f"film{film_ending()}"
         found: list[Picture] = [(picture, lambda _: draw_circles(view, picture))]
@@ -312,7 +312,7 @@ def _draw_film(view: CirclesView, path: Path, on_progress: OnProgress) -> None:
 
 
 def _points_world(frame: CircleFrame, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points of the level frame, seen from above, in the world."""
+    """Transform the points of the level frame into the world; return x and y [m]."""
     hit = np.isfinite(frame.ranges)
     angles = frame.bearings[hit] + np.arctan2(pose[1, 0], pose[0, 0])
     away = frame.ranges[hit, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -101,7 +101,7 @@ class FlyingRun:
         return self._mcap
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
-        """The picture of a run on the recording `name`."""
+        """Return the picture of a run on the recording `name`."""
         view = self.view(f"{name}: {self.n_scans} scans, {self._told_tracks}")
         path = folder.path / "picture.png"
         return [(path, lambda _: draw_flying(view, path))]
@@ -176,7 +176,7 @@ class FlyingRun:
 
     @property
     def notes(self) -> list[str]:
-        """Return warnings: the map was full, lengths are no metres, poses that seem to be wrong."""
+        """Return warnings: a full map, lengths that are not in metres, poses that seem wrong."""
         forgotten = self.detector.health().n_voxels_forgotten
         budget = self.detector.config.voxel_map.max_voxels
         found = []
@@ -189,7 +189,7 @@ class FlyingRun:
         return found + self._doubts()
 
     def _doubts(self) -> list[str]:
-        """Warnings about what no sensor measures, and about poses that explain the scans badly."""
+        """Warnings about impossible ranges, and about a static pose of a moving sensor."""
         found = []
         here = self._path[-1] if self._path else np.zeros(3)
         far = far_median(self._cloud - here, LONGEST_3D)
@@ -219,7 +219,7 @@ class FlyingRun:
 
     @property
     def burn_in_scans(self) -> int:
-        """Scans so far in which nothing was reported yet."""
+        """Number of scans so far that belong to the burn-in, in which nothing is reported."""
         return sum(frame.status.is_burn_in for frame in self.frames)
 
     @property
@@ -228,7 +228,7 @@ class FlyingRun:
         return self._times().latency
 
     def _times(self) -> ScanTimes:
-        """Times per scan, gathered when they are asked for: the frames hold them."""
+        """Times per scan, collected from the frames on request."""
         times = ScanTimes()
         for frame, wall_ms, place in zip(self.frames, self._wall_ms, self._path, strict=True):
             times.add(frame.stamp_ns, wall_ms, frame.timing_ms, place)
@@ -263,7 +263,7 @@ class FlyingRun:
 
     @property
     def ground_ids(self) -> list[int]:
-        """Numbers of the tracks that are GROUND where they end, and never flew."""
+        """Numbers of the tracks that end as GROUND and were never FLYING."""
         last = {
             number: kind
             for one in self.tracks
@@ -274,12 +274,12 @@ class FlyingRun:
 
     @property
     def moving_scans(self) -> int:
-        """Scans with points that move on the ground."""
+        """Number of scans with points that move on the ground."""
         return sum(len(points) > 0 for points in self._moving)
 
     @property
     def _told_tracks(self) -> str:
-        """Numbers of tracks for a title, and of scans with movers that no track has."""
+        """Text for a title: numbers of flying and ground tracks, of scans with moving points."""
         count, scans = len(self.track_ids), self.moving_scans
         text = (
             f"{count} flying track{'' if count == 1 else 's'}, {len(self.ground_ids)} on the ground"
@@ -288,7 +288,7 @@ class FlyingRun:
 
     @property
     def n_detections(self) -> int:
-        """Detections of all scans."""
+        """Number of detections of all scans."""
         return sum(len(frame.detections) for frame in self.frames)
 
     def detections_table(self) -> dict[str, Any]:
@@ -379,7 +379,7 @@ class FlyingRun:
 def _points_in_world(
     scan: Scan, poses: NDArray[np.float64], pose_stamps_ns: NDArray[np.int64] | None
 ) -> NDArray[np.float64]:
-    """Points in the world, each by the last pose before it: near enough for a picture."""
+    """Points in the world [m], each by the last pose before it: accurate enough for a picture."""
     points = scan.points.reshape(-1, 3).astype(np.float64)
     if pose_stamps_ns is None or scan.point_time_ns is None:
         return points @ poses[0, :3, :3].T + poses[0, :3, 3]

@@ -35,7 +35,7 @@ class _Lidar(Generic[ScanT]):
 
 
 class ScanSource(Generic[ScanT]):
-    """The posed scans of one recording, in time order; a context manager.
+    """Context manager that iterates over the posed scans of one recording in time order.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class ScanSource(Generic[ScanT]):
             shift_ns = last_ns - first_ns + (period or round(1e9 / self._read.scan_rate))
 
     def _at_one_place(self) -> ConfigError:
-        """Refusal of several LiDARs without mountings, with what to give for each frame."""
+        """Error for several LiDARs without mountings; it names the option for each frame."""
         frames = dict.fromkeys(lidar.scans.first_frame() or "FRAME" for lidar in self._lidars)
         given = " ".join(f"mounting='{ROBOT} {frame} x y z roll pitch yaw'" for frame in frames)
         return ConfigError(
@@ -136,7 +136,7 @@ class ScanSource(Generic[ScanT]):
 
     @property
     def total(self) -> int | None:
-        """Scans to come, where the recording states their number."""
+        """Number of scans in all passes; None if the recording does not state it."""
         counts = [
             topic.count
             for lidar in self._lidars
@@ -194,7 +194,7 @@ class ScanSource(Generic[ScanT]):
 
 
 def _shifted(item: PosedScan[ScanT], shift_ns: int) -> PosedScan[ScanT]:
-    """`item` as if recorded later."""
+    """Return `item` with all its times later by `shift_ns` [ns]."""
     scan, stamps = replace(item.scan, stamp_ns=item.scan.stamp_ns + shift_ns), item.pose_stamps_ns
     if isinstance(scan, Scan) and scan.point_time_ns is not None:
         scan = replace(scan, point_time_ns=scan.point_time_ns + shift_ns)

@@ -1,8 +1,8 @@
-"""Evidence in the scans that a sensor moves which is said to stand.
+"""Check of the scans for evidence that a sensor moves although its poses do not change.
 
-Upright structure, such as walls and trunks, stays where it is before a sensor at rest, whatever
-moves beside it. If the sensor moves, one motion of the whole plane explains how all of it moves.
-The ground says nothing: a sensor that moves along a level ground sees it unchanged.
+Upright structure, such as walls and trunks, keeps its place in the frame of a sensor at rest,
+whatever moves beside it. If the sensor moves, one planar motion explains the displacement of all
+of this structure. The ground gives no evidence: it looks the same to a sensor that moves along it.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ with one that drives at 0.5 m/s and turns.
 
 
 class StandingCheck:
-    """Looks at the scans of one sensor whose poses stay the same."""
+    """Check whether a sensor moves whose poses do not change, scan by scan."""
 
     def __init__(self) -> None:
         self._seen = self._age = self._verdicts = 0
@@ -63,7 +63,7 @@ class StandingCheck:
     def add(self, points: NDArray[np.float32], poses: NDArray[np.float64]) -> None:
         """Add the points (N, 3) of the next scan, in the frame of the sensor, and its poses.
 
-        A sensor whose poses (K, 4, 4) differ is not looked at: it is not said to stand.
+        A sensor whose poses (K, 4, 4) change is not checked.
         """
         self._seen += 1
         self._pose = poses[0] if self._pose is None else self._pose
@@ -111,7 +111,7 @@ def _upright(points: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _cell(rows: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """Number of the square of `edge` [m] that a row is in."""
+    """Number of the square of side `edge` [m] that contains each row."""
     x, y = (np.floor(rows[:, axis] / edge).astype(np.int64) for axis in (0, 1))
     half = round(FARTHEST / edge)
     return (x + half) * 2 * half + y + half
@@ -120,7 +120,9 @@ def _cell(rows: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
 def _aligned(
     reference: "_Reference", places: NDArray[np.float64], motion: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Motion x, y [m], yaw [rad] that lays the places onto the reference, from a first guess.
+    """Find the motion x, y [m], yaw [rad] that aligns the places with the reference.
+
+    `motion` is the first guess.
 
     Source: Besl & McKay, "A Method for Registration of 3-D Shapes", 1992, in the plane.
     """
@@ -147,9 +149,10 @@ def _moved(places: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[
 
 
 class _Reference:
-    """Places, and in every cell around them the place that is nearest to the cell.
+    """Reference places [m], and a grid with the place that is nearest to each cell.
 
-    Much faster than all distances; the place that is found is the nearest but for a cell's edge.
+    A look-up in the grid is much faster than all distances. It gives the nearest place up to an
+    error of the size of a cell.
     """
 
     def __init__(self, places: NDArray[np.float64]) -> None:
@@ -164,7 +167,7 @@ class _Reference:
             self._nearest[tuple(np.clip(cells + step, 0, 2 * HALF - 1).T)] = rows
 
     def near(self, places: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Row of the place of the reference near each place, and its distance, maybe inf [m]."""
+        """Row of the reference place near each place, and its distance [m]; inf if none is near."""
         rows = self._nearest[tuple(np.clip(self._cells(places), 0, 2 * HALF - 1).T)]
         distance = np.linalg.norm(self.places[rows] - places, axis=1)
         return rows, np.where(rows < 0, np.inf, distance)

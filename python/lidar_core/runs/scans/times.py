@@ -10,7 +10,7 @@ from lidar_core.evaluation import Latency
 
 
 class ScanTimes:
-    """Times of the scans that were processed."""
+    """Collector of the processing times of the scans."""
 
     def __init__(self) -> None:
         self._stamps_ns: list[int] = []

@@ -59,12 +59,12 @@ class PipelineChoice:
 
     @property
     def wants_clouds(self) -> bool:
-        """True if the pipeline takes clouds."""
+        """Return whether the pipeline takes clouds."""
         return self.capability != "circles" and not self.scans
 
     @property
     def wants_scans(self) -> bool:
-        """True if the pipeline takes 2D scans."""
+        """Return whether the pipeline takes 2D scans."""
         return self.capability != "flying" and not self.clouds and self.known_map is None
 
     def topics(self, odometry: str | None) -> StreamTopics:
@@ -72,7 +72,7 @@ class PipelineChoice:
         return StreamTopics(self.clouds, self.scans, self.wants_clouds, self.wants_scans, odometry)
 
     def silence(self, source: Source, advertised: Sequence[str]) -> str:
-        """Return a message: the source brings no wanted scan, and why, or its topics."""
+        """Return a message that the source brings no wanted scan, with the reason or its topics."""
         if reason := source.silence():
             return f"no scan yet: {reason}"
         sorts = " or ".join(
@@ -117,7 +117,7 @@ def open_source(
     topics: StreamTopics,
     pose: str,
 ) -> Source:
-    """Source of a live run: a stream, or a recording to `replay`.
+    """Open the source of a live run: a stream, or a recording to `replay`.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def open_source(
 
 
 def _open_packets(kind: str, place: str, read: ReadOptions) -> Source:
-    """Source of the packets of a sensor."""
+    """Open a source of the packets of a sensor."""
     from lidar_core.live.sources.udp import UdpSource
 
     what = f"source: {kind}"
@@ -185,7 +185,7 @@ def _open_packets(kind: str, place: str, read: ReadOptions) -> Source:
 
 
 def open_metrics(text: str) -> MetricsServer:
-    """Server of metrics at PORT of this machine, or at HOST:PORT.
+    """Start a server of metrics at PORT of this machine, or at HOST:PORT.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def check_files(
     *,
     overwrite: bool,
 ) -> None:
-    """Refuse files that hold something, before anything is opened; also that of a run's `folder`.
+    """Refuse output files that already have content, also in `folder`, before anything is opened.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def check_files(
 
 
 def _file(text: str) -> Path | None:
-    """File that an output names; None for what is no file."""
+    """File that an output names; None if the output is not a file."""
     kind, _, place = text.partition(":")
     is_file = (kind in ("mcap", "arrow") and place) or (kind == "rerun" and place.endswith(".rrd"))
     return Path(place) if is_file else None

@@ -159,7 +159,7 @@ class LiveFolder(Output):
         self._run, self._is_begun = run, True
 
     def _used(self) -> FlyingObjectDetector | CirclePipeline:
-        """What took the scans."""
+        """Detector or pipeline that processed the scans."""
         made = self._pipeline
         if isinstance(made, FlyingLive):
             return made.detector

@@ -214,7 +214,7 @@ def live(
 def _announce(
     source: str, outputs: Sequence[str], metrics: str | None, on_message: Callable[[str], None]
 ) -> None:
-    """Tell where scans come from and where results go."""
+    """Report through `on_message` where scans come from and where results go."""
     on_message(f"from {source}")
     for name in outputs:
         on_message(f"to {name}")
@@ -243,7 +243,7 @@ def _folder(
     checkpoint: float | None,
     resume: bool,
 ) -> LiveFolder | None:
-    """The output that writes the run folder at `path`; None without one."""
+    """Return the output that writes the run folder at `path`; None if `path` is None."""
     if path is None:
         if checkpoint is not None or resume:
             raise ConfigError("checkpoint, resume: expected an output folder, got none")

@@ -89,7 +89,7 @@ class FuseJob:
         return self._within(found)
 
     def _found(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
-        """What the recording holds, and how it was read."""
+        """Read the recording; return its measurements and the options with which it was read."""
         recording = self.recording
         reader = list_reader(recording)
         if reader is not None:
@@ -110,7 +110,7 @@ class FuseJob:
         return log, reading
 
     def _check_times(self, log: MeasurementLog) -> None:
-        """Refuse times of a table that are in another unit than told."""
+        """Refuse times of a table that cannot be in the stated unit."""
         stamps = {
             sensor: np.array([m.stamp_ns for m in log.measurements if m.sensor == sensor])
             for sensor in TARGET_SENSORS
@@ -121,11 +121,11 @@ class FuseJob:
 
     @property
     def _of_many(self) -> bool:
-        """Whether many targets were asked for."""
+        """Whether the options or the configuration ask for many targets."""
         return "association" in self.ways or isinstance(self.config, MultiTargetConfig)
 
     def _bag(self) -> tuple[MeasurementLog | TargetScans, Mapping[str, Config]]:
-        """One target, unless a message holds several or an association was asked for."""
+        """Read a ROS recording: one target, or many if a message or the options require it."""
         options = BagOptions.load(dict(self.read))
         scans, reading = read_bag(self.recording, options), {"fusion_bag": options}
         if self._of_many or any(len(scan.measurements) > 1 for scan in scans):
@@ -159,7 +159,7 @@ class FuseJob:
         return made if doubt is None else replace(made, implausible=str(doubt))
 
     def _many(self, found: TargetScans) -> tuple[list[DetectionScan], MultiTargetConfig]:
-        """Scans within the span, and the configuration."""
+        """Return the scans within the span, and the configuration of the tracker."""
         choice = self.config
         is_paper = isinstance(choice, ConfigChoice) and choice.mode == "paper"
         of_one = self.lag is not None or self.fit_noise
@@ -186,7 +186,7 @@ class FuseJob:
         return log.rows(self._rows_in_span([m.stamp_ns for m in log.measurements]))
 
     def _rows_in_span(self, stamps: Sequence[int]) -> list[int]:
-        """Rows within the span, of those with these times.
+        """Return the rows whose times `stamps` [ns] lie within the span.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class FuseJob:
         return rows
 
     def _check_read(self, what: str, used: tuple[str, ...]) -> None:
-        """Refuse options of reading that would do nothing."""
+        """Refuse read options that have no effect on this kind of recording."""
         for name in self.read:
             if name not in used:
                 raise ConfigError(f"{self.recording}: {name} does not apply to {what}")

@@ -304,7 +304,7 @@ class ManyRun:
 
     @property
     def _places(self) -> list[NDArray[np.float64]]:
-        """Places (M, 2) that each scan saw, from its sensor."""
+        """Positions (M, 2) that each scan measured, relative to its sensor [m]."""
         return [
             np.array(
                 [measured_place(m) for m in scan.measurements if m.sensor in TARGET_SENSORS]
@@ -315,7 +315,7 @@ class ManyRun:
 
     @property
     def _sensors(self) -> NDArray[np.float64]:
-        """x, y, yaw (K, 3) of the sensor at each scan."""
+        """Pose x, y [m], yaw [rad] (K, 3) of the sensor in the world at each scan."""
         told = [m for scan in self.scans for m in scan.measurements]
         poses = sensor_at(told, self.stamps, self.config.target.lever_arm)
         poses[:, :2] += np.array([scan.sensor for scan in self.scans]).reshape(-1, 2)
@@ -336,7 +336,7 @@ class ManyRun:
             )
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
-        """The picture of a run on the recording `name`."""
+        """Return the picture of a run on the recording `name`."""
         path = folder.path / "picture.png"
         return [(path, lambda _: draw_fusion(self.view(name), path))]
 
@@ -378,7 +378,7 @@ class ManyRun:
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """The same with None for NaN, which JSON does not have."""
+    """Return the values with None for NaN, which JSON does not have."""
     return {
         name: None if isinstance(value, float) and isnan(value) else value
         for name, value in values.items()

@@ -131,14 +131,14 @@ class TargetRun:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Rows with a state."""
+        """Return which measurements (K,) have a state: those since the target was first seen."""
         states = self.result.states
         known = states.shape[1] > 0
         return np.array([known and bool(row.all()) for row in np.isfinite(states)], np.bool_)
 
     @property
     def states(self) -> NDArray[np.float64]:
-        """Return the states at these rows."""
+        """States of the measurements that have one (see `seen`)."""
         rows = self.seen
         width = len(state_names(self.config))
         return self.result.states[rows] if rows.any() else np.empty((0, width))
@@ -241,7 +241,7 @@ class TargetRun:
 
     @property
     def last(self) -> NDArray[np.bool_]:
-        """The last row of every time."""
+        """Return which measurements (K,) are the last ones of their time."""
         return np.append(np.diff(self.stamps) > 0, True)
 
     def write(self, folder: RunFolder) -> list[str]:
@@ -277,7 +277,7 @@ class TargetRun:
         return write_run_mcap(folder, self._steps())
 
     def _steps(self) -> Iterator[PlanarStep]:
-        """Every time once: what was measured then, and the last state of that time."""
+        """Yield for every time the positions measured then and the last state of that time."""
         known, ends = self.seen, np.flatnonzero(self.last)
         place, speed = np.zeros((len(known), 2)), np.zeros((len(known), 2))
         place[known] = self.states[:, :2]
@@ -298,7 +298,7 @@ class TargetRun:
             first = end + 1
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
-        """The picture of a run on the recording `name`."""
+        """Return the picture of a run on the recording `name`."""
         path = folder.path / "picture.png"
         return [(path, lambda _: draw_fusion(self.view(name), path))]
 
@@ -318,16 +318,16 @@ class TargetRun:
         )
 
     def _restarts(self) -> str:
-        """How often the filter had lost the target, for a title."""
+        """Text for a title: how often the filter had lost the target."""
         count = int((self.result.outcomes == "restarted").sum())
         return f", {count} restart{'s' * (count > 1)}" if count else ""
 
     def _sensor_poses(self) -> NDArray[np.float64]:
-        """x, y and yaw (N, 3) of the sensor at every measurement."""
+        """Pose x, y [m], yaw [rad] (K, 3) of the sensor at every measurement."""
         return sensor_at(self.log.measurements, self.stamps, self.config.lever_arm)
 
     def _seen_in_world(self) -> dict[str, NDArray[np.float64]]:
-        """Measured positions (M, 2) by sensor, placed with the pose at their time."""
+        """Measured positions (M, 2) in the world by sensor [m], by the pose at their time."""
         found: dict[str, list[NDArray[np.float64]]] = {}
         for m, pose in zip(self.log.measurements, self._sensor_poses(), strict=True):
             for sensor, places in measured_places([m]).items():
@@ -347,7 +347,7 @@ def nis_by_sensor(
     innovations: NDArray[np.float64],
     nis: NDArray[np.float64],
 ) -> NisBySensor:
-    """NIS by sensor, of rows where something was compared."""
+    """Return the NIS by sensor, of the measurements that were compared with a prediction."""
     degrees = np.isfinite(innovations).sum(axis=1)
     limit = np.array([np.inf, *(chi2_quantile(LIMIT, degrees=n) for n in (1, 2, 3, 4))])[degrees]
     compared = np.isfinite(nis) & (degrees > 0)
@@ -359,7 +359,7 @@ def nis_by_sensor(
 
 
 def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
-    """Mean by sensor, and the share below the limit."""
+    """Mean NIS and share below the limit, by sensor."""
     return {
         sensor: {
             "mean": float(values.mean()),
@@ -370,7 +370,7 @@ def nis_summary(found: NisBySensor) -> dict[str, dict[str, float]]:
 
 
 def nis_ratios(found: NisBySensor) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Times and NIS over the limit, as pictures show it."""
+    """Times [ns] and NIS divided by its limit, by sensor, as pictures show them."""
     return {sensor: (times, values / limit) for sensor, (times, values, limit) in found.items()}
 
 
@@ -386,6 +386,6 @@ def measured_places(measurements: Iterable[Measurement]) -> Mapping[str, NDArray
 
 
 def _in_order(log: MeasurementLog) -> MeasurementLog:
-    """The log by time, as the filter takes it; rows of one time keep their order."""
+    """Return the log sorted by time, as for the filter; rows of one time keep their order."""
     stamps = [m.stamp_ns for m in log.measurements]
     return log.rows(np.argsort(stamps, kind="stable").tolist())

@@ -63,7 +63,7 @@ def in_plane(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def in_world(places: NDArray[np.float64], sensor: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places (M, 2) in the frame of a sensor at x, y, yaw, in the world."""
+    """Transform places (M, 2) [m] into the world from a sensor at x, y [m], yaw [rad]."""
     matrix = _matrix(sensor)
     found: NDArray[np.float64] = places @ matrix[:2, :2].T + sensor[:2]
     return found
@@ -84,7 +84,7 @@ def write_run_mcap(folder: RunFolder, steps: Iterable[PlanarStep]) -> str:
 def sensor_at(
     measurements: Sequence[Measurement], stamps: NDArray[np.int64], lever: tuple[float, ...]
 ) -> NDArray[np.float64]:
-    """x, y, yaw (K, 3) of the sensor between the poses that were measured; zero without one."""
+    """Sensor pose x, y [m], yaw [rad] (K, 3) by interpolation of the poses; zero without poses."""
     poses = [m for m in measurements if m.sensor in YAWS and np.isfinite(m.values).all()]
     if not poses:
         return np.zeros((len(stamps), 3))
@@ -111,7 +111,7 @@ def planar_table(
     velocity: NDArray[np.float64],
     numbers: NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
-    """Places as columns that `lidar-core evaluate` reads; heights are zero in the plane."""
+    """Return positions as columns that `lidar-core evaluate` reads; planar heights are zero."""
     zero = np.zeros((len(stamps), 1))
     (_, _, z), (_, _, vz) = (np.hstack([part, zero])[:, :3].T for part in (position, velocity))
     return {
@@ -132,7 +132,7 @@ def planar_truth(
     velocity: NDArray[np.float64] | None = None,
     numbers: NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
-    """The same for true positions; without columns of velocities that are not known."""
+    """Return true positions as columns, as `planar_table`; velocities only if they are known."""
     is_known = velocity is not None and bool(np.isfinite(velocity).all())
     stand_in = position if velocity is None else velocity
     table = planar_table("target_id", stamps, position, stand_in, numbers)

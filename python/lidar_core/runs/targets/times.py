@@ -1,4 +1,4 @@
-"""Times of measurements that cannot be meant: for notes of a run."""
+"""Checks of the times of measurements for wrong units and disorder, for notes of a run."""
 
 from collections.abc import Mapping
 
@@ -84,14 +84,14 @@ def doubtful_times(
 
 
 def _usual_step(stamps: NDArray[np.int64]) -> float:
-    """Time that most measurements have at most to the next one [ns]; infinite without steps."""
+    """0.9 quantile of the steps between distinct times [ns]; infinite without steps."""
     # Most steps: sensors of one kind that measure together are only some microseconds apart.
     distinct = np.unique(stamps)
     return float(np.quantile(np.diff(distinct), 0.9)) if len(distinct) > 1 else np.inf
 
 
 def _fitting_unit(step: float, told: str) -> str:
-    """The unit in which a mean step that was read as `told` [ns] is most like that of sensors."""
+    """Return the unit other than `told` in which the step [ns] is most usual for sensors."""
     return min(
         (unit for unit in UNITS_NS if unit != told),
         key=lambda unit: abs(np.log(step * UNITS_NS[unit] / UNITS_NS[told] / USUAL_STEP_NS)),
@@ -99,7 +99,7 @@ def _fitting_unit(step: float, told: str) -> str:
 
 
 def _are_crowded(stamps: NDArray[np.int64]) -> bool:
-    """Whether most measurements have the time of another one, and not as synchronous sensors do."""
+    """Return whether measurements share times in another way than those of synchronous sensors."""
     if np.median(np.diff(stamps)) > 0:
         return False
     sizes = np.unique(stamps, return_counts=True)[1]
