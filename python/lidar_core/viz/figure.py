@@ -64,7 +64,7 @@ def png_path(path: str | Path) -> Path:
 
 @contextmanager
 def figure_with_style(*, size: tuple[float, float], dpi: int) -> Iterator[Any]:
-    """Empty matplotlib Figure; drawings in the block have the common style."""
+    """Yield an empty matplotlib Figure; drawings in the block have the common style."""
     figures = require("matplotlib.figure", extra="plot", purpose=PURPOSE)
     canvas = require("matplotlib.backends.backend_agg", extra="plot", purpose=PURPOSE)
     style = require("matplotlib", extra="plot", purpose=PURPOSE)
@@ -82,21 +82,21 @@ def two_columns(
     heights: tuple[float, ...],
     **gaps: float,
 ) -> Any:
-    """Grid of a picture: a title, a tall panel on the left, and panels on the right."""
+    """Add the title and return the grid: one column for a tall panel, one for the others."""
     edges = {"left": 0.06, "right": 0.985, "top": 0.9, "bottom": 0.08, "wspace": 0.16} | gaps
     figure.suptitle(title, x=edges["left"], y=0.975, ha="left", fontsize=13, fontweight="bold")
     return figure.add_gridspec(len(heights), 2, width_ratios=widths, height_ratios=heights, **edges)
 
 
 def draw_truth(axes: Any, ways: Iterable[NDArray[np.float64]]) -> None:
-    """Dashed lines where the targets were."""
+    """Draw the true paths of the targets as dashed lines."""
     for order, way in enumerate(ways):
         label = None if order else "truth"
         axes.plot(*way.T, color="black", lw=1.1, ls=DASHED, zorder=6, label=label)
 
 
 def opaque_legend(axes: Any, place: str, **more: Any) -> None:
-    """Legend that can be read in front of points."""
+    """Add a legend with an opaque background that is readable in front of points."""
     ground = {"frameon": True, "facecolor": "white", "framealpha": 0.88, "edgecolor": "none"}
     axes.legend(loc=place, fontsize=8, **ground, **more).set_zorder(9.5)
 

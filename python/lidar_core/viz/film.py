@@ -56,7 +56,7 @@ def write_film(
 
 
 def film_ending() -> str:
-    """`.mp4` where matplotlib finds ffmpeg, else `.gif`."""
+    """Return `.mp4` if matplotlib finds ffmpeg, else `.gif`."""
     try:
         return ".mp4" if _animation().FFMpegWriter.isAvailable() else ".gif"
     except MissingExtraError:
@@ -74,10 +74,10 @@ def _writer(path: Path, rate: float) -> Any:
 
 
 def _gif_writer(rate: float) -> Any:
-    """matplotlib's, which leaves the choice of 256 colours to Pillow: the most frequent ones.
+    """Return a writer of GIF files whose 256 colours cover all colours that occur.
 
-    That paints what is small, such as a trail or a mark in the legend, in the colour of something
-    else. Here the colours cover all that occur.
+    With matplotlib's writer, Pillow takes the most frequent colours. Small things, such as a trail
+    or a mark in the legend, then get the colour of something else.
     """
     image = require("PIL.Image", extra="plot", purpose=PURPOSE)
 

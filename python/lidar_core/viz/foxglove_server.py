@@ -39,7 +39,7 @@ Told = Callable[[str], None]
 
 
 class ServedChannel:
-    """One topic; messages go to the viewers that subscribed to it.
+    """Topic of the server; its messages go to the viewers that subscribed to it.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class ServedChannel:
 
 
 class FoxgloveServer:
-    """Foxglove's WebSocket on 127.0.0.1, for programs of this machine and web pages that may.
+    """Foxglove's WebSocket on 127.0.0.1, for programs of this machine and allowed web pages.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class FoxgloveServer:
     option : str
         Text before the port on the command line, such as "--port ", for error messages.
     backlog : int
-        Messages to a slow viewer; older ones go.
+        Largest number of messages kept for a slow viewer; older ones are dropped.
     allowed : collection of str
         Web pages that may connect beside those of this machine, from `allowed_origins`.
     on_refused : callable
@@ -191,7 +191,7 @@ class FoxgloveServer:
         return link.respond(HTTPStatus.FORBIDDEN, f"refused: {reason}\n")
 
     def _tell(self, reason: str) -> None:
-        """Tell every reason once."""
+        """Report every reason once, and at most `MAX_TOLD` reasons."""
         with self._lock:
             is_new = reason not in self._told and len(self._told) < MAX_TOLD
             self._told.add(reason)
@@ -199,7 +199,7 @@ class FoxgloveServer:
             self._on_refused(reason)
 
     def _serve(self, link: Any) -> None:
-        """Work for one viewer until it goes."""
+        """Serve one viewer until it disconnects."""
         viewer = _Viewer(link, self._backlog)
         viewer.put(
             json.dumps(
@@ -245,7 +245,7 @@ class _Viewer:
         self._thread.start()
 
     def subscriptions_to(self, channel: int) -> list[int]:
-        """The viewer's numbers for a channel."""
+        """Numbers of the viewer's subscriptions to a channel."""
         with self._changed:
             return [name for name, number in self._subscriptions.items() if number == channel]
 
@@ -307,7 +307,7 @@ class ServedLog(FoxgloveLog):
     Parameters
     ----------
     server : FoxgloveServer
-        Who sends them.
+        Server that sends them.
     tracks_frame : str
         Frame that tracks are given in.
     """

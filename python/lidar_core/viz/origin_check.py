@@ -18,12 +18,12 @@ ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s*?#@]*")
 
 
 def allowed_origins(given: Iterable[str]) -> frozenset[str]:
-    """Origins of web pages that may connect, as browsers write them.
+    """Return the origins of web pages that may connect, as browsers write them.
 
     Raises
     ------
     ConfigError
-        No origin: it has a scheme and a host, and a port where that is not the usual one.
+        A text is no origin, that is scheme and host, with a port if it is not the usual one.
     """
     found = set()
     for text in given:
@@ -40,7 +40,7 @@ def allowed_origins(given: Iterable[str]) -> frozenset[str]:
 def refusal(
     hosts: Collection[str], origins: Collection[str], allowed: Collection[str] = ()
 ) -> str | None:
-    """Why a request is refused; None if it may pass.
+    """Return why a request is refused; None if it is allowed.
 
     Parameters
     ----------

@@ -162,7 +162,7 @@ class Playback:
 
     @property
     def points_name(self) -> str:
-        """What legends call points without a class."""
+        """Name of points without a class in legends."""
         return "measurement" if self.capability == "fusion" else "scan"
 
     @property
@@ -178,14 +178,15 @@ class Playback:
         return path if path.is_file() else None
 
     def times(self) -> list[int]:
-        """Times [ns] of scans with points, ascending; those of estimates where there are none."""
+        """Times [ns] of scans with points, ascending; of estimates if no scan has points."""
         found = [stamp_ns for stamp_ns, points, _, _ in self._views() if len(points)]
         return found or [stamp_ns for stamp_ns, _, _, _ in self._views()]
 
     def moments(self, chosen: Collection[int] | None = None) -> Iterator[Moment]:
-        """Times of scans and of estimates, ascending; no scans where the run kept none.
+        """Yield the moments of scans and of estimates in ascending order.
 
-        Without `chosen`, times [ns], all.
+        `chosen` selects moments by their times [ns]; None: all. Without stored scans there are
+        only estimates.
         """
         for view in self._views():
             if chosen is None or view[0] in chosen:
@@ -216,7 +217,7 @@ class Playback:
 
     @cached_property
     def _sensors(self) -> dict[int, NDArray[np.float64]]:
-        """Where the sensor was, by time [ns]: also in runs that kept no scans."""
+        """Positions of the sensor (3,) [m] by time [ns], also in runs that kept no scans."""
         timing = self._tables("timing")
         columns = read_columns(timing[0]) if timing else {}
         if "sensor_x" not in columns:
@@ -225,7 +226,7 @@ class Playback:
         return dict(zip(columns["t_ns"].tolist(), places, strict=True))
 
     def _views(self) -> Iterator[_WorldScan]:
-        """Scans, and between them the times that have estimates alone."""
+        """Yield the scans, and between them the times that have only estimates."""
         stamps = sorted(self._rows.keys() | self._shape_rows.keys())
         begin = 0
         for scan in self._scans():
@@ -268,7 +269,7 @@ class Playback:
 
 
 def _read_world_scans(recording: Recording, topic: str, *, is_planar: bool) -> Iterator[_WorldScan]:
-    """Time, points in the world, their classes and the place of the sensor, per scan."""
+    """Yield per scan: time, points in the world, their classes, and the sensor's position."""
     read = posed_laser_scans if is_planar else posed_scans
     for posed in read(recording, cloud=topic):
         scan = posed.scan
@@ -280,7 +281,7 @@ def _read_world_scans(recording: Recording, topic: str, *, is_planar: bool) -> I
 
 
 def in_world(local: NDArray[Any], world_from_lidar: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Points (N, 3) of the sensor's frame, in the world."""
+    """Transform points (N, 3) from the sensor's frame to the world [m]."""
     turned = local @ world_from_lidar[:3, :3].T + world_from_lidar[:3, 3]
     return np.asarray(turned, np.float32)
 
@@ -294,7 +295,7 @@ def swept(scan: LaserScan) -> NDArray[np.float64]:
 
 
 def _classes(scan: Scan | LaserScan, is_point: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Classes that `detect` stored as intensities."""
+    """Classes of the points that `detect` stored as intensities; zeros if there are none."""
     if isinstance(scan, Scan) and scan.intensity is not None:
         return scan.intensity[is_point].astype(np.uint8)
     return np.zeros(int(is_point.sum()), np.uint8)
@@ -342,7 +343,7 @@ def _outline(columns: Columns, row: int) -> Outline:
 
 
 def _sides(columns: Columns, row: int) -> NDArray[np.float64]:
-    """A wall, or the sides of a rectangle, as (S, 2, 3)."""
+    """Ends (S, 2, 3) [m] of a wall or of the sides of a rectangle; empty for an ellipse."""
     if columns["kind"][row] == "ellipse":
         return _NO_SEGMENTS
     corners = np.pad(outline_of_row(columns, row, CORNERS), ((0, 0), (0, 1)))

@@ -140,7 +140,7 @@ def draw_film(
 
 
 def _times(run: Playback) -> tuple[list[int], int]:
-    """Times [ns] that can be drawn, and that of the first scan, also where the run kept none."""
+    """Times [ns] that can be drawn, and that of the first scan even if no scans were kept."""
     times = run.times()
     if not times:
         raise FormatError(f"{run.folder}: neither scans nor estimates to draw")
@@ -157,7 +157,7 @@ def _followed(run: Playback, times: Sequence[int]) -> list[tuple[Moment, Trails]
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """What is the same in all frames of a film.
+    """Data that all frames of a film share.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ def _compose(
     colours: Colours,
     seconds: float,
 ) -> None:
-    """From above on the left; on the right the side, where there is one, and a list."""
+    """Draw the view from above on the left; the side view (in 3D) and a list on the right."""
     count = len(moment.objects.id)
     title = f"{scene.title}: {seconds:.2f} s, {count} object{'' if count == 1 else 's'}"
     figure.suptitle(title, x=MARGINS["left"], y=0.97, ha="left", fontsize=12, fontweight="bold")
@@ -287,7 +287,7 @@ def _panel(
     depth: tuple[float, float],
     points: str = "scan",
 ) -> None:
-    """One projection; points out of `depth` are left out; those without a class are `points`."""
+    """Draw a projection without points outside `depth`; `points` names those without a class."""
     window.apply(panel)
     _draw_points(panel, moment, axes, window, depth, points)
     for number, outline in enumerate(moment.outlines):
@@ -353,7 +353,7 @@ def _draw_object(
     trail: NDArray[np.float64],
     colour: str,
 ) -> bool:
-    """Way, outline, 2 sigma ellipse, velocity, and a ring around what is small.
+    """Draw path, outline, 2 sigma ellipse, velocity, and a ring around a small object.
 
     Returns whether there is a ring.
     """
@@ -373,7 +373,7 @@ def _draw_object(
 
 
 def _list(panel: Any, moment: Moment) -> None:
-    """Number, place, speed and uncertainty of the objects, as text."""
+    """Write number, place, speed and uncertainty of the objects as text."""
     objects = moment.objects
     panel.set_axis_off()
     text = {"fontsize": 8.5, "family": "DejaVu Sans Mono", "color": INK, "linespacing": 1.35}

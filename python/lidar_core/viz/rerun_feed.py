@@ -1,4 +1,4 @@
-"""The bytes of a rerun recording, of a file or of a stream, for pages that connect at any time."""
+"""Bytes of a rerun recording, from a file or a stream, for pages that connect at any time."""
 
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -143,7 +143,7 @@ class RerunLog:
         self._log_or_clear(place, len(lines), strips)
 
     def _log_or_clear(self, place: str, count: int, shown: Any) -> None:
-        """Log `count` things; none replace those of before, and are left out after none."""
+        """Log `shown`, which has `count` things; if none, log it only to remove earlier ones."""
         if count or place in self._filled:
             self.stream.log(place, shown)
         (self._filled.add if count else self._filled.discard)(place)

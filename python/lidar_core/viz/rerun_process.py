@@ -20,7 +20,7 @@ PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
 
 
 def free_port() -> int:
-    """A free, unpredictable port of 127.0.0.1."""
+    """Return a free port of 127.0.0.1 that cannot be predicted."""
     with socket.socket() as place:
         place.bind((LOCAL, 0))
         return int(place.getsockname()[1])
@@ -63,7 +63,7 @@ def rerun_process(
 
 
 def has_display() -> bool:
-    """False on a Linux machine without X11 and Wayland, where no window can be opened."""
+    """Return whether a window can be opened: not on Linux without X11 and Wayland."""
     shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     return bool(shown) or not sys.platform.startswith("linux")
 

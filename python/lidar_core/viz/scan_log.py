@@ -13,7 +13,7 @@ CLASSES_TOPIC = "/classes"
 def log_flying(
     log: FoxgloveLog, item: PosedScan[Scan], frame: FlyingFrame, *, frame_id: str
 ) -> None:
-    """Pose, cloud and flying tracks of one scan; `intensity` is the `PointClass` of the point.
+    """Log pose, cloud and flying tracks of a scan; `intensity` holds the class of each point.
 
     Clouds hold the points with information.
     """
@@ -36,7 +36,7 @@ def log_flying(
 def log_circles(
     log: FoxgloveLog, item: PosedScan[LaserScan], frame: CircleFrame, *, frame_id: str
 ) -> None:
-    """Pose and scan, circles and other shapes of the map after it."""
+    """Log pose and scan, and the circles and other shapes of the map after this scan."""
     _log_pose(log, item, frame_id)
     log.write(item.scan)
     log.write_circles(frame.map)

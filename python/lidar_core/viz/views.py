@@ -131,7 +131,7 @@ class FusionView:
         By sensor: times [ns], and NIS divided by its 95 % limit. One value in twenty is expected
         above 1.
     sensor : ndarray, shape (S, 2), float64
-        Way of a sensor that moves [m]; empty for one that does not.
+        Path of a moving sensor [m]; empty for a sensor at rest.
     """
 
     title: str

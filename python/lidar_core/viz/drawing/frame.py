@@ -48,10 +48,10 @@ class Window:
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def corner_away_from(self, places: Iterable[NDArray[np.float64]]) -> str:
-        """Corner for a legend: the emptiest, first of all the upper left.
+        """Name of the corner with the fewest places, for a legend; the upper left if all are equal.
 
-        The scale bar is at the lower left. Places outside count where their direction meets the
-        border, for there an arrow points to them.
+        The lower left is never chosen: the scale bar is there. A place outside counts at the
+        nearest point of the border, because an arrow there points to it.
         """
         rows = np.clip((_finite(places) - self.low) / (self.high - self.low), 0.0, 1.0)
         is_right, is_top, is_low = rows[:, 0] > 0.5, rows[:, 1] > 1 - LEGEND, rows[:, 1] < LEGEND
@@ -63,7 +63,7 @@ class Window:
         return min(held, key=lambda corner: int(held[corner].sum()))
 
     def apply(self, axes: Any) -> None:
-        """Show this part of the world in a panel of the same shape."""
+        """Set the limits of a panel of the same shape to this part of the world."""
         axes.set_aspect("equal", adjustable="box")
         axes.set_xlim(self.low[0], self.high[0])
         axes.set_ylim(self.low[1], self.high[1])
@@ -150,7 +150,7 @@ def window_over(
 
 
 def bulk_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners (2, K) of the box that holds most points (N, K); none where there are no points."""
+    """Corners (2, K) of the box that holds most points (N, K); shape (0, K) without points."""
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return np.empty((0, points.shape[1]))

@@ -1,4 +1,4 @@
-"""Numbers beside tracks: each in a free place, none over another."""
+"""Placement of numbers beside tracks so that they do not overlap."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Label:
     colour : str
         Colour of the badge.
     opacity : float
-        That of the badge, 0 to 1.
+        Opacity of the badge, 0 to 1.
     """
 
     text: str

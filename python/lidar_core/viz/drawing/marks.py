@@ -52,7 +52,7 @@ def colours_of(*frames: Iterable[Hashable]) -> dict[Any, str]:
 
 
 def scale_bar(axes: Any, window: Window) -> None:
-    """Bar of a round length at the lower left."""
+    """Draw a scale bar of a round length at the lower left."""
     width, height = window.high - window.low
     length = round_length(BAR * float(width))
     x, y = window.low + np.array([0.03 * width, 0.035 * height])
@@ -92,7 +92,7 @@ def ring(axes: Any, place: NDArray[np.float64], colour: str, *, size: float = 0.
 
 
 def sensor_mark(axes: Any, window: Window, place: NDArray[np.float64]) -> None:
-    """Triangle at the sensor; where it is outside, an arrow at the border with the distance."""
+    """Draw a triangle at the sensor; if it is outside, an arrow at the border with the distance."""
     if window.holds(place):
         axes.plot(*place, marker="^", ms=9, color=INK, mec="white", zorder=6.5)
         return
@@ -117,7 +117,7 @@ def sensor_mark(axes: Any, window: Window, place: NDArray[np.float64]) -> None:
 def sigma_ellipse(
     axes: Any, place: NDArray[np.float64], covariance: NDArray[np.float64], colour: str
 ) -> None:
-    """Ellipse of `SIGMAS` standard deviations."""
+    """Draw the ellipse of `SIGMAS` standard deviations around a place [m]."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     values, vectors = np.linalg.eigh(covariance)
     width, height = 2 * SIGMAS * np.sqrt(np.maximum(values, 0))

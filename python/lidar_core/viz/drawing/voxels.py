@@ -18,7 +18,7 @@ MOST_CELLS = 2000
 def visible_rows(
     rows: NDArray[np.float64], plane: tuple[int, int], window: Window, depth: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Rows inside the picture, also along the direction of sight."""
+    """Return the rows (points) in the window whose third coordinate lies within `depth` [m]."""
     low, high = np.empty(3), np.empty(3)
     low[list(plane)], high[list(plane)] = window.low, window.high
     low[3 - sum(plane)], high[3 - sum(plane)] = depth
@@ -33,7 +33,7 @@ def draw_voxels(
     window: Window,
     depth: tuple[float, float],
 ) -> None:
-    """Occupied voxels of edge `size`: the nearer to the viewer, the darker.
+    """Draw occupied voxels of edge `size` [m]: the nearer to the viewer, the darker.
 
     In a window of more than `MOST_CELLS` voxels along a side, several share a cell of the image.
     """

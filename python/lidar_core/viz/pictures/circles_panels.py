@@ -24,7 +24,7 @@ def seconds_of(view: CirclesView) -> NDArray[np.float64]:
 
 
 def draw_speeds(axes: Any, view: CirclesView, colours: Mapping[int, str]) -> None:
-    """Speed of the elements that moved, which have colours, where they do not stand."""
+    """Draw the speeds over time of elements that have a colour; gaps where they stand."""
     time = seconds_of(view)
     found: dict[int, list[tuple[int, float]]] = {}
     for scan, state in enumerate(view.maps):
@@ -52,7 +52,7 @@ def draw_speeds(axes: Any, view: CirclesView, colours: Mapping[int, str]) -> Non
 
 
 def draw_counts(axes: Any, view: CirclesView) -> None:
-    """Circles and elements per scan."""
+    """Draw the numbers of circles and elements per scan."""
     time = seconds_of(view)
     elements = [len(state.id) for state in view.maps]
     # Wide below narrow: where both counts are equal, both lines are seen.

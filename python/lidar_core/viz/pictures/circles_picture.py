@@ -136,16 +136,16 @@ def _compose(figure: Any, view: CirclesView) -> None:
 
 
 def _colours(view: CirclesView) -> dict[int, str]:
-    """Colours of the elements that moved: first of those that are drawn, which have to differ."""
+    """Colours of the elements that moved; those that are drawn come first, so that they differ."""
     movers = moved(view.maps)
     drawn = [number for number in _drawn_at_end(view) if number in movers]
     return colours_of([*drawn, *sorted(movers)])
 
 
 def _window(view: CirclesView, tall: float) -> Window:
-    """What is shown: elements that moved in the middle, with points, sensor and truth around.
+    """Return the window: moved elements in the middle; points, sensor and truth around them.
 
-    Circles that reach into it lie in it as a whole.
+    It contains every circle that reaches into it as a whole.
     """
     points = np.concatenate([np.empty((0, 2)), *view.points])
     if len(view.sensor):
@@ -174,15 +174,15 @@ def _box(state: CircleElements, row: int) -> NDArray[np.float64]:
 
 
 def _is_cut(box: NDArray[np.float64], window: Window) -> bool:
-    """True if a part of a box is in the window, and a part is not."""
+    """Return whether the window contains only a part of a box."""
     meets = bool(((box[1] > window.low) & (box[0] < window.high)).all())
     return meets and not (window.holds(box[0]) and window.holds(box[1]))
 
 
 def _drawn_at_end(view: CirclesView) -> dict[int, tuple[CircleElements, int]]:
-    """States in which a picture shows the elements, and their rows there, by number.
+    """Return for each element number the state and row in which a picture shows the element.
 
-    Those of the last map, then those with the longest ways that are no longer in it.
+    First come the elements of the last map, then those with the longest paths that it lacks.
     """
     last, ways = _last_rows(view.maps), _ways(view, len(view.maps) - 1)
     there = set(view.maps[-1].id.tolist()) if view.maps else set()
@@ -191,7 +191,7 @@ def _drawn_at_end(view: CirclesView) -> dict[int, tuple[CircleElements, int]]:
 
 
 def _earlier(axes: Any, view: CirclesView) -> None:
-    """Points of all scans, pale."""
+    """Draw the points of all scans in a pale colour."""
     rows = np.concatenate([np.empty((0, 2)), *view.points])
     rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
     axes.scatter(rows[:, 0], rows[:, 1], s=0.4, c=EARLIER, linewidths=0, zorder=1, rasterized=True)
@@ -206,7 +206,7 @@ def _above(
     *,
     with_gone: bool = False,
 ) -> None:
-    """Scan, sensor and map at one time, with the ways up to it, and what is gone at the end."""
+    """Draw scan, sensor, map and earlier paths at one time; with `with_gone` vanished elements."""
     window.apply(axes)
     if scan >= 0:
         points = view.points[scan]
@@ -226,7 +226,7 @@ def _above(
 
 
 def _elements(axes: Any, view: CirclesView, scan: int, colours: Mapping[int, str]) -> list[Label]:
-    """Elements at one time; return their numbers. What moves is coloured, and has its speed."""
+    """Draw the elements at one time, moving ones in colour with their speed; return the labels."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     state, ways = view.maps[scan], _ways(view, scan)
     speeds, labels = speeds_of(state), list[Label]()
@@ -263,7 +263,7 @@ def _disc(axes: Any, state: CircleElements, row: int, colour: str, *, does_move:
 
 
 def _element_keys(axes: Any, state: CircleElements, colours: Mapping[int, str]) -> None:
-    """Lines of the legend for the styles of elements that occur."""
+    """Add legend entries for the styles of elements that occur."""
     numbers = state.id.tolist()
     moving = [number for number in numbers if number in colours]
     stands = {"facecolor": (STANDS, 0.2), "edgecolor": STANDS, "lw": THIN}
@@ -279,7 +279,7 @@ def _element_keys(axes: Any, state: CircleElements, colours: Mapping[int, str]) 
 
 
 def _gone(axes: Any, view: CirclesView, colours: Mapping[int, str]) -> list[Label]:
-    """Elements that are no longer in the map at the end, pale, where they were last."""
+    """Draw, pale at their last place, elements that the final map lacks; return their labels."""
     patches = require("matplotlib.patches", extra="plot", purpose=PURPOSE)
     there, ways = set(view.maps[-1].id.tolist()), _ways(view, len(view.maps) - 1)
     labels, left_out = list[Label](), len(_last_rows(view.maps)) - len(there)
@@ -301,7 +301,7 @@ def _gone(axes: Any, view: CirclesView, colours: Mapping[int, str]) -> list[Labe
 
 
 def _gone_shapes(axes: Any, view: CirclesView) -> None:
-    """Walls and other shapes that are no longer in the map at the end, pale."""
+    """Draw, in a pale colour, walls and other shapes that are no longer in the final map."""
     there = set(view.shapes[-1].id.tolist()) if view.shapes else set()
     for number, (shapes, row) in _last_rows(view.shapes).items():
         if number not in there:
@@ -311,14 +311,14 @@ def _gone_shapes(axes: Any, view: CirclesView) -> None:
 
 
 def _last_rows(states: Sequence[StateT]) -> dict[int, tuple[StateT, int]]:
-    """For every number, the last state that has it, and its row there."""
+    """Return for every number the last state that contains it, and its row there."""
     return {
         number: (state, row) for state in states for row, number in enumerate(state.id.tolist())
     }
 
 
 def _shapes(axes: Any, shapes: ShapeElements) -> None:
-    """Outlines of lines, ellipses and rectangles, dotted where they are out of sight."""
+    """Draw outlines of lines, ellipses and rectangles; dotted if they are out of sight."""
     for row in range(len(shapes.id)):
         around = outline(shapes, row, CORNERS)
         closed = around if len(around) == 2 else np.vstack([around, around[:1]])
@@ -336,7 +336,7 @@ def _shapes(axes: Any, shapes: ShapeElements) -> None:
 def _arrow(
     axes: Any, center: NDArray[np.float64], velocity: NDArray[np.float64], colour: str
 ) -> None:
-    """Velocity, as long as the way of one second."""
+    """Draw the velocity as an arrow whose length is the distance travelled in one second."""
     axes.annotate(
         "",
         center + velocity,
@@ -348,7 +348,7 @@ def _arrow(
 
 
 def _ways(view: CirclesView, scan: int) -> Mapping[int, NDArray[np.float64]]:
-    """Centres of every element up to `scan`."""
+    """Centres of every element up to `scan`, by its number [m]."""
     found: dict[int, list[NDArray[np.float64]]] = {}
     for state in view.maps[: scan + 1]:
         for row, number in enumerate(state.id.tolist()):

@@ -99,10 +99,10 @@ def _compose(figure: Any, view: FlyingView) -> None:
 
 
 def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
-    """What a panel shows: tracks in its middle, or else targets, or else what moves on the ground.
+    """Return the window of a panel around the tracks, else the targets, else moving points.
 
-    Also the sensor, if that is near. Where nothing moves, most of what the last scan measured and
-    the sensor.
+    It includes the sensor if that is near. If nothing moves, it shows the sensor and most points
+    of the last scan.
     """
     columns = list(plane)
     tracks = [item.position[:, columns] for item in view.tracks]
@@ -117,7 +117,7 @@ def _window(view: FlyingView, plane: tuple[int, int], tall: float) -> Window:
 
 
 def _in_sight(view: FlyingView, plan: Window) -> list[NDArray[np.float64]]:
-    """What a legend should not hide: the way of the sensor, and the arrow to where it is."""
+    """Places that a legend should not hide: the sensor's path, and its last position."""
     way = view.sensor[:, :2]
     seen = ((way >= plan.low) & (way <= plan.high)).all(axis=1)
     return [way[seen], way[-1:]]
@@ -131,7 +131,7 @@ def _map(
     *,
     depth: tuple[float, float],
 ) -> None:
-    """Cloud, map, ways and tracks, projected onto the axes `plane`."""
+    """Draw cloud, map, paths and tracks, projected onto the axes `plane`."""
     across, up = plane
     window.apply(axes)
     draw_voxels(axes, view.occupied, view.voxel_size, plane, window, depth)
@@ -158,14 +158,14 @@ def _map(
 
 
 def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
-    """Points in the order of `CLOUDS`."""
+    """Return the points of each class, in the order of `CLOUDS`."""
     classes = (ShownClass.BACKGROUND, ShownClass.UNKNOWN, ShownClass.OWN_BODY)
     last = (view.cloud[view.cloud_class == one] for one in classes)
     return [*last, view.moving, view.flying]
 
 
 def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
-    """Ways with 2 sigma ellipses; at the last place a ring and the number."""
+    """Draw paths with 2 sigma ellipses, and a ring and the number at the last place."""
     across, up = plane
     labels: list[tuple[int, Label]] = []
     ways = []
@@ -196,7 +196,7 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
 
 
 def _by_track(view: FlyingView) -> dict[int, list[tuple[int, int]]]:
-    """Per track, where its states are: scan and row."""
+    """Return for each track number the scan and row of each of its states."""
     found: dict[int, list[tuple[int, int]]] = {}
     for scan, tracks in enumerate(view.tracks):
         for row, number in enumerate(tracks.id.tolist()):
@@ -209,7 +209,7 @@ def _seconds(view: FlyingView, stamps: NDArray[np.int64]) -> NDArray[np.float64]
 
 
 def _distances(axes: Any, view: FlyingView) -> None:
-    """Distance of tracks, targets and what moves on the ground from the sensor, over time."""
+    """Draw distances of tracks, targets and moving points from the sensor over time."""
     time = _seconds(view, view.stamp_ns)
     every = max(1, -(-len(view.moving) // MOST_POINTS))
     moving, at = view.moving[::every], view.moving_scan[::every]

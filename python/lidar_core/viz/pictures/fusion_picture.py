@@ -76,7 +76,7 @@ def _compose(figure: Any, view: FusionView) -> None:
 
 
 def _above(axes: Any, view: FusionView) -> None:
-    """Measurements, truth, the way of the sensor, and the whole ways of the tracks."""
+    """Draw measurements, truth, the path of the sensor, and the whole paths of the tracks."""
     ways = [line.position for line in (*view.tracks.values(), *view.truth.values())]
     window = window_over(ways or view.seen.values(), panel_tallness(axes), smallest=SMALLEST)
     window.apply(axes)
@@ -132,19 +132,19 @@ def _above_title(view: FusionView) -> str:
 
 
 def _lasting(tracks: Mapping[int, PlanarLine]) -> dict[int, PlanarLine]:
-    """Tracks that are reported at the end of the time that the picture shows."""
+    """Return the tracks that exist at the end of the time that the picture shows."""
     known = {number: line for number, line in tracks.items() if len(line.stamp_ns)}
     end = max((line.stamp_ns[-1] for line in known.values()), default=0)
     return {number: line for number, line in known.items() if line.stamp_ns[-1] == end}
 
 
 def _colours(tracks: Mapping[int, PlanarLine]) -> dict[int, str]:
-    """Colours of the tracks: first of those that last to the end, which have to differ."""
+    """Colours of the tracks; those that exist at the end come first, so that they differ."""
     return colours_of([*_lasting(tracks), *tracks])
 
 
 def _trails(axes: Any, tracks: Mapping[int, PlanarLine], colours: Mapping[int, str]) -> None:
-    """The ways of tracks that ended before: a long run has hundreds of them."""
+    """Draw the paths of ended tracks as thin lines: a long run has hundreds of them."""
     for order, (number, line) in enumerate(tracks.items()):
         axes.plot(
             *line.position.T,
@@ -167,7 +167,7 @@ def _track(axes: Any, line: PlanarLine, colour: str, label: str | None) -> None:
 
 
 def _over_time(axes: Any, view: FusionView, axis: int, name: str, first: int) -> None:
-    """One coordinate of all tracks, or its error, with the 2 sigma band."""
+    """Draw one coordinate of all tracks, or its error, with the 2 sigma band over time."""
     of_error, colours = len(view.tracks) == 1 and len(view.truth) == 1, _colours(view.tracks)
     for number, line in view.tracks.items():
         time = (line.stamp_ns - first) * 1e-9
@@ -239,7 +239,7 @@ def _consistency(axes: Any, view: FusionView, first: int) -> None:
 
 
 def _counts(axes: Any, view: FusionView, first: int) -> None:
-    """Number of tracks over time."""
+    """Draw the number of tracks over time."""
     stamps = np.unique(np.concatenate([line.stamp_ns for line in view.tracks.values()]))
     counts = sum(np.isin(stamps, line.stamp_ns).astype(int) for line in view.tracks.values())
     axes.step((stamps - first) * 1e-9, counts, where="post", color=TRACK_COLOURS[0], lw=1.4)

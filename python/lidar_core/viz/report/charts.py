@@ -30,7 +30,7 @@ MOST_TARGETS = 20
 def error_chart(
     tracks: Estimates, truth: Truth, start_ns: int, config: EvaluationConfig
 ) -> str | None:
-    """Distance between each target and its track over time; None where nothing was paired."""
+    """Draw the distance between each target and its track as SVG; None if nothing was paired."""
     pairing = pair(tracks, truth, config=config)
     rows = pairing.found
     if not len(rows):
@@ -53,7 +53,7 @@ def error_chart(
 
 
 def nis_chart(folder: Path, start_ns: int) -> str | None:
-    """NIS of every measurement of `fuse`, with the 95 % limit; None for other runs."""
+    """Draw the NIS of every measurement of `fuse` with its 95 % limit as SVG; None for others."""
     table = table_in(folder, "states")
     columns = {} if table is None else read_columns(table)
     if not {"t_ns", "sensor", "nis"} <= columns.keys():
@@ -84,7 +84,7 @@ def nis_chart(folder: Path, start_ns: int) -> str | None:
 
 
 def timing_chart(folder: Path, start_ns: int) -> str | None:
-    """Time of every scan by stage; None where the run has no such table."""
+    """Draw the time of every scan by stage as SVG; None if the run has no such table."""
     table = table_in(folder, "timing")
     columns: Mapping[str, NDArray[Any]] = {} if table is None else read_columns(table)
     stages = [name for name in columns if name.endswith("_ms") and name != "total_ms"]
@@ -113,14 +113,14 @@ def timing_chart(folder: Path, start_ns: int) -> str | None:
 def _with_gaps(
     seconds: NDArray[np.floating[Any]], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.floating[Any]], NDArray[np.float64]]:
-    """The curve, interrupted where values are missing: no line across a lost target."""
+    """Return the curve with NaN where values are missing, so that no line crosses the gap."""
     steps = np.diff(seconds)
     gaps = np.flatnonzero(steps > GAP * np.median(steps)) + 1 if len(steps) else np.empty(0, int)
     return np.insert(seconds, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def _is_part(name: str) -> bool:
-    """Whether a column holds one component of the innovations."""
+    """Return whether a column holds one component of the innovations."""
     return re.fullmatch(r"innovation_\d+", name) is not None
 
 
@@ -129,7 +129,7 @@ def _coloured(names: list[Any]) -> dict[Any, str]:
 
 
 def _svg(draw: Callable[[Any], None]) -> str:
-    """What `draw` puts into one panel over time, as an SVG element."""
+    """Return the panel that `draw` fills as an SVG element."""
     with figure_with_style(size=SIZE, dpi=DPI) as figure:
         figure.set_layout_engine("constrained")
         panel = figure.add_subplot()

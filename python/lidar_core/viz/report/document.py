@@ -134,7 +134,7 @@ def _check_replaceable(place: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Section:
-    """A headline and what stands under it, as HTML; nothing is shown where the body is empty."""
+    """Section of the page: headline and body as HTML; it is left out if the body is empty."""
 
     title: str
     body: str
@@ -142,14 +142,14 @@ class _Section:
 
 @dataclass(frozen=True, slots=True)
 class _HeldAgainst:
-    """A run and its truth."""
+    """Run together with its ground truth and the configuration of the evaluation."""
 
     folder: Path
     truth: Truth
     config: EvaluationConfig
 
     def section(self, start_ns: int) -> tuple[list[str], _Section]:
-        """Warnings, and the scores with the chart of errors."""
+        """Return warnings, and the section with the scores and the chart of errors."""
         predicted = read_prediction(self.folder)
         report = evaluate(
             self.truth,
@@ -172,7 +172,7 @@ class _HeldAgainst:
 
 
 def _held_against(folder: Path, truth: str | PathLike[str] | None) -> _HeldAgainst | None:
-    """The truth that is given, else that of the folder; None where there is none."""
+    """Return the run with the given truth, else with that of its folder; None without truth."""
     place = Path(truth) if truth is not None else table_in(folder, "truth")
     if place is None:
         return None
@@ -189,7 +189,7 @@ def _view_section(note: str) -> _Section:
 
 
 def _picture_section(run: Playback) -> _Section:
-    """picture.png of the run, or its last scan where it has none."""
+    """Section with picture.png of the run, or with its last scan if there is no picture."""
     path = run.folder / "picture.png"
     if path.is_file():
         data = read_whole(path)
@@ -229,7 +229,7 @@ def _note_section(note: str) -> _Section:
 
 
 def _rows_table(rows: Sequence[Row | None]) -> str:
-    """Lines of one table; None begins the next group."""
+    """HTML of one table from its rows; None begins the next group."""
     return _table([[""] if row is None else list(row) for row in rows])
 
 
@@ -255,7 +255,10 @@ def _page(
     sections: Sequence[_Section],
     scene: dict[str, Any],
 ) -> str:
-    """The whole page. Text is escaped; the only scripts that run are ours, by their digest."""
+    """Return the whole page as HTML.
+
+    Text is escaped. The policy permits only the scripts of this package, by their digest.
+    """
     script = _resource("view.js")
     digest = b64encode(sha256(script.encode("utf-8")).digest()).decode("ascii")
     shown = [section for section in sections if section.body]

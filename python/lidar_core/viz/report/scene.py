@@ -82,7 +82,7 @@ def scene_of(
 
 
 def map_note(scene: Mapping[str, Any]) -> str:
-    """What the map of a scene is, at the times of the slider; "" where there is none."""
+    """Note for the reader about the map of a scene over time; "" if there is no map."""
     if not scene["voxels"]:
         return ""
     if not any(b64decode(scene["seen"])):
@@ -94,18 +94,18 @@ def map_note(scene: Mapping[str, Any]) -> str:
 
 
 def _picked(run: Playback) -> Iterator[Moment]:
-    """Times with a scan, or all where the run kept none; thinned evenly, the last one included."""
+    """Yield moments with a scan, or all if no scans were kept; thinned evenly, with the last."""
     times = run.times()
     yield from run.moments({times[row] for row in _rows(len(times), MOST_MOMENTS).tolist()})
 
 
 def _rows(count: int, most: int) -> NDArray[np.int64]:
-    """At most so many of `count` rows, evenly, the first and the last one included."""
+    """Indices of at most `most` of `count` rows, evenly spaced, with the first and the last."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
 
 
 def _thinned(moment: Moment, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """At most so many points: first those that are not background, then the background evenly."""
+    """At most `most` points and classes: first those not in the background, then background."""
     is_plain = moment.point_class <= ShownClass.BACKGROUND
     marked, plain = np.flatnonzero(~is_plain), np.flatnonzero(is_plain)
     marked = marked[:: max(1, -(-len(marked) // max(1, most)))]
@@ -142,7 +142,7 @@ def _objects(moment: Moment) -> list[dict[str, Any]]:
 
 
 class _Lattice:
-    """Steps of equal length along all axes that hold all points in 16 bits each."""
+    """Lattice with equal steps along all axes, on which 16 bits per axis cover all points."""
 
     def __init__(self, parts: Sequence[NDArray[Any]]) -> None:
         known = [part.astype(np.float64) for part in parts if len(part)]

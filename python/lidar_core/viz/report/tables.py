@@ -23,7 +23,7 @@ ELSEWHERE = ("track_scores", "detection_scores", "identity_scores", "latency_ms"
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """summary.json of a run; empty where it has none."""
+    """Read summary.json of a run; empty if the run has none."""
     path = folder / "summary.json"
     if not path.is_file():
         return {}
@@ -37,7 +37,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def read_note(folder: Path) -> tuple[str, dict[str, Any]]:
-    """run.toml of a run, as text and as values."""
+    """Read run.toml of a run; return it as text and as values."""
     path = folder / RUN_FILE
     try:
         text = read_whole(path).decode("utf-8")
@@ -53,7 +53,7 @@ def summary_rows(summary: Mapping[str, Any]) -> list[Row]:
 
 
 def flat(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Values of nested tables by their paths; empty tables are left out."""
+    """Yield the values of nested tables by their paths; empty tables are left out."""
     for name, value in values.items():
         if isinstance(value, dict):
             yield from flat(value, f"{path}{name}: ")
@@ -62,7 +62,7 @@ def flat(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]
 
 
 def object_rows(run: Playback) -> tuple[list[str], list[list[str]]]:
-    """Heads and lines of the table of objects, one line per number, longest in sight first."""
+    """Header and rows of the table of objects: one row per number, longest in sight first."""
     ways: dict[int, list[tuple[float, Any, float, float]]] = {}
     start = None
     for stamp_ns, objects in run.steps():
@@ -91,7 +91,7 @@ def object_rows(run: Playback) -> tuple[list[str], list[list[str]]]:
 
 
 def timing_rows(folder: Path) -> list[Row]:
-    """Times of the stages of a run; none where it has no such table."""
+    """Rows of the times per stage of a run; empty if the run has no such table."""
     table = table_in(folder, "timing")
     if table is None:
         return []
@@ -108,7 +108,7 @@ def timing_rows(folder: Path) -> list[Row]:
 
 
 def nis_rows(summary: Mapping[str, Any]) -> list[Row]:
-    """Normalised innovations of the sensors of `fuse`; none for other runs."""
+    """Rows of the normalised innovations per sensor of `fuse`; empty for other runs."""
     found = summary.get("nis")
     if not isinstance(found, dict):
         return []
