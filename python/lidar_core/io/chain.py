@@ -1,4 +1,4 @@
-"""Several files of one recording, one after another."""
+"""Recordings that consist of several files, read as one."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ class ChainedRecording(Recording):
     files : list of Path
         The recordings in it.
     opened : callable
-        Opens one of them.
+        Function that opens one of the files.
     """
 
     def __init__(self, path: Path, options: ReadOptions, files: list[Path], opened: Opener) -> None:

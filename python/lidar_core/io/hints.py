@@ -41,21 +41,21 @@ RECOVERED = "recovered.npz"
 
 
 def recovering(path: Path) -> str:
-    """Advice for a damaged recording of which parts can be read."""
+    """Return the advice for a damaged recording of which parts can be read."""
     command = shlex.join(["lidar-core", "convert", str(path), RECOVERED, "--recover"])
     return f"to save the rest: {command} (in Python: recover=True)"
 
 
 def unpacker(path: Path) -> str | None:
-    """Command that unpacks a file, which it calls FILE, by its name; None for other files."""
+    """Command that unpacks a file of this name, with FILE for it; None if it is not packed."""
     hint = _ARCHIVE if _is_tar(path) else _HINTS.get(path.suffix.lower(), "")
     return hint.partition(_FIRST)[2] or None
 
 
 def unpacking(files: Iterable[Path]) -> list[str]:
-    """Return the commands that unpack the packed ones of some files.
+    """Return commands that unpack the packed files among `files`.
 
-    They unpack them where they are, or, in a folder that must not be written, into the current one.
+    They unpack into the folder of the file, or into the current one if that is not writable.
     """
     packed = [(file, command.split()) for file in files if (command := unpacker(file))]
     packed.sort(key=lambda one: one[1][0] not in _INTO)  # archives may hold all the scans
@@ -71,7 +71,7 @@ def unpacking(files: Iterable[Path]) -> list[str]:
 
 
 def _is_tar(path: Path) -> bool:
-    """Whether a name is that of a packed tar archive."""
+    """Return whether a name is that of a packed tar archive."""
     is_packed = Path(path.stem).suffix.lower() == ".tar"
     return is_packed or path.suffix.lower() in (".tgz", ".tbz2", ".txz")
 

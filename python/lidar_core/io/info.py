@@ -109,7 +109,7 @@ class RecordingInfo:
         return (self.end_ns - self.start_ns) * 1e-9
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain values, ready for JSON."""
+        """Return the summary as plain values, ready for JSON."""
         return asdict(self) | {"duration_s": self.duration_s}
 
 
@@ -183,7 +183,7 @@ class _Stream:
         )
 
     def defects(self) -> list[str]:
-        """Times that jump, and empty scans."""
+        """Texts about defects: no messages, jumping times, gaps, empty scans, impossible ranges."""
         name, found = self.name, []
         if self.topic.note and self.topic.kind != "scan":
             found.append(f"{name}: {self.topic.note}")
@@ -221,7 +221,7 @@ class _Stream:
 
     @property
     def other_times(self) -> Literal["recorded", "counted"]:
-        """Times that increase: those of the recording, if they do more often, else counted ones."""
+        """Better times than the stamps: "recorded" if these increase more often, else "counted"."""
         times = self.times[: len(self.stamps)]
         return "recorded" if _late(times) < _late(self.stamps) else "counted"
 
@@ -249,7 +249,7 @@ def _late(times: list[int]) -> int:
 
 
 def _far(scan: Scan | LaserScan) -> list[float]:
-    """Median range, if it is one that no LiDAR measures [m]."""
+    """Median range [m] as a list of one value if no LiDAR measures so far; else an empty list."""
     if isinstance(scan, LaserScan):
         far = far_median(scan.ranges, LONGEST_2D)
     else:
@@ -316,7 +316,7 @@ def _looked_at(streams: Iterable[_Stream]) -> dict[str, tuple[int, int]]:
 
 
 def _check_pose_frames(recording: "Recording") -> None:
-    """Let the first scans say whether the poses are in their frame; it becomes a note."""
+    """Check with the first scans whether the poses are in their frame; add a note if not."""
     with suppress(LidarCoreError), warnings.catch_warnings():
         warnings.simplefilter("ignore", PoseFrameWarning)
         for number, _ in enumerate(posed_scans(recording)):

@@ -98,7 +98,7 @@ def open_recording(
 
 
 def _is_foreign(path: Path, options: ReadOptions) -> bool:
-    """Whether libraries of other people would parse one of these files."""
+    """Return whether a third-party library would parse one of these files."""
     if path.is_dir():
         inner = [path, *(path / name for one in READERS.parts() for name in one.subfolders)]
         files = [file for folder in inner if folder.is_dir() for file in folder.iterdir()]
@@ -113,7 +113,7 @@ def _is_foreign(path: Path, options: ReadOptions) -> bool:
 
 
 def _names_beside(path: Path) -> list[str]:
-    """Names of the files in the folder where a file was expected."""
+    """Names of other files in the folder in which a file was expected."""
     return [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
 
 
@@ -157,7 +157,7 @@ def _open_folder(path: Path, options: ReadOptions) -> Recording:
 
 
 def _readers_of(files: list[Path]) -> dict[Reader, list[Path]]:
-    """Files by the reader that their endings belong to, in the order of the readers."""
+    """Group files by the reader of their endings, in the order of the readers."""
     held: dict[Reader, list[Path]] = {}
     for file in files:
         suffix = suffix_of(file)
@@ -167,7 +167,7 @@ def _readers_of(files: list[Path]) -> dict[Reader, list[Path]]:
 
 
 def _open_subfolder(path: Path, files: list[Path], options: ReadOptions) -> Recording:
-    """Scans in the folders where their format has them, as KITTI does."""
+    """Open the scans in the subfolders where their format has them, as KITTI does."""
     for reader in READERS.parts():
         for inner in reader.subfolders:
             below = sorted(path.glob(f"{inner}/*"))
@@ -179,7 +179,7 @@ def _open_subfolder(path: Path, files: list[Path], options: ReadOptions) -> Reco
 
 
 def _advice(path: Path, files: list[Path]) -> str:
-    """What to do with a folder that holds no recording itself: archives may hold the scans."""
+    """Advice for a folder without a recording: unpack archives, or name one of its folders."""
     packed = unpacking(files)
     named = packed[:MOST_COMMANDS]
     more = [f"{len(packed) - MOST_COMMANDS} more"] if len(packed) > MOST_COMMANDS else []
@@ -190,13 +190,13 @@ def _advice(path: Path, files: list[Path]) -> str:
 
 
 def _folders_to_name(path: Path) -> list[str]:
-    """Names of the folders in which, or below which, there are files to read or to unpack."""
+    """Names of the subfolders that contain, at any depth, files to read or to unpack."""
     names = sorted(one.name for one in path.iterdir() if one.is_dir())
     return [name for name in names if _holds_any(path / name)][:MOST_FOLDERS]
 
 
 def _holds_any(folder: Path) -> bool:
-    """Whether one of the first files of a folder, or below it, is to be read or to be unpacked."""
+    """Return whether one of the first files in or below a folder can be read or unpacked."""
     below = (Path(place, name) for place, _, names in os.walk(folder) for name in names)
     regular = (file for file in islice(below, MOST_FILES) if file.is_file())
     return any(suffix_of(file) is not None or unpacker(file) for file in regular)

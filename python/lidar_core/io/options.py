@@ -113,7 +113,7 @@ class Span(Config):
         return self.start == 0 and self.end is None
 
     def __str__(self) -> str:
-        """In words."""
+        """Return the span as text."""
         end = "on" if self.end is None else f"to {self.end:g} s"
         return f"from {self.start:g} s {end}, counted from the first stamp"
 
@@ -191,7 +191,7 @@ _MOUNTING = "expected texts PARENT FRAME x y z roll pitch yaw"
 
 
 def mounting_of(text: str) -> Pose:
-    """Static pose that a text PARENT FRAME x y z roll pitch yaw states.
+    """Parse a text PARENT FRAME x y z roll pitch yaw as a static pose.
 
     Raises
     ------

@@ -175,7 +175,7 @@ def register_reader(
 
 
 def suffix_of(path: Path) -> str | None:
-    """The longest registered ending that the name of a file has."""
+    """Return the longest registered ending that the name of a file has; None without one."""
     name = path.name.lower()
     ends = {end for reader in READERS.parts() for end in reader.suffixes if name.endswith(end)}
     return max(ends, key=len, default=None)
@@ -202,7 +202,7 @@ def reader_of(path: Path, options: ReadOptions) -> Reader | None:
 
 
 def known_formats() -> str:
-    """All formats in words, and the packages that are broken."""
+    """Return all formats as text, and the packages that are broken."""
     listed = ", ".join(f"{one.name} ({' or '.join(one.suffixes)})" for one in READERS.parts())
     return "; ".join([listed, *map(str, READERS.broken())])
 

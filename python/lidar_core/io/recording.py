@@ -1,4 +1,4 @@
-"""A recording: records in time order, decoded to messages when asked for."""
+"""Base class of recordings: records in time order, decoded to messages on request."""
 
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -80,7 +80,7 @@ class Recording(ABC):
         return self.findings
 
     def poses(self) -> Iterator[tuple[Topic, Pose]]:
-        """Poses alone, with the topic each came from."""
+        """Yield only the poses, each with its topic."""
         for record in self.records(POSE_KINDS):
             for message in record.decode():
                 if isinstance(message, Pose):

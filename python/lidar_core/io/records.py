@@ -76,7 +76,7 @@ class Record:
     topic : Topic
         Stream it belongs to.
     time_ns : int
-        When it was stored [ns].
+        Time at which it was stored [ns].
     decode : callable
         Decode the messages of the record; none if it was rejected or has no reader.
     parse : callable, optional
@@ -99,13 +99,13 @@ class Findings:
     notes: list[str] = field(default_factory=list)
 
     def note(self, text: str) -> None:
-        """Keep `text` once, and no more texts than anybody reads."""
+        """Add `text` once; the number of texts is limited."""
         if len(self.notes) < MOST_NOTES and text not in self.notes:
             self.notes.append(text)
 
 
 def decoded(*messages: Message) -> Callable[[], list[Message]]:
-    """`Record.decode` of a reader that has the messages at hand."""
+    """Return a function for `Record.decode` that returns these messages."""
     return lambda: list(messages)
 
 

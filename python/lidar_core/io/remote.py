@@ -121,9 +121,9 @@ def stored_file(file: Path, address: str) -> None:
 
 
 def _put(files: Any, sources: Sequence[Path], places: Sequence[str]) -> None:
-    """Copy files, together where the file system can; folders are made where they are missing.
+    """Copy files, together if the file system can; missing folders are made only after an error.
 
-    Object stores have none, and asking them for a folder takes as long as writing a small file.
+    Object stores have no folders, and a request for one takes as long as writing a small file.
     """
     names = [str(source) for source in sources]
     try:

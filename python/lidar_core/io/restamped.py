@@ -1,4 +1,4 @@
-"""Recordings with unusable stamps: replaces the stamps of the scans."""
+"""Replacement of the stamps of scans in recordings with unusable stamps."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from lidar_core.messages import Message, Scan
 
 
 class RestampedRecording(Recording):
-    """A recording with the times at which messages were stored, or counted ones, as stamps.
+    """Recording whose stamps are the times at which messages were stored, or counted times.
 
     Static poses keep their stamps: they hold at all times.
 

@@ -11,7 +11,7 @@ UNIT_TOLERANCE = 0.01  # larger errors are no rounding, but another order or an 
 
 
 def unit_quaternion(quaternion: NDArray[np.float64], *, place: str) -> NDArray[np.float64]:
-    """`quaternion` scaled to length one.
+    """Return `quaternion` scaled to length one.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def pose_matrix(
 
 
 def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """Quaternion (x, y, z, w) of a turn by `roll`, then `pitch`, then `yaw` about fixed axes."""
+    """Quaternion (x, y, z, w) of `roll`, then `pitch`, then `yaw` [rad] about fixed axes."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
     return np.array(
         [

@@ -31,7 +31,7 @@ WORDS: dict[type, _Words] = {
 def scan_topics(
     recording: "Recording", sorts: Collection[type], names: Collection[str] = ()
 ) -> list[Topic]:
-    """Topics with scans: those named, else all.
+    """Return the topics with scans: the named ones, or all if `names` is empty.
 
     Parameters
     ----------
@@ -87,5 +87,5 @@ def scan_topic(recording: "Recording", name: str | None, sort: type) -> Topic:
 
 
 def listed(names: list[str]) -> str:
-    """Names in words."""
+    """Return the names as text."""
     return ", ".join(name or NAMELESS for name in sorted(names)) or "none"

@@ -1,4 +1,4 @@
-"""Stamps of scans that are not nanoseconds: the time between the scans shows it."""
+"""Check for stamps of scans that are not nanoseconds, by the time between the scans."""
 
 import statistics
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ def stamp_unit_note(stamps_ns: Sequence[int]) -> str | None:
 
 
 def _explained(step_ns: float, is_short: bool) -> tuple[float | None, str]:
-    """Usual time between scans that the steps are in another unit [ns], and this unit in words."""
+    """Return the time between scans [ns] if a step is in another unit, and a text on the unit."""
     for name, size in UNITS.items():
         usual_ns = step_ns * size if is_short else step_ns / size
         if USUAL_NS[0] <= usual_ns <= USUAL_NS[1]:

@@ -68,7 +68,7 @@ class Writer:
         return f"{self.format} of {self.takes}"
 
     def __call__(self, *values: Any) -> Any:
-        """Write.
+        """Call `write` with these values and return its result.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Writer:
             return self.write(*values)
 
     def __str__(self) -> str:
-        """The format, and how its files end."""
+        """Return the format and the endings of its files as text."""
         ends = " or ".join(end or "a new folder" for end in self.suffixes)
         return f"{ends} ({self.format})"
 

@@ -1,1 +1,1 @@
-"""Files of other people's formats are parsed in a child process, whose end is an error here."""
+"""Readers of third-party formats in a child process; a crash of it becomes an error here."""

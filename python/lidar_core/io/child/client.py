@@ -1,4 +1,4 @@
-"""The side of the caller: the process that forks readers, and the link to one of them."""
+"""Caller's side of child readers: the process that forks them, and the link to a reader."""
 
 import os
 import signal
@@ -28,7 +28,7 @@ _TRUST = "if you trust it, read it with trusted=True"
 
 
 class _Forker:
-    """The process that forks readers, started when the first is needed; one for this process."""
+    """Process that forks readers; it starts with the first reader, once per calling process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -36,7 +36,7 @@ class _Forker:
         self._process: subprocess.Popen[bytes] | None = None
 
     def fork(self, path: Path) -> tuple[int, socket.socket]:
-        """Start a reader of a file: its number, and the link to it."""
+        """Start a reader of a file; return its process number and the link to it."""
         library = _LIBRARIES.get(path.suffix, 0)
         ours, theirs = socket.socketpair()
         with theirs:
@@ -49,7 +49,7 @@ class _Forker:
         return child, ours
 
     def ended(self, child: int, *, is_gone: bool) -> int | None:
-        """Status of a reader that has ended; None if it is unknown. A reader that runs is ended."""
+        """Return the exit status of a reader, None if unknown; unless `is_gone`, end it first."""
         try:
             return self._ordered(WAIT if is_gone else END, child, [])
         except (OSError, EOFError):
@@ -108,7 +108,7 @@ if hasattr(os, "register_at_fork"):
 
 
 class ReaderLink:
-    """A reader in a child, and requests to it.
+    """Link to a reader in a child process that sends requests to it.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class ReaderLink:
             raise self._fate() from error
 
     def receive(self) -> dict[str, Any]:
-        """The next answer.
+        """Receive the next answer.
 
         Raises
         ------
@@ -175,7 +175,7 @@ class ReaderLink:
             raise self._fate() from error
 
     def _fate(self) -> LidarCoreError:
-        """Why the reader is gone."""
+        """Return the error that tells why the reader has ended."""
         if not self._end.alive:
             return FormatError(f"{self._path}: the recording is closed")
         self._end()

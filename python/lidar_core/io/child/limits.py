@@ -29,7 +29,7 @@ def limit_child(most_written: int) -> None:
 
 
 def allow_cpu(seconds: int) -> None:
-    """Allow this process so much processor time from now on; then the system ends it."""
+    """Allow this process `seconds` [s] more processor time; then the system ends it."""
     import resource
 
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
@@ -39,7 +39,7 @@ def allow_cpu(seconds: int) -> None:
 
 
 def cpu_for(path: Path) -> int:
-    """Processor time for one answer about a file or folder [s]."""
+    """Processor time allowed for one answer about a file or folder [s]."""
     try:
         files = [path] if path.is_file() else list(os.scandir(path))
         size = sum(file.stat().st_size for file in files)

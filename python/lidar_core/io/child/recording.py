@@ -1,4 +1,4 @@
-"""A recording that a child reads: the same messages, in the same order, with the same errors."""
+"""Recording that a child process reads, with the same messages, order and errors."""
 
 import os
 from collections import Counter, deque
@@ -16,7 +16,7 @@ from lidar_core.io.records import Record, Topic
 
 
 class ChildRecording(Recording):
-    """A recording that a child process parses; the process sends records ahead of time.
+    """Recording that a child process parses; the process sends records in advance.
 
     Parameters
     ----------
@@ -115,14 +115,14 @@ class ChildRecording(Recording):
         return Record(self._known[topic], int(time_ns), of("decode"), parse)
 
     def _ask(self, kind: str, **values: Any) -> Any:
-        """Value of an answer; records that come before it wait in their streams."""
+        """Send a request; return the value of its answer. Earlier records go to their streams."""
         self._link.send(kind, **values)
         while (answer := self._receive()) is None:
             pass
         return valued(answer)
 
     def _receive(self) -> dict[str, Any] | None:
-        """The next answer to a question; None for a record, which is put in its stream."""
+        """Receive the next answer to a request; None for a record, which goes to its stream."""
         frame = self._link.receive()
         self._note(frame)
         if "stream" not in frame:
@@ -132,7 +132,7 @@ class ChildRecording(Recording):
         return None
 
     def _note(self, answer: dict[str, Any]) -> None:
-        """Take over what the child has found so far."""
+        """Add the new topics and findings of the child that an answer contains."""
         self._known += [Topic(**one) for one in answer.get("topics", ())]
         news = answer.get("news")
         if news is None:

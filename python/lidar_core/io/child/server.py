@@ -73,7 +73,7 @@ def main(descriptor: int) -> None:
 
 
 def _load() -> None:
-    """What every reader needs, loaded once."""
+    """Import the modules that every reader needs, before readers are forked."""
     import_module("lidar_core.io")
     import_module("lidar_core.io.readers").known_formats()
 
@@ -96,7 +96,7 @@ def _forked(link: int, control: socket.socket) -> int:
 
 
 def _ended(child: int, *, patience: float) -> int:
-    """Status of a reader, which is killed if it has not ended in time [s]."""
+    """Wait for a reader at most `patience` [s], then kill it; return its exit status."""
     until = time.monotonic() + patience
     while not (found := os.waitpid(child, os.WNOHANG))[0]:
         if time.monotonic() >= until:
@@ -108,12 +108,12 @@ def _ended(child: int, *, patience: float) -> int:
 
 
 def _has_ended(child: int) -> bool:
-    """Whether a reader that nobody waits for has ended."""
+    """Return whether a reader has ended, without waiting for it."""
     return os.waitpid(child, os.WNOHANG)[0] != 0
 
 
 class Reader:
-    """One recording in its own process, with the requests about it."""
+    """Reader of one recording in its own process; it answers requests about it."""
 
     def __init__(self, link: socket.socket) -> None:
         self._link = link
@@ -131,7 +131,7 @@ class Reader:
         self._n_told = 0
 
     def serve(self) -> None:
-        """Answer until the caller is gone."""
+        """Answer requests until the caller has ended."""
         answers: dict[str, Callable[..., Any]] = {
             "open": self._open,
             "call": self._call,
@@ -200,9 +200,9 @@ class Reader:
         )
 
     def _more(self, stream: int, kinds: list[str] | None) -> None:
-        """Send the next records of a stream, those decoded whose topics were decoded before.
+        """Send the next records of a stream; decode those of topics that were decoded before.
 
-        Small ones go together: a frame for every transform would cost more than reading it.
+        Small records share a frame: a frame for every transform would cost more than reading it.
         """
         if stream not in self._streams:
             self._streams[stream] = iter(self._recording.records(_kinds(kinds)))
@@ -239,7 +239,7 @@ class Reader:
             wire.send(self._link, {"stream": stream, "items": [], "pause": True}, [])
 
     def _item(self, stream: int, record: Record, buffers: list[memoryview]) -> list[Any]:
-        """Number, topic, time and content of a record, as frames hold it."""
+        """Encode a record for a frame: number, topic, time and content."""
         number = self._counts[stream]
         self._counts[stream] += 1
         topic = self._numbers.setdefault(record.topic, len(self._numbers))
@@ -255,7 +255,7 @@ class Reader:
         return [number, topic, record.time_ns, record.parse is not None, found]
 
     def _new_topics(self) -> list[dict[str, Any]]:
-        """Topics that were met since the last frame, in the order of their numbers."""
+        """Return the topics that were found since the last frame, in the order of their numbers."""
         new = list(self._numbers)[self._n_told :]
         self._n_told = len(self._numbers)
         return [vars_of(topic) for topic in new]
@@ -267,7 +267,7 @@ class Reader:
             return {"error": wire.told_error(error, self._place)}
 
     def _read(self, stream: int, number: int, what: str, kinds: list[str] | None) -> Any:
-        """What one record holds; the next ones of its topic are decoded without being asked."""
+        """Return the content of a record; later ones of its topic are then decoded in advance."""
         record = self._kept.get((stream, number)) or self._again(kinds, number)
         self._wanted.add((stream, what, record.topic.name))
         return _work(record, what)
@@ -287,7 +287,7 @@ class Reader:
             del self._kept[key]
 
     def _found(self) -> dict[str, Any]:
-        """What the reader has found since it said so last."""
+        """Return the findings of the reader since the last call; empty without new ones."""
         if self._recording is None:
             return {}
         now, before = self._recording.noticed(), self._told

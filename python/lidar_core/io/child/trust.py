@@ -1,4 +1,4 @@
-"""Trusted files: they are read in this process, by the libraries of their formats."""
+"""Trusted files, which the libraries of their formats read in this process."""
 
 import os
 import sys
@@ -22,5 +22,5 @@ def trusted_files(is_trusted: bool = True) -> Iterator[None]:
 
 
 def is_trusted(given: bool | None) -> bool:
-    """True if a file is read in this process: `given`, or else the enclosing `trusted_files`."""
+    """Return whether a file is read in this process: `given`, or the enclosing `trusted_files`."""
     return not HAS_CHILDREN or (_TRUSTED.get() if given is None else given)

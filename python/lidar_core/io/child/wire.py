@@ -39,7 +39,7 @@ _FIELDS: dict[type, Callable[[Any], tuple[Any, ...]]] = {
 
 
 def send(link: socket.socket, value: Any, buffers: list[memoryview] | None = None) -> int:
-    """Send a value; bytes that it took. With `buffers` it is packed already."""
+    """Send a value; return the number of bytes. With `buffers` the value is already packed."""
     if buffers is None:
         buffers = []
         value = packed(value, buffers)
@@ -148,7 +148,7 @@ def _packed_array(array: NDArray[Any], buffers: list[memoryview]) -> Any:
 
 
 def _unpacked(value: Any, buffers: Iterator[memoryview]) -> Any:
-    """The value again; arrays take the buffers in the order in which they were packed."""
+    """Reverse `packed`; arrays take the buffers in the order in which they were packed."""
     if isinstance(value, list):
         return [_unpacked(one, buffers) for one in value]
     if not isinstance(value, dict):

@@ -105,8 +105,8 @@ def commit(temporary: Path, path: Path) -> None:
 def synced_together() -> Iterator[None]:
     """Write the files of a block to the disk together, at its end.
 
-    For files that count only when a later file names them: after a loss of power within the block
-    they may be empty. An error leaves them as they are. The block is for one thread of a process.
+    For files that matter only when a later file names them: after a loss of power within the block
+    they may be empty. An error leaves them as they are. Only one thread of a process may use this.
     """
     global _waiting  # noqa: PLW0603 all writers of the process look at it
     files, _waiting = dict[Path, None](), {}
@@ -129,10 +129,10 @@ _waiting: dict[Path, None] | None = None
 
 @contextmanager
 def unsynced() -> Iterator[None]:
-    """Files that the block writes are whole, but nothing waits until they are on the disk.
+    """Write the files of the block atomically, but do not wait until they are on the disk.
 
-    For files that are sent to another machine and removed here: a loss of power takes the process
-    that would send them, too. The block is for one thread of a process.
+    For files that are sent to another machine and then removed here: a loss of power also ends the
+    process that would send them. Only one thread of a process may use this.
     """
     global _is_unsynced  # noqa: PLW0603 all writers of the process look at it
     before, _is_unsynced = _is_unsynced, True
@@ -161,7 +161,7 @@ def _sync_folder(path: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Refuse, before any work, a file that could not be put in its place.
+    """Refuse, before any work, a file that cannot be written at `path`.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def check_place(path: Path) -> None:
 
 @contextmanager
 def written_whole(path: str | Path, *, synced: bool = True) -> Iterator[Path]:
-    """Temporary path to write to; it becomes `path` if the block ends without an error.
+    """Yield a temporary path to write to; it becomes `path` if the block ends without an error.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def written_whole(path: str | Path, *, synced: bool = True) -> Iterator[Path]:
     Raises
     ------
     FileNotFoundError, PermissionError, IsADirectoryError
-        It could not become that: see `check_place`.
+        The file cannot be written there: see `check_place`.
     """
     place = Path(path)
     check_place(place)

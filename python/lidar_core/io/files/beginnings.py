@@ -1,4 +1,4 @@
-"""First bytes of formats, to name what a file is whose name says something else."""
+"""First bytes of formats, to recognise the format of a file whose name is wrong."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ _LOOKED_AT = 128
 
 
 def check_beginning(path: Path, expected: bytes, what: str) -> None:
-    """Refuse a file that does not begin as `what`, whatever its name says.
+    """Refuse a file that does not begin with the bytes of the format `what`.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def check_beginning(path: Path, expected: bytes, what: str) -> None:
 
 
 def not_a(path: Path, what: str, head: bytes) -> FormatError:
-    """Error for a file that is not `what`: how it begins, and what that looks like."""
+    """Return the error for a file that is not `what`, with its first bytes and likely format."""
     return FormatError(f"{path}: not {what}: it begins with {head!r}{likeness(path)}")
 
 

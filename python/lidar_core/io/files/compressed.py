@@ -26,7 +26,10 @@ def most_bytes(packed: int, limit: int) -> int:
 def bounded_decompressor(
     original: Callable[[bytes], bytes], place: str, limit: int
 ) -> Callable[[bytes], bytes]:
-    """A decompressor like `original` that stops at `limit` bytes of output."""
+    """Return a decompressor for bz2 or LZ4 like `original` that allows at most `limit` bytes.
+
+    Other decompressors are returned as they are.
+    """
     module = getattr(original, "__module__", "")
     if module == "bz2":
         return lambda data: _complete(bz2.BZ2Decompressor(), data, place, limit)
@@ -36,13 +39,13 @@ def bounded_decompressor(
 
 
 def lz4_data(data: bytes, place: str, limit: int) -> bytes:
-    """A frame of LZ4, decompressed to at most `limit` bytes."""
+    """Decompress a frame of LZ4 to at most `limit` bytes."""
     frame = require("lz4.frame", extra="io", purpose="reading compressed recordings")
     return _complete(frame.LZ4FrameDecompressor(), data, place, limit)
 
 
 def zstd_data(data: bytes, place: str, limit: int) -> bytes:
-    """A frame of zstd, decompressed to at most `limit` bytes."""
+    """Decompress a frame of zstd to at most `limit` bytes."""
     _check_zstd(BytesIO(data), place)
     zstandard = _zstandard()
     most = most_bytes(len(data), limit)
@@ -53,7 +56,7 @@ def zstd_data(data: bytes, place: str, limit: int) -> bytes:
 
 
 def unpack_zstd(source: Path, target: Path, limit: int) -> int:
-    """Decompress a file of one frame of zstd to `target`, at most `limit` bytes; how many.
+    """Decompress a file of one frame of zstd to `target`, at most `limit` bytes; return the size.
 
     Raises
     ------
@@ -125,7 +128,7 @@ def _complete(decompressor: Any, data: bytes, place: str, limit: int) -> bytes:
 
 
 def _check_grown(size: int, packed: int, limit: int, place: str) -> None:
-    """Refuse output of `size` bytes so far, which `packed` compressed bytes became."""
+    """Refuse output of `size` bytes so far from `packed` compressed bytes if it is too large."""
     if size > limit:
         raise LimitError(
             f"{place}: decompresses to more than {limit} bytes; raise it with max_record_bytes"
@@ -134,7 +137,7 @@ def _check_grown(size: int, packed: int, limit: int, place: str) -> None:
 
 
 def check_ratio(size: int, packed: int, place: str) -> None:
-    """Refuse output that no honest data grows to.
+    """Refuse output that is too large for its compressed data.
 
     Raises
     ------

@@ -41,7 +41,7 @@ def reading(place: str) -> Iterator[None]:
 
 
 def _one_line(error: Exception) -> str:
-    """The text of an error; of a model that a library checks a header with, its problems."""
+    """Return the text of an error in one line; of a validation error, its problems."""
     if isinstance(error, ValidationError):
         problems = error.errors(include_url=False, include_context=False)
         return "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in problems)

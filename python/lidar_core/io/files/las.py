@@ -1,4 +1,4 @@
-"""LAS and LAZ: places and intensities, by our own reading of everything that states a size.
+"""Reader of points and intensities in LAS and LAZ files that checks all stated sizes itself.
 
 lazrs trusts the sizes of chunks and layers in a file, and allocates that much memory: a file of 2
 KB ended the process. So lazrs gets one chunk at a time, cut out and measured here, and never a
@@ -84,7 +84,7 @@ class Packing(NamedTuple):
 
 
 def read_las(path: Path, options: ReadOptions) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Points (N, 3) [m] and intensities (N,) of a LAS or LAZ file.
+    """Read points (N, 3) [m] and intensities (N,) of a LAS or LAZ file.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def _plain(place: str, data: bytes, head: Head) -> NDArray[np.uint8]:
 
 
 def _unpack_laz(place: str, data: bytes, head: Head) -> Iterator[NDArray[np.uint8]]:
-    """Points of a LAZ file, some at a time."""
+    """Yield the points of a LAZ file in parts."""
     if not head.n_points:
         return
     packing = _packing(place, data, head)
@@ -196,7 +196,7 @@ def _packing(place: str, data: bytes, head: Head) -> Packing:
 
 
 def _with_one_chunk(record: bytes) -> bytes:
-    """LASzip's record with chunks so large that the library never begins a second one."""
+    """Change LASzip's record to chunks so large that the library never begins a second one."""
     largest = struct.pack("<I", _VARIABLE - 1)
     return record[:_CHUNK_SIZE_AT] + largest + record[_CHUNK_SIZE_AT + 4 :]
 
@@ -215,7 +215,7 @@ def _laszip_record(place: str, data: bytes, head: Head) -> bytes:
 
 
 def _span(place: str, data: bytes, head: Head, packing: Packing) -> tuple[int, int]:
-    """First and last byte of the compressed points; the table of chunks follows them."""
+    """Return start and end of the compressed points [byte]; the table of chunks follows them."""
     if packing.kind == _ONE_STREAM:
         return head.points_at, len(data)
     (table_at,) = struct.unpack_from("<q", data, head.points_at)
@@ -242,7 +242,7 @@ def _check_ratio(place: str, head: Head, packed: int) -> None:
 def _chunks(
     place: str, data: bytes, span: tuple[int, int], head: Head, packing: Packing
 ) -> Iterator[tuple[int, int, int]]:
-    """First byte, end and number of points of pieces that the library reads in one go."""
+    """Yield start, end [byte] and number of points of parts that the library reads at once."""
     at, end = span
     left, begun, most = head.n_points, 0, FREE_CHUNKS + head.n_points // POINTS_PER_CHUNK
     if packing.kind == _ONE_STREAM:
@@ -267,7 +267,10 @@ def _chunks(
 def _layered_chunk(
     place: str, data: bytes, at: int, end: int, head: Head, packing: Packing
 ) -> tuple[int, int]:
-    """End and stated number of points of a chunk: a point, the number, sizes of layers, layers."""
+    """Return the end [byte] and the stated number of points of a layered chunk.
+
+    Its layout: a point, the number of points, the sizes of the layers, the layers.
+    """
     sizes_at = at + head.point_bytes
     layers_at = sizes_at + 4 * (1 + packing.n_layers)
     if layers_at > end:
@@ -284,7 +287,7 @@ def _layered_chunk(
 def _pointwise_chunks(
     place: str, data: bytes, span: tuple[int, int], head: Head, packing: Packing, most: int
 ) -> Iterator[tuple[int, int, int]]:
-    """Chunks of the old formats: only the table says where they begin."""
+    """Yield the chunks of the old formats, as `_chunks`; only the table states where they begin."""
     start, end = span
     if head.n_points <= packing.chunk_points < _VARIABLE:
         yield start, end, head.n_points
@@ -337,7 +340,7 @@ def _points_of(
 
 
 class _no_panic:  # noqa: N801
-    """Turns a panic of the library, which is no `Exception`, into a FormatError."""
+    """Context manager that turns a panic of the library, which is no `Exception`, into an error."""
 
     def __init__(self, place: str) -> None:
         self._place = place

@@ -1,6 +1,6 @@
 """Records inside a chunk of an MCAP file.
 
-The library's own function checks no lengths. Fields that a later version of the format has put
+The library's own function checks no lengths. Fields that a later version of the format may put
 behind the known ones it takes for the next record.
 """
 
@@ -51,7 +51,7 @@ def chunk_records(chunk: Any, place: str, limit: int) -> list[Any]:
 
 
 def _record(code: int, data: bytes, place: str) -> Any:
-    """A record from its bytes; None if it is of another kind."""
+    """Parse a record from its bytes; None if it is no schema, channel or message."""
     known = require("mcap.records", extra="io", purpose="reading MCAP")
     if code == _MESSAGE_CODE:
         if len(data) < _MESSAGE.size:

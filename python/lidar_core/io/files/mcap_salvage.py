@@ -12,7 +12,7 @@ NextChunk = Callable[[int], tuple[int, list[Any]]]
 
 @dataclass(slots=True)
 class Salvage:
-    """Fills a summary from the records of a file, in their order.
+    """Builder of the summary of a damaged file from its records, in their order.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Salvage:
     broken: int = 0
 
     def see(self, record: Any, end: int, next_chunk: NextChunk) -> None:
-        """Take the record that ended at byte `end`."""
+        """Add the record that ended at byte `end`."""
         behind, self.known_bytes = self.known_bytes, end
         if isinstance(record, self.records.Chunk):
             self._see_chunk(record, behind, next_chunk)

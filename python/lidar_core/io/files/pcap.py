@@ -1,7 +1,8 @@
 """Packet captures as tcpdump and Wireshark write them, packet by packet.
 
-A capture that was killed ends inside a packet: what is before it is read, and the loss is told.
-Libraries that decode captures pass over it silently, as over other damage, which is an error here.
+A capture that was killed ends inside a packet: everything before it is read, and the loss is
+reported. Libraries that decode captures ignore such a loss, and other damage, without a message.
+Here other damage is an error.
 """
 
 import mmap
@@ -25,7 +26,7 @@ VELODYNE_BYTES = VELODYNE_PAYLOAD + 42  # the same in UDP, IPv4 and Ethernet hea
 
 
 def packet_sizes(path: Path, *, on_cut: Callable[[str], None] = lambda told: None) -> Counter[int]:
-    """Number of packets of each captured size [bytes]; `on_cut` gets the loss of a cut last packet.
+    """Count packets by captured size [byte]; `on_cut` gets a text if the last packet is cut.
 
     Raises
     ------
@@ -47,7 +48,7 @@ def packet_sizes(path: Path, *, on_cut: Callable[[str], None] = lambda told: Non
 
 
 def packets(path: Path) -> Iterator[Packet]:
-    """Packets of a capture in their order; errors as of `packet_sizes`."""
+    """Yield the packets of a capture in their order; errors as of `packet_sizes`."""
     magic = _magic(path)
     if magic == pcapng.MAGIC:
         yield from pcapng.packets(path)
@@ -91,7 +92,7 @@ def _pcap_sizes(path: Path, magic: bytes, cut: CutEnd) -> Counter[int]:
 def _places(
     path: Path, data: mmap.mmap, order: str, cut: CutEnd | None = None
 ) -> Iterator[tuple[int, int]]:
-    """Where the data of every packet begin, and how many bytes they are."""
+    """Yield the start and the size of the data of every packet [byte]."""
     header = struct.Struct(order + "IIII")
     position, end = _FILE_HEADER, len(data)
     while position + _PACKET_HEADER <= end:

@@ -52,7 +52,7 @@ class CutEnd:
 
 
 def packets(path: Path, cut: CutEnd | None = None) -> Iterator[Packet]:
-    """Packets of a capture in their order; blocks of other kinds are passed over.
+    """Yield the packets of a capture in their order; blocks of other kinds are skipped.
 
     A last block that was cut is the end; `cut` gets its size.
 
@@ -76,7 +76,7 @@ def packets(path: Path, cut: CutEnd | None = None) -> Iterator[Packet]:
 
 
 def _blocks(path: Path, data: mmap.mmap, cut: CutEnd) -> Iterator[tuple[int, str, int, bytes]]:
-    """Position, byte order, kind and content of every block."""
+    """Yield position, byte order, kind and content of every block."""
     position, order, end = 0, "<", len(data)
     while position < end:
         if data[position : position + 4] == MAGIC:
@@ -101,9 +101,9 @@ def _blocks(path: Path, data: mmap.mmap, cut: CutEnd) -> Iterator[tuple[int, str
 
 
 def _can_be_cut(body: bytes, order: str, kind: int, size: int) -> bool:
-    """Return whether the size of a block beyond the end is that of a packet that was cut.
+    """Return whether a block that exceeds the file has the size of a packet that was cut.
 
-    A damaged size would else hide all packets behind it.
+    Otherwise its size is damaged, and would hide all packets after it.
     """
     if kind != PACKET:
         return False
@@ -145,14 +145,14 @@ def _clock(body: bytes, order: str) -> _Clock:
 
 
 class AsPcap:
-    """A pcapng file that reads like the pcap of the same packets, times in microseconds."""
+    """Pcapng file that is read like a pcap file with the same packets, times in microseconds."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.seek(0)
 
     def seek(self, position: int) -> None:
-        """Begin again; there is no other position."""
+        """Go back to the beginning, whatever `position` is."""
         del position
         self._parts, self._left = self._pcap(), b""
 

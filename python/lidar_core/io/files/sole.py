@@ -35,7 +35,7 @@ def sole_writer(path: Path) -> Iterator[None]:
 
 
 def _lock(place: Path, path: Path) -> int | None:
-    """The lock file, open and locked; None where there are no locks."""
+    """Open and lock the lock file; None on systems or folders without locks."""
     if os.name != "posix" or not os.access(place.parent, os.W_OK):
         return None  # who may not write there is told so by what writes
     import fcntl

@@ -35,7 +35,7 @@ class Datagram(NamedTuple):
     Attributes
     ----------
     stamp_ns : int
-        When its last fragment was captured.
+        Time at which its last fragment was captured [ns].
     source : bytes
         Address of the sender.
     port : int
@@ -51,7 +51,7 @@ class Datagram(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """A whole packet of IP, or a fragment of one."""
+    """Whole IP packet or one fragment of a packet."""
 
     key: bytes
     source: bytes
@@ -79,7 +79,7 @@ class _Pending:
 
 
 def datagrams(path: Path) -> Iterator[Datagram]:
-    """UDP datagrams of a capture, in the order in which they were complete.
+    """Yield the UDP datagrams of a capture in the order in which they were complete.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def datagrams(path: Path) -> Iterator[Datagram]:
 
 
 def _ip_part(data: bytes, link: int) -> _Part | None:
-    """The part of a UDP packet that a captured packet holds, if any."""
+    """Return the UDP packet or fragment in a captured packet; None without one."""
     position = _ip_position(data, link)
     if position is None or len(data) < position + 20:
         return None

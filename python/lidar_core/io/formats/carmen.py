@@ -66,7 +66,7 @@ def _place(path: Path, number: int) -> str:
 
 
 class _Line(NamedTuple):
-    """One message: the number of its line, its name, and the words after it."""
+    """Message of a log: the number of its line, its name, and the words after the name."""
 
     path: Path
     number: int
@@ -75,7 +75,7 @@ class _Line(NamedTuple):
 
     @property
     def place(self) -> str:
-        """Where the message stands, for errors."""
+        """Position of the message in the log, for errors."""
         return _place(self.path, self.number)
 
     def numbers(self, start: int, count: int) -> NDArray[np.float64]:
@@ -140,7 +140,7 @@ class CarmenRecording(Recording):
         ]
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
-        """Messages in the order of the log; one without a time has that of the one before."""
+        """Yield messages in the order of the log; one without a time gets the time before it."""
         for topic, line, parts, stamp_ns in self._timed(kinds):
             decode: Callable[[], list[Message]] = decoded()
             if parts is not None:
@@ -148,7 +148,7 @@ class CarmenRecording(Recording):
             yield Record(topic, stamp_ns, decode)
 
     def poses(self) -> Iterator[tuple[Topic, Pose]]:
-        """Poses alone; the readings of their lines are not decoded."""
+        """Yield only the poses; the readings of their lines are not decoded."""
         for topic, line, parts, stamp_ns in self._timed(POSE_KINDS):
             if parts is None or line.number in self._rejected:
                 continue
@@ -163,7 +163,7 @@ class CarmenRecording(Recording):
     def _timed(
         self, kinds: frozenset[str] | None
     ) -> Iterator[tuple[Topic, _Line, "_Parts | None", int]]:
-        """Messages with their topics, parts and times [ns]; no parts of kinds that are not read."""
+        """Yield messages with topic, parts and time [ns]; parts are None for kinds not read."""
         topics = {
             topic.name: topic for topic in self.topics() if kinds is None or topic.kind in kinds
         }
@@ -258,14 +258,14 @@ class CarmenRecording(Recording):
             readings[float(greatest)] += int(found)
 
     def _lines(self) -> Iterator[_Line]:
-        """Messages with the numbers of their lines; comments and empty lines left out."""
+        """Yield messages with the numbers of their lines, without comments and empty lines."""
         for number, text in enumerate(self._texts(), 1):
             words = text.decode("ascii", "replace").split()
             if words and not words[0].startswith("#"):
                 yield _Line(self.path, number, words[0], words[1:])
 
     def _texts(self) -> Iterator[bytes]:
-        """Lines of the log; what a packed log of moderate size holds is unpacked once."""
+        """Yield the lines of the log; a packed log of moderate size is unpacked only once."""
         if self._unpacked is not None:
             yield from io.BytesIO(self._unpacked)
             return
@@ -334,7 +334,7 @@ def _parts(line: _Line) -> _Parts:
 
 
 def _layout(line: _Line, parts: _Parts) -> tuple[float, float, float | None]:
-    """Bearing of the first reading, from one to the next [rad], and the limit [m] if stated."""
+    """First bearing and bearing step of a scan [rad]; its range limit [m], None if not stated."""
     if line.name in OLD_SCANS:
         few = max(parts.readings - 1, 1)
         start, step = LAYOUTS.get(parts.readings, (-90.0, 180.0 / few))

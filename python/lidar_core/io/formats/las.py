@@ -15,7 +15,7 @@ FAR = 1000.0  # coordinates beyond are given from a nearer corner [m]
 
 @register_reader("LAS", [".las", ".laz"], extra="io", folder="together")
 class LasRecording(SequenceRecording):
-    """LAS and LAZ files: coordinates from a corner near the cloud, which is a pose.
+    """LAS and LAZ files; coordinates are relative to a corner near the cloud, given as a pose.
 
     National grid coordinates have more digits than float32.
     """

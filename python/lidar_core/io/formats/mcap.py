@@ -145,7 +145,7 @@ class McapRecording(Recording):
 
     @contextmanager
     def _reading(self, place: str) -> Iterator[None]:
-        """Like `reading`, for a library that has its own limit on records."""
+        """Convert errors like `reading`, for a library that has its own limit on records."""
         exceptions = require("mcap.exceptions", extra="io", purpose="reading MCAP")
         with reading(place):
             try:
@@ -175,7 +175,7 @@ class McapRecording(Recording):
         return summary
 
     def _check_end(self) -> None:
-        """Refuse a file without its end: the library would take other bytes for its summary."""
+        """Refuse a file without its end: the library would take other bytes for a summary."""
         self._file.seek(-len(MCAP), os.SEEK_END)
         end, size = self._file.read(), self._file.tell()
         self._file.seek(0)
@@ -206,9 +206,10 @@ class McapRecording(Recording):
         return summary
 
     def _next_chunk(self, place: int) -> tuple[int, list[Any]]:
-        """Start of the next chunk and its records; records of other kinds may come before it.
+        """Find the next chunk; return its start [byte] and its records.
 
-        The search begins with the record at byte `place`. The file stays where it is.
+        The search begins with the record at byte `place` and skips records of other kinds. The
+        position in the file does not change.
         """
         position = self._file.tell()
         try:
@@ -226,7 +227,7 @@ class McapRecording(Recording):
 
     @staticmethod
     def _is_complete(summary: Any) -> bool:
-        """Whether the summary repeats the channels and their schemas, which it need not."""
+        """Return whether the summary repeats all channels and their schemas, which is optional."""
         told = summary.statistics.channel_count if summary.statistics is not None else 1
         used = {channel.schema_id for channel in summary.channels.values()}
         return len(summary.channels) >= told and used <= {0, *summary.schemas}
@@ -269,7 +270,7 @@ class McapRecording(Recording):
         return [record for record in records if isinstance(record, self._records.Message)]
 
     def _chunk_records(self, offset: int) -> list[Any]:
-        """Records of the chunk at byte `offset`, its checksum and its size checked."""
+        """Read the records of the chunk at byte `offset`; its checksum and its size are checked."""
         place = f"{self.path}, chunk at byte {offset}"
         with self._reading(place):
             self._file.seek(offset)
@@ -279,7 +280,7 @@ class McapRecording(Recording):
             return chunk_records(chunk, place, self.options.max_record_bytes)
 
     def _all_records(self) -> Iterator[Any]:
-        """Records in the order of the file, with those inside chunks."""
+        """Yield all records in the order of the file, including those inside chunks."""
         self._file.seek(0)
         for record in self._stream().records:
             if isinstance(record, self._records.Chunk):
@@ -315,13 +316,13 @@ class McapRecording(Recording):
         return Record(topic, message.log_time, decode, parse)
 
     def _message(self, number: int, message: Any, topic: Topic) -> Any:
-        """A message of ROS, as its type says."""
+        """Decode a message of ROS by the type of its topic."""
         ros = self._ros[self._summary.channels[message.channel_id].message_encoding]
         place = f"{self.path}, message {number} on {topic.name}"
         return ros.message(ros_name(topic.type), message.data, place)
 
     def _first_text(self, name: str) -> str | None:
-        """The first message of a topic of texts."""
+        """Return the text of the first message of a topic of texts; None without messages."""
         wanted = {number for number, topic in self._topics.items() if topic.name == name}
         for order, message in self._messages(wanted):
             text: str = self._message(order, message, self._topics[message.channel_id]).data
@@ -346,7 +347,7 @@ class McapRecording(Recording):
 
 
 def _sum(one: Topic, other: Topic) -> int | None:
-    """Messages of two channels of a topic; None if the file does not state them."""
+    """Number of messages of two channels of a topic; None if the file does not state it."""
     return None if one.count is None or other.count is None else one.count + other.count
 
 

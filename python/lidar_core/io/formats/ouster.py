@@ -26,7 +26,7 @@ SENSOR_KEY = b'"beam_altitude_angles"'
 
 
 def is_ouster_capture(path: Path, options: ReadOptions) -> bool:
-    """True if the JSON file of a sensor was named, or is beside a capture."""
+    """Return whether the JSON file of a sensor was named, or is beside a capture."""
     packet_sizes(path)  # refuses what is no capture
     return options.metadata is not None or metadata_beside(path) is not None
 
@@ -122,10 +122,10 @@ class OusterRecording(_OusterFrames):
             self.findings.note(f"ouster: {collector.late} packets came late and were dropped")
 
     def _find_sender(self, metadata: Path) -> tuple[bytes, int]:
-        """Address and port of the sensor: a capture may hold several.
+        """Return address and port of the sensor whose packets are read.
 
-        Of several, the one whose packets have the serial number of the JSON file, or are sent to
-        its port; else the first.
+        A capture may contain several sensors. Then it is the one whose packets have the serial
+        number of the JSON file, or are sent to its port; else the first.
         """
         sensor, layout = self._sensors[0], self._layout
         senders: dict[tuple[bytes, int], int | None] = {}

@@ -84,7 +84,7 @@ class PcdRecording(SequenceRecording):
 
 
 def _check_keys(file: Path, lines: list[str]) -> None:
-    """Refuse a file that is no PCD, and a header without what the library needs."""
+    """Refuse a file that is no PCD, and a header without the keys that the library needs."""
     words = {line.partition(" ")[0] for line in lines}
     if words.isdisjoint(KEYS):
         with file.open("rb") as stream:
@@ -95,9 +95,9 @@ def _check_keys(file: Path, lines: list[str]) -> None:
 
 
 def _check_compressed(file: Path, left: int, size: int) -> None:
-    """Refuse sizes of compressed points, the last `left` bytes of a file, that cannot be true.
+    """Refuse impossible sizes of compressed points, the last `left` bytes of a file.
 
-    The library allocates what they say before it decompresses anything.
+    The library allocates the stated sizes before it decompresses anything.
     """
     with file.open("rb") as stream:
         stream.seek(-left, SEEK_END)

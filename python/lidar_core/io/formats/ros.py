@@ -109,7 +109,7 @@ class RosRecording(Recording):
     def _stored(
         self, file: Path, reader: Any, wanted: list[Any]
     ) -> Iterator[tuple[Any, int, bytes, str]]:
-        """Messages of these connections: connection, time, bytes, and their place in words."""
+        """Yield the messages of these connections: connection, time [ns], bytes, place as text."""
         stored = iter(reader.messages(connections=wanted))
         number = 0
         while True:
@@ -128,7 +128,7 @@ class RosRecording(Recording):
             number += 1
 
     def _first_text(self, topic: str) -> str | None:
-        """The first message of a topic of texts."""
+        """Return the text of the first message of a topic of texts; None without messages."""
         for file, reader in self._readers:
             wanted = [one for one in reader.connections if one.topic == topic]
             if wanted:
@@ -159,13 +159,13 @@ class RosRecording(Recording):
 
 @register_reader("ROS 1 bag", [".bag"], extra="io")
 def open_bag(path: Path, options: ReadOptions) -> RosRecording:
-    """A ROS 1 bag."""
+    """Open a ROS 1 bag."""
     return RosRecording(path, options, [path], version=1)
 
 
 @register_reader("ROS 2 sqlite3", [".db3"], extra="io", folder="together", marker="metadata.yaml")
 def open_database(path: Path, options: ReadOptions, files: list[Path]) -> RosRecording:
-    """The files of a ROS 2 recording with sqlite3 storage."""
+    """Open the files of a ROS 2 recording with sqlite3 storage."""
     return RosRecording(path, options, files, version=2)
 
 
@@ -190,7 +190,7 @@ def _check_database(file: Path, options: ReadOptions) -> None:
 
 
 def _bound_chunks(reader: Any, file: Path, options: ReadOptions) -> None:
-    """Replace rosbags' decompressors, which have no limit."""
+    """Replace rosbags' decompressors, which have no limit, by ones that have."""
     limit = options.max_record_bytes
     for position, chunk in reader.chunks.items():
         place = f"{file}, chunk at byte {position}"

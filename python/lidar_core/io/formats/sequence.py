@@ -102,7 +102,7 @@ class SequenceRecording(Recording):
         return damaged
 
     def _told(self, damaged: dict[Path, FormatError]) -> str:
-        """All damaged files in one text, with the reason of the first."""
+        """Error text that names the damaged files, with the reason of the first."""
         names = [file.name for file in damaged]
         more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
         return (
@@ -112,7 +112,7 @@ class SequenceRecording(Recording):
 
     @contextmanager
     def _reading_one(self) -> Iterator[None]:
-        """Let the error of one damaged file name all of them: a user cures them together."""
+        """Let the error of one damaged file name all of them: a user fixes them together."""
         try:
             yield
         except FormatError as error:
@@ -127,7 +127,7 @@ class SequenceRecording(Recording):
         return [Pose(stamp_ns, WORLD_FRAME, FRAME, self._poses[number], topic="poses")]
 
     def _find_stamps(self) -> list[int]:
-        """Times from times.txt, else from the names, else counted from the rate."""
+        """Return the times of the scans [ns]: from times.txt, else from names, else by the rate."""
         for folder in (self._folder, self._folder.parent):
             if len(self._stored) > 1 and (folder / "times.txt").is_file():
                 with reading(str(folder / "times.txt")):
@@ -146,7 +146,7 @@ class SequenceRecording(Recording):
         return self._assumed_stamps()
 
     def _assumed_stamps(self) -> list[int]:
-        """Times by the rate: from the numbers in the names if they count scans, else counted."""
+        """Return times by the rate [ns], from the numbers in the names if they count scans."""
         rate, numbers = self.options.scan_rate, _numbers(self._stored)
         counted = list(range(len(self._stored)))
         steps = {b - a for a, b in pairwise(numbers)}
@@ -170,7 +170,7 @@ class SequenceRecording(Recording):
         return [round(number * NS / rate) for number in counted]
 
     def _find_poses(self) -> NDArray[np.float64]:
-        """Poses of the LiDAR from poses.txt; KITTI's are of a camera, which calib.txt places."""
+        """Return the poses of the LiDAR from poses.txt; camera poses of KITTI need calib.txt."""
         none = np.empty((0, 4, 4))
         for folder in (self._folder, self._folder.parent):
             file = folder / "poses.txt"
@@ -192,13 +192,13 @@ class SequenceRecording(Recording):
 
 
 def _natural_key(file: Path) -> tuple[int, str]:
-    """Numbers by value, so that 2.pcd comes before 10.pcd."""
+    """Sort key that compares numbers by value, so that 2.pcd comes before 10.pcd."""
     digits = re.sub(r"\D", "", file.stem)
     return (int(digits) if digits else 0, file.name)
 
 
 def _numbers(files: list[Path]) -> list[int]:
-    """Increasing numbers of files whose names differ in nothing else; none for other names."""
+    """Return the numbers in names that differ only in an increasing number; else none."""
     found = [_NUMBERED.match(file.stem) for file in files]
     parts = [match.groups() for match in found if match]
     numbers = [int(number) for _, number, _ in parts]
@@ -208,7 +208,7 @@ def _numbers(files: list[Path]) -> list[int]:
 
 
 def _stamp_of(file: Path) -> int | None:
-    """Time in a file name: nanoseconds, or seconds with a fraction."""
+    """Read the time [ns] in a file name: nanoseconds, or seconds with a fraction; else None."""
     if _NANOSECONDS.match(file.stem):
         stamp_ns = int(file.stem)
         return stamp_ns if stamp_ns <= LONGEST * NS else None  # else a number, not a time

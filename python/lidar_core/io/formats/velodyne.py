@@ -21,7 +21,7 @@ from lidar_core.io.records import Record, Topic, decoded
 
 @register_reader("Velodyne packets", [".pcap", ".pcapng"], extra="velodyne")
 class VelodyneRecording(Recording):
-    """A packet capture of a Velodyne sensor; stamps are those of the capturing computer."""
+    """Packet capture of a Velodyne sensor; stamps are those of the capturing computer."""
 
     format = "Velodyne pcap"
 
@@ -43,7 +43,7 @@ class VelodyneRecording(Recording):
         return [self._topic]
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
-        """One record per revolution; the first and last are usually incomplete."""
+        """Yield one record per revolution; the first and last are usually incomplete."""
         if kinds is not None and "scan" not in kinds:
             return
         with reading(str(self.path)):

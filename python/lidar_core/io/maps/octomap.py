@@ -28,7 +28,7 @@ MAX_HEADER_LINES = 64
 def read_octomap(
     path: str | Path, *, options: ReadOptions | None = None
 ) -> tuple[NDArray[np.float64], float]:
-    """Centres (N, 3) [m] of the occupied voxels of a .bt file, at its finest, and their edge [m].
+    """Read the centres (N, 3) [m] of the finest occupied voxels of a .bt file, and their edge [m].
 
     Raises
     ------
@@ -106,7 +106,7 @@ def write_octomap(path: str | Path, points: ArrayLike, *, resolution: float) -> 
 
 
 def _header(path: Path, data: bytes) -> tuple[float, int]:
-    """Resolution, and the byte at which the nodes begin."""
+    """Read the header; return the resolution [m] and the byte at which the nodes begin."""
     values: dict[str, str] = {}
     position = 0
     for number in range(MAX_HEADER_LINES):
@@ -171,7 +171,7 @@ def _expand(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.
 
 
 def _morton(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Codes whose groups of three bits, from the top, are the numbers of the children."""
+    """Morton codes of keys: groups of three bits, from the top, are the numbers of the children."""
     codes = np.zeros(len(keys), np.int64)
     for bit in range(DEPTH):
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""Clouds as PCD."""
+"""Writer of clouds as PCD files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Clouds as PLY."""
+"""Writer of clouds as PLY files."""
 
 from pathlib import Path
 

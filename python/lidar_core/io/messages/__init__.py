@@ -1,1 +1,1 @@
-"""Messages that recordings and streams share, to scans and poses."""
+"""Decoders of messages of recordings and streams to scans and poses."""

@@ -1,4 +1,4 @@
-"""PointCloud2 and its relatives: packed rows of named fields to a scan."""
+"""Decoder of PointCloud2 and similar clouds: packed rows of named fields to a scan."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -94,7 +94,7 @@ def _dtype(layout: Layout, place: str) -> np.dtype[Any]:
 
 
 class CloudDecoder:
-    """Makes scans from structured rows of one topic, with the conventions detected for it."""
+    """Decoder of the structured rows of one topic to scans, by the conventions detected for it."""
 
     def __init__(self, topic: str, options: ReadOptions, findings: Findings) -> None:
         self._topic = topic
@@ -103,7 +103,7 @@ class CloudDecoder:
         self._findings = findings
 
     def scan(self, rows: NDArray[Any], stamp_ns: int, frame_id: str, *, place: str) -> Scan:
-        """Scan from a structured array of shape (N,), or (H, W) for an organised cloud.
+        """Return a scan from a structured array of shape (N,), or (H, W) for an organised cloud.
 
         Raises
         ------

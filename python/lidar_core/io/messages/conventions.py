@@ -39,7 +39,10 @@ class NoReturnRule:
     verdict: str = ""
 
     def apply(self, points: NDArray[np.float32], *, organised: bool) -> NDArray[np.bool_] | None:
-        """Mask of the rays without return, shape (N,); marked and broken rows become NaN."""
+        """Set marked and broken rows to NaN; return the mask (N,) of rays without return.
+
+        None if the cloud does not mark such rays.
+        """
         x, y, z = points.T  # columns: reducing over an axis of three is five times slower
         finite: NDArray[np.bool_] = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
         zero: NDArray[np.bool_] = (x == 0) & (y == 0) & (z == 0)
@@ -154,7 +157,7 @@ class PointTimeRule:
 
 
 def _nanoseconds(values: NDArray[Any], scale: int, place: str) -> NDArray[np.int64]:
-    """`values` in nanoseconds: integers exactly, floats rounded."""
+    """Convert `values` to nanoseconds: integers exactly, floats rounded."""
     if np.issubdtype(values.dtype, np.integer):
         bound = np.iinfo(np.int64).max // scale
         if values.size and (int(values.max()) > bound or int(values.min()) < -bound):

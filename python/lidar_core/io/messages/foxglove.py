@@ -1,4 +1,4 @@
-"""Foxglove protobuf messages to scans and poses: PointCloud, LaserScan, FrameTransform(s)."""
+"""Decoder of Foxglove's protobuf messages PointCloud, LaserScan and FrameTransform(s)."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

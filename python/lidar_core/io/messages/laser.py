@@ -1,4 +1,4 @@
-"""2D scans of drivers: the meaning of ranges and times, by REP-117.
+"""Decoder of 2D scans of drivers: meaning of ranges and times, by REP-117.
 
 Conventions are learnt from the scans of a topic and stated as a verdict; options override them.
 """
@@ -59,7 +59,7 @@ class RangeRule:
         return ranges
 
     def _learnt(self, ranges: NDArray[np.float32], scan: LaserScan) -> NDArray[np.float32]:
-        """Convert ranges by what the scans so far, this one included, show."""
+        """Convert ranges by the convention that the scans up to this one show."""
         with np.errstate(invalid="ignore"):
             at_limit = np.isfinite(ranges) & (ranges >= np.float32(scan.range_max))
         stated = np.where(at_limit, np.float32(np.inf), ranges)
@@ -74,7 +74,7 @@ class RangeRule:
         return marked.astype(np.float32)
 
     def _tell(self, learnt: str, ranges: NDArray[np.float32], at_limit: NDArray[np.bool_]) -> None:
-        """State the convention with the numbers of the scan that first showed it."""
+        """Store the convention as verdict, with the counts of the scan that first showed it."""
         infinite = np.isposinf(ranges)
         name, rays, text = {
             "zero": ("zero", ranges == 0, "are zero"),
@@ -98,7 +98,7 @@ class LaserDecoder:
         self._ranges = RangeRule(options)
 
     def scan(self, raw: LaserScan, *, place: str) -> LaserScan:
-        """`raw` with its ranges by REP-117, and without times that cannot be.
+        """Return `raw` with ranges by REP-117, and without impossible times.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class LaserDecoder:
         return replace(raw, ranges=ranges, intensity=intensity, time_increment_ns=increment)
 
     def _increment(self, raw: LaserScan) -> tuple[int, str]:
-        """Time from ray to ray [ns] that is used, and why."""
+        """Return the time from ray to ray that is used [ns], 0 for none, and the reason as text."""
         step = raw.time_increment_ns
         sweep = abs(step) * (len(raw.ranges) - 1) * 1e-9
         if self._options.point_time == "none":

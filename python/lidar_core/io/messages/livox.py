@@ -1,7 +1,7 @@
-"""Livox' own clouds, CustomMsg: a head, then rows of one size, which are read as one array.
+"""Decoder of Livox' own clouds, CustomMsg: a header and rows of one size, read as one array.
 
-The library makes an object of every point, which takes longer than the scan itself: 0.1 s for
-20,000.
+The library makes an object of every point. That takes longer than the scan itself: 0.1 s for
+20,000 points.
 """
 
 import struct
@@ -52,7 +52,7 @@ def livox_cloud(raw: bytes, version: int, *, place: str, max_points: int) -> Liv
 
 
 def _cloud1(raw: bytes, place: str, max_points: int) -> LivoxCloud:
-    """ROS 1: everything packed."""
+    """Read a cloud serialised by ROS 1, where everything is packed."""
     _, seconds, nanoseconds, length = struct.unpack_from("<IIII", raw)
     frame = raw[16 : 16 + length].decode()
     rows = _rows(raw, 16 + length + _BETWEEN, "<", _ROW_BYTES, place, max_points)
@@ -60,7 +60,10 @@ def _cloud1(raw: bytes, place: str, max_points: int) -> LivoxCloud:
 
 
 def _cloud2(raw: bytes, place: str, max_points: int) -> LivoxCloud:
-    """CDR: after four bytes that tell the order, numbers lie at multiples of their sizes."""
+    """Read a cloud serialised as CDR (ROS 2).
+
+    The first four bytes state the byte order. Numbers then lie at multiples of their sizes.
+    """
     order, body = "<" if raw[1:2] == b"\x01" else ">", raw[4:]
     seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", body)
     frame = body[12 : 12 + length].rstrip(b"\0").decode()
@@ -72,7 +75,7 @@ def _cloud2(raw: bytes, place: str, max_points: int) -> LivoxCloud:
 def _rows(
     data: bytes, position: int, order: str, step: int, place: str, max_points: int
 ) -> NDArray[Any]:
-    """Rows behind their number; the last one may lack its padding."""
+    """Read the rows that follow their number; the last row may lack its padding."""
     (count,) = struct.unpack_from(f"{order}I", data, position)
     check_size(place, count, limit=max_points, key="max_points", what="a scan of points")
     names, formats = list(_FIELDS), [order + code for code in _FIELDS.values()]

@@ -1,4 +1,4 @@
-"""Livox' packets as Mid-360 and HAP send them, collected to clouds.
+"""Decoder of the packets of Livox Mid-360 and HAP, which are collected to clouds.
 
 Layout: Livox SDK 2 communication protocol, "Point cloud data".
 """
@@ -41,7 +41,7 @@ class _Part(NamedTuple):
 
 
 class LivoxStream:
-    """Decodes packets as they arrive over the network; a scan every turn of `scan_rate`.
+    """Decoder of packets as they arrive over the network; one scan every 1 / `scan_rate` [s].
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class LivoxStream:
 
 
 def _decode(packet: bytes, place: str) -> _Part | None:
-    """Points of a packet; None for one of the IMU."""
+    """Return the points of a packet; None for a packet of the IMU."""
     if len(packet) < _HEAD.size:
         raise FormatError(f"{place}: {len(packet)} bytes are not a packet of a Mid-360 or HAP")
     _, length, interval, count, _, _, kind, _, _, stamp_ns = _HEAD.unpack_from(packet)
@@ -111,7 +111,7 @@ def _decode(packet: bytes, place: str) -> _Part | None:
 
 
 def _coordinates(stored: NDArray[Any], kind: int) -> NDArray[np.float64]:
-    """x, y and z [m], one row each."""
+    """Return x, y and z [m] of the stored points as three rows."""
     if kind != _SPHERICAL:
         return stored["xyz"].T * _METRES[kind]
     distance = stored["range"] * _METRES[kind]

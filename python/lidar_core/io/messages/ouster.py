@@ -1,4 +1,4 @@
-"""Ouster's packets in ROS recordings: their sensors, and the scans of their frames."""
+"""Decoder of Ouster's packets in ROS recordings: their sensors, and scans of their frames."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -33,7 +33,7 @@ class OusterTopics:
     topics : iterable of Topic
         All topics of the recording.
     first_text : callable
-        The first message of a topic of texts; None without any.
+        Function that returns the first message of a topic of texts; None without messages.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class OusterTopics:
                 findings.no_return[name], findings.point_time[name] = NO_RETURN, POINT_TIME
 
     def described(self, topic: Topic) -> Topic:
-        """`topic` as it is read: packets of a known sensor are scans."""
+        """Return `topic` as it is read: as scans if it has packets of a known sensor."""
         if topic.type not in OUSTER_TYPES:
             return topic
         layout = self._layouts.get(topic.name)
@@ -79,7 +79,7 @@ class OusterTopics:
         )
 
     def _sensors(self, topics: list[Topic], first_text: FirstText, place: str) -> dict[str, Sensor]:
-        """Sensors by the namespace of their topics; of one that was named, by none."""
+        """Sensors by the namespace of their topics; by "" if the options name the sensor's file."""
         most = self._options.max_points
         if self._options.metadata is not None:
             return {"": read_sensor(self._options.metadata, max_points=most)}
@@ -109,7 +109,7 @@ class OusterTopics:
 
 
 class OusterStreams:
-    """Frames of all sensors of a recording, as their packets come."""
+    """Collector of the frames of all sensors of a recording from their packets."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class OusterStreams:
         return topic in self._collectors
 
     def add(self, topic: Topic, time_ns: int, packet: bytes) -> Iterator[Record]:
-        """Records of the frames that a packet completes, at the time of their first packets."""
+        """Yield records of the frames that a packet completes, at the times of their first ones."""
         collector = self._collectors[topic.name]
         if not collector.layout.is_lidar(packet):
             return
@@ -134,7 +134,7 @@ class OusterStreams:
             self._begun.setdefault(topic.name, (topic, time_ns))
 
     def rest(self) -> Iterator[Record]:
-        """Records of incomplete frames when the recording ends."""
+        """Yield records of the frames that are incomplete when the recording ends."""
         for name, (topic, time_ns) in self._begun.items():
             for frame in self._collectors[name].rest():
                 yield self._record(topic, time_ns, frame)

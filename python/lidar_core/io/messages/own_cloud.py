@@ -1,4 +1,4 @@
-"""Clouds as lidar_core writes them for others: packed rows of named fields, and back."""
+"""Conversion of scans to the clouds that lidar_core writes (rows of named fields), and back."""
 
 from collections.abc import Iterable
 from typing import Any

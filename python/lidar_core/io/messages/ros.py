@@ -1,4 +1,4 @@
-"""ROS messages to scans in 3D and 2D, and to poses.
+"""Decoder of ROS messages to 3D scans, 2D scans and poses.
 
 Message definitions come from rosbags' own stores, never from the file: rosbags compiles
 definitions to Python code, and a file must not choose code.
@@ -75,13 +75,13 @@ def kind_of(type_name: str) -> Kind:
 
 
 def ros_name(type_name: str) -> str:
-    """The name of a type in ROS 2, package/msg/Name, where ROS 1 writes package/Name."""
+    """Convert the name of a type to that of ROS 2, package/msg/Name; ROS 1 has package/Name."""
     package, _, rest = type_name.partition("/")
     return type_name if "/" in rest or not rest else f"{package}/msg/{rest}"
 
 
 def note_of(type_name: str) -> str:
-    """Note for the user about messages of this type, or None."""
+    """Note for the user about messages of this type; empty without one."""
     if type_name == "sensor_msgs/msg/MultiEchoLaserScan":
         return "the first echo of every ray is read"
     return PACKETS.get(type_name, "")
@@ -148,7 +148,7 @@ class RosDecoder:
             return self._parse(plain, last)
 
     def _plain(self, raw: bytes, place: str) -> bytes:
-        """A message as ROS serialised it; `ros2 bag record` can compress each one."""
+        """Return a message as ROS serialised it; `ros2 bag record` may have compressed it."""
         self._check_size(raw, place)
         if self._version == 1 or not raw.startswith(ZSTD):
             return raw
@@ -239,7 +239,7 @@ def _poses(topic: str, type_name: str, message: Any, place: str) -> list[Message
 
 
 def matrix_of(message: Any, place: str) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Pose (4, 4) of a message of `POSE_TYPES`, and covariance (6, 6), None if all are zero."""
+    """Pose (4, 4) of a message of `POSE_TYPES`, and its covariance (6, 6), None if all zero."""
     inner, covariance = message.pose, None
     if hasattr(inner, "covariance"):
         covariance = np.array(inner.covariance, np.float64).reshape(6, 6)
@@ -269,7 +269,7 @@ def _matrix(position: Any, rotation: Any, place: str) -> NDArray[np.float64]:
 
 
 def stamp_of(stamp: Any) -> int:
-    """A time of ROS [ns]."""
+    """Convert a time of ROS to nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 

@@ -1,4 +1,4 @@
-"""Velodyne packets to scans, through velodyne-decoder."""
+"""Decoder of Velodyne packets to scans, through velodyne-decoder."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,7 +21,7 @@ X, INTENSITY, TIME, RING = 0, 3, 4, 6  # columns of velodyne-decoder's arrays
 
 
 class PacketDecoder:
-    """Decodes ROS messages with the packets of one revolution each."""
+    """Decoder of ROS messages with the packets of one revolution each."""
 
     def __init__(self, topic: str, options: ReadOptions, findings: Findings) -> None:
         self._library = velodyne_library()
@@ -54,7 +54,7 @@ class PacketDecoder:
 
 
 class VelodyneStream:
-    """Decodes packets as they arrive over the network; a scan for every revolution.
+    """Decoder of packets as they arrive over the network; one scan for every revolution.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class VelodyneStream:
 
 
 def velodyne_library() -> Any:
-    """The optional package that decodes packets."""
+    """Import the optional package that decodes packets."""
     return require("velodyne_decoder", extra="velodyne", purpose="reading Velodyne packets")
 
 

@@ -1,1 +1,1 @@
-"""Ouster's data without Ouster's library: sensor files, packets, OSF files."""
+"""Readers of Ouster's data without Ouster's library: sensor files, packets, OSF files."""

@@ -1,4 +1,4 @@
-"""Tables of FlatBuffers, read where they lie; no offset of a file is trusted.
+"""Reader of FlatBuffers tables in place; every offset in a file is checked.
 
 Layout: FlatBuffers internals, "Format details".
 """
@@ -30,7 +30,7 @@ class Table:
         return self.vector(field, 1)
 
     def vector(self, field: int, item_bytes: int) -> memoryview:
-        """Bytes of a vector of numbers or structs."""
+        """Return the bytes of a vector of numbers or structs of `item_bytes` each."""
         begin, count = self._vector(field)
         end = begin + count * item_bytes
         if end > len(self._data):
@@ -38,7 +38,7 @@ class Table:
         return memoryview(self._data)[begin:end]
 
     def tables(self, field: int) -> "Iterator[Table]":
-        """Tables of a vector."""
+        """Yield the tables of a vector."""
         begin, count = self._vector(field)
         for at in range(begin, begin + SIZE_BYTES * count, SIZE_BYTES):
             yield Table(self._data, at + int(self._number("I", at)))
@@ -51,7 +51,7 @@ class Table:
         return at + SIZE_BYTES, int(self._number("I", at))
 
     def _at(self, field: int) -> int:
-        """Where a field is; 0 if it was left out."""
+        """Position of a field [byte]; 0 if it was left out."""
         place = SIZE_BYTES + 2 * field
         if place + 2 > self._size:
             return 0
@@ -66,7 +66,7 @@ class Table:
 
 
 def sized_table(data: Bytes) -> Table:
-    """The root of a buffer that begins with its size."""
+    """Return the root table of a buffer that begins with its size."""
     if len(data) < 2 * SIZE_BYTES:
         raise FormatError(f"a buffer of {len(data)} bytes")
     (root,) = struct.unpack_from("<I", data, SIZE_BYTES)

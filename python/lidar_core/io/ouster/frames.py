@@ -1,4 +1,4 @@
-"""Frames of Ouster sensors to scans and poses."""
+"""Conversion of frames of Ouster sensors to scans and poses."""
 
 from typing import Any
 

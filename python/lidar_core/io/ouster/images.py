@@ -1,4 +1,4 @@
-"""Images in OSF files: PNG, and the differences that zstd compresses (Zpng).
+"""Decoder of images in OSF files: PNG, and differences compressed with zstd (Zpng).
 
 Layouts: W3C "Portable Network Graphics"; Zpng by C. Taylor.
 """
@@ -93,7 +93,7 @@ def decode_zpng(data: bytes, shape: tuple[int, int], place: str) -> Image:
 
 
 def _numbers(pixels: NDArray[np.uint8]) -> Image:
-    """Whole numbers of bytes in the last axis, least significant first."""
+    """Convert the bytes in the last axis to whole numbers, least significant byte first."""
     size = next(fit for fit in (1, 2, 4, 8) if pixels.shape[2] <= fit)
     wide = np.zeros((*pixels.shape[:2], size), np.uint8)
     wide[..., : pixels.shape[2]] = pixels
@@ -120,7 +120,7 @@ def _png_rows(data: bytes, shape: tuple[int, int], place: str) -> _Rows:
 
 
 def _png_parts(data: bytes, place: str) -> tuple[tuple[int, ...], bytes]:
-    """Head and compressed data of a PNG, checksums checked."""
+    """Return header values and compressed data of a PNG after a check of its checksums."""
     position, head, packed = len(PNG_MAGIC), None, []
     while position + 12 <= len(data):
         size, kind = struct.unpack_from(">I4s", data, position)
@@ -141,7 +141,7 @@ def _png_parts(data: bytes, place: str) -> tuple[tuple[int, ...], bytes]:
 
 
 def _unfiltered(filters: NDArray[np.uint8], rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Values of all bytes, whose filters add what is predicted from those left and above.
+    """Undo the PNG filters: add to every byte its prediction from the bytes left and above.
 
     Bytes on a diagonal do not depend on each other, so they are computed together: row t of
     `known` holds the bytes of line r and column t - r, one column of the array per line.

@@ -1,4 +1,4 @@
-"""OSF files of Ouster: sensors and frames, checked chunk by chunk.
+"""Reader of OSF files of Ouster: sensors and frames, checked chunk by chunk.
 
 Layout: the schemas of ouster-sdk (`ouster_osf/fb`), version 2.
 """
@@ -40,7 +40,7 @@ class _Chunk(NamedTuple):
 
 
 class OsfFile:
-    """An OSF file that is open.
+    """Open OSF file.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class OsfFile:
                 yield sensor, self._frame(self.sensors[sensor], sized_table(message), place)
 
     def _open(self) -> Table:
-        """Metadata of a file that is whole and of a version that is read."""
+        """Check that the file is complete and of a supported version; return its metadata."""
         header = self._block(0, "header")
         table = sized_table(header)
         version = table.number(0, "Q")
@@ -101,7 +101,7 @@ class OsfFile:
         return sized_table(self._block(table.number(2, "Q", 1), "metadata"))
 
     def _entries(self, metadata: Table, max_points: int) -> tuple[list[Sensor], dict[int, int]]:
-        """Sensors, and which of them a stream belongs to."""
+        """Return the sensors, and the index of the sensor of every stream."""
         sensors: dict[int, Sensor] = {}
         streams: dict[int, int] = {}
         for entry in metadata.tables(4):
@@ -119,7 +119,7 @@ class OsfFile:
         return list(sensors.values()), {stream: order[one] for stream, one in streams.items()}
 
     def _messages(self) -> Iterator[tuple[int, memoryview]]:
-        """Frames as they are stored, by time; chunks that overlap in time are merged."""
+        """Yield stored frames with their stream by time; chunks that overlap in time are merged."""
         pending: list[tuple[int, int, int, memoryview]] = []
         count = 0
         for chunk in self._chunks:
@@ -138,7 +138,7 @@ class OsfFile:
             yield heapq.heappop(pending)[2:]
 
     def _block(self, offset: int, what: str) -> bytes:
-        """A buffer with its size before it and its checksum after it, which must fit."""
+        """Return a buffer after a check of the size before it and the checksum after it."""
         begin = offset + SIZE_BYTES
         if begin > len(self._data):
             raise FormatError(f"{self._path}: invalid {what} at byte {offset}: no data. {HINT}")

@@ -1,4 +1,4 @@
-"""Ouster's LiDAR packets: columns of pixels, collected to frames.
+"""Decoder of Ouster's LiDAR packets: columns of pixels, collected to frames.
 
 Layouts: Ouster firmware user manuals, "Lidar data format", profiles of firmware 1.12 to 3.2.
 """
@@ -21,7 +21,7 @@ MOST_LATE = 2  # frames that a packet may come late, and is known to be late
 
 
 class _Pixel(NamedTuple):
-    """Where a profile has range and reflectivity in the bytes of a pixel."""
+    """Positions of range and reflectivity in the bytes of a pixel of one profile."""
 
     size: int
     range_bits: int
@@ -145,7 +145,7 @@ class PacketLayout:
         return int.from_bytes(packet[at : at + 5], "little")
 
     def frame(self, packets: list[bytes]) -> Frame:
-        """Frame of its packets, in any order; of a column that came twice the last is taken."""
+        """Make a frame from its packets in any order; a later copy of a column replaces it."""
         sensor = self.sensor
         ends = self._header + self._payload
         columns = np.frombuffer(
@@ -190,10 +190,10 @@ def _pixel_type(pixel: _Pixel, at: int) -> np.dtype[np.void]:
 
 
 class FrameCollector:
-    """Collects packets as they come to frames, until the next frame begins.
+    """Collector of arriving packets to frames; a frame ends when the next one begins.
 
-    A frame whose packets have all come is returned at once. Packets of the frame before are late
-    and dropped.
+    A frame whose packets have all arrived is returned at once. Packets of the frame before are
+    late and dropped.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ class FrameCollector:
 
     @property
     def is_open(self) -> bool:
-        """Return whether a frame has begun and packets of it wait."""
+        """Return whether a frame has begun and its packets are not yet returned."""
         return bool(self._packets)
 
     def rest(self) -> list[Frame]:

@@ -1,4 +1,4 @@
-"""Description of an Ouster sensor: its JSON file, as firmware 1.12 to 3.2 write it.
+"""Reader of the JSON file of an Ouster sensor, as firmware 1.12 to 3.2 write it.
 
 Layouts: Ouster firmware user manuals, "Sensor metadata"; ouster-sdk writes the same with more.
 """
@@ -90,7 +90,7 @@ class Sensor:
 
     @cached_property
     def beams(self) -> Beams:
-        """Directions and origins of all pixels."""
+        """Return directions and offsets of all pixels."""
         encoder = -2 * np.pi / self.columns * np.arange(self.columns)
         angle = encoder - self.azimuths[:, None]
         level = np.cos(self.altitudes)[:, None]
@@ -108,7 +108,7 @@ class Sensor:
 
 
 def read_sensor(path: str | Path, *, max_points: int) -> Sensor:
-    """Sensor of a JSON file.
+    """Read the sensor of a JSON file.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def read_sensor(path: str | Path, *, max_points: int) -> Sensor:
 
 
 def parse_sensor(text: str | bytes, place: str, *, max_points: int) -> Sensor:
-    """Sensor of a JSON text.
+    """Read the sensor of a JSON text.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def parse_sensor(text: str | bytes, place: str, *, max_points: int) -> Sensor:
 
 
 class _Entries:
-    """Values by name, at the top or in any of the parts that later firmware groups them in."""
+    """Values of a JSON file by name, at the top level or in a group of later firmware."""
 
     _PARTS = (
         "sensor_info",

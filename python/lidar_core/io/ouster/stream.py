@@ -1,4 +1,4 @@
-"""Ouster's packets from the network, and the sensor description with their layout."""
+"""Decoder of Ouster's packets from the network, and the description of their sensor."""
 
 from pathlib import Path
 from urllib.request import ProxyHandler, build_opener
@@ -44,7 +44,7 @@ def sensor_at(place: str, options: ReadOptions) -> Sensor:
 
 
 class OusterStream:
-    """Decodes packets as they arrive over the network; a scan for every frame.
+    """Decoder of packets as they arrive over the network; one scan for every frame.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The body that poses without a child frame describe, as PoseStamped and some odometry."""
+"""Search for the frame of poses without child frame, as in PoseStamped and some odometry."""
 
 from collections.abc import Iterable, Sequence
 
@@ -21,7 +21,7 @@ class UnclearCarrierError(ConfigError):
     Attributes
     ----------
     mountings : list of str
-        Values of the option that would settle it, the nearest frame first.
+        Values of the option `mounting` that resolve it, the nearest frame first.
     """
 
     def __init__(self, text: str, mountings: list[str]) -> None:
@@ -32,7 +32,7 @@ class UnclearCarrierError(ConfigError):
 def carrier_of(
     frame: str, poses: Sequence[Pose], others: Iterable[Pose], mountings: Iterable[Pose], topic: str
 ) -> str:
-    """Frame that `poses` without a child frame describe, as far as the recording shows it.
+    """Return the frame that `poses` without a child frame describe.
 
     Evidence in this order: a stated mounting, unless its frame moves differently; a transform with
     the same motion; the frame that the sensor is mounted on. Without any evidence the poses are
@@ -107,7 +107,7 @@ def _mounting(parent: str, frame: str, matrix: NDArray[np.float64]) -> str:
 
 
 def _carriers(frame: str, known: Iterable[Pose]) -> list[str]:
-    """Frames that `frame` is mounted on, the nearest first."""
+    """Frames on which `frame` is mounted, the nearest first."""
     parents = {item.child_frame_id: item.frame_id for item in known if item.is_static}
     found: list[str] = []
     while frame in parents and parents[frame] not in found:

@@ -66,7 +66,7 @@ class Placed(NamedTuple):
 
 @dataclass(slots=True)
 class _Last:
-    """The scan before: when its last point was measured, where, and how it had moved since."""
+    """State after the previous scan: time and pose of its last point, motion during the scan."""
 
     end_ns: int
     pose: NDArray[np.float64]
@@ -76,7 +76,7 @@ class _Last:
 
 
 class KissOdometry:
-    """Places one scan after the other; scans of one LiDAR, in time order.
+    """Odometry with KISS-ICP for the scans of one LiDAR, which are given in time order.
 
     Parameters
     ----------
@@ -211,10 +211,10 @@ class KissOdometry:
 
 
 class _Cloud(NamedTuple):
-    """Points of a scan that say something.
+    """Points of a scan that contain information.
 
-    `part` is when each was measured, 0 at the first of them (`start_ns`) and 1 at the last
-    (`end_ns`), None where the scan does not tell; `span_ns` are first and last time of all rays.
+    `part` is the relative time of each point, 0 at the first of them (`start_ns`) and 1 at the
+    last (`end_ns`), None without times; `span_ns` are first and last time of all rays.
     """
 
     stamp_ns: int
@@ -226,10 +226,10 @@ class _Cloud(NamedTuple):
 
 
 class _Doubt:
-    """Deviation of the motion from constant velocity.
+    """Estimate of how much the motion deviates from constant velocity.
 
-    That holds errors of the registration, and what the sensor really did otherwise. Along and about
-    the axes of the sensor, which are taken for independent.
+    The deviation contains errors of the registration and real changes of the motion. It is taken
+    along and about the axes of the sensor, which are assumed independent.
     """
 
     def __init__(self) -> None:
@@ -251,7 +251,7 @@ class _Doubt:
 
 
 class _Parts:
-    """KISS-ICP's parts, set for the range of the scans; one thread, so that runs are repeatable."""
+    """Parts of KISS-ICP, set for the range of the scans; one thread, so runs are repeatable."""
 
     def __init__(self, points: NDArray[np.float64]) -> None:
         config = require("kiss_icp.config", extra="odometry", purpose='pose="kiss"')
@@ -280,7 +280,7 @@ class _Parts:
     def prepared(
         self, cloud: _Cloud, motion: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points for the map and for the registration, as seen from the end of the scan."""
+        """Points for the map and for registration, in the sensor frame at the end of the scan."""
         part = np.empty(0) if cloud.part is None else cloud.part
         near = self._engine.preprocessor.preprocess(cloud.points, part, motion)
         source, frame = self._engine.voxelize(near)
@@ -289,7 +289,7 @@ class _Parts:
     def coarsely_registered(
         self, source: NDArray[np.float64], guess: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Pose to start the registration from where no motion is known."""
+        """Pose from which the registration starts if no motion is known yet."""
         mapping = require("kiss_icp.mapping", extra="odometry", purpose='pose="kiss"')
         coarse: Any = mapping.VoxelHashMap(
             voxel_size=COARSE * self._voxel, max_distance=self._reach, max_points_per_voxel=20
@@ -341,7 +341,7 @@ def _usable(scan: Scan) -> _Cloud:
 
 
 def _part_of(motion: NDArray[np.float64], part: float) -> NDArray[np.float64]:
-    """A motion scaled: translation in proportion, rotation on its arc."""
+    """Scale a motion (4, 4) by `part`: its translation in proportion, its rotation on the arc."""
     if not part:
         return np.eye(4)
     end = quaternion_from_matrix(motion[None, :3, :3])
@@ -370,7 +370,7 @@ def _angles_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 def placed_scans(
     scans: Iterable[Any], left_out: Counter[str], note: Callable[[str], None]
 ) -> Iterator[tuple[Any, Placed]]:
-    """Scans of one LiDAR with their poses; scans without a pose are counted.
+    """Yield the scans of one LiDAR with their poses; scans without a pose are counted.
 
     Warnings are also passed to `note`.
     """

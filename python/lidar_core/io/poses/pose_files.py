@@ -1,4 +1,4 @@
-"""Poses in text files: KITTI (one matrix a line, one line a scan) and TUM (with times)."""
+"""Readers of poses in text files: KITTI (one matrix per line and scan), TUM (with times)."""
 
 import warnings
 from itertools import islice
@@ -19,7 +19,7 @@ MAX_FILE_BYTES = 256 * 2**20
 
 
 def read_matrices(path: Path) -> NDArray[np.float64]:
-    """Poses (N, 4, 4) of a KITTI file.
+    """Read the poses (N, 4, 4) of a KITTI file.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def read_matrices(path: Path) -> NDArray[np.float64]:
 
 
 def read_poses(path: Path) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
-    """Stamps [ns] and poses (N, 4, 4) of a TUM file; of a KITTI file, None and poses.
+    """Read stamps [ns] and poses (N, 4, 4) of a TUM file; stamps are None for a KITTI file.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read_poses(path: Path) -> tuple[NDArray[np.int64] | None, NDArray[np.float64
 
 
 def _stamps(path: Path, seconds: NDArray[np.float64]) -> NDArray[np.int64]:
-    """First column as nanoseconds, exactly: a float64 holds epoch seconds only to 0.2 us."""
+    """Read the first column as exact nanoseconds: float64 has epoch seconds only to 0.2 us."""
     late = np.flatnonzero(np.abs(seconds) > LONGEST)
     if len(late):
         raise FormatError(

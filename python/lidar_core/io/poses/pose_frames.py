@@ -39,7 +39,7 @@ NEAREST = 2.5
 
 
 class Reading(Enum):
-    """What the numbers of a pose may mean."""
+    """Possible meanings of the numbers of a pose."""
 
     GIVEN = "given"
     INVERTED = "inverted"
@@ -47,7 +47,7 @@ class Reading(Enum):
 
 
 class FrameMismatch(NamedTuple):
-    """Best fit: frame, rotation `frame_from_lidar` (3, 3), shares of aligned points.
+    """Best explanation: frame, rotation `frame_from_lidar` (3, 3), shares of aligned points.
 
     `other` is a frame that explains the scans as well as another order of the quaternion does.
     """
@@ -92,7 +92,7 @@ class _Candidate(NamedTuple):
 
 
 def _candidates(*, has_quaternions: bool) -> list[_Candidate]:
-    """Explanations, the more usual ones first; the first one is that the poses are right."""
+    """Explanations to try, usual ones first; the first one is that the poses are right."""
     known = list(USUAL)
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turn = np.diag(signs) @ np.eye(3)[list(order)]
@@ -126,9 +126,9 @@ class _View(NamedTuple):
 def _w_first(
     world_from_lidar: NDArray[np.float64], carrier_from_lidar: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The pose if the quaternion of the carrier was read as x y z w, and written as w x y z.
+    """Return the pose that results if the carrier's quaternion is read in the order w x y z.
 
-    The same as reading the file in that order: the sign of the quaternion has no effect, and
+    This equals reading the file in that order: the sign of the quaternion has no effect, and
     interpolation between two quaternions commutes with the exchange of their parts.
     """
     pose = world_from_lidar @ np.linalg.inv(carrier_from_lidar)
@@ -177,7 +177,7 @@ class PoseFrameCheck:
         return self.decide()
 
     def decide(self) -> FrameMismatch | None:
-        """The mismatch if the scans so far show that the poses are in another frame, else None."""
+        """Return the mismatch if the scans show that the poses are in another frame, else None."""
         if self.is_done:
             return None
         self.is_done = True
@@ -201,7 +201,7 @@ class PoseFrameCheck:
 
 
 def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:
-    """Scans far enough apart in motion to tell frames apart, near enough to see the same."""
+    """Yield pairs of scans with enough motion between them to compare frames, and overlap."""
     at = 0
     for _ in range(MOST_PAIRS):
         later = [(_motion(views[at], view), view) for view in views[at + 1 :]]
@@ -218,14 +218,14 @@ def _pairs(views: list[_View]) -> Iterator[tuple[_View, _View]]:
 
 
 def _motion(first: _View, second: _View) -> float:
-    """Motion of a scan, including rotation [m]."""
+    """Size of the motion between two scans, with the rotation as a length [m]."""
     relative = np.linalg.inv(first.pose) @ second.pose
     angle = np.arccos(np.clip((np.trace(relative[:3, :3]) - 1) / 2, -1, 1))
     return float(np.linalg.norm(relative[:3, 3]) + TURN_REACH * angle)
 
 
 def _shares(first: _View, second: _View, candidates: list[_Candidate]) -> list[float]:
-    """Share of the second scan's points that meet the first, for every explanation."""
+    """Share of the second scan's points that lie on the first, for every explanation."""
     edge = float(np.clip(CELL_SHARE * _motion(first, second), *CELL_LIMITS))
     known = surrounding_keys(first.points, edge)
     given = {
@@ -288,7 +288,7 @@ def _cure(mismatch: FrameMismatch, frame: str) -> str:
 
 
 def _angles(turn: NDArray[np.float64]) -> str:
-    """Roll, pitch and yaw of a turn."""
+    """Roll, pitch and yaw of a rotation as text."""
     pitch = np.arcsin(np.clip(-turn[2, 0], -1, 1))
     if abs(turn[2, 0]) > 1 - 1e-9:  # roll and yaw turn about one axis: all of it is yaw
         roll, yaw = 0.0, np.arctan2(-turn[0, 1], turn[1, 1])

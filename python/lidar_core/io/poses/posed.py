@@ -89,7 +89,7 @@ class PosedScans(Generic[ScanT]):
         warnings.warn(text, PoseFrameWarning, stacklevel=3)
 
     def _scans(self) -> Iterator[tuple[int, ScanT]]:
-        """Scans that are wanted, each with its place among all of its topic.
+        """Yield the scans within the span, each with its index among all scans of the topic.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class PosedScans(Generic[ScanT]):
         return next((scan.frame_id for _, scan in self._scans()), "")
 
     def _standing(self) -> Iterator[PosedScan[ScanT]]:
-        """Every scan from one place: where the sensor is mounted, or the origin."""
+        """Yield every scan with the same pose: that of the mounting, or the origin."""
         self.source = "static: the sensor does not move"
         buffer, frame = self._buffer(), ""
         world_from_lidar = np.eye(4)
@@ -140,7 +140,7 @@ class PosedScans(Generic[ScanT]):
             yield PosedScan(scan, world_from_lidar)
 
     def _by_odometry(self) -> Iterator[PosedScan[ScanT]]:
-        """Clouds placed by KISS-ICP, one after the other: in the frame of the first scan's end."""
+        """Yield clouds with poses from KISS-ICP, in the frame of the end of the first scan."""
         if self._sort is not Scan:
             raise ConfigError(
                 "pose: kiss works for clouds, not for 2D scans; give a poses file, or a topic of"
@@ -185,7 +185,7 @@ class PosedScans(Generic[ScanT]):
             self._check_count(path, len(matrices), count)
 
     def _check_count(self, path: Path, poses: int, scans: int) -> None:
-        """Refuse a file that is not of this recording: it has a pose for every scan."""
+        """Refuse a poses file whose number of poses is not that of the scans."""
         if poses != scans:
             raise FormatError(f"{path}: {poses} poses for {scans} scans of {self._recording.path}")
 
@@ -231,7 +231,7 @@ class PosedScans(Generic[ScanT]):
         return buffer
 
     def _carrier(self, frame: str) -> str:
-        """Parent frame of a stated mounting of `frame`, whose poses are known; else `frame`."""
+        """Parent frame of the stated mounting of `frame`; `frame` itself without a mounting."""
         parents = {item.child_frame_id: item.frame_id for item in self._options.mountings()}
         return parents.get(frame, frame)
 
@@ -241,7 +241,7 @@ class PosedScans(Generic[ScanT]):
         return self._buffer().lookup(carrier, frame, [0])[0] if carrier != frame else np.eye(4)
 
     def _fill_buffer(self, frame: str) -> TransformBuffer:
-        """Poses of the recording: transforms first; odometry where asked for, or without them."""
+        """Collect the poses of the recording: transforms; odometry if asked for or needed."""
         gathered = list(self._recording.poses())
         odometry = [item for item in gathered if item[0].type in POSE_TYPES]
         topics = sorted({topic.name for topic, _ in odometry})
@@ -293,7 +293,7 @@ class PosedScans(Generic[ScanT]):
 def posed_scans(
     recording: "Recording", options: PoseOptions | None = None, **values: Any
 ) -> PosedScans[Scan]:
-    """Clouds of one topic with the sensor's poses.
+    """Return the clouds of one topic with the sensor's poses.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def posed_scans(
 def posed_laser_scans(
     recording: "Recording", options: PoseOptions | None = None, **values: Any
 ) -> PosedScans[LaserScan]:
-    """2D scans of one topic with the sensor's poses; otherwise as `posed_scans`."""
+    """Return the 2D scans of one topic with the sensor's poses; otherwise as `posed_scans`."""
     return PosedScans(recording, _merge_options(options, values), LaserScan)
 
 

@@ -16,12 +16,12 @@ _Path: TypeAlias = list[tuple[tuple[str, str], bool]]
 
 
 class NoTransformError(FormatError):
-    """Two frames are not connected, or not at the time asked for."""
+    """Error: two frames are not connected, or not at the requested time."""
 
 
 @dataclass(slots=True)
 class _Edge:
-    """Poses of one frame in another, appended in any order, sorted when first asked for."""
+    """Poses of one frame in another, appended in any order, sorted at the first access."""
 
     stamps: list[int] = field(default_factory=list)
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
@@ -37,7 +37,7 @@ class _Edge:
         self.arrays = None
 
     def forget(self, before_ns: int) -> None:
-        """Drop poses older than `before_ns`, but for the last of all."""
+        """Drop poses older than `before_ns` [ns], except the last of all."""
         stamps, matrices = self.stamps, self.matrices
         kept = [row for row, stamp in enumerate(stamps) if stamp >= before_ns]
         if len(kept) == len(stamps):
@@ -86,7 +86,7 @@ class TransformBuffer:
         self._edges[key].add(pose)
 
     def forget(self, before_ns: int) -> None:
-        """Drop poses older than `before_ns` [ns], but for the last of every edge."""
+        """Drop poses older than `before_ns` [ns], except the last of every edge."""
         for edge in self._edges.values():
             edge.forget(before_ns)
 
@@ -108,7 +108,7 @@ class TransformBuffer:
         return all(self._edges[key].static is not None for key, _ in self._path(target, source))
 
     def known_until(self, target: str, source: str) -> int | None:
-        """Stamp up to which every pose along the chain is known [ns]; None if nothing moves.
+        """Latest time at which all transforms between the frames are known [ns]; None if static.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class TransformBuffer:
         return min((max(edge.stamps) for edge in edges if edge.static is None), default=None)
 
     def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
-        """Stamps strictly between two times with a recorded pose along the chain."""
+        """Times strictly between two times at which a pose between the frames was recorded [ns]."""
         stamps = [np.empty(0, np.int64)]
         for key, _ in self._paths.get((target, source)) or self._path(target, source):
             edge = self._edges[key]
@@ -171,7 +171,7 @@ class TransformBuffer:
         )
 
     def _path(self, target: str, source: str) -> _Path:
-        """Edges from `target` to `source`, each with True where it runs parent to child."""
+        """Edges from `target` to `source`, each with True if it leads from parent to child."""
         came: dict[str, tuple[str, tuple[str, str], bool] | None] = {target: None}
         queue = deque([target])
         while queue and source not in came:

@@ -91,6 +91,6 @@ def _kind(state: CircleElements, row: int) -> str:
 
 
 def _beliefs(state: CircleElements, row: int) -> list[float]:
-    """Values of `BELIEFS`."""
+    """Values of `BELIEFS` of an element: its probabilities of person, existence and kinds."""
     likely = state.kind_probability[row].tolist()
     return [float(state.person_probability[row]), float(state.existence[row]), *likely]

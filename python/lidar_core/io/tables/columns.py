@@ -155,7 +155,7 @@ def _check_names(path: Path, names: Sequence[str], used: str) -> None:
 
 
 def _uneven(path: Path, names: Sequence[str], row: Sequence[str], used: str, number: int) -> str:
-    """What is wrong with a row of another length than the names."""
+    """Return the error text for a row with another number of values than the names."""
     text = used.join(row)
     others = [other for other in SEPARATORS if other != used and other in text]
     is_mixed = len(row) == 1 and bool(others)
@@ -167,17 +167,17 @@ def _uneven(path: Path, names: Sequence[str], row: Sequence[str], used: str, num
 
 
 def _separator(names: str) -> str:
-    """What stands between the names of columns: a comma, else a semicolon, else a tab."""
+    """Return the separator of the names of columns: a comma, semicolon or tab."""
     return next((one for one in SEPARATORS if one in names), ",")
 
 
 def _point(text: str) -> str:
-    """A number with a point for its decimal comma; other texts as they are."""
+    """Replace the decimal comma of a number by a point; other texts do not change."""
     return text.replace(",", ".") if DECIMAL_COMMA.fullmatch(text) else text
 
 
 def _parse(column: Sequence[str]) -> NDArray[Any]:
-    """Integers if all are, else numbers if all are, else text."""
+    """Parse a column as integers, if all values are, else as numbers, else as text."""
     for dtype, parse in ((np.int64, int), (np.float64, float)):
         try:
             return np.array([parse(text) for text in column], dtype)
@@ -221,7 +221,7 @@ def _read_trajectories(folder: Path) -> Columns:
 
 
 def _read_trajectory(path: Path) -> Columns:
-    """TUM; the number of the track is that of the file's name, else 0."""
+    """Read a TUM trajectory; the track ID is the number in the file's name, else 0."""
     stamps, poses = read_poses(path)
     if stamps is None:
         raise FormatError(f"{path}: expected TUM lines, t x y z qx qy qz qw; these have no times")

@@ -12,7 +12,7 @@ def covariance_titles(names: Sequence[str]) -> list[str]:
 
 
 def upper_triangle(covariances: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Values of the columns, shape (..., size (size + 1) / 2), of the first states of matrices."""
+    """Upper triangles, shape (..., size (size + 1) / 2), of the first `size` states of matrices."""
     rows, columns = np.triu_indices(size)
     found: NDArray[np.float64] = covariances[..., rows, columns]
     return found

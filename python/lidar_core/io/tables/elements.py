@@ -10,7 +10,7 @@ from lidar_core.objects import CircleElements, ShapeElements
 def element_columns(
     state: Sequence[str], *, texts: Sequence[str] = (), more: Sequence[str] = ()
 ) -> dict[str, type]:
-    """Types by title: who and when, `texts`, `state` and `more` numbers, age, covariance."""
+    """Column types by title: time, ID, frame; texts; state and further numbers; age, covariance."""
     return {
         "t_ns": int,
         "track_id": int,

@@ -1,1 +1,1 @@
-"""Recordings, tables and messages out."""
+"""Writers of recordings, tables and messages."""

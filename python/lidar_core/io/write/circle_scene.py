@@ -26,7 +26,7 @@ def label_of(circles: CircleElements, row: int) -> str:
 
 
 class CircleScene:
-    """Makes the entities of one time.
+    """Builder of the scene entities of one time.
 
     Parameters
     ----------
@@ -44,11 +44,11 @@ class CircleScene:
         self._frame_id = frame_id
 
     def entities(self, circles: CircleElements) -> list[Any]:
-        """One entity per element, named by its number."""
+        """Return one entity per element, named by its number."""
         return [self._entity(circles, row) for row in range(len(circles.id))]
 
     def outlines(self, shapes: ShapeElements) -> list[Any]:
-        """One entity per line, ellipse or rectangle, named by its number."""
+        """Return one entity per line, ellipse or rectangle, named by its number."""
         return [self._outline(shapes, row) for row in range(len(shapes.id))]
 
     def _outline(self, shapes: ShapeElements, row: int) -> Any:

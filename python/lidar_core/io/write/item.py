@@ -1,4 +1,4 @@
-"""Check of what users give to the writers of recordings."""
+"""Check of the messages that users give to the writers of recordings."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,14 +22,14 @@ _ROWS: dict[str, tuple[tuple[int, ...], type[Any]]] = {
 
 
 def checked_message(item: object, *, also: str = "") -> Message:
-    """The message of a user, with arrays of the shapes that its class documents.
+    """Return the message of a user with arrays of the shapes that its class documents.
 
-    Arrays keep their dtype, unless it is one that no cloud holds.
+    Arrays keep their dtype, unless clouds cannot store it.
 
     Parameters
     ----------
     item : object
-        What the user gave.
+        Object that the user gave.
     also : str
         Other things that the writer takes, for the error.
 
@@ -90,6 +90,6 @@ def _checked_pose(pose: Pose) -> Pose:
 
 
 def _kept(array: NDArray[Any], dtype: type[Any]) -> type[Any]:
-    """The type of an array if clouds can hold it, else the documented one."""
+    """Return the dtype of an array if clouds can store it, else the documented one."""
     kind: type[Any] = array.dtype.type
     return kind if array.dtype.str[1:] in _KEPT else dtype

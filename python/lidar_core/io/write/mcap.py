@@ -33,9 +33,9 @@ NO_METADATA: Mapping[str, str] = {}
 
 
 class FoxgloveLog:
-    """Scans, poses, tracks and maps as Foxglove's messages, on channels of one context.
+    """Log of scans, poses, tracks and maps as Foxglove's messages, on channels of one context.
 
-    Whatever the context feeds gets them: files and servers. Scans become PointCloud, 2D scans
+    The files and servers of the context get them. Scans become PointCloud, 2D scans
     LaserScan, poses FrameTransform (their covariances are not kept), tracks and circle maps
     SceneUpdate.
 
@@ -298,7 +298,7 @@ class McapWriter(FoxgloveLog, WrittenInBlock):
             self._put_away()
 
     def _put_away(self) -> None:
-        """Remove what is temporary; a live file may be written by others then."""
+        """Remove the temporary file; of a live file, only release the lock."""
         if self._lock is None:
             self._temporary.unlink(missing_ok=True)
         else:
@@ -337,7 +337,7 @@ def write_mcap(
 
 
 def _locked(path: Path) -> BinaryIO:
-    """A new file at `path`, locked while it is open; what lies there goes, if nobody writes it."""
+    """Open a new file at `path`, locked while open; an old one is removed if nobody writes it."""
     check_place(path)
     with suppress(FileNotFoundError), path.open("rb") as older:
         _lock(older, path)

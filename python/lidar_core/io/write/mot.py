@@ -1,4 +1,4 @@
-"""Results of MOTChallenge's 3D tracking."""
+"""Writer of results in the format of MOTChallenge's 3D tracking."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def write_mot(path: str | Path, steps: Steps) -> None:
         Text file, ten values a line: frame, number, four sides of a box that is unknown (-1),
         score, x, y, z [m]. Frames are counted from 1.
     steps : iterable of (int, Objects)
-        Every time that was looked at, also those without objects: each is a frame.
+        All processed times, also those without objects: each is a frame.
     """
     lines = []
     for frame, (_, objects) in enumerate(steps, start=1):

@@ -1,4 +1,4 @@
-"""Results of nuScenes' tracking challenge."""
+"""Writer of results in the format of nuScenes' tracking challenge."""
 
 import json
 from pathlib import Path
@@ -26,7 +26,7 @@ def write_nuscenes(
     path : str or Path
         JSON file. The token of a sample is its time [ns] as text.
     steps : iterable of (int, Objects)
-        Every time that was looked at, also those without objects.
+        All processed times [ns], also those without objects.
     name : str
         Class of all objects.
     sensors : tuple of str

@@ -24,7 +24,7 @@ class RunObjects:
     Attributes
     ----------
     steps : sequence of (int, Objects)
-        Every time that was looked at [ns], also those without objects.
+        All processed times [ns], also those without objects.
     name : str
         Class of all objects.
     sensors : tuple of str

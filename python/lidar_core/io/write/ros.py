@@ -63,7 +63,7 @@ class RosMessages:
         return self._version
 
     def of(self, item: Message) -> tuple[str, Any]:
-        """Topic and message of a scan or a pose.
+        """Return topic and message of a scan or a pose.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class RosMessages:
             )
 
     def packed(self, message: Any) -> bytes:
-        """Bytes of a message."""
+        """Serialise a message."""
         ros1, cdr = self.store.serialize_ros1, self.store.serialize_cdr
         return bytes((ros1 if self._version == 1 else cdr)(message, message.__msgtype__))
 
@@ -162,7 +162,7 @@ class RosMessages:
         return self.types["geometry_msgs/msg/Quaternion"](*values)
 
     def header(self, stamp_ns: int, frame_id: str) -> Any:
-        """Header of a message."""
+        """Return the header of a message."""
         time = self.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
         sequence = {"seq": 0} if self._version == 1 else {}
         return self.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)

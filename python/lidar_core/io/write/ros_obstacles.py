@@ -1,4 +1,4 @@
-"""Objects with numbers in ROS recordings, as the packages that avoid obstacles want them."""
+"""Writer of numbered objects to ROS recordings, for packages that avoid obstacles."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -62,7 +62,7 @@ def write_ros_objects(
     path : str or Path
         Bag or folder, as for `RosWriter`.
     steps : iterable of (int, Objects)
-        Every time that was looked at, also those without objects.
+        All processed times [ns], also those without objects.
     frame_id : str
         Frame of the objects.
     name : str
@@ -85,7 +85,7 @@ def write_ros_objects(
 
 
 class ObstacleArrays:
-    """Makes one message of every type of the objects at one time.
+    """Builder of the messages of every type about the objects at one time.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class ObstacleArrays:
     def of(
         self, stamp_ns: int, objects: Objects, segments: NDArray[np.float64] = NO_SEGMENTS
     ) -> list[Any]:
-        """Messages about the objects and walls at one time."""
+        """Return one message of every type about the objects and walls at one time."""
         return [self.message(kind, stamp_ns, objects, segments) for kind in self.kinds]
 
     def message(
@@ -126,7 +126,7 @@ class ObstacleArrays:
         objects: Objects,
         segments: NDArray[np.float64] = NO_SEGMENTS,
     ) -> Any:
-        """Message of the type `kind` about the objects and, where it has them, walls."""
+        """Return the message of type `kind` about the objects and, if the type has them, walls."""
         self._messages.check_stamp(stamp_ns)
         header = self._messages.header(stamp_ns, self._frame_id)
         rows = range(len(objects.id))
@@ -139,7 +139,7 @@ class ObstacleArrays:
     def odometry(
         self, stamp_ns: int, objects: Objects, covariance: NDArray[np.float64]
     ) -> list[Any]:
-        """nav_msgs/Odometry for each object, of a child frame track_NUMBER.
+        """Return a nav_msgs/Odometry for each object, with the child frame track_NUMBER.
 
         The child frame has the axes of the objects' frame, so that twists are velocities in it.
 
@@ -176,7 +176,7 @@ class ObstacleArrays:
         )
 
     def _detection1(self, header: Any, objects: Objects, row: int) -> Any:
-        """ROS 1 has one number per hypothesis: that of the object."""
+        """Return the ROS 1 Detection3D of an object, whose hypothesis has the object's ID."""
         cloud = self._types["sensor_msgs/msg/PointCloud2"](
             header=header,
             height=0,
@@ -222,7 +222,7 @@ class ObstacleArrays:
         )
 
     def _costmap(self, header: Any, objects: Objects, row: int) -> Any:
-        """A point with a radius for circles and unknown sizes, else the rectangle of the box."""
+        """Return the obstacle: point and radius for circles and unknown sizes, else the box."""
         package = COSTMAP_TYPES[self._messages.version].partition("/")[0]
         length, width, height = objects.size[row].tolist()
         is_circle = height == 0 and length == width
@@ -262,7 +262,7 @@ class ObstacleArrays:
 
 
 def _six(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance (36,) of x, y, z and three angles that are unknown, as ROS has it."""
+    """Covariance (36,) in the form of ROS: that of x, y, z; zero for the unknown angles."""
     full = np.zeros((6, 6))
     full[:3, :3] = covariance
     return full.reshape(-1)
