@@ -26,7 +26,7 @@ Points: TypeAlias = NDArray[np.float32]
 
 
 def as_points(points: ArrayLike, *, name: str = "points") -> Points:
-    """Rows of coordinates as a C-contiguous float32 array of shape (N, 3).
+    """Return rows of coordinates as a C-contiguous float32 array of shape (N, 3).
 
     Such an array passes uncopied; other real dtypes and layouts are copied once.
     An organised cloud (H, W, 3) is viewed as (H*W, 3), row-major.
@@ -49,7 +49,7 @@ def as_points(points: ArrayLike, *, name: str = "points") -> Points:
 def as_rows(
     values: ArrayLike, *, name: str, rows: int | None, shape: tuple[int, ...], dtype: type[Any]
 ) -> NDArray[Any]:
-    """`values` as a C-contiguous array of shape (rows, *shape); `rows` None means any number."""
+    """Return `values` as a C-contiguous array (rows, *shape); `rows` None means any number."""
     array = as_real(values, name=name)
     expected = ("N" if rows is None else rows, *shape)
     if array.shape[1:] != shape or array.ndim != 1 + len(shape) or rows not in (None, len(array)):
@@ -79,7 +79,7 @@ def as_finite_rows(
 
 
 def as_mask(values: ArrayLike, *, name: str, rows: int) -> NDArray[np.bool_]:
-    """`values` as a C-contiguous boolean array of shape (rows,); (H, W) is flattened."""
+    """Return `values` as a C-contiguous boolean array of shape (rows,); (H, W) is flattened."""
     array = np.asarray(values)
     if array.dtype != np.bool_:
         raise InputError(f"{name}: expected dtype bool, got {array.dtype}")
@@ -89,7 +89,7 @@ def as_mask(values: ArrayLike, *, name: str, rows: int) -> NDArray[np.bool_]:
 
 
 def as_pose(matrix: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.float64]:
-    """A rigid transform as a (4, 4) float64 array; scale, shear and NaN are refused."""
+    """Return a rigid transform as a (4, 4) float64 array; scale, shear and NaN are refused."""
     poses = as_poses(matrix, name=name)
     if len(poses) != 1 or np.ndim(matrix) != 2:
         raise InputError(f"{name}: expected shape (4, 4), got {np.shape(matrix)}")
@@ -98,7 +98,7 @@ def as_pose(matrix: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.
 
 
 def as_poses(matrices: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[np.float64]:
-    """One rigid transform (4, 4) or several (K, 4, 4) as a (K, 4, 4) float64 array."""
+    """Return one rigid transform (4, 4) or several (K, 4, 4) as a (K, 4, 4) float64 array."""
     array = as_real(matrices, name=name)
     if array.ndim not in (2, 3) or array.shape[-2:] != (4, 4) or not len(array):
         raise InputError(f"{name}: expected shape (4, 4) or (K, 4, 4), got {array.shape}")
@@ -119,7 +119,7 @@ def as_poses(matrices: ArrayLike, *, name: str = "world_from_lidar") -> NDArray[
 
 
 def as_vector(values: ArrayLike, *, name: str, size: int) -> NDArray[np.float64]:
-    """`values` as a finite float64 array of shape (size,)."""
+    """Return `values` as a finite float64 array of shape (size,)."""
     array = as_real(values, name=name)
     if array.shape != (size,):
         raise InputError(f"{name}: expected shape ({size},), got {array.shape}")
@@ -130,7 +130,7 @@ def as_vector(values: ArrayLike, *, name: str, size: int) -> NDArray[np.float64]
 
 
 def as_stamp(stamp_ns: int, *, name: str = "stamp_ns") -> int:
-    """A time as an int64 count of nanoseconds."""
+    """Return a time as an int64 count of nanoseconds."""
     try:
         stamp = index(stamp_ns)
     except TypeError as error:
@@ -143,7 +143,7 @@ def as_stamp(stamp_ns: int, *, name: str = "stamp_ns") -> int:
 
 
 def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
-    """`values` as an array of integers or floats; one with masked entries is refused."""
+    """Return `values` as an array of integers or floats; masked entries are refused."""
     if np.ma.is_masked(values):
         raise InputError(f"{name}: expected no masked entries; fill them with NaN first")
     try:
@@ -158,7 +158,7 @@ def as_real(values: ArrayLike, *, name: str) -> NDArray[Any]:
 
 
 def _no_numbers(values: object, array: NDArray[Any], name: str) -> str:
-    """What `values` are instead of numbers, and how to make numbers of fields x, y, z."""
+    """Error text about `values` that are no numbers, with a remedy for fields x, y, z."""
     if array.dtype.kind == "O" and array.ndim == 0:
         return f"a {type(values).__name__}"
     if {"x", "y", "z"} <= set(array.dtype.names or ()):
@@ -170,7 +170,7 @@ def _no_numbers(values: object, array: NDArray[Any], name: str) -> str:
 
 
 def _cure(shape: tuple[int, ...], name: str) -> str:
-    """How to make rows of three coordinates of an array of another shape, if that is clear."""
+    """Remedy for an array whose shape is not (N, 3); empty if the intention is unclear."""
     if len(shape) < 2 or shape[-1] <= 3:
         return ""
     transpose, slice_it = f"transpose it: {name}.T", "slice the coordinates first"

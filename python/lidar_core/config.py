@@ -73,7 +73,7 @@ T = TypeVar("T")
 
 
 class _Lazy:
-    """Attribute of a class that is made when it is asked for: imports do not wait for it."""
+    """Attribute of a class that is computed at the first access, so that imports are fast."""
 
     def __init__(self, make: Callable[[Any], Any]) -> None:
         self._make = make
@@ -102,7 +102,7 @@ class Config(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **values: Any) -> None:
-        """Make the docstring and the signature of the fields, when they are asked for."""
+        """Set docstring and signature, which are made from the fields at the first access."""
         super().__pydantic_init_subclass__(**values)
         cls.own_doc = cleandoc(cls.__doc__ or "")
         cls.__doc__ = _Lazy(_documented)  # type: ignore[assignment]
@@ -127,7 +127,7 @@ class Config(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _read_none(cls, values: Any) -> Any:
-        """TOML has no null: "none" stands for it where null is allowed."""
+        """Replace "none" by None where None is allowed, because TOML has no null."""
         if not isinstance(values, dict):
             return values
         return {
@@ -167,7 +167,7 @@ class Config(BaseModel):
 
 
 def toml_values(content: bytes, place: str | Path) -> dict[str, Any]:
-    """Values of the TOML file `place` with this content.
+    """Parse the content of the TOML file `place`.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def toml_values(content: bytes, place: str | Path) -> dict[str, Any]:
 
 
 def as_config(config: ConfigT | None, model: type[ConfigT]) -> ConfigT:
-    """`config`, or the defaults where none is given.
+    """Return `config`, or the default configuration if it is None.
 
     Raises
     ------
@@ -239,14 +239,14 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _required(parameters: Signature) -> str:
-    """The arguments of a function that have no default, in their order."""
+    """Text with the arguments of a function that have no default, in their order."""
     names = [one.name for one in parameters.parameters.values() if one.default is one.empty]
     has_more = len(names) < len(parameters.parameters)
     return ", ".join([*names, "..."] if has_more else names)
 
 
 def _annotated(annotation: Any) -> str:
-    """What an annotation allows, without the places of its names."""
+    """Text of what an annotation allows, without the modules of its names."""
     plain = annotation.__origin__ if hasattr(annotation, "__metadata__") else annotation
     return re.sub(r"[a-z_]+[.]", "", formatannotation(plain))
 
@@ -287,7 +287,7 @@ _NUMBERS = re.compile(r"tuple\[float(, float)*\]")
 
 
 def _lists_of_numbers(error: ValidationError) -> dict[tuple[int | str, ...], list[Any]]:
-    """Problems of parameters that are lists of one of several lengths, by the parameter."""
+    """Group the problems of parameters that are lists with alternative lengths, by parameter."""
     found: dict[tuple[int | str, ...], list[Any]] = {}
     for problem in error.errors():
         for depth, part in enumerate(problem["loc"]):
@@ -299,7 +299,7 @@ def _lists_of_numbers(error: ValidationError) -> dict[tuple[int | str, ...], lis
 def _list_text(
     place: tuple[int | str, ...], problems: Sequence[Any], model: type[BaseModel]
 ) -> str:
-    """What such a parameter takes, with its default, and what it was."""
+    """Text of what a list parameter accepts, with its default, and what was received."""
     depth = len(place)
     lengths = sorted({str(problem["loc"][depth]).count("float") for problem in problems})
     # Some problem is one of the whole list: at most one of the lengths can be right.
@@ -321,7 +321,7 @@ _OLD = "is no parameter any more"
 
 
 def _problem_text(problem: Any, model: type[BaseModel]) -> str:
-    """What is wrong; what was received, unless that is a whole table; a name that was meant."""
+    """Text of a problem: what is wrong, what was received, the name that was probably meant."""
     text, received = str(problem["msg"]).removeprefix("Value error, "), problem["input"]
     place, fields = ".".join(map(str, problem["loc"])), _fields(model)
     match problem["type"]:
@@ -352,7 +352,7 @@ def _problem_text(problem: Any, model: type[BaseModel]) -> str:
 
 
 def _did_you_mean(place: str, paths: Iterable[str]) -> str:
-    """The parameter that was meant: its name if it is of the same table, else its path."""
+    """Hint at the parameter that was meant: its name if it is in the same table, else its path."""
     table, _, name = place.rpartition(".")
     names = {path.rpartition(".")[2]: path for path in reversed(list(paths))}
     near = closest(name, names)
@@ -372,7 +372,7 @@ def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def _removed(model: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
-    """What holds instead of the parameter at `place`, if its model had it in earlier versions."""
+    """Text on what replaced the parameter at `place`; None if it never was a parameter."""
     reasons = [one.removed for one in tables_at(model, place[:-1]) if issubclass(one, Config)]
     return next((known[str(place[-1])] for known in reasons if place[-1] in known), None)
 
@@ -457,7 +457,7 @@ def _short_signature(model: type[BaseModel]) -> Signature:
 
 
 class _Shown:
-    """A default in a signature: a text without quotes, as long models would fill the screen."""
+    """Default in a signature that is shown as a short text without quotes."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -477,13 +477,13 @@ def _shown(field: FieldInfo) -> str:
 
 
 def _summary(annotation: Any) -> str:
-    """First line of the model that a field without a description holds."""
+    """First line of the docstring of the model that a field without a description contains."""
     found = isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation
     return cleandoc(found.__doc__ or "").partition("\n")[0] if found else ""
 
 
 def _type_text(annotation: Any) -> str:
-    """A type without the ranges that `Annotated` adds to it."""
+    """Text of a type without the ranges that `Annotated` adds to it."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _type_text(arguments[0])

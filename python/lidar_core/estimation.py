@@ -6,7 +6,7 @@ __all__ = ["chi2_quantile"]
 
 
 def chi2_quantile(probability: float, *, degrees: int) -> float:
-    """Value that a chi-square variable stays below with a given probability.
+    """Quantile of the chi-square distribution for a given probability.
 
     Parameters
     ----------

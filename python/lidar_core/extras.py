@@ -63,7 +63,7 @@ def install_command(extra: str) -> str:
 
 
 def _training_command(note: dict[str, Any] | None) -> str:
-    """The command that installs the training; it brings the packages of its extra."""
+    """Command that installs the training distribution, which installs the packages of its extra."""
     if note is None:
         checkout = _checkout()
     else:
@@ -75,7 +75,7 @@ def _training_command(note: dict[str, Any] | None) -> str:
 
 
 def _note() -> dict[str, Any] | None:
-    """Pip's note of the source of this package, empty without one; None if it is not installed."""
+    """Pip's note of the source of this package; empty without one, None if not installed."""
     try:
         note = json.loads(_distribution().read_text("direct_url.json") or "{}")
     except PackageNotFoundError:
@@ -94,7 +94,7 @@ def _distribution() -> Distribution:
 
 
 def _checkout() -> Path | None:
-    """The checkout that this file lies in, if it does."""
+    """Folder of the checkout that contains this file; None without one."""
     top = Path(__file__).parents[2]
     return top if (top / "pyproject.toml").is_file() else None
 

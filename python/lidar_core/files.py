@@ -56,7 +56,7 @@ def check_regular(path: str | Path) -> Path:
 
 
 def check_regular_or_folder(path: str | Path) -> Path:
-    """`path`, if a regular file or a folder is there; errors as of `check_regular`."""
+    """Return `path` if it is a regular file or a folder; errors as of `check_regular`."""
     place = Path(path)
     if not place.exists():
         raise FileNotFoundError(f"{place}: no such file or folder")
@@ -79,7 +79,7 @@ def check_name(path: Path) -> None:
 
 
 def check_replaceable(path: str | Path) -> None:
-    """Refuse to write where a pipe, a device or a socket is: the new file would take its place.
+    """Refuse to write to a pipe, a device or a socket, because the new file would replace it.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def check_replaceable(path: str | Path) -> None:
 
 
 def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
-    """Content of a regular file.
+    """Read the content of a regular file.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
 
 
 def read_text(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> str:
-    """Text of a regular file, which must be UTF-8.
+    """Read the text of a regular file, which must be UTF-8.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def _refuse_special(place: Path, mode: int) -> None:
 
 @contextmanager
 def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Add the name of a file to errors about it."""
+    """Add the name of a file to errors that the block raises about it."""
     name = os.fspath(path)
     try:
         yield

@@ -253,17 +253,17 @@ class PosedScan(ShortRepr, Generic[ScanT]):
 
     @property
     def sensor(self) -> str:
-        """Name of the LiDAR: the topic of the scan, or its frame where it has none."""
+        """Name of the LiDAR: the topic of the scan, or its frame if it has no topic."""
         return self.scan.topic or self.scan.frame_id
 
     @property
     def posed(self) -> "PosedScan[ScanT]":
-        """The posed scan itself: simulated scans have this attribute, too."""
+        """The posed scan itself, for a common interface with simulated scans."""
         return self
 
 
 def posed_of(given: object, *, name: str) -> PosedScan[Any] | None:
-    """The posed scan that an argument is or holds, as simulated scans do; None for arrays.
+    """Return the posed scan of an argument: a posed or simulated scan; None for arrays.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def posed_of(given: object, *, name: str) -> PosedScan[Any] | None:
 
 
 def _cure_of_message(given: object) -> str | None:
-    """What to give in place of a message or a dictionary with a scan; None for what is none."""
+    """Return what to pass in place of a message or dictionary with a scan; None for others."""
     is_mapping = isinstance(given, Mapping)
     if not is_mapping and any(hasattr(given, one) for one in ("__array__", "__len__")):
         return None  # an array, of any library, or a list
@@ -317,7 +317,7 @@ def _cure_of_message(given: object) -> str | None:
 
 
 def stated_stamp(given: object, stamp_ns: object) -> int:
-    """Time of a scan that was rejected, as far as it is known, else 0 [ns]."""
+    """Time of a rejected scan [ns]; 0 if it is unknown."""
     scan = getattr(getattr(given, "posed", None), "scan", given)
     stamp: Any = getattr(scan, "stamp_ns", stamp_ns)
     try:

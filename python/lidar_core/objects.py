@@ -64,7 +64,7 @@ class ObjectTable:
         return f"{type(self).__name__}({', '.join([f'{len(self)} rows', *more])})"
 
     def where(self, mask: NDArray[np.bool_]) -> Self:
-        """Rows for which `mask`, shape (K,), is true, such as `tracks.kind == TrackKind.FLYING`."""
+        """Select rows for which `mask` (K,) is true, such as `tracks.kind == TrackKind.FLYING`."""
         chosen: dict[str, Any] = {}
         for one in fields(self):  # type: ignore[arg-type]
             value = getattr(self, one.name)
@@ -74,7 +74,7 @@ class ObjectTable:
         return type(self)(**chosen)
 
     def to_dict(self) -> dict[str, Any]:
-        """Every field by its name as plain values: numbers, texts and nested lists."""
+        """Return every field by name as plain values: numbers, texts and nested lists."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}  # type: ignore[arg-type]
         return {
             name: value.tolist() if isinstance(value, np.ndarray) else value
@@ -82,7 +82,7 @@ class ObjectTable:
         }
 
     def to_columns(self) -> dict[str, NDArray[Any]]:
-        """One array of shape (K,) per column of a table, one row per object.
+        """Return one array of shape (K,) per column of a table, one row per object.
 
         Positions are x, y, z, velocities vx, vy, vz, accelerations ax, ay, az; of covariances
         the upper triangle is cov_A_B, as in the tables of runs; probabilities of kinds are
@@ -108,7 +108,7 @@ class ObjectTable:
         return columns
 
     def to_arrow(self) -> Any:
-        """Table of pyarrow with the columns of `to_columns`.
+        """Return a table of pyarrow with the columns of `to_columns`.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class ObjectTable:
         return arrow.table(self.to_columns())
 
     def to_pandas(self) -> Any:
-        """DataFrame of pandas with the columns of `to_columns`.
+        """Return a DataFrame of pandas with the columns of `to_columns`.
 
         Raises
         ------
@@ -360,7 +360,7 @@ class TargetTracks(ObjectTable):
     stamp_ns : int
         Time of the states [ns].
     id : ndarray, shape (T,), int64
-        IDs, never given again.
+        IDs of the tracks, never reused.
     states : ndarray, shape (T, n)
         States in the order of the model.
     covariances : ndarray, shape (T, n, n)
@@ -494,7 +494,7 @@ class Objects(ObjectTable):
     size: NDArray[np.float64]
 
     def outline(self, row: int) -> NDArray[np.float64]:
-        """Closed line (V, 3) around object `row`, seen from above: a circle or a rectangle [m]."""
+        """Return a closed line (V, 3) [m] around object `row` from above: a circle or rectangle."""
         if self.size[row, 2] == 0:
             angles = np.linspace(0, 2 * np.pi, CORNERS + 1)
             around = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)

@@ -98,7 +98,7 @@ def model_named(name: str) -> type[Config]:
 
 
 def parameters_of(model: type[BaseModel]) -> list[Parameter]:
-    """Every field of one model."""
+    """Return every field of one model."""
     return [
         Parameter(
             name=name,
@@ -112,7 +112,7 @@ def parameters_of(model: type[BaseModel]) -> list[Parameter]:
 
 
 def models_within(model: type[Config]) -> list[type[Config]]:
-    """`model` and every model that its fields may hold, in order of appearance."""
+    """Return `model` and every model that its fields may hold, in order of appearance."""
     found = [model]
     for known in found:
         for field in known.model_fields.values():
@@ -127,7 +127,7 @@ def commented_toml(config: Config) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """`value` as TOML writes it, on one line; "none" for None."""
+    """Return `value` as TOML on one line; "none" for None."""
     if value == {}:
         return "{}"
     text = tomli_w.dumps({"x": NONE if value is None else value}).strip().removeprefix("x = ")
@@ -161,7 +161,7 @@ def _section(config: Config, path: str, header: str, described: set[type[BaseMod
 
 
 def _tables(value: Any, path: str) -> Iterator[tuple[Config, str, str]]:
-    """Models that a value is or holds, each with the header and the path of its table."""
+    """Yield the models that a value is or contains, with the header and path of their tables."""
     if isinstance(value, Config):
         yield value, f"[{path}]", path
     elif isinstance(value, Mapping):
@@ -221,7 +221,7 @@ def _bounds(metadata: list[Any]) -> Iterator[str]:
 
 
 def _type_text(annotation: Any) -> str:
-    """A type as a reader of TOML knows it."""
+    """Text of a type in the terms of TOML."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if annotation is type(None):
         text = json.dumps(NONE)

@@ -70,7 +70,7 @@ class Registry(Generic[PartT]):
         Raises
         ------
         ConfigError
-            One of another module has its name.
+            A part of another module has its name.
         """
         with self._lock:
             held = self._parts.get(part.name)
@@ -81,7 +81,7 @@ class Registry(Generic[PartT]):
             self._parts[part.name] = part
 
     def parts(self) -> list[PartT]:
-        """All parts; packages that were installed since the last call are found, too."""
+        """Return all parts; packages that were installed since the last call are found, too."""
         with self._lock:
             # A plugin that asks for the parts while it is loaded gets those that there are.
             if self._path != tuple(sys.path) and not self._is_loading:
@@ -105,7 +105,7 @@ class Registry(Generic[PartT]):
             return list(self._parts.values())
 
     def get(self, name: str) -> PartT:
-        """The part of a name.
+        """Return the part with this name.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Registry(Generic[PartT]):
         raise ConfigError(unknown(self._what, name, known))
 
     def broken(self) -> list[PluginError]:
-        """Errors of the plugins that cannot be loaded."""
+        """Return the errors of the plugins that cannot be loaded."""
         self.parts()
         return list(self._broken.values())
 

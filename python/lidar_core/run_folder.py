@@ -86,7 +86,7 @@ class RunFolder:
     Parameters
     ----------
     path : Path
-        Made by `begin` if missing.
+        Folder, which `begin` makes if it is missing.
     overwrite : bool
         Replace the results of an earlier run in the folder. Other files are never touched.
     reads : Path, optional
@@ -208,7 +208,7 @@ def lock(folder: Path) -> None:
     Raises
     ------
     FileExistsError
-        Another process has it.
+        Another process has the lock.
     """
     unlock(folder)
     if os.name != "posix":
@@ -235,7 +235,7 @@ def unlock(folder: Path) -> None:
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether a process, this one included, has the lock of `folder`; True if nothing shows it."""
+    """Return whether any process has the lock of `folder`; True if that cannot be determined."""
     if os.name != "posix" or folder.resolve() in _LOCKS:
         return True
     import fcntl
@@ -269,18 +269,18 @@ def note_of(inputs: Mapping[str, Any], config: Mapping[str, Config], **more: Any
 
 
 def command_line() -> str:
-    """Return the command that is running, as a shell takes it."""
+    """Return the running command in the syntax of a shell."""
     return join(["lidar-core", *sys.argv[1:]])
 
 
 def table_in(folder: Path, name: str) -> Path | None:
-    """The table NAME of a run folder, in whichever format it was written; None without one."""
+    """Return the table NAME of a run folder in either format; None without one."""
     places = (folder / f"{name}{suffix}" for suffix in (".parquet", ".csv"))
     return next((place for place in places if place.is_file()), None)
 
 
 def fingerprint(path: Path) -> dict[str, Any]:
-    """Path, size and SHA-256 of a file, or of all files of a folder by name."""
+    """Return path, size and SHA-256 of a file, or of all files of a folder by name."""
     is_folder = check_regular_or_folder(path).is_dir()
     files = [path] if not is_folder else sorted(file for file in path.rglob("*") if file.is_file())
     if not files:

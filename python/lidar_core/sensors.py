@@ -1,4 +1,4 @@
-"""LiDARs that are sold: their nominal figures, once, for simulator, detector and circles.
+"""Nominal figures of commercial LiDARs, for simulator, detector and circles.
 
 Rounded, and not compared with the current data sheet of every maker. Rows are even between the
 first and the last where no other ones are given; ranges are those on dark surfaces where makers
@@ -54,7 +54,7 @@ class Sensor:
 
     @property
     def drops_rays(self) -> bool:
-        """Whether its driver leaves out rays without return."""
+        """Return whether its driver leaves out rays without return."""
         return self.delivery == "dropped"
 
     @property
@@ -65,7 +65,7 @@ class Sensor:
 
     @property
     def is_planar(self) -> bool:
-        """Whether it is a 2D LiDAR."""
+        """Return whether it is a 2D LiDAR."""
         return bool(self.pattern["kind"] == "planar")
 
 

@@ -86,7 +86,7 @@ class BatchGroup(Config):
             shlex.split(command)
 
     def rows_from(self, folder: Path) -> Sequence[Mapping[str, Value]]:
-        """The rows; those of a table are checked like those of the batch file.
+        """Return the rows; those of a table are checked like those of the batch file.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class BatchJob:
     commands: tuple[tuple[str, ...], ...]
 
     def commands_into(self, folder: Path) -> tuple[tuple[str, ...], ...]:
-        """The commands that write to `folder`."""
+        """Return the commands with `folder` in place of {output}."""
         return tuple(
             tuple(part.replace(f"{{{OUTPUT}}}", str(folder)) for part in command)
             for command in self.commands
@@ -145,7 +145,7 @@ class BatchJob:
 
 
 def jobs_of(config: BatchConfig, folder: Path) -> list[BatchJob]:
-    """Every job, in the order of the file; patterns of files are seen from `folder`.
+    """Return every job in the order of the file; file patterns are relative to `folder`.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def _matching(group: str, name: str, pattern: str, folder: Path) -> tuple[str, .
 
 
 def _rows_of(table: str, folder: Path) -> list[dict[str, Value]]:
-    """Rows of a table, by the names of its columns; nested values count as texts."""
+    """Read the rows of a table, by the names of its columns; nested values become texts."""
     with TemporaryDirectory(prefix="lidar-core-table-") as scratch:
         place = fetched(table, Path(scratch)) if is_remote(table) else folder / table
         columns = read_columns(place)
@@ -207,7 +207,7 @@ def _rows_of(table: str, folder: Path) -> list[dict[str, Value]]:
 
 
 def _filled(command: str, values: Mapping[str, Value]) -> tuple[str, ...]:
-    """Arguments of a command: split first, so that values may hold spaces."""
+    """Split a command into arguments, then fill in the values, which may contain spaces."""
 
     def value(match: re.Match[str]) -> str:
         if match[1] == OUTPUT:

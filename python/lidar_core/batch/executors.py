@@ -17,7 +17,7 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """`function(**arguments)`, a function of a module, with arguments that can be sent.
+    """Call `function(**arguments)`: a function of a module, arguments that can be pickled.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ class JobRecord:
     job : str
         Name of the folder.
     group : str
-        Digest of all that determines the result: commands, files, versions.
+        Name of the group.
     key : str
         Digest of everything that determines the result: commands, files, versions.
     status : str
@@ -125,7 +125,7 @@ def write_results(path: Path, records: Sequence[JobRecord]) -> Path:
 
 
 def _kind(values: Sequence[Any]) -> type:
-    """What holds all values of a column."""
+    """Return the type that can hold all values of a column."""
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {bool} and kinds:
         return bool

@@ -1,4 +1,4 @@
-"""A process that does one task after the other, and survives the errors of all of them."""
+"""Process that does one task after another and continues after an error of a task."""
 
 import os
 import signal
@@ -16,10 +16,10 @@ PATIENCE = 5.0
 
 
 class Worker:
-    """A process of this machine.
+    """Worker process of this machine that does one task at a time.
 
-    It is spawned, not forked: objects of the core refuse to work in a forked process. Ctrl-C is
-    for the process that started it.
+    It is spawned, not forked: objects of the core refuse to work in a forked process. It ignores
+    Ctrl-C, which the process that started it handles.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Worker:
         return self._ours
 
     def begin(self, function: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-        """Start a task; a process that died shows in the outcome."""
+        """Start a task; if the process has died, `outcome` reports it."""
         with suppress(BrokenPipeError):
             self._ours.send((function, dict(arguments)))
 
@@ -53,7 +53,7 @@ class Worker:
         return outcome
 
     def stop(self, *, now: bool) -> None:
-        """End the process; `now` also within a task."""
+        """End the process; with `now` also during a task."""
         self.is_alive = False
         self._ours.close()
         if not now:
@@ -64,13 +64,13 @@ class Worker:
 
 
 def first_done(workers: Iterable[Worker]) -> list[Worker]:
-    """Wait until a task of these has ended; return those whose task has."""
+    """Wait until a task of these workers has ended; return the workers whose task has ended."""
     by_connection = {worker.connection: worker for worker in workers}
     return [by_connection[ready] for ready in wait(list(by_connection)) if ready in by_connection]
 
 
 def called(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Outcome:
-    """Call the function; an exception is an outcome, too."""
+    """Call the function; return its outcome, which may be an exception."""
     try:
         return True, function(**arguments)
     except Exception as error:  # whatever it is, it must not end the other tasks
@@ -78,12 +78,12 @@ def called(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Outcom
 
 
 def ended(reason: str) -> Exception:
-    """The error of a task whose process died."""
+    """Return the error of a task whose process died."""
     return ChildProcessError(f"no result: {reason}")
 
 
 def _end_with_parent() -> None:
-    """End this process when the one that started it is gone: nobody waits for its results."""
+    """End this process when the one that started it has ended: nobody waits for results."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -75,7 +75,7 @@ def crowds(
 
 
 def _wall(scanner: Scanner, count: int, random: np.random.Generator) -> NDArray[np.float64]:
-    """Distances to one wall per scan (N, n_beams); +inf where a ray passes it."""
+    """Draw one wall per scan; return its distances (N, n_beams) [m], +inf where a ray misses."""
     ends = scanner.angle_min, scanner.angle_min + scanner.field_of_view
     away = random.uniform(_NEAREST_MIDDLE, scanner.range_max, (count, 1))
     bearing = scanner.bearings() - random.uniform(*ends, (count, 1))

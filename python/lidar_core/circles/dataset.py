@@ -71,7 +71,7 @@ class CircleDataset:
         return split(self.config, self.n_samples, part, seed=self.seed)
 
     def read(self, part: Part = "all") -> Samples:
-        """All samples of one part, in memory.
+        """Read all samples of one part into memory.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class CircleDataset:
 
 
 def lattice(config: DatasetConfig) -> NDArray[np.float64]:
-    """All circles of a lattice that the scanner sees, shape (N, 3): x, y, radius [m]."""
+    """Return the circles of a lattice that the scanner sees, shape (N, 3): x, y, radius [m]."""
     low, high = (round(radius / config.radius_step) for radius in config.radius)
     return _core.circle_lattice(
         config.scanner,
@@ -264,7 +264,7 @@ def _write_manifest(
 
 
 def _read_shard(path: Path, config: DatasetConfig, most: int) -> Samples:
-    """Samples of one file, at most `most`; sizes are checked before memory is asked for."""
+    """Read the samples of one file, at most `most`; sizes are checked before any allocation."""
     size = check_regular(path).stat().st_size
     try:
         with reading(str(path)), archive_of(path) as archive:
@@ -282,7 +282,7 @@ def _read_shard(path: Path, config: DatasetConfig, most: int) -> Samples:
 
 
 def _problem(samples: Samples, config: DatasetConfig, most: int) -> str:
-    """What does not fit together in a shard; empty if all does."""
+    """Return as text what is inconsistent in a shard; empty if nothing is."""
     count = len(samples.circles) if samples.circles.ndim else -1
     for field in fields(Samples):
         array = getattr(samples, field.name)

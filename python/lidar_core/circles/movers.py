@@ -1,4 +1,4 @@
-"""What moves in a map of circles, for pictures and tables."""
+"""Elements of a map of circles that move, for pictures and tables."""
 
 from collections.abc import Sequence
 

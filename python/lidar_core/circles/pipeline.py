@@ -222,7 +222,7 @@ class CirclePipeline(FullState):
         return frame
 
     def _note(self, values: dict[str, Any], rays: NDArray[np.float32]) -> None:
-        """Keep in `health` what a scan told about its scanner."""
+        """Update `health` with the properties of the scanner that a scan shows."""
         is_far = far_median(rays, LONGEST_2D) is not None
         with self._counting:
             self._health = replace(
@@ -235,7 +235,7 @@ class CirclePipeline(FullState):
             )
 
     def map_at(self, stamp_ns: int) -> CircleElements:
-        """Confirmed elements, predicted to any time [ns]; nothing changes."""
+        """Return the confirmed elements, predicted to any time [ns]; the map does not change."""
         stamp = as_stamp(stamp_ns)
         return elements_of(self._pipeline.map_at(stamp), stamp)
 
@@ -285,7 +285,7 @@ class CirclePipeline(FullState):
         return _frame(stamp, scanner, values)
 
     def _by_network(self, scanner: str) -> Estimator | None:
-        """The network of `config.detector`, if it is one, for one of the LiDARs."""
+        """Return the network of `config.detector` for one of the LiDARs; None if it is a fit."""
         if self._network is None:
             return None
         limits = self.config.scanners.get(scanner, self.config.scanner)
@@ -330,7 +330,7 @@ class CirclePipeline(FullState):
 def _arrays_of(
     posed: PosedScan[Any], given: dict[str, Any], config: CirclesConfig
 ) -> dict[str, Any]:
-    """Arguments of `process` that a posed scan stands for."""
+    """Convert a posed scan to the arguments of `process`."""
     beside = [name for name, value in given.items() if value is not None]
     if set(beside) - {"ranges", "scanner"}:
         raise InputError(
@@ -382,7 +382,7 @@ def _frame(stamp_ns: int, scanner: str, values: dict[str, Any]) -> CircleFrame:
 def _rows(
     circles: Circles, count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    """What an estimator returned, checked."""
+    """Check the result of an estimator and return its arrays."""
     if not isinstance(circles, Circles):
         raise InputError(f"estimator: expected Circles, got {type(circles).__name__}")
     return (

@@ -1,4 +1,4 @@
-"""A raw 2D scan into the horizontal plane: range limitation and projection."""
+"""Conversion of a raw 2D scan to the horizontal plane: range limitation and projection."""
 
 from typing import Any, Literal
 
@@ -101,7 +101,7 @@ def project_horizontal(
     ranges : ndarray, shape (B,), float64
         Horizontal ranges [m]; misses and rays without information stay.
     bearings : ndarray, shape (B,), float64
-        In the level frame [rad], continuous from ray to ray, not equally spaced.
+        Bearings in the level frame [rad], continuous from ray to ray, not equally spaced.
     z : ndarray, shape (B,), float64
         Height of every hit above the scanner [m]; NaN for others.
 
@@ -134,7 +134,7 @@ def project_horizontal(
 
 
 def as_scan(ranges: ArrayLike, bearings: ArrayLike) -> tuple[Ranges, Ranges]:
-    """Ranges >= 0, +inf or NaN, and finite bearings, float64, of one length."""
+    """Check and return ranges (>= 0, +inf or NaN) and finite bearings, float64, of one length."""
     angles = as_finite_rows(bearings, name="bearings", rows=None, shape=())
     scan: Ranges = as_rows(ranges, name="ranges", rows=len(angles), shape=(), dtype=np.float64)
     if (bad := np.flatnonzero(scan < 0)).size:

@@ -56,7 +56,7 @@ class Samples:
 
     @property
     def n_hits(self) -> NDArray[np.int64]:
-        """Rays that returned, per sample."""
+        """Number of rays with a return, per sample."""
         hits = np.concatenate([[0], np.cumsum(np.isfinite(self.ranges), dtype=np.int64)])
         counts: NDArray[np.int64] = np.diff(hits[self.starts])
         return counts
@@ -78,7 +78,7 @@ class Samples:
     def take(
         self, numbers: NDArray[np.integer[Any]], *, starts: NDArray[np.int64] | None = None
     ) -> Self:
-        """The samples with these numbers, in this order; faster with `starts` at hand."""
+        """Return the samples with these numbers, in this order; faster if `starts` is given."""
         starts = self.starts if starts is None else starts
         counts = self.n_rays[numbers].astype(np.int64)
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -100,7 +100,7 @@ class Samples:
 
 
 def joined(parts: list[Samples]) -> Samples:
-    """All samples of several collections, one collection after the other."""
+    """Join several collections of samples, one after the other."""
     return Samples(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -118,7 +118,7 @@ def make_samples(
     circles: NDArray[np.float64] | None = None,
     threads: int = 1,
 ) -> Samples:
-    """Samples `start` to `start + count` of a seed, in memory; no other number changes them.
+    """Make samples `start` to `start + count` of a seed; they depend on nothing else.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Scanners as the scans of a recording or stream state them."""
+"""Scanners that the scans of a recording or stream describe."""
 
 import math
 
@@ -18,7 +18,7 @@ Drivers state angles in float32, and configuration files round them.
 
 
 def scanner_of(scan: LaserScan, config: CirclesConfig, place: str) -> Scanner:
-    """Rays of the LiDAR that gave `scan`, within the range limits of `config.scanner`.
+    """Return the scanner of `scan`, within the range limits of `config.scanner`.
 
     Raises
     ------

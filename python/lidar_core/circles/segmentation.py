@@ -124,7 +124,7 @@ def segments_of(arrays: tuple[NDArray[Any], ...]) -> Segments:
 def arrays_of(
     segments: Segments,
 ) -> tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.uint8]]:
-    """Rays, starts and sides as the core takes them.
+    """Return rays, starts and sides of segments for the core.
 
     Raises
     ------

@@ -110,14 +110,14 @@ def main() -> None:
 def _formatted(
     usual: Callable[..., str], message: Warning | str, category: type[Warning], *place: Any
 ) -> str:
-    """One line for what users cause or cure; others keep the place in the code that warns."""
+    """Format a warning: one line if a user can cause or fix it, else with its place in the code."""
     if issubclass(category, PluginWarning | TruthWarning):
         return f"warning: {message}\n"
     return usual(message, category, *place)
 
 
 def _text(error: Exception) -> str:
-    """What went wrong, with the file before it, where the system says so."""
+    """Return the text of an error, after the name of the file if the system states it."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, MemoryError):

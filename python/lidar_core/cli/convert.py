@@ -148,7 +148,7 @@ def _texts_of_messages(result: dict[str, Any], output: Path) -> list[str]:
 
 
 def _refuse(options: dict[str, Any], what: str) -> None:
-    """Refuse options that would do nothing for what is converted."""
+    """Refuse options that have no effect on this kind of input."""
     from lidar_core.errors import ConfigError
 
     for name in options:
@@ -163,7 +163,7 @@ def _write_recording(
     span: "Span",
     console: "Console",
 ) -> dict[str, Any]:
-    """Write scans and poses; returns what was written and what was not, as plain values."""
+    """Write scans and poses; return counts of written and skipped messages as plain values."""
     from lidar_core.io import open_recording
     from lidar_core.io.scan_topics import NAMELESS
     from lidar_core.io.write.recording import write_arrivals
@@ -197,7 +197,7 @@ def _write_recording(
 def _write_cloud(
     source: Path, output: Path, options: "ReadOptions", resolution: float | None
 ) -> int:
-    """Write the points of one file; returns how many."""
+    """Write the points of one file; return their number."""
     from lidar_core.io import read_cloud, write_cloud
 
     cloud = read_cloud(source, options=options)
@@ -223,12 +223,12 @@ def _check_topics(recording: "Recording", wanted: list[str] | None) -> None:
 def _chosen(
     recording: "Recording", topics: list[str] | None, span: "Span"
 ) -> Iterator[tuple["Message", int | None]]:
-    """Messages of the span, by their stamps, with their arrivals; mountings are of all times.
+    """Yield the messages within the span, with their times of arrival, and all mountings.
 
     Raises
     ------
     InputError
-        There are none but mountings.
+        There are no messages except mountings.
     """
     from lidar_core.errors import InputError
     from lidar_core.messages import Pose

@@ -84,7 +84,7 @@ def command(
 
 @dataclass(slots=True)
 class _Truth:
-    """Truth of the scans so far: for the scores, the table and the picture."""
+    """Collector of the truth of the scans, for the scores, the table and the picture."""
 
     parts: "list[Truth]" = field(default_factory=list)
     rows: list[tuple[Any, ...]] = field(default_factory=list)
@@ -117,7 +117,7 @@ def _write_rest(
     rule: "EvaluationConfig",
     summary: dict[str, Any],
 ) -> list[str]:
-    """Truth, scene, summary and run.toml."""
+    """Write truth, scene, summary and run.toml; return the names of the files."""
     from lidar_core.sim.recording import TRUTH_COLUMNS
 
     columns = list(zip(*truth.rows, strict=True)) or [()] * len(TRUTH_COLUMNS)

@@ -110,7 +110,7 @@ SKY = {
 
 
 def _told_movers(summary: Mapping[str, Any]) -> str:
-    """In how many scans something moves on the ground: not all of that has a track."""
+    """Text on how many scans have points that move on the ground, even without a track."""
     scans = summary["scans_moving"]
     return f"moving points in {scans} of {summary['scans']['processed']} scans" if scans else ""
 

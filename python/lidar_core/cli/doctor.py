@@ -50,7 +50,7 @@ def _report() -> dict[str, Any]:
 
 
 def _cpu() -> dict[str, Any]:
-    """Architecture, the wide instructions that numpy finds, and the vector unit of the core."""
+    """Return architecture, vector instructions that numpy finds, and vector unit of the core."""
     import numpy as np
 
     from lidar_core._core import vector_unit
@@ -67,7 +67,7 @@ def _cpu() -> dict[str, Any]:
 
 
 def _recordings() -> dict[str, Any]:
-    """Folder of the recordings that items of `reproduce` need, as the environment names it."""
+    """Return the folder that the environment names for the recordings of `reproduce`."""
     from lidar_core.reproduce.recordings import FOLDER
 
     named = os.environ.get(FOLDER)
@@ -75,7 +75,7 @@ def _recordings() -> dict[str, Any]:
 
 
 def _check_core() -> str:
-    """Map one scan and look at it again."""
+    """Map one scan, read the map, and return as text whether the core works."""
     import numpy as np
 
     import lidar_core as lc
@@ -91,7 +91,7 @@ def _check_core() -> str:
 
 
 def _extras() -> dict[str, list[str]]:
-    """Packages of every extra, as the installed distribution declares them."""
+    """Return the packages of every extra that the installed distribution declares."""
     found: dict[str, list[str]] = {}
     for line in metadata.requires("lidar-core") or []:
         match = _REQUIREMENT.match(line)

@@ -231,7 +231,7 @@ def live_config(domain: int | None, stream: Sequence[str]) -> "LiveConfig":
 
 
 def _tell(console: "Console", report: "Report") -> None:
-    """Print how it goes, on one line."""
+    """Print a report about the run on one line."""
     parts = [
         f"{report.elapsed_s:7.1f} s",
         f"{report.rate_hz:5.1f} scans/s",

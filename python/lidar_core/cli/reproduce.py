@@ -86,7 +86,7 @@ def command(
 
 
 def _all(console: "Console") -> "list[Item]":
-    """Every item whose recordings are there; names the others."""
+    """Return every item whose recordings are available; print the names of the others."""
     from lidar_core.reproduce import items
     from lidar_core.reproduce.recordings import FOLDER, is_missing
 
@@ -138,7 +138,7 @@ def _table(item: "Item", result: "Result") -> "Table":
 
 
 def _columns(result: "Result") -> list[str]:
-    """Columns of numbers; most items correct no equations, and have no column for it."""
+    """Names of the columns of numbers; corrected equations only if the item has such values."""
     from lidar_core.reproduce import COLUMNS
 
     has_corrected = any(row.equations_corrected is not None for row in result.rows)
@@ -146,7 +146,7 @@ def _columns(result: "Result") -> list[str]:
 
 
 def _number(value: float | None) -> str:
-    """Counts as they are, others to three decimals, small ones to three digits; a dash for none."""
+    """Format counts exactly, others to three decimals, small ones to three digits; None as dash."""
     if value is None:
         return "-"
     if float(value).is_integer():

@@ -107,7 +107,7 @@ def command(
 
 
 def _overfly(output: Path, seed: int, rows: int | None, *, json: Path | None) -> None:
-    """A table of LiDAR and radar of a drone above a target, which holds the truth."""
+    """Write a table of LiDAR and radar of a drone above a target, with the truth."""
     from lidar_core.fusion import write_overflight
     from lidar_core.io.files.sole import sole_writer
     from lidar_core.sim import Overflight, overfly
@@ -135,12 +135,12 @@ def with_sensor(scene: "Scene", name: str) -> "Scene":
 
 
 def scene_named(name: str, seed: int) -> "Scene":
-    """A built-in scene, or that of a file.
+    """Return a built-in scene, or read that of a file.
 
     Raises
     ------
     FileNotFoundError
-        It is neither.
+        `name` is neither.
     """
     from lidar_core.sim import Scene, circle_scenes, scenes
 

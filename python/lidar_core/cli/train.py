@@ -23,7 +23,7 @@ def training(module: str) -> Any:
     Raises
     ------
     MissingExtraError
-        It, or torch, is not installed.
+        The training distribution or torch is not installed.
     """
     try:
         return import_module(f"lidar_core_training.{module}")
@@ -84,7 +84,7 @@ def circles(
 
 
 def _table(rows: list[dict[str, float]], status: str) -> Any:
-    """The last epochs, and what goes on."""
+    """Table of the last epochs, with the status below it."""
     from rich.table import Table
 
     table = Table(caption=status, caption_justify="left")

@@ -115,7 +115,7 @@ def register_metric(
 
 
 def metrics_of(paired: Paired, of: Of) -> dict[str, float | None]:
-    """Every registered metric of tracks or of detections, by name.
+    """Compute every registered metric of tracks or of detections; return the values by name.
 
     A metric of another package or of a script that fails, or returns no finite number, is left out
     with a warning.

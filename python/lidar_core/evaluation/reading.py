@@ -99,7 +99,7 @@ def read_prediction(path: str | Path) -> Prediction:
 
 
 def _scan_times(folder: Path, tracks: Estimates) -> NDArray[np.int64] | None:
-    """Times of the scans, with those in which nothing was found; None where no table has them."""
+    """Times of all scans of a run [ns], even empty ones; None if no table has them."""
     tables = (table_in(folder, name) for name in ("timing", "states"))
     for table in (one for one in tables if one is not None):
         columns = read_columns(table)
@@ -110,7 +110,7 @@ def _scan_times(folder: Path, tracks: Estimates) -> NDArray[np.int64] | None:
 
 
 def _tables_of_tracks(folder: Path) -> list[Path]:
-    """Tables of tracks in the folder of a run; none in another folder."""
+    """Tables of tracks in the folder of a run; an empty list for other folders."""
     if not (folder / RUN_FILE).is_file():
         return []
     found = (table_in(folder, name) for name in ("tracks", "circles"))
@@ -118,7 +118,7 @@ def _tables_of_tracks(folder: Path) -> list[Path]:
 
 
 def _of_table(place: Path, kind: str | None = None) -> Prediction:
-    """Tracks of a table; with `kind` those of this kind, where it is one of flying objects."""
+    """Read the tracks of a table; of a table of flying objects only those of `kind`, if given."""
     columns = read_columns(place)
     if kind is not None and {"kind", "extent_z"} <= set(columns):
         chosen = columns["kind"] == kind
@@ -189,7 +189,7 @@ def _id_in(columns: Columns) -> str:
 
 
 def _needs_no_heights(place: Path, columns: Columns, run: Prediction | None) -> bool:
-    """The truth is without z, as the run; a run with heights needs them."""
+    """Return whether the truth lacks z as the planar run does; a run with heights needs z."""
     if run is None or not {"x", "y"} <= set(columns) or "z" in columns:
         return False
     if run.has_heights:
@@ -200,9 +200,9 @@ def _needs_no_heights(place: Path, columns: Columns, run: Prediction | None) -> 
 def _at_scans(
     place: Path, columns: Columns, run: Prediction | None, config: EvaluationConfig
 ) -> tuple[Columns, NDArray[np.bool_] | None, NDArray[np.int64] | None]:
-    """The truth at the times of the scans, which rows are interpolated, and these times.
+    """Return the truth at the times of the scans, which rows are interpolated, and these times.
 
-    Without the last two where the truth is used at its own times.
+    The last two are None if the truth is used at its own times.
     """
     if run is None:
         return columns, None, None
@@ -222,7 +222,7 @@ def _at_scans(
 
 
 def _truth_file(place: Path) -> Path:
-    """The table itself, the one beside a recording, or the one in a run folder."""
+    """Find the table of the truth: the file itself, beside a recording, or in a run folder."""
     if (place / RUN_FILE).is_file():
         table = table_in(place, "truth")
         if table is None:
@@ -276,7 +276,7 @@ def _flat(columns: Columns) -> Columns:
 
 
 def _last_rows(table: Estimates) -> Estimates:
-    """Without the earlier rows of a track that was written twice at one time."""
+    """Return the table with only the last row of each track and time."""
     if table.id is None:
         return table
     last = {key: row for row, key in enumerate(zip(table.stamp_ns, table.id, strict=True))}
@@ -287,7 +287,7 @@ def _last_rows(table: Estimates) -> Estimates:
 def _covariance(
     place: Path, columns: Columns, names: tuple[str, ...]
 ) -> NDArray[np.float64] | None:
-    """Symmetric matrices from their upper triangle; None unless all of it is there."""
+    """Read symmetric matrices from the columns of their upper triangle; None if one is missing."""
     titles = covariance_titles(names)
     if any(title not in columns for title in titles):
         return None
@@ -314,7 +314,7 @@ def _latency(place: Path) -> Latency | None:
 
 
 def _burn_in(place: Path) -> int | None:
-    """Scans of the burn-in: as the run counted them, otherwise as its configuration says."""
+    """Number of burn-in scans that the run counted, else the configured one; None if unknown."""
     run_file, summary = place / RUN_FILE, place / "summary.json"
     try:
         gate = json.loads(read_whole(summary))["gate"] if summary.is_file() else {}
@@ -331,7 +331,7 @@ def _burn_in(place: Path) -> int | None:
 def _after_burn_in(
     stamps: NDArray[np.int64], scans: int, scan_ns: NDArray[np.int64] | None
 ) -> NDArray[np.bool_]:
-    """The times after the first scans; without times of scans, all times of the truth are such."""
+    """Return which `stamps` are after the first `scans` of `scan_ns`, or of `stamps` if None."""
     when = np.unique(stamps) if scan_ns is None else scan_ns
     after: NDArray[np.bool_] = np.searchsorted(when, stamps) >= scans
     return after

@@ -1,4 +1,4 @@
-"""Everything about one run in one result."""
+"""Evaluation of one run: all scores in one result."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -38,7 +38,7 @@ class Evaluation:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Every number as plain values, ready for JSON; the arrays are left out."""
+        """Return every number as plain values, ready for JSON, without the arrays."""
         return {
             "track_scores": None if self.tracks is None else self.tracks.to_dict(),
             "detection_scores": None if self.detections is None else self.detections.to_dict(),
@@ -57,7 +57,7 @@ def evaluate(
     with_identities: bool = False,
     config: EvaluationConfig | None = None,
 ) -> Evaluation:
-    """Hold tracks and detections against the truth.
+    """Compare tracks and detections with the truth.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def evaluate(
     tracks, detections : Estimates, optional
         Reported objects. Times within `time_tolerance` of a time of the truth count as equal to it.
     latency : Latency, optional
-        Passed on.
+        Times of the scans, which are passed on to the result.
     with_identities : bool
         Also compute HOTA, MOTA and IDF1 (extra `eval`).
     config : EvaluationConfig, optional

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def all_rows(report: "Evaluation") -> list[Row | None]:
-    """Every score of a run; None draws a line."""
+    """Return rows of every score of a run; None draws a line."""
     rows: list[Row | None] = [*main_rows(report)]
     for what, item in _scores(report):
         rows += detail_rows(item, what)
@@ -62,7 +62,7 @@ def _track_rows(tracks: "TrackScores") -> list[Row]:
 
 
 def detail_rows(scores: "DetectionScores", what: str) -> list[Row | None]:
-    """Errors, sets and consistency of tracks or of detections, under a line."""
+    """Return rows of errors, set distances and consistency, after a None that draws a line."""
     return [
         None,
         Row(
@@ -87,7 +87,7 @@ def detail_rows(scores: "DetectionScores", what: str) -> list[Row | None]:
 
 
 def _metric_rows(scores: "DetectionScores") -> list[Row]:
-    """Registered metrics, those of other packages among them."""
+    """Rows of the registered metrics, including those of other packages."""
     from lidar_core.evaluation.metric import METRICS
 
     known = {metric.name: metric for metric in METRICS.parts()}
@@ -109,7 +109,7 @@ def _set_rows(scores: "DetectionScores") -> list[Row]:
 
 
 def identity_rows(scores: "IdentityScores") -> list[Row | None]:
-    """HOTA and its relatives, under a line."""
+    """Return rows of HOTA, MOTA, IDF1 and their parts, after a None that draws a line."""
     parts = f"detection {scores.deta:.3f}, association {scores.assa:.3f}, place {scores.loca:.3f}"
     whole = f"recall {scores.id_recall:.3f}, precision {scores.id_precision:.3f}"
     tracked = f"{scores.mostly_tracked} targets mostly tracked, {scores.mostly_lost} mostly lost"
@@ -122,7 +122,7 @@ def identity_rows(scores: "IdentityScores") -> list[Row | None]:
 
 
 def latency_rows(latency: "Latency") -> list[Row | None]:
-    """Time per scan, under a line."""
+    """Return rows of the time per scan, after a None that draws a line."""
     total = latency.total
     tail = f"mean; 95 % within {total.p95:.0f} ms, longest {total.largest:.0f} ms"
     return [None, Row("time per scan", f"{total.mean:.0f} ms", tail)]
@@ -153,7 +153,7 @@ def counted_caption(config: "EvaluationConfig") -> str:
 
 
 def distance_table(report: "Evaluation") -> "Table | None":
-    """Recall, precision and error over distance; None where no distance is known."""
+    """Return a table of recall, precision and error over distance; None without distances."""
     from rich.table import Table
 
     table = Table("distance", "of", "sightings", "recall", "precision", "mean error")
@@ -172,7 +172,7 @@ def distance_table(report: "Evaluation") -> "Table | None":
 
 
 def _scores(report: "Evaluation") -> "list[tuple[str, DetectionScores]]":
-    """Scores of tracks and of detections, by name, of those that there are."""
+    """Available scores of tracks and of detections, with their names."""
     both = (("tracks", report.tracks), ("detections", report.detections))
     return [(what, item) for what, item in both if item is not None]
 

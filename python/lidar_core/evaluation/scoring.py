@@ -173,7 +173,7 @@ def _counts(
 
 
 def _duration(stamps: NDArray[np.int64]) -> float:
-    """First to last scan, and one usual interval for the last one [s]."""
+    """Time from the first to the last scan, plus one median interval for the last one [s]."""
     steps = np.diff(stamps)
     return float(steps.sum() + np.median(steps)) * 1e-9 if len(steps) else 0.0
 
@@ -207,7 +207,11 @@ def _errors(estimates: Estimates, truth: Truth, pairing: Pairing) -> dict[str, S
 def _over_distance(
     estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig
 ) -> tuple[DistanceScores, ...]:
-    """Targets by their own distance, estimates by theirs from the sensor of the same time."""
+    """Scores by distance from the sensor: that of the target, or that of the estimate.
+
+    Recall and errors use the distance of the target, precision that of the estimate. Empty without
+    positions of the sensor.
+    """
     if truth.sensor is None:
         return ()
     edges = np.array(config.distance_edges)
@@ -266,7 +270,7 @@ def _position_nees(
 
 
 def _axes(covariance: NDArray[np.float64]) -> int:
-    """Axes of a position: two in a plane, else three."""
+    """Number of axes of a position: two in a plane, else three."""
     return 2 if covariance.shape[1] in (2, 4) else 3
 
 

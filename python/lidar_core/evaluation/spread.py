@@ -39,7 +39,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: ArrayLike) -> Self | None:
-        """Statistics of `values`, any shape; None without values.
+        """Compute statistics of `values` of any shape; None without values.
 
         Raises
         ------

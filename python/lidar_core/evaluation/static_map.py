@@ -57,7 +57,7 @@ class StaticScores:
         return None if both[0] is None or both[1] is None else float(np.sqrt(both[0] * both[1]))
 
     def to_dict(self) -> dict[str, float | int | None]:
-        """All numbers by name."""
+        """Return all numbers by name."""
         return {
             "static_accuracy": self.static_accuracy,
             "dynamic_accuracy": self.dynamic_accuracy,
@@ -188,7 +188,7 @@ def _cells(
 def _is_near(
     truth: NDArray[np.float64], known: NDArray[np.float64], distance: float
 ) -> NDArray[np.bool_]:
-    """Whether a known point is within `distance` of each point of the truth."""
+    """Return for each point of the truth whether a known point is within `distance` [m]."""
     found = np.zeros(len(truth), np.bool_)
     if not len(truth) or not len(known):
         return found
@@ -213,7 +213,7 @@ def _is_near(
 def _in_voxels(
     truth: NDArray[np.float64], centers: NDArray[np.float64], edge: float
 ) -> NDArray[np.bool_]:
-    """Whether each point is in a voxel around one of the centres, or within `SAME` of it."""
+    """Return for each point whether it is in a voxel around a centre, or within `SAME` of one."""
     found = np.zeros(len(truth), np.bool_)
     if not len(truth) or not len(centers):
         return found

@@ -220,7 +220,7 @@ class DetectionScores:
         return None if self.position_error is None else self.position_error.largest
 
     def to_dict(self) -> dict[str, Any]:
-        """Every number as plain values, ready for JSON; the arrays are left out.
+        """Return every number as plain values, ready for JSON, without the arrays.
 
         `over_distance` becomes one value per name: `recall@10m` is that of the group up to 10 m.
         """
@@ -264,7 +264,7 @@ class TrackScores(DetectionScores):
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses as dicts, tuples as lists; fields that hold arrays are left out."""
+    """Convert dataclasses to dicts and tuples to lists; fields with arrays are left out."""
     if is_dataclass(value):
         held = {item.name: getattr(value, item.name) for item in fields(value)}
         return {

@@ -24,7 +24,7 @@ def point_covariance(
     pose_covariance: ArrayLike,
     range_std: float,
 ) -> NDArray[np.float64]:
-    """Covariances of measured points in the world, from those of the pose and of the range.
+    """Return covariances of measured points in the world, from those of pose and range.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def detection_probability(
 
 
 def as_pose_covariance(values: ArrayLike) -> NDArray[np.float64]:
-    """A covariance of translation [m^2] and angles [rad^2] as a (6, 6) float64 array.
+    """Check a covariance of translation [m^2] and angles [rad^2]; return it as (6, 6) float64.
 
     Raises
     ------

@@ -178,7 +178,7 @@ class FlyingObjectDetector(FullState):
         return frame
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> Tracks:
-        """Tracks predicted to `stamp_ns` [ns]: compensates latency, changes nothing.
+        """Return tracks predicted to `stamp_ns` [ns], to compensate latency; nothing changes.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class FlyingObjectDetector(FullState):
     def set_teammates(
         self, ids: ArrayLike, positions_world: ArrayLike, *, radius: float = 1.0
     ) -> None:
-        """Name known flying objects: from now on labelled in `frame.teammates`, not reported.
+        """Set known flying objects: from now on they are in `frame.teammates` and not reported.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class FlyingObjectDetector(FullState):
         self._detector.set_known(_world(points_world), occupied=False)
 
     def state_at(self, points_world: ArrayLike) -> NDArray[np.uint8]:
-        """State of the map at points (N, 3) [m]: 0 free, 1 uncertain, 2 tentative, 3 occupied."""
+        """Map state at points (N, 3) [m]: 0 free, 1 uncertain, 2 tentative, 3 occupied."""
         return self._detector.state_at(_world(points_world))
 
     def occupied_points(self) -> NDArray[np.float64]:
@@ -320,7 +320,7 @@ class FlyingObjectDetector(FullState):
         self._detector.reset()
 
     def health(self) -> Health:
-        """Counts of scans since the start: received = processed + held + rejected."""
+        """Return the counts of scans since the start: received = processed + held + rejected."""
         return self._health
 
     def _process(
@@ -335,7 +335,7 @@ class FlyingObjectDetector(FullState):
         pose_covariance: ArrayLike | None,
         sensor: str | None,
     ) -> tuple[int, dict[str, Any]]:
-        """Stamp of a scan, and what the core says about it."""
+        """Check and process a scan; return its stamp and the result of the core."""
         stamp = as_stamp(stamp_ns, name="stamp_ns")
         points = as_points(points_lidar, name="points_lidar")
         poses = as_poses(world_from_lidar, name="world_from_lidar")
@@ -369,7 +369,7 @@ class FlyingObjectDetector(FullState):
     def _count(
         self, field: str, *, n_forgotten: int = 0, points: Points | None = None, **seen: Any
     ) -> None:
-        """Count one more scan as `field`; `seen` is what it tells of the sensor."""
+        """Count one more scan as `field` in `health`; `seen` are further values of `health`."""
         fields = ["received", field]
         if points is not None and far_median(points, LONGEST_3D) is not None:
             fields.append("far_scans")
@@ -438,7 +438,7 @@ def _detections(arrays: tuple[NDArray[Any], ...], stamp_ns: int) -> FlyingDetect
 
 
 def _has_a_point(points: Points) -> bool:
-    """Whether any row is finite; a sample decides for all but clouds that are nearly empty."""
+    """Return whether any row is finite; a sample suffices unless the cloud is nearly empty."""
     sample = points[:: max(1, len(points) // 1000)]
     return any(bool(np.isfinite(rows).all(axis=1).any()) for rows in (sample, points))
 
@@ -460,7 +460,7 @@ def _sensor_name(sensor: str | None) -> str:
 
 
 def _arrays_of(posed: PosedScan[Any], given: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of `process` that a posed scan stands for."""
+    """Convert a posed scan to the arguments of `process`."""
     beside = [name for name, value in given.items() if value is not None]
     if set(beside) - {"points_lidar", "sensor"}:
         raise InputError(

@@ -74,7 +74,7 @@ class FlyingStatus:
 
     @property
     def is_burn_in(self) -> bool:
-        """True for the first scans, in which nothing is reported."""
+        """True for the scans of the burn-in, in which nothing is reported."""
         return self.reason.startswith("burn-in")
 
 

@@ -205,7 +205,7 @@ class PointCloudTracker(FullState):
         return TrackEvents(*events)
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> Tracks:
-        """Tracks, predicted to any time; nothing changes.
+        """Return the tracks, predicted to any time; nothing changes.
 
         Parameters
         ----------
@@ -255,7 +255,7 @@ def tracks_from(
 
 
 def first_finite(points: ArrayLike) -> NDArray[np.float64] | None:
-    """The first point without NaN or infinity, in whole metres."""
+    """Return the first finite point, rounded to whole metres; None without one."""
     array = as_real(points, name="points")
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
         return None
@@ -265,7 +265,7 @@ def first_finite(points: ArrayLike) -> NDArray[np.float64] | None:
 
 
 def local(points: ArrayLike, origin: NDArray[np.float64] | None, *, name: str) -> Points:
-    """Points relative to `origin`, subtracted before float64 becomes float32."""
+    """Return points relative to `origin`, subtracted before float64 becomes float32."""
     array = as_real(points, name=name)
     if origin is not None and array.shape[-1:] == (3,):
         array = array.astype(np.float64) - origin
@@ -275,7 +275,7 @@ def local(points: ArrayLike, origin: NDArray[np.float64] | None, *, name: str) -
 def _delays(
     time_ns: ArrayLike | None, name: str, rows: int, stamp_ns: int
 ) -> NDArray[np.float64] | None:
-    """Times after the stamp [s]."""
+    """Convert absolute times [ns] to times after the stamp [s]; None without times."""
     if time_ns is None:
         return None
     times = as_real(time_ns, name=name).reshape(-1)

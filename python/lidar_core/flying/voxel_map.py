@@ -248,7 +248,7 @@ class VoxelMap(FullState):
         *,
         config: ClassifyConfig | None = None,
     ) -> NDArray[np.uint8]:
-        """Class of every cluster of a labelled cloud; the map stays as it is.
+        """Return the class of every cluster of a labelled cloud; the map does not change.
 
         Parameters
         ----------
@@ -337,7 +337,7 @@ class VoxelMap(FullState):
         return cls._of(VoxelMapConfig.load(loaded.parameters()), loaded, threads)
 
     def _local(self, points: ArrayLike) -> Points:
-        """Points relative to the map's origin, subtracted before float64 becomes float32."""
+        """Return points relative to the map's origin, subtracted before float64 becomes float32."""
         if self.origin.any():
             points = as_real(points, name="points").astype(np.float64)
             if points.shape[-1:] == (3,):

@@ -30,7 +30,7 @@ class _Waiting(Generic[ScanT]):
 
 
 class LiveLoop(Generic[ScanT]):
-    """Takes scans from a source; only the newest one with a pose is processed.
+    """Loop that processes scans of a source: always the newest one that has a pose.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class LiveLoop(Generic[ScanT]):
         return self._source.is_stream and not heard
 
     def _tell_of_silence(self) -> None:
-        """Say, once, what is there instead of the scans that do not come."""
+        """Report once which topics the source has if no wanted scan arrives."""
         if self._is_silence_told or not self.heard_nothing:
             return
         now = time.monotonic()
@@ -159,7 +159,7 @@ class LiveLoop(Generic[ScanT]):
             self._file(arrival, self._decoded(arrival))
 
     def _decoded(self, arrival: Arrival) -> list[Message]:
-        """Messages of a record; none, and counted, if it cannot be read."""
+        """Decode the messages of a record; if it cannot be read, count it and return none."""
         topic = arrival.record.topic.name
         if self._topics and self._is_ignored(arrival):
             return []
@@ -171,7 +171,7 @@ class LiveLoop(Generic[ScanT]):
             return []
 
     def _is_ignored(self, arrival: Arrival) -> bool:
-        """Whether it is a scan of a topic that was not asked for."""
+        """Return whether it is a scan of a topic that was not requested; count it if so."""
         topic = arrival.record.topic
         is_ignored = topic.kind in ("scan", "planar") and topic.name not in self._topics
         if is_ignored:
@@ -179,7 +179,7 @@ class LiveLoop(Generic[ScanT]):
         return is_ignored
 
     def _file(self, arrival: Arrival, messages: list[Message]) -> None:
-        """Poses to the poses, scans to those that wait."""
+        """Add poses to the poses and scans to the waiting scans."""
         for message in messages:
             if isinstance(message, Pose):
                 self._poses.add(arrival.record.topic, message, self._frame)
@@ -219,9 +219,9 @@ class LiveLoop(Generic[ScanT]):
             self._process(pipeline, waiting, posed)
 
     def _newest(self, topic: str) -> tuple[_Waiting[ScanT], PosedScan[ScanT]] | None:
-        """Newest scan of a topic that has its pose; older ones are dropped.
+        """Return the newest scan of a topic that has its pose; drop older ones. None without one.
 
-        One that waits for longer than a pose may take gives way to a newer one that still waits.
+        A scan that has waited longer than a pose may take is given up for a newer one.
         """
         queue, now_ns = self._waiting[topic], time.time_ns()
         for place in reversed(range(len(queue))):
@@ -243,7 +243,7 @@ class LiveLoop(Generic[ScanT]):
         return None
 
     def _give_up(self, topic: str) -> None:
-        """Count the oldest scan of a topic, whose pose did not come in time."""
+        """Drop and count the oldest scan of a topic, whose pose did not arrive in time."""
         waiting = self._waiting[topic].popleft()
         try:
             self._poses.posed(waiting.scan)
@@ -282,7 +282,7 @@ class LiveLoop(Generic[ScanT]):
         self._count(self.stats.rejected, reason)
 
     def _count(self, reasons: Counter[str], reason: str) -> None:
-        """Count a scan that is not processed, and tell a reason when it first occurs.
+        """Count a scan that is not processed, and report a reason when it first occurs.
 
         Later ones that differ only in their numbers, such as stamps, count as the first one.
         """

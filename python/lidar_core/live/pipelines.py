@@ -27,7 +27,7 @@ class LivePipeline(ABC, Generic[ScanT]):
     sort: type[ScanT]
 
     def is_ready(self, scan: ScanT) -> bool:
-        """Look at a scan before it is taken; False while scans of other LiDARs are missing."""
+        """Look at a scan before `take`; return False while scans of other LiDARs are missing."""
         del scan
         return True
 
@@ -95,7 +95,7 @@ class CirclesLive(LivePipeline[LaserScan]):
         self.pipeline: CirclePipeline | None = None
 
     def is_ready(self, scan: LaserScan) -> bool:
-        """Note the scanner; with the last of them the pipeline is made.
+        """Register the scanner of a scan; make the pipeline once all LiDARs are known.
 
         Raises
         ------

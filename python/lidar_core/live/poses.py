@@ -128,7 +128,7 @@ class LivePoses:
         return PosedScan(scan, poses[0] if is_single else poses, None if is_single else stamps)
 
     def _standing(self, scan: ScanT) -> PosedScan[ScanT]:
-        """A scan from where its sensor is mounted, or from the origin."""
+        """Return a scan with a static pose: that of its sensor's mounting, or the origin."""
         if self._chosen is None:
             root = self._transforms.root_of(scan.frame_id)
             self._chosen = self._transforms, root
@@ -141,7 +141,7 @@ class LivePoses:
             return PosedScan(scan, np.eye(4))
 
     def _choice(self, frame: str) -> tuple[TransformBuffer, str]:
-        """Buffer that moves `frame`, and the fixed frame."""
+        """Return the buffer of poses in which `frame` moves, and the fixed frame."""
         self._settle_nameless(frame)
         for buffer in self._candidates():
             root = self._options.fixed_frame or buffer.root_of(frame)
@@ -150,7 +150,7 @@ class LivePoses:
         raise NoTransformError(self._missing(frame))
 
     def _candidates(self) -> list[TransformBuffer]:
-        """The odometry that was named; else transforms, and odometry if there is one of it only."""
+        """Buffers to try: the named odometry; else transforms, then odometry if only one exists."""
         wanted = self._options.odom
         if wanted is not None:
             return [self._odometry[wanted]] if wanted in self._odometry else []
@@ -186,7 +186,7 @@ class LivePoses:
         self._add_to(self._odometry[topic], topic, carried)
 
     def _carrier(self, topic: str, pose: Pose, frame: str) -> str:
-        """Frame of a pose that names none; kept, so that all of its topic are of one frame."""
+        """Return the frame of a pose that names none; it is the same for all poses of the topic."""
         if not frame:  # no scan yet
             return frame
         early = self._nameless.setdefault(topic, [])
@@ -198,7 +198,7 @@ class LivePoses:
         return self._carriers[topic]
 
     def _settle_nameless(self, frame: str) -> None:
-        """Drop odometry that was taken for the sensor's and moves as another frame does."""
+        """Drop odometry that was assigned to the sensor but has the motion of another frame."""
         if frame in {item.child_frame_id for item in self._mountings}:
             return
         for topic, poses in self._nameless.items():
@@ -208,7 +208,7 @@ class LivePoses:
                 self._odometry.pop(topic, None)
 
     def _add_to(self, buffer: TransformBuffer, topic: str, pose: Pose) -> bool:
-        """Add a pose, unless it is of one pair of frames more than are kept."""
+        """Add a pose, unless there are too many pairs of frames; return whether it was added."""
         edges = buffer.edges()
         is_new = (pose.frame_id, pose.child_frame_id) not in edges
         if is_new and len(edges) >= MAX_FRAMES:

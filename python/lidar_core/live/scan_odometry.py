@@ -8,9 +8,9 @@ from lidar_core.messages import Scan, ScanT
 
 
 class ScanOdometry:
-    """Places the clouds of one LiDAR, in the frame of the first one's end.
+    """Odometry from the clouds of one LiDAR, in the frame at the end of the first one.
 
-    Scans that are dropped because a newer one wins are not placed: their motion is part of the next
+    Scans that are dropped in favour of a newer one get no pose: their motion is part of the next
     step.
 
     Parameters
@@ -31,12 +31,12 @@ class ScanOdometry:
         self._lidar: tuple[str, str] | None = None
 
     def posed(self, scan: ScanT) -> PosedScan[ScanT]:
-        """`scan` with the pose that it gives, or two over its time, and their covariance.
+        """Return `scan` with its estimated pose, or with two over its time, and their covariance.
 
         Raises
         ------
         NoTransformError
-            It cannot be placed, or is not later than the one before.
+            The pose cannot be estimated, or the scan is not later than the one before.
         ConfigError
             It is a 2D scan, or of another LiDAR than those before.
         """

@@ -77,17 +77,17 @@ class LatencyLog:
         self._recent: list[float] = []
 
     def add(self, latency_ns: int) -> None:
-        """Append one."""
+        """Append one latency [ns]."""
         self._all.append(latency_ns * 1e-6)
         self._recent.append(latency_ns * 1e-6)
 
     def recent(self) -> Delay | None:
-        """Summary of latencies since the last call; None without any."""
+        """Return the summary of latencies since the last call; None without any."""
         values, self._recent = self._recent, []
         return _delay(values)
 
     def total(self) -> Delay | None:
-        """Summary of all latencies that are kept; None without any."""
+        """Return the summary of all stored latencies; None without any."""
         return _delay(list(self._all))
 
 
@@ -122,7 +122,7 @@ class LiveStats:
         self.from_stamp, self.from_arrival = LatencyLog(), LatencyLog()
 
     def counts(self) -> dict[str, int]:
-        """Sums for one line."""
+        """Return the total counts of scans, for the line of a report."""
         return {
             "dropped": self.dropped.total(),
             "without pose": self.without_pose.total(),
@@ -150,5 +150,5 @@ class LiveStats:
 
 
 def within_limit(counter: "Counter[str]", reason: str, *, most: int = 100) -> str:
-    """`reason`, or a common name for it once `most` different ones are counted."""
+    """Return `reason`, or "other reasons" if it is new and `most` reasons are counted already."""
     return reason if reason in counter or len(counter) < most else "other reasons"

@@ -1,4 +1,4 @@
-"""Recording of everything that arrives."""
+"""Writer of a recording of everything that arrives."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +19,7 @@ MOST_WAITING = 256
 
 
 class _Once:
-    """`Record.decode` that decodes once, whoever asks first: the loop or the tape."""
+    """Replacement of `Record.decode` that decodes only once, for the loop and the tape."""
 
     def __init__(self, record: Record) -> None:
         self._record: Record | None = record
@@ -41,7 +41,7 @@ class _Once:
 
 
 class Tape:
-    """Writes every scan and pose that arrives, in a thread of its own; the newest may be lost.
+    """Writer of every scan and pose that arrives, in its own thread; the newest may be lost.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Tape:
     Attributes
     ----------
     lost : int
-        Records that came faster than they could be written.
+        Number of records that arrived faster than they could be written.
     """
 
     def __init__(self, path: Path, *, has_arrivals: bool = True) -> None:

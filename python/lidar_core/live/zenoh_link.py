@@ -29,14 +29,14 @@ _DDS, _DDS_MARK = "::dds_::", "::msg::dds_::"
 
 
 class RosKey(NamedTuple):
-    """A topic as rmw_zenoh names it."""
+    """Topic and type of a key of rmw_zenoh."""
 
     topic: str
     type: str
 
 
 def key_of(topic: str, type_name: str, type_hash: str, *, domain: int) -> str:
-    """Key of a topic for rmw_zenoh; `**` as topic and `*` as hash match any.
+    """Return the key of a topic for rmw_zenoh; `**` as topic and `*` as hash match any.
 
     Examples
     --------
@@ -47,13 +47,13 @@ def key_of(topic: str, type_name: str, type_hash: str, *, domain: int) -> str:
 
 
 def dds_name(type_name: str) -> str:
-    """Name of a type as DDS has it: package::msg::dds_::Name_."""
+    """Convert the name of a type to that of DDS: package::msg::dds_::Name_."""
     package, _, name = type_name.split("/")
     return f"{package}{_DDS_MARK}{name}_"
 
 
 def topic_of(key: str) -> RosKey | None:
-    """Topic and type of a key of rmw_zenoh; None for other keys.
+    """Return topic and type of a key of rmw_zenoh; None for other keys.
 
     Examples
     --------

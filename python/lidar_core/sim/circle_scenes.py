@@ -47,7 +47,7 @@ SensorMotion: TypeAlias = Literal["hovering", "swinging"]
 
 
 def scanner() -> LidarModel:
-    """1081 beams over 270 degrees within 18.75 ms, 20 Hz, 0.1 to 10 m, noise of 0.01 m."""
+    """Make a 2D scanner: 1081 beams, 270 degrees in 18.75 ms, 20 Hz, 0.1 to 10 m, 0.01 m noise."""
     return LidarModel.preset("utm-30lx", scan_rate=RATE, range_max=10.0)
 
 
@@ -346,7 +346,7 @@ def _shuttle(
 
 
 def _room(low: tuple[float, float], high: tuple[float, float], height: float) -> tuple[Body, ...]:
-    """Four walls of 0.2 m around a rectangle."""
+    """Make four walls, 0.2 m thick, around a rectangle."""
     middle, size = np.add(low, high) / 2, np.subtract(high, low)
     x, y = middle.tolist()
     thick = 0.2

@@ -1,4 +1,4 @@
-"""Output of a sensor's driver: dropped rows, rows of zeros, no directions, no mask."""
+"""Conversion to the output of a driver: dropped rows, rows of zeros, no directions, no mask."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def delivered(made: SimulatedScan, lidar: LidarModel) -> SimulatedScan:
 
 
 def _rows(scan: Scan, is_kept: NDArray[np.bool_]) -> Scan:
-    """The rows of a scan that are kept, as a list without rows and columns."""
+    """Return the kept points of a scan as a list of shape (N, 3), no longer organised."""
     times, ring = scan.point_time_ns, scan.ring
     return replace(
         scan,

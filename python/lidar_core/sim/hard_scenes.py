@@ -189,7 +189,7 @@ CAR = (
 def _sides(
     rng: np.random.Generator, length: float, fronts: tuple[Surface, ...]
 ) -> tuple[Body, ...]:
-    """Houses with gaps of sky, parked cars and trees on both sides."""
+    """Make houses with gaps of sky, parked cars and trees on both sides of the street."""
     found: list[Body] = []
     for number, x in enumerate(np.arange(-40.0, length + 60.0, GAP).tolist()):
         for side in (-1.0, 1.0):
@@ -211,7 +211,7 @@ def _sides(
 def _house(
     place: tuple[float, float], size: tuple[float, float, float], front: Surface
 ) -> list[Body]:
-    """A block; behind glass there is a smaller one, the room's inner walls."""
+    """Make a block; behind a glass front there is a smaller one, the inner walls of the room."""
     x, y = place
     wide, deep, high = size
     block = _body(Box(size=size), (x, y, high / 2), front)
@@ -222,7 +222,7 @@ def _house(
 
 
 def _houses_around(rng: np.random.Generator) -> list[Body]:
-    """Houses at 15 to 40 m that leave about half of the horizon to the sky."""
+    """Make houses at 15 to 40 m that leave about half of the horizon free."""
     found = []
     for number in range(7):
         azimuth = 2 * np.pi * (number + rng.uniform(-0.2, 0.2)) / 7
@@ -235,7 +235,7 @@ def _houses_around(rng: np.random.Generator) -> list[Body]:
 
 
 def _reach_of(lidar: LidarModel) -> tuple[float, float]:
-    """Elevations between which a 3D LiDAR looks, less 5 degrees [rad]."""
+    """Least and largest elevation of a 3D LiDAR, reduced by a margin of 5 degrees [rad]."""
     pattern = lidar.pattern
     if pattern.kind == "spinning":
         low, high = min(pattern.elevations_deg), max(pattern.elevations_deg)

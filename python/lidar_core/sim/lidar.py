@@ -1,4 +1,4 @@
-"""Models of 3D and 2D LiDARs, and presets of some that are sold."""
+"""Models of 3D and 2D LiDARs, and presets of commercial ones."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -178,7 +178,7 @@ class LidarModel(Config):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(rows, columns) of an organised scan, else (rays,)."""
+        """Shape of a scan: (rows, columns) if it is organised, else (rays,)."""
         if isinstance(self.pattern, Spinning):
             return len(self.pattern.elevations_deg), self.pattern.columns
         return (self.pattern.beams if isinstance(self.pattern, Planar) else self.pattern.rays,)

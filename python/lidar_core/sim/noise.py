@@ -1,4 +1,4 @@
-"""Noise on the poses that a detector is given; the truth keeps the real ones."""
+"""Noise on the poses that a detector gets; the truth has the exact ones."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ class PoseNoise(Config):
 
 
 class NoisyPoses:
-    """Makes the poses of successive scans wrong, by one error process.
+    """Source of pose errors of successive scans, drawn from one error process.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class NoisyPoses:
         return replace(made, world_from_lidar=wrong[0], poses=wrong)
 
     def _error_at(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Error at a time that is not before the last one."""
+        """Return the error (6,) at a time that is not before the last one."""
         keep = 0.0
         if self._stamp_ns is not None:
             memory, elapsed = self.noise.time_constant, (stamp_ns - self._stamp_ns) * 1e-9

@@ -210,7 +210,7 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
 def _walk(
     config: Overflight, seconds: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position and velocity (K, 3) of the target: arcs from row to row."""
+    """Position [m] and velocity [m/s] (K, 3) of the target, on arcs from row to row."""
     swings = 2 * np.pi / TURN_PERIOD
     heading = config.target_turn_rate / swings * np.sin(swings * seconds)
     flat = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
@@ -228,7 +228,7 @@ def _swivel(
     yaw: NDArray[np.float64],
     pitch: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Range, bearing and range rate (K, 3) in the plane that meets the target, and its angle."""
+    """Range [m], bearing [rad], range rate [m/s] (K, 3) in the swivelled plane; its angle [rad]."""
     c, s, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
     x, y, z = c * sight[:, 0] + s * sight[:, 1], c * sight[:, 1] - s * sight[:, 0], sight[:, 2]
     ahead, up = cp * x - sp * z, sp * x + cp * z

@@ -172,7 +172,7 @@ def _write_scans(
 
 
 def files_beside(path: Path) -> tuple[Path, Path, Path]:
-    """Truth, scene and run of the recording `path`; recordings of one name share them.
+    """Return the truth, scene and run files of the recording `path`, shared by its name.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def files_beside(path: Path) -> tuple[Path, Path, Path]:
 
 
 def truth_rows(number: int, made: Made) -> Iterator[tuple[Any, ...]]:
-    """Rows of `TRUTH_COLUMNS`, or of `SWEEP_TRUTH_COLUMNS`, of one scan, one per target."""
+    """Yield one row of `TRUTH_COLUMNS` or `SWEEP_TRUTH_COLUMNS` per target of a scan."""
     truth = made.truth
     for target, name in enumerate(truth.id.tolist()):
         if isinstance(truth, TargetTruth):

@@ -147,7 +147,7 @@ def _drone() -> Target:
 
 
 def _street(rng: np.random.Generator, is_clear: IsClear) -> tuple[Body, ...]:
-    """Ground, 15 houses and 15 poles, each where it `is_clear`."""
+    """Make ground, 15 houses and 15 poles, each where it `is_clear`."""
     bodies = [Body(shape=Plane(size=(100.0, 100.0)))]
 
     def house() -> Body | None:
@@ -186,7 +186,7 @@ def _trees(rng: np.random.Generator, is_clear: IsClear, *, count: int) -> tuple[
 
 
 def _several(draw: Callable[[], Body | None], count: int) -> tuple[Body, ...]:
-    """Draw until `count` bodies have found a place."""
+    """Call `draw` until it has returned `count` bodies."""
     found: list[Body] = []
     for _ in range(DRAWS):
         if len(found) == count:
@@ -203,7 +203,7 @@ def _is_clear(x: float, y: float, radius: float) -> bool:
 def _line(
     start: tuple[float, float, float], step: tuple[float, float, float], scans: int
 ) -> Waypoints:
-    """Make a straight way at `step` metres per scan of 0.1 s."""
+    """Make a straight path of `step` [m] per scan of 0.1 s."""
     x, y, z = (a + scans * b for a, b in zip(start, step, strict=True))
     return Waypoints(times=(0.0, scans * 0.1), positions=(start, (x, y, z)))
 

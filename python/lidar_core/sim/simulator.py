@@ -25,7 +25,7 @@ POSE_RATE = 100.0
 
 
 class Simulator:
-    """A scene at work: any scan of it, in any order. The same seed gives the same bits.
+    """Simulator of any scan of a scene, in any order; the same seed gives the same bits.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Simulator:
         return delivered(made, lidar)
 
     def sweep(self, number: int, *, sensor: SimTrajectory | None = None) -> SimulatedSweep:
-        """Scan `number` of a 2D LiDAR; parameters and errors as for `scan`.
+        """Make scan `number` of a 2D LiDAR; parameters and errors as for `scan`.
 
         Raises
         ------
@@ -176,7 +176,7 @@ class Simulator:
         return self.scene.start_ns + number * self.scene.lidar.period_ns
 
     def _pose_stamps(self, start_ns: int) -> NDArray[np.int64]:
-        """Over the scan that starts at `start_ns`, ends included."""
+        """Times of the poses over the scan that starts at `start_ns`, including both ends [ns]."""
         lidar = self.scene.lidar
         count = max(2, 1 + int(np.ceil(POSE_RATE / lidar.scan_rate)))
         return start_ns + np.linspace(0, lidar.period_ns, count).round().astype(np.int64)
@@ -274,7 +274,7 @@ def sweeps(
 def _bodies(
     scene: Scene,
 ) -> tuple[list[tuple[SimShape, NDArray[np.float64], int]], list[Sway | None], Answers]:
-    """Surfaces, poses and labels of all bodies, how each surface sways and answers light."""
+    """Return surface, pose and label, sway, and reflection of each surface of all bodies."""
     bodies = []
     sways: list[Sway | None] = []
     surfaces: Answers = []
@@ -287,7 +287,7 @@ def _bodies(
 
 
 def _place_surfaces(body: Body) -> list[tuple[SimShape, NDArray[np.float64]]]:
-    """Surfaces of a body, and their poses."""
+    """Return the surfaces of a body and their poses in the world."""
     pose = poses(np.array([body.position]), np.array([body.rotation]))[0]
     found = []
     for shape, place in body.shape.surfaces():

@@ -18,7 +18,7 @@ class SimulatedScan(ShortRepr):
     scan : Scan
         Points in the LiDAR's frame at the time of each ray.
     world_from_lidar : ndarray, shape (4, 4), float64
-        At the start of the scan.
+        Pose at the start of the scan.
     pose_stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
         Times and poses over the whole scan, including both ends.
     truth : TargetTruth
@@ -50,7 +50,7 @@ class SimulatedSweep(ShortRepr):
     scan : LaserScan
         Ranges; each ray has its own time.
     world_from_lidar : ndarray, shape (4, 4), float64
-        At the first ray.
+        Pose at the first ray.
     pose_stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
         Times and poses over the whole period of the scan, including both ends.
     truth : ObjectTruth

@@ -40,15 +40,15 @@ class FullState(ABC):
 
     @abstractmethod
     def _state(self) -> tuple[bytes, dict[str, Any]]:
-        """State of the core, and what Python itself keeps, as JSON can hold it."""
+        """Return the state of the core, and the state of the Python object as values for JSON."""
 
     @classmethod
     @abstractmethod
     def _from_state(cls, config: Any, core: bytes, extra: dict[str, Any], **options: Any) -> Self:
-        """Make the object again; `options` are arguments that change no result, like `threads`."""
+        """Make the object from a state; `options` are arguments that change no result."""
 
     def _options(self) -> dict[str, Any]:
-        """Arguments that change no result, for copies."""
+        """Return the arguments that change no result, such as `threads`, for copies."""
         return {}
 
     def to_bytes(self) -> bytes:
@@ -164,7 +164,7 @@ def _unpickled(cls: type[FullState], content: bytes, options: dict[str, Any]) ->
 
 
 def _opened(content: bytes) -> tuple[dict[str, Any], bytes]:
-    """Head and state of the core of what `to_bytes` returned."""
+    """Return header and state of the core from the bytes of `to_bytes`, after all checks."""
     if content[:4] != MAGIC:
         raise FormatError("byte 0: expected a saved state (magic LCST), got other data")
     body = content[: -_CHECKSUM.size]

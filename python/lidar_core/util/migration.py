@@ -1,4 +1,4 @@
-"""Configuration files of earlier versions: handling of values that are no parameters any more."""
+"""Conversion of configuration files of earlier versions, whose parameters have changed."""
 
 import re
 from collections.abc import Mapping
@@ -66,7 +66,7 @@ def migrated(
 def _next_old(
     model: type[Config], values: Mapping[str, Any]
 ) -> tuple[tuple[int | str, ...], str] | None:
-    """Place of the first parameter that is none any more, and what holds instead."""
+    """Find the first parameter that no longer exists: its place, and the text about it."""
     try:
         model.load(values)
     except ConfigError as error:
@@ -83,9 +83,9 @@ def _next_old(
 def _table(
     values: Any, place: tuple[int | str, ...]
 ) -> tuple[list[int | str], dict[int | str, Any]]:
-    """The way to the table at a place of a problem, and the table.
+    """Return the path of the table that contains the place of a problem, and the table.
 
-    Problems also name the kind by which a table was chosen; the file has no table of that name.
+    The place of a problem may also name the kind that selected a table. The path omits it.
     """
     table, way = values, list[int | str]()
     for part in place:
@@ -98,7 +98,7 @@ def _table(
 def _put(
     table: dict[int | str, Any], models: list[type[BaseModel]], moved: "re.Match[str]", value: Any
 ) -> None:
-    """Write a value into a list where its parameter has moved; the others are as usual."""
+    """Write a value into the list to which its parameter moved; other entries are defaults."""
     index, name = _NUMBERS.index(moved[1]), moved[3]
     field = next(one.model_fields[name] for one in models if name in one.model_fields)
     if field.is_required():  # no usual values: all come from the file, one after another

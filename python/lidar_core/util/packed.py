@@ -1,4 +1,4 @@
-"""Results as bytes and back, to the bit: arrays, plain values, and objects of named classes.
+"""Exact conversion of results to bytes and back: arrays, plain values, dataclass objects.
 
 Nothing is pickled: bytes from a stranger can be refused, but they cannot run code. Layout (little
 endian): length u64 of the outline, the outline as JSON, the contents of all arrays.
@@ -23,12 +23,12 @@ _PLAIN = (bool, int, float, str, type(None))
 
 
 def packed(value: Any, kinds: Iterable[type] = ()) -> bytes:
-    """Bytes that hold arrays, plain values, lists, tuples, dicts, and dataclasses of `kinds`.
+    """Convert arrays, plain values, lists, tuples, dicts and dataclasses of `kinds` to bytes.
 
     Raises
     ------
     TypeError
-        There is something else in it.
+        `value` contains something else.
     """
     writer = _Writer({kind.__name__: kind for kind in kinds})
     outline = json.dumps(writer.outline(value)).encode()
@@ -36,7 +36,7 @@ def packed(value: Any, kinds: Iterable[type] = ()) -> bytes:
 
 
 def unpacked(content: bytes, kinds: Iterable[type] = ()) -> Any:
-    """The value that `packed` made bytes of.
+    """Return the value that `packed` converted to bytes.
 
     Raises
     ------
@@ -100,7 +100,7 @@ class _Reader:
         }
 
     def value(self, outline: Any) -> Any:
-        """The value of an outline; contents are taken in order."""
+        """Return the value of an outline; the contents of arrays are read in order."""
         if type(outline) in _PLAIN:
             return outline
         tag, *rest = outline
@@ -122,7 +122,7 @@ class _Reader:
         return part.reshape(shape).copy()
 
     def _next_bytes(self, length: int) -> memoryview:
-        """The next bytes of the contents."""
+        """Return the next `length` bytes of the contents."""
         end = self.place + length
         if length < 0 or end > len(self._content):
             raise ValueError("the contents are cut off")

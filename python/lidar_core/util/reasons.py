@@ -1,4 +1,4 @@
-"""Reasons why scans are not processed: texts that differ only in their numbers are of one kind."""
+"""Kinds of reasons why scans are not processed: texts that differ only in their numbers."""
 
 import re
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Values between the rows of a table over time."""
+"""Interpolation between the rows of a table over time."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ def between(
     values : ndarray, shape (R, D), float64
         Values of the rows.
     at : ndarray, shape (K,), int64
-        Times that are asked for [ns].
+        Requested times [ns].
     longest_ns : int
         Longest time between two rows to interpolate over [ns].
 

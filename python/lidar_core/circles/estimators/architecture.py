@@ -22,11 +22,11 @@ class Layer(NamedTuple):
     length : int
         Number of positions, or rays, in the output of the layer.
     channels : int
-        Numbers at each of them.
+        Values at each position.
     parameters : int
         Weights and biases.
     multiply_adds : int
-        Per object.
+        Multiply-add operations per object.
     """
 
     name: str

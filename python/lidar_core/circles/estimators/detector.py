@@ -77,7 +77,7 @@ class CircleDetector:
             self.network = CircleNetwork(detector, threads=threads, allow_untrusted=allow_untrusted)
 
     def detect(self, ranges_batch: ArrayLike, bearings: ArrayLike) -> Circles:
-        """One circle per scan.
+        """Estimate one circle per scan.
 
         Parameters
         ----------

@@ -34,7 +34,7 @@ _SHAPES: dict[Kind, tuple[dict[str, tuple[int | None, ...]], int]] = {
 
 
 class CircleNetwork:
-    """A network that estimates circles: one call for any number of them.
+    """Network that estimates any number of circles in one call.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class CircleNetwork:
         )
 
     def _check_bearings(self, bearings: NDArray[np.float64]) -> None:
-        """Refuse rays of another scanner: beside each other they must be as those learnt."""
+        """Refuse rays whose spacing differs from that of the scanner of the training."""
         step = self._scanner.angle_increment
         steps = np.diff(bearings)
         if len(steps) and np.abs(steps - step).max() > _SAME_RAY * abs(step):
@@ -130,7 +130,7 @@ class CircleNetwork:
         config: FitConfig,
         scanner: Scanner,
     ) -> Circles:
-        """One circle per scan (B, n_beams); NaN, with 0 hits, where a scan has no hit."""
+        """Estimate one circle per scan (B, n_beams); NaN, with 0 hits, for a scan without hits."""
         hits = np.isfinite(ranges)
         seen = np.flatnonzero(hits.any(axis=1))
         parameters = np.full((len(ranges), 3), np.nan)
@@ -158,7 +158,7 @@ class CircleNetwork:
         config: FitConfig,
         scanner: Scanner,
     ) -> Circles:
-        """One circle per segment of a scan, in one call of the network.
+        """Estimate one circle per segment of a scan, in one call of the network.
 
         `config` has the noise of the ranges and the width of the rays.
         """
@@ -190,7 +190,7 @@ class CircleNetwork:
         owner: NDArray[np.integer[Any]],
         count: int,
     ) -> NDArray[np.float64]:
-        """Circles of whole scans: every hit on the nearest ray the network knows."""
+        """Estimate circles with a network on whole scans, with every hit on its nearest ray."""
         known = self._scanner
         turn = 2 * np.pi / abs(known.angle_increment)
         ray = (bearings - known.angle_min) / known.angle_increment
@@ -230,7 +230,7 @@ def checked_model(model: str | Path) -> tuple[Path, bytes, dict[str, Any]]:
 
 
 def _is_like(scanner: Scanner, known: Scanner) -> bool:
-    """Whether `scanner` has the rays of `known`, and ranges within its limits."""
+    """Return whether `scanner` has the rays of `known`, and ranges within its limits."""
     rays = (scanner.n_beams, known.n_beams)
     if rays[0] != rays[1]:
         return False
@@ -243,7 +243,7 @@ def _is_like(scanner: Scanner, known: Scanner) -> bool:
 
 
 def _scanner_text(scanner: Scanner) -> str:
-    """Rays and range limits of a scanner, for somebody who has to compare two."""
+    """Describe rays and range limits of a scanner as text, for a comparison by the user."""
     first, last = np.degrees(scanner.bearings()[[0, -1]])
     return (
         f"{scanner.n_beams} rays from {first:.1f} to {last:.1f} deg with ranges from"
@@ -296,7 +296,7 @@ def _session(path: Path, content: bytes, threads: int) -> Any:
 
 
 def _kind_of(path: Path, session: Any, metadata: dict[str, str]) -> Kind:
-    """Return what a model is shown; its inputs and output must be those of that kind."""
+    """Return the kind of input of a model, and check that its inputs and output fit it."""
     inputs = {one.name: tuple(one.shape) for one in session.get_inputs()}
     outputs = [tuple(one.shape) for one in session.get_outputs()]
     for kind, (expected, size) in _SHAPES.items():

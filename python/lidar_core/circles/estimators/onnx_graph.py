@@ -85,7 +85,7 @@ def _text(value: int | bytes) -> str:
 
 
 def _fields(path: Path, data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Numbers and values of the fields of one message; fixed-size numbers as bytes."""
+    """Yield numbers and values of the fields of one message; fixed-size numbers as bytes."""
     at = 0
     while at < len(data):
         tag, at = _varint(path, data, at)

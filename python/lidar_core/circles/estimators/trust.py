@@ -77,7 +77,7 @@ def check_trusted(path: Path, content: bytes, *, allow_untrusted: bool) -> None:
 
 
 def content_of(path: Path) -> bytes:
-    """Bytes of a model.
+    """Read the bytes of a model.
 
     Raises
     ------
@@ -112,6 +112,6 @@ def _listed(place: Path) -> list[str]:
 
 @cache
 def _shipped() -> frozenset[str]:
-    """Sums that the cards of the package's own models pin."""
+    """SHA-256 sums of the package's own models, from their cards."""
     cards = (json.loads(card.read_text(encoding="utf-8")) for card in MODELS.glob("*.json"))
     return frozenset(str(card["sha256"]) for card in cards)

@@ -18,12 +18,12 @@ _OUTWARD = np.array([-1, 1])
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """Rays from the first hit of an object to the last, of several objects.
+    """Rays between the first and the last hit of each of several objects.
 
     Attributes
     ----------
     rays, owner : ndarray, shape (R,), int64
-        Place of each ray in its sweep, and number of its object.
+        Index of each ray in its sweep, and number of its object.
     starts : ndarray, shape (N + 1,), int64
         Index of the first ray of each object.
     """
@@ -34,7 +34,7 @@ class Spans:
 
     @classmethod
     def between(cls, first: NDArray[np.int64], count: NDArray[np.int64], n_beams: int) -> "Spans":
-        """Return this many rays from each first one on, past the end of the sweep if needed."""
+        """Make spans of `count` rays from each ray `first` on, over the end of the sweep."""
         starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
         owner = np.repeat(np.arange(len(first)), count)
         rays = (first[owner] + np.arange(starts[-1]) - starts[owner]) % n_beams
@@ -42,7 +42,7 @@ class Spans:
 
 
 def windows_of_samples(samples: Samples, scanner: Scanner) -> tuple[NDArray[Any], ...]:
-    """Slots (N, S, 4), context (N, 21) and frames (N, 5) of samples of a dataset."""
+    """Make windows of samples of a dataset: slots (N, S, 4), context (N, 21), frames (N, 5)."""
     first, count = samples.first_ray.astype(np.int64), samples.n_rays.astype(np.int64)
     spans = Spans.between(first, count, scanner.n_beams)
     noise = np.stack([samples.range_std, samples.beam_half_width], axis=1)
@@ -121,12 +121,12 @@ def _windows(
 
 
 def _turn(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same angles between -pi and pi [rad]."""
+    """Wrap angles to -pi to pi [rad]."""
     return angles - np.round(angles / (2 * np.pi)) * (2 * np.pi)
 
 
 def _is_closed(bearings: NDArray[np.float64]) -> bool:
-    """Whether the first ray is the neighbour of the last."""
+    """Return whether the first ray is the neighbour of the last."""
     steps = np.abs(_turn(np.diff(bearings)))
     turned = float(steps.sum())
     return len(bearings) > 2 and 2 * np.pi - turned <= 1.5 * turned / len(steps)
@@ -135,7 +135,10 @@ def _is_closed(bearings: NDArray[np.float64]) -> bool:
 def _across_the_seam(
     hits: NDArray[np.bool_], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Begin after the longest run without hits, where that is shorter over the seam."""
+    """Correct first and last hit of objects that lie across the seam of a full circle.
+
+    Such an object then begins after the longest gap between its hits.
+    """
     for row in np.flatnonzero(hits[:, 0] & hits[:, -1] & ~hits.all(axis=1)):
         places = np.flatnonzero(hits[row])
         widest = int(np.argmax(np.diff(places)))
@@ -149,7 +152,7 @@ def _sides(
     ends: NDArray[np.int64],
     scanner: Scanner,
 ) -> NDArray[np.uint8]:
-    """What lies beside the hits of scans that show one object each."""
+    """Kind of the neighbour (`Side`) before and after the hits of scans with one object each."""
     rows = np.arange(len(ranges))[:, None]
     beside = (ends + _OUTWARD) % len(bearings)
     near, far = _core.CIRCLE_CUT_MARGINS

@@ -165,7 +165,7 @@ class CircleMap(FullState):
         return MapEvents(*events)
 
     def map_at(self, stamp_ns: int) -> CircleElements:
-        """Confirmed elements, predicted to any time; nothing changes."""
+        """Return the confirmed elements, predicted to any time [ns]; the map does not change."""
         stamp = as_stamp(stamp_ns)
         return elements_of(self._map.map_at(stamp), stamp)
 

@@ -153,7 +153,7 @@ def _give_out(text: str, output: Path | None, *, overwrite: bool) -> None:
 def _chosen(
     model: str | None, mode: Mode, use: str | None, preset: str | None
 ) -> tuple[str, "Config"]:
-    """The model that options name, and its values before those of a file."""
+    """Return the model that the options name, and its values before those of a file."""
     if use is None:
         model = model or "flying"
         config = _of_mode(model, mode)
@@ -205,7 +205,7 @@ def _of_mode(model: str, mode: Mode) -> "Config":
 
 
 def _shown(value: object) -> str:
-    """A value in one cell of a table; of many tables their number."""
+    """Text of a value for one cell of a table; of a list of many tables their number."""
     from lidar_core.parameters import toml_value
 
     if isinstance(value, list) and any(isinstance(one, dict) for one in value):
@@ -214,7 +214,7 @@ def _shown(value: object) -> str:
 
 
 def _flat(values: dict[str, object], path: str = "") -> list[tuple[str, object]]:
-    """Values by their dotted paths."""
+    """Return nested values by their dotted paths."""
     rows: list[tuple[str, object]] = []
     for name, value in values.items():
         if isinstance(value, dict):

@@ -125,7 +125,7 @@ def _check_output(output: Path, recordings: list[Path], *, overwrite: bool) -> N
 
 
 def _rows(before: "FusionConfig", fitted: "FusionConfig") -> list["Row | None"]:
-    """Values that the fit changed."""
+    """Rows of the values that the fit changed."""
     from lidar_core.util.rows import Row
 
     rows: list[Row | None] = [

@@ -120,7 +120,7 @@ def _config(
 
 
 def _print_interpolated(out: "Console", truth: "Truth") -> int:
-    """Tell that the truth was brought to the times of the scans; return how many positions."""
+    """Print that the truth was interpolated to the scans; return the number of such positions."""
     if truth.is_interpolated is None:
         return 0
     count, known = int(truth.is_interpolated.sum()), len(truth.is_interpolated)
@@ -181,7 +181,7 @@ def _static(predicted: Path, true: Path | None, labelled: Path, json: Path | Non
 def _without_truth(
     prediction: "Prediction", truth: "Truth", config: "EvaluationConfig", files: str
 ) -> int:
-    """Rows of tracks at times that the truth does not have.
+    """Return the number of rows of tracks at times that the truth does not have.
 
     Raises
     ------

@@ -70,7 +70,7 @@ def command(
 
 
 def _unknown(columns: "Columns", query: str) -> list[str]:
-    """Columns that the query names and that hold no value: no comparison is true of them."""
+    """Names of columns in the query that have no value, so that no comparison is true."""
     from lidar_core.runs.catalogue import columns_named
 
     named = columns_named(query)
@@ -82,7 +82,7 @@ def _unknown(columns: "Columns", query: str) -> list[str]:
 
 
 def _absent(columns: "Columns", query: str) -> list[str]:
-    """Notes on texts of the query that no row has, with those that occur."""
+    """Notes on texts in the query that no row has, with the texts that occur."""
     from lidar_core.runs.catalogue import absent_texts
 
     notes = []
@@ -98,7 +98,7 @@ def _texts(values: Any) -> list[str]:
 
 
 def _plain_row(rows: "Columns", row: int) -> dict[str, Any]:
-    """One row as JSON takes it: a value that is not known is null."""
+    """Return one row for JSON; an unknown value is null."""
     values = {name: column[row : row + 1].tolist()[0] for name, column in rows.items()}
     return {
         name: None if isinstance(value, float) and isnan(value) else value

@@ -84,7 +84,7 @@ def command(
 
 
 def _tell_time(asked: float | None, drawn: float, last: float) -> None:
-    """Say that another time is drawn than asked for."""
+    """Print that the drawn time is not the requested one."""
     from lidar_core.cli.shared.common import consoles
     from lidar_core.cli.shared.voice import tell
 
@@ -126,7 +126,7 @@ def _serve(played: "Playback", port: int, allow_origin: list[str]) -> None:
 
 
 def _show_page(played: "Playback", port: int) -> None:
-    """Serve the run to the browser until Ctrl-C; it is opened where there is a display."""
+    """Serve the run to a browser until Ctrl-C; open the browser if there is a display."""
     import threading
     from tempfile import TemporaryDirectory
 

@@ -65,12 +65,12 @@ def check_new(*files: Path, overwrite: bool) -> None:
 
 
 def make_parents(file: Path) -> None:
-    """Make the folders that a file to write is in, as far as they are missing."""
+    """Make the missing folders of the path of a file to write."""
     file.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _writable(file: Path | None) -> Path | None:
-    """Refuse, before any work, a file that could not be written; its folder may be made later."""
+    """Refuse, before any work, a file that cannot be written; its folder may be made later."""
     from lidar_core.io.files.atomic import check_place
 
     if file is not None and str(file) != "-" and file.parent.exists():

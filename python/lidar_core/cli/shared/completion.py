@@ -8,7 +8,7 @@ Complete = Callable[[typer.Context, str], list[str]]
 
 
 def topics_of(*kinds: str) -> Complete:
-    """Completion of an option: topics of these kinds of `lidar_core.io.Topic`; none: all."""
+    """Return a completion of topics with these kinds (`lidar_core.io.Topic`); none given: all."""
 
     def complete(context: typer.Context, incomplete: str) -> list[str]:
         from lidar_core.errors import LidarCoreError

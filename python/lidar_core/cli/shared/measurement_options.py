@@ -45,29 +45,29 @@ AngleUnit: TypeAlias = Annotated[str | None, typer.Option(help=_ANGLE_UNIT, rich
 
 
 def columns_of(texts: list[str]) -> dict[str, str]:
-    """Options --column OURS=THEIRS; the last one of a name counts."""
+    """Parse options --column OURS=THEIRS; the last one of a name counts."""
     found = _pairs("column", texts, "x=pos_x")
     return {ours: theirs[-1] for ours, theirs in found.items()}
 
 
 def azimuths_of(texts: list[str]) -> dict[str, str]:
-    """Options --azimuth WHAT=HOW."""
+    """Parse options --azimuth WHAT=HOW."""
     found = _pairs("azimuth", texts, "bearing=clockwise")
     return {what: how[-1] for what, how in found.items()}
 
 
 def clocks_of(texts: list[str]) -> dict[str, float]:
-    """Options --clock SENSOR=SECONDS."""
+    """Parse options --clock SENSOR=SECONDS."""
     return _numbers("clock", texts, "radar=0.5", "seconds")
 
 
 def scales_of(texts: list[str]) -> dict[str, float]:
-    """Options --scale COLUMN=FACTOR."""
+    """Parse options --scale COLUMN=FACTOR."""
     return _numbers("scale", texts, "range=0.001", "a number")
 
 
 def topics_of(texts: list[str]) -> dict[str, list[str]]:
-    """Read options --topic OURS=THEIRS; several may have the same left side."""
+    """Parse options --topic OURS=THEIRS; several may have the same left side."""
     return _pairs("topic", texts, "radar=/front")
 
 

@@ -60,7 +60,7 @@ _DEFAULTS = {"log": "text", "quiet": False, "verbose": False}
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """Form of messages, as the options state it.
+    """Form of messages that the options select.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ def print_error(text: str) -> None:
 
 
 class Pace:
-    """Lines about progress for logs: one per minute for every step."""
+    """Printer of lines about progress for logs: one per minute for every step."""
 
     def __init__(self, console: "Console", counts: str) -> None:
         self._console, self._counts, self._every_s = console, counts, _chosen.every_s
@@ -209,7 +209,7 @@ class Pace:
         self._told: dict[str, float] = {}
 
     def show(self, what: str, done: int, total: int | None) -> None:
-        """Report the progress of a step, if it is time to."""
+        """Report the progress of a step if enough time has passed since the last report."""
         now = time.monotonic()
         begun = self._begun.setdefault(what, now)
         if now - self._told.setdefault(what, begun) < self._every_s:

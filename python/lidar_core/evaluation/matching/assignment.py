@@ -19,7 +19,7 @@ class Matches:
     estimate, target : ndarray, shape (K,), int64
         Rows of the pairs, by ascending estimate.
     distance : ndarray, shape (K,), float64
-        Between the two [m].
+        Distance between the two [m].
     nearest : ndarray, shape (E,), float64
         Distance of every estimate to the nearest target [m]; infinite without targets.
     nearest_target : ndarray, shape (E,), int64
@@ -127,9 +127,9 @@ def assign(cost: ArrayLike, *, gate: float) -> tuple[NDArray[np.int64], NDArray[
 def cheapest(
     cost: NDArray[np.float64], *, gate: float, alone: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of at most `gate` with the least sum of costs, where a row without pair costs `alone`.
+    """Find pairs of at most `gate` with the least sum of costs; a row without pair costs `alone`.
 
-    Rows and columns of the pairs, by ascending row.
+    Returns rows and columns of the pairs, by ascending row.
     """
     columns = _core.assign_columns(np.ascontiguousarray(cost), gate=gate, unassigned=alone)
     rows = np.flatnonzero(columns >= 0)

@@ -1,4 +1,4 @@
-"""Truth at other times than the scans: the places of targets at the times of the scans."""
+"""Interpolation of a truth with other times to the times of the scans."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,7 @@ def supposed_scans(track_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> 
 
 
 def _is_of_scans(times: NDArray[np.int64], scan_ns: NDArray[np.int64], tolerance: float) -> bool:
-    """Most times during the scans are times of scans."""
+    """Return whether most `times` within the period of the scans are times of scans."""
     reach = 1e9 * tolerance
     seen = times[(times >= scan_ns[0] - reach) & (times <= scan_ns[-1] + reach)]
     if not len(seen):
@@ -128,7 +128,7 @@ def _target_at(
     scan_ns: NDArray[np.int64],
     reach: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Values of one target, the times of the scans where they are known, and which are new."""
+    """Return values of one target, their scan times, and which values are interpolated."""
     usual = np.median(np.diff(stamps)) if len(stamps) > 1 else 0
     longest = int(np.clip(STEPS * usual, SHORT_STEP_NS, LONGEST_STEP_NS))
     found, is_known = between(stamps, values, scan_ns, longest_ns=longest)

@@ -81,7 +81,7 @@ def _of_times(
 
 
 def typical_offset(offsets: NDArray[np.float64]) -> str:
-    """Typical signed offset to the nearest ground truth."""
+    """Return the typical signed offset to the nearest time of the truth as text."""
     middle = float(np.median(offsets))
     return f"typically {1e3 * abs(middle):.3g} ms {'after' if middle > 0 else 'before'} the truth"
 

@@ -105,7 +105,7 @@ def counting(pairing: Pairing, is_eligible: NDArray[np.bool_], gate: float) -> N
 
 
 def scans(estimates: Estimates, truth: Truth) -> Iterator[tuple[Rows, Rows]]:
-    """Rows of the estimates and of the truth of every scan, by time."""
+    """Yield the rows of the estimates and of the truth of every scan, by time."""
     stamps = np.union1d(estimates.stamp_ns, truth.stamp_ns)
     yield from zip(
         _rows_at(estimates.stamp_ns, stamps), _rows_at(truth.stamp_ns, stamps), strict=True
@@ -131,7 +131,7 @@ def errors_of(estimates: Estimates, truth: Truth, pairing: Pairing) -> NDArray[n
 
 
 def _delays(estimates: Estimates) -> NDArray[np.float64]:
-    """From the start of the scan to the measurement [s], shape (E,)."""
+    """Times from the start of the scan to the measurement [s], shape (E,)."""
     if estimates.time_ns is None:
         return np.zeros(len(estimates.stamp_ns))
     delays: NDArray[np.float64] = (estimates.time_ns - estimates.stamp_ns).astype(np.float64)
@@ -139,14 +139,14 @@ def _delays(estimates: Estimates) -> NDArray[np.float64]:
 
 
 def _places(truth: Truth, rows: Rows, delays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions of the targets at given times after the start of the scan [m]."""
+    """Positions of the targets [m] at times `delays` [s] after the start of the scan."""
     if truth.velocity is None:
         return truth.position[rows]
     return truth.position[rows] + delays[..., None] * truth.velocity[rows]
 
 
 def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
-    """The table with these rows only."""
+    """Return the table with these rows only."""
     columns = {name: getattr(table, name) for name in table.__slots__}
     return replace(
         table,
@@ -216,7 +216,7 @@ def _values(
 
 
 def _radius(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64] | None:
-    """Radii of targets, NaN of those that are not round."""
+    """Return checked radii of targets; NaN for targets that are not round, None without radii."""
     if values is None:
         return None
     radius = as_rows(values, name="truth.radius", rows=rows, shape=(), dtype=np.float64)
@@ -241,7 +241,7 @@ def _refuse_twice(stamps: Rows, names: Rows, *, name: str) -> None:
 
 
 def _rows_at(when: Rows, stamps: Rows) -> list[Rows]:
-    """Rows of every stamp, in the order of the table."""
+    """Rows of `when` at each of the ascending times `stamps`, in the order of the table."""
     order = np.argsort(when, kind="stable").astype(np.int64)
     cuts = np.searchsorted(when[order], stamps[1:]) if len(stamps) else np.empty(0, np.int64)
     return np.split(order, cuts) if len(stamps) else []

@@ -55,7 +55,7 @@ def joined(parts: Iterable[Truth]) -> Truth:
 
 
 def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
-    """Flying tracks at successive times as one table; of one time only the last state counts."""
+    """Return flying tracks at successive times as one table; at equal times the last state."""
     states = [state.flying for state in {state.stamp_ns: state for state in tracks}.values()]
     stamps = np.array([state.stamp_ns for state in states], np.int64)
     covariance = [state.covariance[:, :6, :6] for state in states]
@@ -69,7 +69,7 @@ def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
 
 
 def estimates_of_detections(frames: Iterable[FlyingFrame]) -> Estimates:
-    """Detections of successive scans as one table."""
+    """Return detections of successive scans as one table."""
     results = list(frames)
     stamps = np.array([frame.stamp_ns for frame in results], np.int64)
     found = [frame.detections for frame in results]
@@ -84,7 +84,7 @@ def estimates_of_detections(frames: Iterable[FlyingFrame]) -> Estimates:
 def aligned(
     estimates: Estimates, truth: Truth, *, config: EvaluationConfig | None = None
 ) -> Estimates:
-    """The estimates with the times of the truth, where one is within `time_tolerance`.
+    """Return the estimates with times of the truth, if one is within `time_tolerance`.
 
     The time within the scan, `time_ns - stamp_ns`, does not change.
     """

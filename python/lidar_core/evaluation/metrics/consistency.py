@@ -58,9 +58,9 @@ class Consistency:
 
     @property
     def warning(self) -> str | None:
-        """Warning about covariances that are too small or too large; None if they fit.
+        """Return a warning about covariances that are too small or too large; None if they fit.
 
-        The mean is acceptable from half the expected value to twice of it.
+        A mean between half and twice the expected value is acceptable.
         """
         ratio = self.mean / self.degrees
         if self.count < FEWEST or LEAST_RATIO <= ratio <= MOST_RATIO:
@@ -196,7 +196,7 @@ def consistency(
 
 
 def _band(probability: float, degrees: int, runs: int) -> tuple[float, float]:
-    """Band of the mean of `runs` values."""
+    """Band that contains the mean of `runs` chi-square values with this probability."""
     tail = (1 - probability) / 2
     low, high = (chi2_quantile(at, degrees=degrees * runs) / runs for at in (tail, 1 - tail))
     return low, high

@@ -1,4 +1,4 @@
-"""Over the time of each target: delay, gaps, losses, changes of identity."""
+"""Metrics over the time of each target: delay, gaps, losses, changes of identity."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -60,7 +60,7 @@ def histories(truth: Truth) -> Iterator[tuple[int, NDArray[np.int64]]]:
 def _longest_gap(
     stamps: NDArray[np.int64], counts: NDArray[np.bool_], is_found: NDArray[np.bool_]
 ) -> float:
-    """Longest time [s] from a scan that lacks the target to the last one of the gap."""
+    """Longest time [s] from the first scan of a gap to its last scan, or to the next estimate."""
     longest, since = 0, None
     for stamp, wanted, found in zip(
         stamps.tolist(), counts.tolist(), is_found.tolist(), strict=True

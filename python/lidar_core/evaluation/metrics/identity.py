@@ -51,7 +51,7 @@ class IdentityScores:
 def score_identities(
     tracks: Estimates, truth: Truth, *, config: EvaluationConfig | None = None
 ) -> IdentityScores | None:
-    """HOTA, MOTA and IDF1; the similarity of a pair is 1 - distance / gate, at least 0.
+    """Compute HOTA, MOTA and IDF1; the similarity of a pair is 1 - distance / gate, at least 0.
 
     Only rows that count take part (`counted`).
 
@@ -101,7 +101,7 @@ def score_identities(
 
 
 def _trackeval_data(tracks: Estimates, truth: Truth, gate: float) -> dict[str, Any]:
-    """The tables as the library reads them: per scan numbers from 0 and similarities."""
+    """Convert the tables for the library: IDs from 0 and similarities for every scan."""
     track_ids, track_of = np.unique(numbers_of(tracks), return_inverse=True)
     target_ids, target_of = np.unique(truth.id, return_inverse=True)
     rows = list(scans(tracks, truth))

@@ -27,7 +27,7 @@ class Latency:
 
     @classmethod
     def of(cls, total: ArrayLike, stages: Mapping[str, ArrayLike]) -> Self | None:
-        """Statistics of times [ms], one per scan; None without scans.
+        """Compute statistics of times [ms], one per scan; None without scans.
 
         Raises
         ------
@@ -42,7 +42,7 @@ class Latency:
 
     @classmethod
     def of_frames(cls, frames: Iterable[FlyingFrame]) -> Self | None:
-        """Statistics of `timing_ms`; a scan's total is the sum of its stages."""
+        """Compute statistics of `timing_ms`; the total of a scan is the sum of its stages."""
         timings = [frame.timing_ms for frame in frames]
         names = list(timings[0]) if timings else []
         return cls.of(

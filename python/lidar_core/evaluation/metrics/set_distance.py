@@ -89,7 +89,7 @@ def gospa(estimates: ArrayLike, targets: ArrayLike, *, cutoff: float, order: flo
 def set_distances(
     distance_of: NDArray[np.float64], *, cutoff: float, order: float
 ) -> tuple[float, Gospa]:
-    """OSPA and GOSPA of a table of distances: both have the same best assignment."""
+    """OSPA [m] and GOSPA of a table of distances [m]: both have the same best assignment."""
     cost, size = _costs(distance_of, cutoff, order), max(distance_of.shape)
     near = np.where(distance_of < cutoff, cost, np.inf)  # others cost what no pair costs
     pairs = cheapest(near, gate=cutoff**order, alone=cutoff**order)

@@ -12,7 +12,7 @@ from lidar_core.live.outputs.update import Update
 
 
 class ArrowOutput(Output):
-    """A file of Arrow's streaming format: one batch per scan, readable while it grows.
+    """Output to a file of Arrow's streaming format: one batch per scan, readable while it grows.
 
     Columns are `stamp_ns` and those of the objects' `to_columns`; the frame is in the metadata of
     the schema.
@@ -39,7 +39,7 @@ class ArrowOutput(Output):
         self._writer: Any = None
 
     def publish(self, update: Update) -> None:
-        """Append the objects of a scan; none are an empty batch."""
+        """Append the objects of a scan; without objects, an empty batch."""
         columns = update.states.to_columns()
         stamps = np.full(len(update.states), update.stamp_ns, np.int64)
         batch = self._arrow.record_batch({**columns, "stamp_ns": stamps})

@@ -23,7 +23,7 @@ VIEWER_MEMORY = "2GB"  # what rerun's viewer keeps of a stream without end
 
 
 class Output(ABC):
-    """Gets every update, in the order of the scans.
+    """Interface of outputs, which get every update in the order of the scans.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ class RerunPageOutput(Output):
         self._log.close()
 
     def _take_messages(self) -> bytes:
-        """What was logged since the last call, as whole messages."""
+        """Return the data logged since the last call, as whole messages."""
         return bytes(self._blocks.read(flush=True) or b"")
 
 

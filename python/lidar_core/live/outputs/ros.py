@@ -17,7 +17,7 @@ TYPES = {TRACKS: DETECTIONS_TYPE, ODOMETRY: "nav_msgs/msg/Odometry"}
 
 
 def ros_messages(update: Update, messages: RosMessages) -> Iterator[tuple[str, Any]]:
-    """Last part of the topic, and message: detections of all objects, the odometry of each."""
+    """Yield topic ending and message: the detections of all objects, then the odometry of each."""
     make = ObstacleArrays(messages, frame_id=update.frame_id, name=update.capability)
     stamp_ns, objects = update.stamp_ns, update.objects
     yield TRACKS, make.message(DETECTIONS_TYPE, stamp_ns, objects)

@@ -49,7 +49,7 @@ class Update(ABC):
 
     @abstractmethod
     def moment(self) -> Moment:
-        """The scan in the world, with classes, and the objects."""
+        """Return the scan in the world, with classes, and the objects."""
 
     @abstractmethod
     def log_to(self, log: FoxgloveLog) -> None:
@@ -72,7 +72,7 @@ class FlyingUpdate(Update):
         return self.frame.tracks
 
     def moment(self) -> Moment:
-        """Points with information, by class."""
+        """Return the points with information, with their classes, and the tracks."""
         shown = self.frame.shown_class
         is_point = shown != PointClass.INVALID
         local = self.item.scan.points.reshape(-1, 3)[is_point]
@@ -80,7 +80,7 @@ class FlyingUpdate(Update):
         return Moment(self.stamp_ns, points, shown[is_point], self.objects)
 
     def log_to(self, log: FoxgloveLog) -> None:
-        """Log pose, cloud by class, tracks."""
+        """Log pose, cloud with classes, and tracks."""
         log_flying(log, self.item, self.frame, frame_id=self.frame_id)
 
 
@@ -100,7 +100,7 @@ class CirclesUpdate(Update):
         return self.frame.map
 
     def moment(self) -> Moment:
-        """Hits, which have no class; circles and other shapes of the map."""
+        """Return the hits, without classes, and the circles and other shapes of the map."""
         local = swept(self.item.scan)
         hits = local[np.isfinite(local).all(axis=1)]
         points = in_world(hits, self.item.world_from_lidar.reshape(-1, 4, 4)[0])
@@ -108,7 +108,7 @@ class CirclesUpdate(Update):
         return Moment(self.stamp_ns, points, classes, self.objects, outlines)
 
     def log_to(self, log: FoxgloveLog) -> None:
-        """Log pose, scan, map."""
+        """Log pose, scan and map."""
         log_circles(log, self.item, self.frame, frame_id=self.frame_id)
 
 

@@ -76,6 +76,6 @@ class ZenohOutput(Output):
             publisher.put(raw, attachment=attachment)
 
     def _token(self, kind: str, number: int, rest: str) -> Any:
-        """Token by which ROS sees a node or a publisher."""
+        """Declare the token by which ROS sees a node or a publisher."""
         place = f"@ros2_lv/{self._config.domain}/{self._session.zid()}/0/{number}"
         return self._session.liveliness().declare_token(f"{place}/{kind}/%/%/{NODE}{rest}")

@@ -37,7 +37,7 @@ MAX_TRIES = 10  # to subscribe to a channel
 
 @dataclass(frozen=True, slots=True)
 class _Schema:
-    """As `FoxgloveDecoder` reads schemas."""
+    """Schema of messages, in the form that `FoxgloveDecoder` reads."""
 
     id: int
     name: str
@@ -53,7 +53,7 @@ class _Channel:
 
 
 class FoxgloveSource(Source):
-    """Subscribes to the channels of the requested topics; connects again after the server has gone.
+    """Source of the requested topics of a server; it reconnects after a lost connection.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ class FoxgloveSource(Source):
                     self._converse(self._read(data), link)
 
     def _read(self, text: str) -> Any:
-        """What the server says; None, and counted, if that is no JSON."""
+        """Parse a message of the server; if it is no JSON, count it and return None."""
         try:
             return json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -194,7 +194,7 @@ class FoxgloveSource(Source):
             return None
 
     def _converse(self, message: Any, link: Any) -> None:
-        """Subscribe to channels that the server tells of, forget those it takes back."""
+        """Subscribe to channels that the server announces, and forget those that it withdraws."""
         kind = message.get("op") if isinstance(message, dict) else None
         if kind == "advertise":
             self._subscribe(list(self._wanted(_items(message.get("channels")))), link)
@@ -217,10 +217,10 @@ class FoxgloveSource(Source):
             self._refused.discard(int(number))
 
     def _ask_again(self, reason: str) -> None:
-        """Ask again soon for a channel that the server does not know yet.
+        """Repeat the subscription to a channel soon if the server does not know the channel yet.
 
-        foxglove-sdk tells of a new channel before it takes subscriptions to it: a quick client is
-        refused as if there were none.
+        foxglove-sdk announces a new channel before it accepts subscriptions to it: a quick client
+        is refused as if there were none.
         """
         unknown = UNKNOWN_CHANNEL.search(reason)
         number = int(unknown[1]) if unknown else -1
@@ -256,7 +256,7 @@ class FoxgloveSource(Source):
                 yield number
 
     def _reject(self, place: str, error: Exception) -> None:
-        """Count something that cannot be understood, and say what it was."""
+        """Count a message that cannot be understood, and note the error."""
         self.findings.rejected[self._address] += 1
         self.findings.note(f"{place}: {type(error).__name__}: {error}")
 
@@ -273,7 +273,7 @@ class FoxgloveSource(Source):
         )
 
     def _schema(self, name: str, encoding: str, data: bytes) -> _Schema:
-        """The schema with its number: decoders remember what they made of it."""
+        """Return the schema with a number that identifies it, so that decoders can cache it."""
         key = name, encoding, data
         if key not in self._schemas:
             if len(self._schemas) >= MAX_CHANNELS:
@@ -290,7 +290,7 @@ class FoxgloveSource(Source):
         return topic.kind in POSE_KINDS | SCAN_KINDS
 
     def _take(self, data: bytes, inbox: Inbox) -> None:
-        """One binary message; what is none is counted."""
+        """Process one binary message; count it if it is invalid."""
         if len(data) < HEAD.size:
             inbox.reject(self._address)
             return

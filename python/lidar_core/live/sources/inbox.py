@@ -37,12 +37,12 @@ class Batch:
 
 
 class Inbox:
-    """Takes records from any thread; the newest scan of a topic replaces one that still waits.
+    """Store for records from any thread; the newest scan of a topic replaces a waiting one.
 
     Parameters
     ----------
     max_poses : int
-        Messages with poses that may wait; beyond, the oldest go.
+        Largest number of waiting messages with poses; beyond it the oldest are dropped.
     tape : Tape, optional
         Keeps every record, including replaced ones.
 

@@ -22,7 +22,7 @@ __all__ = ["ReplaySource"]
 
 
 class ReplaySource(Source):
-    """Plays a recording at its own pace, once.
+    """Source that plays a recording once at its own pace.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class ReplaySource(Source):
             inbox.fail(error)
 
     def _in_turn(self, inbox: Inbox) -> Iterator[tuple[int, Record]]:
-        """Records by the times at which a robot has them: a scan with its last ray."""
+        """Yield records with the times at which a robot has them: a scan at its last ray."""
         waiting: list[tuple[int, int, Record]] = []
         for number, record in enumerate(self._recording.records(POSE_KINDS | SCAN_KINDS)):
             if not self._begin_ns:
@@ -116,7 +116,7 @@ class ReplaySource(Source):
             yield due_ns, last
 
     def _read(self, record: Record, inbox: Inbox) -> Record:
-        """The record, decoded: readers do not do that after they went on to the next one."""
+        """Decode a record at once: a reader cannot decode it after it has read the next one."""
         try:
             return replace(record, decode=decoded(*record.decode()))
         except LidarCoreError as error:

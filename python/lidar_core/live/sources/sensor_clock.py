@@ -1,4 +1,4 @@
-"""Stamps of a sensor's clock, moved to the clock of this machine."""
+"""Conversion of stamps of a sensor's clock to the clock of this machine."""
 
 from collections import deque
 from dataclasses import replace
@@ -16,8 +16,8 @@ KEPT = 600
 class SensorClock:
     """Offset between two clocks, estimated from arrivals, which can only be late.
 
-    The least difference between arrival and the newest measurement is the offset of the clocks plus
-    the shortest delay of the network.
+    The least difference between the arrival and the newest measurement is the offset of the clocks
+    plus the shortest delay of the network.
     """
 
     def __init__(self, findings: Findings) -> None:

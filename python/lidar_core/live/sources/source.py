@@ -31,7 +31,7 @@ class StreamTopics:
 
 
 class Source(ABC):
-    """Puts records into an inbox, from threads of its own, between `start` and `close`.
+    """Interface of sources, which put records into an inbox from their own threads.
 
     Attributes
     ----------
@@ -57,14 +57,14 @@ class Source(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop; no record comes afterwards."""
+        """Stop; no record arrives afterwards."""
 
     def trouble(self) -> str:
-        """Reason for waiting, in words; empty while connected."""
+        """Reason for waiting as text; empty while connected."""
         return ""
 
     def silence(self) -> str:
-        """Probable reason why no scan came, with the cure; empty if topics tell it."""
+        """Probable reason why no scan arrived, with the remedy; empty if the topics show it."""
         return ""
 
     def advertised(self) -> list[str]:
@@ -78,7 +78,7 @@ class Source(ABC):
 
     @property
     def is_stream(self) -> bool:
-        """True if it may never bring a message, because nobody knows what will arrive."""
+        """True if it may never bring a message, because its content is not known in advance."""
         return True
 
     @property

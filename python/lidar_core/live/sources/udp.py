@@ -1,4 +1,4 @@
-"""Packets of a sensor, straight from the network."""
+"""Source of the packets of a sensor, directly from the network."""
 
 import socket
 import time
@@ -21,7 +21,7 @@ SILENCE_S = 2.0  # without packets, after which something must be wrong
 
 
 class PacketStream(Protocol):
-    """Decodes the packets of one sensor.
+    """Interface of decoders of the packets of one sensor.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class PacketStream(Protocol):
 
 
 class UdpSource(Source):
-    """Listens for the packets of a sensor on all addresses of this machine.
+    """Source that listens for the packets of a sensor on all addresses of this machine.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class UdpSource(Source):
         return f"no packets on port {self.port}" if is_silent else ""
 
     def silence(self) -> str:
-        """Whether packets came without a scan, or none: then the sensor sends elsewhere."""
+        """Reason why no scan arrived: packets without a scan, or no packets at this address."""
         if self._n_packets:
             return f"packets come to port {self.port}, but no scan is complete"
         return (
@@ -120,7 +120,7 @@ class UdpSource(Source):
             inbox.fail(error)
 
     def _take(self, packet: bytes, inbox: Inbox) -> None:
-        """One packet; what is none is counted."""
+        """Process one packet; count it if it is invalid."""
         arrival_ns = time.time_ns()
         try:
             scan = self._stream.scan(arrival_ns, packet, place=self.name)

@@ -36,7 +36,7 @@ TRANSFORMS, ODOMETRY = TRANSFORM_TYPES[:1], POSE_TYPES[:1]
 
 
 class ZenohSource(Source):
-    """Subscribes to the wanted types only; nothing else crosses the network.
+    """Source that subscribes only to the wanted types, so that only these use the network.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class ZenohSource(Source):
         return []
 
     def _keys(self) -> Iterator[tuple[str, bool]]:
-        """Keys to subscribe to, and whether what was published before is wanted as well."""
+        """Yield the keys to subscribe to, and whether earlier messages are requested as well."""
         for name, types in self._types.items():
             is_kept = name.endswith("tf_static")
             for type_name in types:
@@ -130,7 +130,7 @@ class ZenohSource(Source):
             yield key_of("**", type_name, "*", domain=self._config.domain), False
 
     def _take(self, inbox: Inbox, sample: Any) -> None:
-        """One message, from a thread of the session."""
+        """Process one message, in a thread of the session."""
         key = str(sample.key_expr)
         named = topic_of(key)
         name = f"/{key}" if named is None else named.topic
@@ -147,7 +147,7 @@ class ZenohSource(Source):
 
 
 def _named(topics: StreamTopics, config: LiveConfig) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Topics that were named, each with the types it may have: the first one behind a bridge."""
+    """Yield the named topics with the types they may have; a bridge's keys mean the first type."""
     yield from ((name, SCAN_TYPES) for name in topics.clouds)
     yield from ((name, PLANAR_TYPES) for name in topics.scans)
     yield from ((name, TRANSFORMS) for name in config.transform_topics)

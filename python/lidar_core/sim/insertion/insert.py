@@ -1,4 +1,4 @@
-"""A simulated target in real scans: its rays end on it, all others stay unchanged."""
+"""Insertion of a simulated target into real scans: only rays that hit it change."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -168,7 +168,7 @@ def _insert_solid(
     pattern: RayPattern | None,
     rng: np.random.Generator,
 ) -> Inserted:
-    """`scan` with the solid at `centre`, which may have a row per row of the scan."""
+    """Return `scan` with the solid at `centre`, which may have one row per row of the scan."""
     rays = rays_of(scan, STANDING, pattern, rng)
     places = np.broadcast_to(centre, (len(scan.points.reshape(-1, 3)), 3))[rays.near]
     attitudes = np.broadcast_to(np.asarray(rotation, np.float64), (len(places), 4))
@@ -234,7 +234,7 @@ def _simulated_scan(
     what: tuple[SolidTarget, RayPattern | None],
     rng: np.random.Generator,
 ) -> SimulatedScan:
-    """`scan` with the target in it, and the truth."""
+    """Return `scan` with the target in it, and the truth."""
     start = np.array([scan.stamp_ns * 1e-9])
     per_ray = start
     if scan.point_time_ns is not None:
@@ -267,7 +267,7 @@ def _simulated_scan(
 def _angle(
     seconds: NDArray[np.float64], circle: _Circle, flight: InsertedFlight
 ) -> NDArray[np.float64]:
-    """Angle on the circle: the speed swings between its least and greatest value."""
+    """Angle on the circle [rad] at times [s]; the speed varies between least and greatest value."""
     slow, fast = flight.speed
     rate = 2 * np.pi / SPEED_PERIOD
     way = (slow + fast) / 2 * seconds + (fast - slow) / 2 * np.sin(rate * seconds) / rate
@@ -288,7 +288,7 @@ def _rays(scan: Scan) -> _Rays:
 
 
 def _noisy(scan: Scan, range_std: float, rng: np.random.Generator) -> Scan:
-    """`scan` with noise along every ray."""
+    """Return `scan` with noise of `range_std` [m] along every ray."""
     points = scan.points.reshape(-1, 3)
     noise = rng.normal(0.0, range_std, len(points)).astype(np.float32)
     noisy = points + _rays(scan).directions * noise[:, None]
@@ -305,7 +305,7 @@ def _retime(scan: Scan, stamp_ns: int) -> Scan:
 
 
 def _free_circle(rays: _Rays, flight: InsertedFlight, rng: np.random.Generator) -> _Circle:
-    """First of many random circles that lies completely in free, visible space."""
+    """Return the first of many random circles that lies completely in free, visible space."""
     for _ in range(PLACES_TO_TRY):
         circle = _random_circle(flight, rng)
         places = circle.at(np.linspace(0, 2 * np.pi, STEPS_ROUND, endpoint=False))

@@ -1,4 +1,4 @@
-"""A simulated target in a posed recording whose sensor moves."""
+"""Insertion of a simulated target into a posed recording whose sensor moves."""
 
 from collections.abc import Iterable, Iterator
 from itertools import chain, pairwise
@@ -119,7 +119,7 @@ def _with_next(
 
 
 def _way(now: PosedScan[Scan], after: PosedScan[Scan] | None, *, deskewed: bool) -> SensorWay:
-    """Trajectory of the sensor during a scan."""
+    """Return the trajectory of the sensor during a scan; `after` is the next scan."""
     poses: NDArray[np.float64] = np.asarray(now.world_from_lidar, np.float64).reshape(-1, 4, 4)
     if now.pose_stamps_ns is not None:
         if len(now.pose_stamps_ns) != len(poses):

@@ -1,4 +1,4 @@
-"""A solid in one recorded scan: rays that would hit it end on it, all others stay."""
+"""Insertion of a solid into one recorded scan: only rays that would hit it change."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -168,7 +168,11 @@ class Meeting:
     def of(
         self, rays: Rays, rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], int]:
-        """Return its points at the times of rays, and rays that end there, show it, or could."""
+        """Return the points on the solid, which rays end on it, which show it, and how many could.
+
+        A ray that ends on it does not show it if it is nearer than the least range, or if the ray
+        has a nearer return. The number counts rays that would hit it if nothing else were there.
+        """
         distance = self.target.distances(
             np.ascontiguousarray(self.target_from_ray[:, :3, 3]),
             np.einsum("mij,mj->mi", self.target_from_ray[:, :3, :3], rays.directions),
@@ -183,9 +187,9 @@ class Meeting:
 
 
 def _first_of_each(rays: Rays, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Among the rows that are `chosen`, the nearest return of each ray.
+    """Return which of the `chosen` rows is the nearest return of its ray.
 
-    Returns of one ray share their direction, and stand in the cloud as rows of their own.
+    Returns of one ray have the same direction and are separate rows of the cloud.
     """
     index = np.flatnonzero(chosen)
     cell = np.round(rays.directions[index] / SAME_RAY).astype(np.int64)
@@ -247,7 +251,7 @@ def _select_rows(
     rays: Rays,
     added: NDArray[np.int64],
 ) -> Scan:
-    """Rows `near` of a scan, of which all after the first `kept` ones become new points."""
+    """Return the rows `near` of a scan; those after the first `kept` ones become new points."""
     intensity = None if scan.intensity is None else scan.intensity.copy()
     if scan.points.ndim == 3 or (kept == len(scan.points) and not len(added)):
         return replace(scan, intensity=intensity)

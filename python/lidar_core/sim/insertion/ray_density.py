@@ -1,4 +1,4 @@
-"""Rays per direction of a sensor whose pattern does not repeat, from its returns."""
+"""Estimate of the rays per direction of a sensor whose pattern does not repeat."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -69,9 +69,10 @@ class RayDensity:
         return unit(azimuth, elevation)
 
     def _pace(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rays of this scan over those of the mean one, per azimuth: scans end within a turn.
+        """Ratio of the rays of this scan to those of the mean scan, per azimuth.
 
-        It is that of the band of elevation that returns most; 1 where even that loses many.
+        It is not 1 because a scan ends within a turn. It comes from the elevation band with the
+        most returns; it is 1 where even this band loses many.
         """
         bands = [
             _along(one, PACE).reshape(-1, BAND, one.shape[1]).sum(axis=1)
@@ -87,7 +88,7 @@ class RayDensity:
 
 
 def _lost_share(rays: NDArray[np.float64], counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Share of the expected rays that are lost around each cell: as near by as counts allow."""
+    """Share of lost rays around each cell, in the smallest area with enough expected rays."""
     share = np.zeros_like(counts)
     judged = np.zeros(counts.shape, bool)
     for reach in (0, 1, 2, 4):
@@ -120,7 +121,7 @@ def _count_per_cell(directions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _alike_in_azimuth(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Make the density equal in every azimuth: that of the fuller sectors with returns."""
+    """Make the density equal in every azimuth: take that of the fuller sectors with returns."""
     sectors = counts.reshape(len(counts), -1, SECTOR).mean(axis=2)
     full = np.zeros(len(counts))
     for row, found in enumerate(sectors):
@@ -130,7 +131,7 @@ def _alike_in_azimuth(counts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _alike_around(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Within the hull of all returns: that of the cell, or of those around if it has lost rays."""
+    """Density in the hull of all returns: of the cell, or around it if the cell has lost rays."""
     smooth = _box(counts, 1) / _box(np.ones_like(counts), 1)
     density = np.zeros_like(counts)
     for row, column in zip(*np.nonzero(_hull(counts > 0)), strict=True):
@@ -145,7 +146,7 @@ def _alike_around(counts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _hull(is_seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells within the convex hull of those that are seen, in azimuth and elevation."""
+    """Return which cells lie in the convex hull of the cells with returns."""
     rows, columns = np.nonzero(is_seen)
     places = sorted(zip(columns.tolist(), rows.tolist(), strict=True))
     edge = _chain(places) + _chain(places[::-1])
@@ -170,7 +171,7 @@ def _chain(places: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _box(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Sum over the cells up to `reach` away; azimuth goes round."""
+    """Sum over the cells up to `reach` cells away; the azimuth is periodic."""
     if reach == 0:
         return values
     total = np.zeros_like(values)
@@ -181,7 +182,7 @@ def _box(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
 
 
 def _along(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Sum over the azimuths up to `reach` cells away."""
+    """Sum over the cells up to `reach` cells away in azimuth, which is periodic."""
     total = np.zeros_like(values)
     for shift in range(-reach, reach + 1):
         total += np.roll(values, shift, axis=1)

@@ -1,4 +1,4 @@
-"""Rays that a recording does not contain: directions of rays without return."""
+"""Pattern of the rays of a sensor, to find directions of rays without return."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -104,7 +104,7 @@ class RayPattern:
         *,
         total: int | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Directions (K, 3) that rays in the directions `known` (M, 3) leave out, and their rows.
+        """Return directions (K, 3) of the pattern without a ray in `known` (M, 3), and their rows.
 
         Rows are -1 for a density; `total` is the number of missing rays if the cloud shows it.
         """
@@ -127,7 +127,7 @@ class RayPattern:
         elevation: NDArray[np.float64],
         rng: np.random.Generator,
     ) -> NDArray[np.float64]:
-        """Rays of one row between those that returned, evenly in every gap."""
+        """Directions of missing rays of one row, evenly in every gap between returns."""
         if len(azimuth) == 0:
             turns = np.arange(round(2 * np.pi / self.step)) + rng.uniform()
             return unit(
@@ -160,7 +160,7 @@ def row_of(
 
 
 def is_return(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Rows (N, 3) that are returns, not NaN, zeros or nearly zeros."""
+    """Return which rows (N, 3) are returns, and not NaN, zeros or nearly zeros."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.linalg.norm(points, axis=1) > NEAREST_RETURN)
 
@@ -176,7 +176,7 @@ def _returns(scan: Scan) -> tuple[NDArray[np.float64], NDArray[np.uint16] | None
 def _rings(
     directions: list[NDArray[np.float64]], rings: list[NDArray[np.uint16] | None]
 ) -> NDArray[np.float64] | None:
-    """Elevations of rings, if the scans have rings that are rows of one elevation."""
+    """Elevations of the rings [rad]; None unless every ring has a single elevation."""
     known = [ring for ring in rings if ring is not None]
     if len(known) < len(rings) or not FEWEST_ROWS <= int(max(r.max() for r in known)) + 1 <= 4096:
         return None
@@ -193,7 +193,7 @@ def _rings(
 
 
 def _rows(directions: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
-    """Elevations of the peaks of a histogram, if nearly all returns lie in distinct peaks."""
+    """Elevations of the rows [rad], peaks of a histogram; None without distinct peaks."""
     elevation = np.rad2deg(angles_of(np.concatenate(directions))[1])
     edges = np.arange(-90, 90 + ROW_BIN_DEG, ROW_BIN_DEG)
     counts = np.histogram(elevation, edges)[0]
@@ -214,7 +214,7 @@ def _rows(directions: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
 
 
 def _step(rows: list[NDArray[np.int64]], directions: list[NDArray[np.float64]]) -> float:
-    """From one ray of a row to the next [rad], where rays returned side by side."""
+    """Angle between neighbouring rays of a row [rad], from rays that returned side by side."""
     gaps = []
     for row, one in zip(rows, directions, strict=True):
         azimuth = angles_of(one)[0]

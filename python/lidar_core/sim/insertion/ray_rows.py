@@ -12,7 +12,7 @@ BEND = 2.0
 
 
 def grid_directions(known: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions (H*W, 3) of all cells of an organised cloud, from the known ones (H, W, 3).
+    """Return directions (H*W, 3) of all cells of an organised cloud, from known ones (H, W, 3).
 
     Every row has one elevation and its own azimuth in column 0; columns are evenly spaced. Rows
     without any return are interpolated, or extrapolated, from those that have some.
@@ -43,7 +43,7 @@ def between_neighbours(
     *,
     rows_are_rays: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Rays that are missing in short gaps of lines, evenly between the rays before and after.
+    """Find the rays missing in short gaps of lines, evenly between the rays before and after.
 
     A rosette draws lines: consecutive rays lie side by side. The number of missing rays follows
     from the rows of the cloud if every ray has one, else from the time, else from the width of the
@@ -114,7 +114,7 @@ def _gaps(
 def _extend(
     every: NDArray[np.int64], seen: NDArray[np.int64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values at `every` place, straight between those `seen`, and on beyond the outermost ones."""
+    """Values at `every` place: linear between those `seen`, extrapolated by the mean slope."""
     found = np.interp(every, seen, values)
     if len(seen) > 1:
         slope = (values[-1] - values[0]) / (seen[-1] - seen[0])

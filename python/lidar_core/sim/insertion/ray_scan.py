@@ -1,4 +1,4 @@
-"""The rays of one recorded scan, each in the frame of the sensor at its own time."""
+"""Rays of one recorded scan, each in the frame of the sensor at its own time."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ class SensorWay:
     deskewed: bool = False
 
     def at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Poses (M, 4, 4) at times, from the nearest ones before and after."""
+        """Return poses (M, 4, 4) at times [ns], interpolated between the nearest ones."""
         way = SimTrajectory(self.stamps_ns, np.ascontiguousarray(self.poses))
         return way.poses_at(stamps_ns)
 
@@ -108,7 +108,7 @@ def rays_of(
 def _on_lines(
     scan: Scan, rays: Rays, empty: NDArray[np.int64], *, has_rows: bool
 ) -> tuple[Rays, NDArray[np.int64]]:
-    """Add the rays that are missing in short gaps of lines; the rows that are empty still."""
+    """Add the rays missing in short gaps of lines; return also the remaining empty rows."""
     lines = np.zeros(len(rays.row), np.int64) if scan.ring is None else rays.ring
     times = None if scan.point_time_ns is None else scan.point_time_ns.reshape(-1)[rays.row]
     directions, rows, near = between_neighbours(
@@ -144,9 +144,9 @@ def _with_missing(
 
 
 def _rows_without_return(scan: Scan, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows that say that their ray returned nothing: marked, zeros, or NaN of an organised cloud.
+    """Return which rows mark a ray without return: masked, zeros, or NaN of an organised cloud.
 
-    Other rows of NaN are no information; where a mask is given it has the last word.
+    Other rows of NaN are no information; if a mask is given, it decides.
     """
     if scan.no_return is not None:
         return scan.no_return.reshape(-1) & ~kept
@@ -157,7 +157,7 @@ def _rows_without_return(scan: Scan, kept: NDArray[np.bool_]) -> NDArray[np.bool
 def _as_fired(
     scan: Scan, points: NDArray[np.float64], rows: NDArray[np.int64], way: SensorWay
 ) -> NDArray[np.float64]:
-    """Points in the sensor's frame at their own time."""
+    """Return points in the sensor's frame at their own time, also if the scan was deskewed."""
     if not way.deskewed:
         return points
     start = way.at(np.array([scan.stamp_ns]))[0]
@@ -166,14 +166,14 @@ def _as_fired(
 
 
 def times_of_rows(scan: Scan, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Time of each of some rows [ns]."""
+    """Return the times of the given rows [ns]."""
     if scan.point_time_ns is None:
         return np.full(len(rows), scan.stamp_ns, np.int64)
     return scan.point_time_ns.reshape(-1)[rows].astype(np.int64)
 
 
 def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.int64]:
-    """For each wanted direction a known one of about the same azimuth, and so of the same time."""
+    """Index of a known direction with nearly the azimuth, and so the time, of each wanted one."""
     azimuth = np.arctan2(known[:, 1], known[:, 0])
     order = np.argsort(azimuth, kind="stable")
     at = np.searchsorted(azimuth[order], np.arctan2(wanted[:, 1], wanted[:, 0]))
@@ -181,7 +181,7 @@ def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray
 
 
 def inverse(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Undo rigid transforms (M, 4, 4)."""
+    """Return the inverses of rigid transforms (M, 4, 4)."""
     found = np.zeros_like(poses)
     turned = np.swapaxes(poses[:, :3, :3], 1, 2)
     found[:, :3, :3] = turned

@@ -36,7 +36,7 @@ def times_of(seconds: float) -> NDArray[np.float64]:
 
 
 def upright(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions of Rz(yaw)."""
+    """Quaternions (K, 4) of Rz(yaw) from yaw angles [rad]."""
     return np.stack([0 * yaw, 0 * yaw, np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1)
 
 

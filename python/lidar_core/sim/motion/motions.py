@@ -23,7 +23,7 @@ class Hover(Config):
     )
 
     def knots(self, seconds: float) -> Knots:
-        """One pose."""
+        """Return one pose."""
         return np.zeros(1), poses(np.array([self.position]), np.array([self.rotation]))
 
 
@@ -63,7 +63,7 @@ class Circle(Config):
     phase: float = Field(default=0.0, description="Angle at the start [rad].")
 
     def knots(self, seconds: float) -> Knots:
-        """Places along the circle."""
+        """Return times and poses along the circle."""
         times = times_of(seconds)
         angle = self.phase + self.speed / self.radius * times
         places = self.radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
@@ -91,7 +91,7 @@ class Loop(Config):
     tilt_deg: float = Field(default=0.0, ge=0, le=30, description="Largest roll and pitch [deg].")
 
     def knots(self, seconds: float) -> Knots:
-        """Places along the loop."""
+        """Return times and poses along the loop."""
         times = times_of(seconds)
         places = self._places(self.start + self.speed * times) + np.array(self.center)
         swing = 2 * np.pi * times / TILT_PERIOD
@@ -125,7 +125,7 @@ class TakeOff(Config):
     )
 
     def knots(self, seconds: float) -> Knots:
-        """Places of the climb: height (3 s^2 - 2 s^3) over a share s of its time."""
+        """Return times and poses of the climb: height (3 s^2 - 2 s^3) at a share s of its time."""
         times = times_of(seconds)
         duration = 1.5 * self.height / self.speed
         share = np.clip((times - self.start) / duration, 0, 1)
@@ -156,7 +156,7 @@ class Shuttle(Config):
         return self
 
     def knots(self, seconds: float) -> Knots:
-        """Places along the line: constant acceleration, constant speed, the same backwards."""
+        """Return times and poses along the line: acceleration, constant speed, deceleration."""
         times = times_of(seconds)
         line = np.array(self.end) - np.array(self.start)
         length = float(np.linalg.norm(line))
@@ -165,12 +165,12 @@ class Shuttle(Config):
         return times, poses(places, upright(0 * times))
 
     def leg(self, length: float) -> float:
-        """Time from the start at one end to the start at the other [s]."""
+        """Time from the departure at one end to the departure at the other [s]."""
         speed = min(self.speed, float(np.sqrt(self.acceleration * length)))
         return length / speed + speed / self.acceleration + self.pause
 
     def _way(self, clock: NDArray[np.float64], length: float) -> NDArray[np.float64]:
-        """Distance from the first end, `clock` seconds after leaving it."""
+        """Distance from the first end [m], `clock` [s] after leaving it."""
         speed = min(self.speed, float(np.sqrt(self.acceleration * length)))
         leg = self.leg(length)
         is_back = clock >= leg

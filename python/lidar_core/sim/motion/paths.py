@@ -26,7 +26,7 @@ class FigureEight(Config):
     speed: float = Field(gt=0, le=1000, description="Largest speed, in the middle [m/s].")
 
     def knots(self, seconds: float) -> Knots:
-        """X = a sin 2wt, y = b sin wt from the middle."""
+        """Return times and poses; the position is x = a sin 2wt, y = b sin wt from the centre."""
         times = times_of(seconds)
         a, b = self.half_size
         angle = self.speed / float(np.hypot(2 * a, b)) * times
@@ -63,7 +63,7 @@ class StopAndGo(Config):
     velocity: Vector = Field(description="Velocity of the steady part of the first leg [m/s].")
 
     def knots(self, seconds: float) -> Knots:
-        """Places along the line."""
+        """Return times and poses along the line."""
         times = times_of(seconds)
         period = 2 * RAMP + STEADY + REST
         leg = np.floor(times / period)
@@ -78,7 +78,7 @@ class StopAndGo(Config):
         return times, poses(places, upright(heading))
 
     def _way(self, clock: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Way within a leg, in seconds at the full velocity."""
+        """Distance within a leg at time `clock` [s], divided by the full speed [s]."""
         left = np.clip(2 * RAMP + STEADY - clock, 0, None)  # time to the stop
         speeding = np.minimum(clock, RAMP) ** 2 / (2 * RAMP)
         braking = np.minimum(left, RAMP) ** 2 / (2 * RAMP)
@@ -113,7 +113,7 @@ class Wandering(Config):
         return self
 
     def knots(self, seconds: float) -> Knots:
-        """Velocities drawn every 5 ms, places by the trapezoidal rule."""
+        """Return times and poses; velocities are drawn every 5 ms and integrated trapezoidally."""
         count = int(np.ceil(seconds / STEP)) * round(STEP / WANDERING_STEP) + 1
         times = np.arange(count, dtype=np.float64) * WANDERING_STEP
         velocity = self._velocity(count)
@@ -123,7 +123,7 @@ class Wandering(Config):
         return times, poses(places, upright(0 * times))
 
     def _velocity(self, count: int) -> NDArray[np.float64]:
-        """Shape (count, 2), at rest first."""
+        """Draw velocities (count, 2) [m/s] of the process, which starts at rest."""
         drawn = np.random.default_rng([20240607, self.seed]).normal(size=(count - 1, 2))
         keep = float(np.exp(-WANDERING_STEP / WANDERING_TIME))
         drawn *= np.sqrt(1 - keep**2) * self.speed / np.sqrt(2)
@@ -133,7 +133,7 @@ class Wandering(Config):
         return velocity
 
     def _reflect(self, free: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Places of a way without walls, folded into the rectangle."""
+        """Reflect positions of an unbounded path at the walls of the rectangle."""
         low, side = np.array(LOW), np.subtract(HIGH, LOW)
         folded = np.mod(free - low, 2 * side)
         inside: NDArray[np.float64] = low + np.where(folded > side, 2 * side - folded, folded)
@@ -167,7 +167,7 @@ class Swinging(Config):
     roll_deg: float = Field(default=10.0, ge=0, lt=90, description="Largest roll [deg].")
 
     def knots(self, seconds: float) -> Knots:
-        """Rz(yaw) Ry(pitch) Rx(roll), all angles zero at the start."""
+        """Return times and poses Rz(yaw) Ry(pitch) Rx(roll), with zero angles at the start."""
         times = times_of(seconds)
         way = np.sin(REACH_RATE * times)[:, None] * np.array(self.reach)
         roll = np.deg2rad(self.roll_deg) * np.sin(2 * np.pi * times / ROLL_PERIOD)

@@ -1,4 +1,4 @@
-"""A sensor that is steered while the simulation runs: closed loops of detector and flight."""
+"""Sensor that is steered while the simulation runs, for closed loops with a detector."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -37,7 +37,7 @@ class SteeredSensor:
     position : array_like, shape (3,), float64
         Position at the start [m], where it hovers.
     stamp_ns : int
-        When that is [ns].
+        Time of the start [ns].
     steering : Steering, optional
         Limits of the motion.
 
@@ -93,7 +93,7 @@ class SteeredSensor:
         return SimTrajectory(stamps, poses(np.array(places), level))
 
     def _step(self, goal: NDArray[np.float64], drift: NDArray[np.float64]) -> None:
-        """One step of the controller, within the limits of acceleration and speed."""
+        """Do one step of the controller, within the limits of acceleration and speed."""
         rate = STIFFNESS
         push = rate**2 * (goal - self.position) + 2 * rate * (drift - self.velocity)
         push = _limit(push, self.steering.acceleration_max)

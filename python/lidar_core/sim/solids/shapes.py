@@ -157,7 +157,7 @@ class Tree(Config):
     sway_rate: float = Field(default=0.5, gt=0, le=100, description="Mean swings per second [Hz].")
 
     def surfaces(self) -> Placed:
-        """Trunk and leaves."""
+        """Return trunk and leaves."""
         trunk = SimShape.cylinder(self.trunk_radius, self.trunk_height)
         leaf = SimShape.sphere(self.leaf_radius)
         rng = np.random.default_rng(self.seed)
