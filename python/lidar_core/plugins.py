@@ -35,7 +35,7 @@ class Part(Protocol):
 
     @property
     def module(self) -> str:
-        """Module that registers it."""
+        """Module that registers the part."""
 
 
 PartT = TypeVar("PartT", bound=Part)

@@ -63,7 +63,7 @@ class CircleDataset:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every shard was made."""
+        """True if every shard was made."""
         return len(self.shards) == -(-self.n_samples // self.config.shard_size)
 
     def numbers(self, part: Part) -> NDArray[np.int64]:

@@ -28,7 +28,7 @@ class PreprocessConfig(Config):
 
     @classmethod
     def paper(cls) -> Self:
-        """Eq. 5 as published."""
+        """Return the configuration with eq. 5 as published."""
         return cls(projection="paper")
 
     @model_validator(mode="after")
@@ -40,7 +40,7 @@ class PreprocessConfig(Config):
 
     @classmethod
     def box(cls, lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Self:
-        """An operating volume between two corners [m], world frame.
+        """Return a configuration with an operating volume between two corners [m], world frame.
 
         Raises
         ------

@@ -132,7 +132,7 @@ def score_tracks(
 def _common(
     estimates: Estimates, truth: Truth, pairing: Pairing, config: EvaluationConfig, of: Of
 ) -> dict[str, Any]:
-    """Fields of `DetectionScores`."""
+    """Compute the fields of `DetectionScores`, by name."""
     steady = continuity(truth, pairing)
     return {
         **_counts(estimates, truth, pairing, config),

@@ -42,7 +42,7 @@ def point_covariance(
     -------
     covariance : ndarray, shape (N, 3, 3), float64
         Covariance of every point, world frame [m^2]; NaN where the point is not finite. A point
-        in the LiDAR itself has no range error, for want of a direction.
+        in the LiDAR itself has no range error, because it has no direction.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def hit_probability(
         Measured points [m], in the frame that the voxels are aligned with; N = H * W.
     covariance : array_like, shape (N, 3, 3) or (3, 3), float64
         Covariance of every point, or of all of them [m^2], as `point_covariance` gives it. It may
-        be singular; that of a point that is not finite is not looked at.
+        be singular; that of a point that is not finite is ignored.
     voxel_size : float
         Edge of a voxel [m], > 0.
     origin : array_like, shape (3,)

@@ -273,7 +273,7 @@ class FlyingObjectDetector(FullState):
             self._detector.load_map(path)
 
     def make_static_map(self) -> None:
-        """From the next scan on, keep a map of all static points, without moving objects.
+        """Keep a map of all static points, without moving objects, from the next scan on.
 
         Points of moving objects lie at places, up to 45 m away, that rays of earlier or later scans
         have passed. Every scan needs some 0.25 MB for this, up to 256 MB; after that only every

@@ -124,7 +124,7 @@ class FlyingFrame(ShortRepr):
 
     @property
     def shown_class(self) -> NDArray[np.uint8]:
-        """`point_class` with OWN_BODY for points on the robot itself, as pictures show it."""
+        """Values of `point_class`, with OWN_BODY for points on the robot itself, for pictures."""
         shown = self.point_class.copy()
         shown[self.own_rows] = ShownClass.OWN_BODY
         return shown

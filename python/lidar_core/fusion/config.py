@@ -289,7 +289,7 @@ class FusionConfig(Config):
     def _lies_in_its_range(
         cls, values: tuple[float, ...], known: ValidationInfo
     ) -> tuple[float, ...]:
-        """Not by types: the ranges of the values of one tuple differ."""
+        """Check the range of each value; types cannot, because the values of one tuple differ."""
         name = str(known.field_name)
         sign, most = SIGN[name], MOST[name][len(values)]
         fits = {"> 0": min(values) > 0, ">= 0": min(values) >= 0, "of any sign": True}[sign]

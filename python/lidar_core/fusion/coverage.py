@@ -58,7 +58,7 @@ def target_coverage(
     scans : sequence of DetectionScan
         Scans with ground truth.
     tracks : sequence of TargetTracks
-        After each of them.
+        Tracks after each scan.
     reach : float
         A detection or track at most this far from a target belongs to it [m].
     gap : float

@@ -167,7 +167,7 @@ class MultiTargetTracker(FullState):
         return TrackerHealth(*self._tracker.work())
 
     def tracks_at(self, stamp_ns: int, *, confirmed: bool = True) -> TargetTracks:
-        """Tracks, predicted to a time.
+        """Return the tracks, predicted to a time.
 
         Parameters
         ----------

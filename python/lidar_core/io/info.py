@@ -265,7 +265,7 @@ def _has_point(scan: Scan | LaserScan) -> NDArray[np.bool_]:
 
 
 def inspect(recording: "Recording") -> RecordingInfo:
-    """Read a recording through, decoding its poses, and its scans as far as that is quick."""
+    """Read a whole recording; decode its poses, and as many scans as is fast."""
     streams = {_key(topic): _Stream(topic) for topic in recording.topics()}
     edges: dict[tuple[str, str], bool] = {}
     for record in recording.records():

@@ -1,6 +1,7 @@
-"""Tables and figures of the papers, run again: the paper's numbers | paper mode | best mode.
+"""Reproduction of the papers' tables and figures: paper's value, paper mode, best mode.
 
-Where printed equations contradict each other, a column `equations_corrected` has corrected ones.
+If printed equations contradict each other, a column `equations_corrected` has the results of
+corrected ones.
 
 There is one folder per paper: `flying`, `circles`, `fusion`. An item declares its name, its
 duration, its measurement, and how rows and picture are made of it. A module that declares items is

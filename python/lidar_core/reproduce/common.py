@@ -31,17 +31,17 @@ def evaluation_config(**given: Any) -> EvaluationConfig:
 
 
 def mean(values: NDArray[Any]) -> float | None:
-    """Mean of all values; None of nothing."""
+    """Mean of all values; None without values."""
     return float(values.mean()) if len(values) else None
 
 
 def share(part: float, whole: float) -> float | None:
-    """Share of a whole; None of nothing."""
+    """Return `part` divided by `whole`; None if `whole` is 0."""
     return float(part / whole) if whole else None
 
 
 def in_space(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places (N, 2) with z = 0."""
+    """Return places (N, 2) as (N, 3) with z = 0."""
     return np.pad(places, ((0, 0), (0, 1)))
 
 
@@ -51,10 +51,10 @@ def middles(edges: Sequence[float]) -> list[float]:
 
 
 def simulator_seed(seed: int, number: int) -> int:
-    """Seed of the noise of flight `number`, another one for every flight of every seed."""
+    """Seed of the noise of flight `number`; different for every flight of every seed."""
     return (seed * 1_000_003 + number) % 2**32
 
 
 def scene_rng(seed: int, number: int, *more: int) -> np.random.Generator:
-    """Random numbers that lay out the scene of flight `number`."""
+    """Generator of the random numbers for the scene of flight `number`."""
     return np.random.default_rng([20240607, seed, number, *more])

@@ -1,4 +1,4 @@
-"""Independent parts of a long run: spread over processes, and kept for a run that continues.
+"""Independent parts of a long run, which use several processes and are kept for later runs.
 
 A part is a mapping of names to arrays, so that a finished one can lie on the disk as .npz.
 """
@@ -138,7 +138,7 @@ def _finished(job: Job, part: Part, request: Request) -> Part:
 
 
 def _load_part(job: Job, folder: Path | None) -> Part | None:
-    """Return the part of an earlier run, if it is of this very job."""
+    """Return the stored part of an earlier run with the same stamp; None without one."""
     path = folder / f"{job.name}.npz" if folder is not None else None
     if path is None or not path.is_file():
         return None

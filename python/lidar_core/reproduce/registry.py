@@ -53,7 +53,7 @@ MODULES = (
 
 
 def items() -> dict[str, Item]:
-    """Every item by its name."""
+    """Return every item by its name."""
     modules = (import_module(f"lidar_core.reproduce.{name}") for name in MODULES)
     return {item.name: item for module in modules for item in declared(module)}
 

@@ -12,7 +12,7 @@ Draw: TypeAlias = Callable[[Any], None]
 
 
 class Row(NamedTuple):
-    """One number, as the paper has it and as the modes give it; None where it is not known.
+    """Row of a table: one quantity with the paper's value and those of the modes; None if unknown.
 
     `paper_mode` is the algorithm as printed. `equations_corrected` is the same algorithm with
     corrections where its printed equations contradict each other; most items have no such column. A

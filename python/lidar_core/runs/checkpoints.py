@@ -38,7 +38,7 @@ class Resumable(Protocol):
         """Classes of the objects in `kept` and `rows`."""
 
     def checkpoint_state(self) -> dict[str, Any]:
-        """All state but the rows, of limited size; whole states of the core as arrays of bytes."""
+        """Return the state without the rows, of limited size; states of the core as byte arrays."""
 
     def rows(self, since: int) -> list[Any]:
         """Return the permanent rows of each item, except the first `since`."""

@@ -146,11 +146,11 @@ class _Remembered(Recording):
         return self._recording.topics()
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
-        """Stored messages."""
+        """Yield the stored messages."""
         return self._recording.records(kinds)
 
     def poses(self) -> Iterator[tuple[Topic, Pose]]:
-        """Poses alone."""
+        """Yield only the poses, which are read once."""
         if self._poses is None:
             self._poses = list(self._recording.poses())
         return iter(self._poses)

@@ -33,7 +33,7 @@ class ScanRun(Resumable, Protocol[ScanT]):
 
     @property
     def n_received(self) -> int:
-        """Scans so far, rejected ones included."""
+        """Number of scans so far, including rejected ones."""
 
     @property
     def notes(self) -> list[str]:
@@ -46,13 +46,13 @@ class ScanRun(Resumable, Protocol[ScanT]):
         """Open run.mcap for the results of the scans from here on."""
 
     def summary(self) -> dict[str, Any]:
-        """The results as plain values."""
+        """Return the results as plain values."""
 
     def write(self, folder: RunFolder) -> list[str]:
         """Write tables and trajectories; return their names."""
 
     def pictures(self, folder: RunFolder, name: str) -> list[Picture]:
-        """Pictures of a run on the recording `name`."""
+        """Return the pictures of a run on the recording `name`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,7 +71,7 @@ def config_of_run(
     *,
     base: ConfigT | None = None,
 ) -> ConfigT:
-    """Configuration of a run.
+    """Return the configuration of a run.
 
     A scan that cannot be used is counted, unless the configuration differs: one bad scan does not
     end the run.
@@ -111,7 +111,7 @@ def config_of_run(
 def run_config(
     base: ConfigT, section: str, file: Path | None, assignments: Iterable[str]
 ) -> ConfigT:
-    """Configuration of a run: that of its mode, then the file's values, then `a.b=c` ones.
+    """Return the configuration of a run: its mode, changed by a file, then by `a.b=c` values.
 
     A scan that cannot be used is counted, unless the file or an assignment differs: one bad scan
     does not end the run.

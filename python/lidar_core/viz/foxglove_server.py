@@ -55,7 +55,7 @@ class ServedChannel:
         self._viewers = viewers
 
     def log(self, message: Any, *, log_time: int) -> None:
-        """Send a message: bytes, or one of foxglove.messages, which is encoded if anybody looks."""
+        """Send a message: bytes, or one of foxglove.messages, encoded only for subscribers."""
         data: bytes | None = message if isinstance(message, bytes) else None
         for viewer in list(self._viewers):
             for subscription in viewer.subscriptions_to(self.id):

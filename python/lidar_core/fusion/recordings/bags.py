@@ -92,7 +92,7 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
     -----
     A radar's track gives range, bearing and range rate of its position and velocity, which are
     relative to the radar, with their covariance, if it has one. Such tracks are filtered already:
-    their errors hang together over time, and the covariances of what follows are too small.
+    their errors are correlated over time, so covariances of filters on them are too small.
     Elevated returns are levelled, as if target and radar kept their heights. Objects of a camera
     are positions like those of a LiDAR, with their covariance, if they have one; they are filtered,
     too. Those that the camera tracks and does not see at the moment are left out.
@@ -154,7 +154,7 @@ def _read(
     options: BagOptions,
     mountings: Mountings,
 ) -> Iterator[tuple[int, Found]]:
-    """Stamp and measurements of a message."""
+    """Yield stamp and measurements of a message; errors name its place."""
     with reading(f"{place} on {topic.name}"):
         stamp = stamp_of(message.header.stamp)
         turn = mountings.rotation(message.header.frame_id)

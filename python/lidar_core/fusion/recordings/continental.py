@@ -22,7 +22,7 @@ METADATA = "metadata.yaml"
 
 
 def is_continental(path: str | Path) -> bool:
-    """True if a YAML file, or the first file of a folder, contains a list of a radar."""
+    """Return whether a YAML file, or the first file of a folder, contains a list of a radar."""
     head = head_of(_files(Path(path))).decode("utf-8", "replace")
     return any(f"\n{name}:" in head for name in LISTS)
 

@@ -61,7 +61,7 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
     Notes
     -----
     Slots are used again for other objects, so that their numbers are no identities. The radar
-    filters its objects already: their errors hang together over time.
+    filters its objects already: their errors are correlated over time.
     """
     place = Path(path)
     files = _files(place)

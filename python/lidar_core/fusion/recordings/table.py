@@ -212,7 +212,7 @@ def read_measurements(path: str | Path, options: TableOptions | None = None) -> 
 def _unused(
     table: tuple[str, ...], columns: set[str], sensors: set[SensorName], options: TableOptions
 ) -> str | None:
-    """What to say about columns of a table that do not count; `columns` are named as ours."""
+    """Return a note on columns of a table that are not used; `columns` have our names."""
     used = set(NOT_VALUES) & columns
     for sensor in sensors:
         further = set(IN_SPACE.get(sensor, ()))

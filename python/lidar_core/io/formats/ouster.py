@@ -50,11 +50,11 @@ class _OusterFrames(Recording):
     _sensors: list[Sensor]
 
     def topics(self) -> list[Topic]:
-        """One stream per sensor."""
+        """Return one stream per sensor."""
         return self._topics
 
     def records(self, kinds: frozenset[str] | None = None) -> Iterator[Record]:
-        """One record per frame."""
+        """Yield one record per frame."""
         if kinds is not None and not kinds & {"scan", "scan+pose"}:
             return
         for number, frame in self._frames():

@@ -217,7 +217,7 @@ def _stamp_of(file: Path) -> int | None:
 
 
 def _calibration(file: Path) -> NDArray[np.float64] | None:
-    """`camera_from_lidar` of a KITTI calib.txt, or None without one."""
+    """Read `camera_from_lidar` (4, 4) of a KITTI calib.txt; None without one."""
     if not file.is_file():
         return None
     for line in file.read_text("utf-8", "replace").splitlines():

@@ -84,7 +84,7 @@ def poses_of(sensor: Sensor, frame: Frame, *, topic: str, frame_id: str) -> list
 
 
 def shift_rows(image: NDArray[Any], shifts: NDArray[np.int64]) -> NDArray[Any]:
-    """`image` with every row rolled by its shift, so that columns share an azimuth."""
+    """Return `image` with every row rolled by its shift, so that columns share an azimuth."""
     width = image.shape[1]
     columns = (np.arange(width)[None, :] - shifts[:, None]) % width
     shifted: NDArray[Any] = image[np.arange(image.shape[0])[:, None], columns]

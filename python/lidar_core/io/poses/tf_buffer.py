@@ -91,7 +91,7 @@ class TransformBuffer:
             edge.forget(before_ns)
 
     def edges(self) -> dict[tuple[str, str], bool]:
-        """Every pair (parent, child), and whether it is static."""
+        """Return every pair (parent, child), and whether it is static."""
         return {key: edge.static is not None for key, edge in self._edges.items()}
 
     def root_of(self, frame: str) -> str:

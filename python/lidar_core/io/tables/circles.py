@@ -42,9 +42,9 @@ def write_circles_table(
 
 
 def map_columns(maps: Iterable[CircleElements], frame_id: str) -> dict[str, Any]:
-    """Every element that successive maps ever report, one row each, as columns.
+    """Return every element that successive maps report as columns, one row per element.
 
-    Return first and last measurement, and the state at the time when the element was last in sight:
+    A row has first and last measurement, and the state when the element was last in sight, because
     the place of an element that was passed long ago is still valid.
     """
     first: dict[int, int] = {}

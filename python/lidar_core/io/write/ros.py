@@ -59,7 +59,7 @@ class RosMessages:
 
     @property
     def version(self) -> int:
-        """1 or 2."""
+        """Version of ROS: 1 or 2."""
         return self._version
 
     def of(self, item: Message) -> tuple[str, Any]:
@@ -231,7 +231,7 @@ class RosWriter(WrittenInBlock):
 
     @property
     def messages(self) -> RosMessages:
-        """ROS messages of scans and poses."""
+        """Converter of scans and poses to ROS messages."""
         return self._messages
 
     def close(self, *, keep: bool = True) -> None:

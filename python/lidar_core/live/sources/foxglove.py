@@ -123,7 +123,7 @@ class FoxgloveSource(Source):
         return self._connected.is_set()
 
     def advertised(self) -> list[str]:
-        """Channels that the server announced."""
+        """Return the channels that the server announced."""
         topics = {topic.name: topic for topic in list(self._told_of.values())}
         return [f"{topic.name} ({topic.type})" for _, topic in sorted(topics.items())]
 

@@ -1,1 +1,1 @@
-"""Items of the paper on round obstacles in 2D scans."""
+"""Items (tables and figures) of the paper on round obstacles in 2D scans."""

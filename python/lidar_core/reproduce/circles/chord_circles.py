@@ -1,4 +1,4 @@
-"""The rule of popular ROS packages for a circle from a group of points."""
+"""Estimate of a circle from a group of points by the rule of popular ROS packages."""
 
 import numpy as np
 from numpy.typing import NDArray

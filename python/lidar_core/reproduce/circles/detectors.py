@@ -64,7 +64,7 @@ def _jobs(request: Request) -> Iterator[Job]:
 
 
 def estimated(seed: int, start: int, count: int, models: tuple[tuple[str, str], ...]) -> Part:
-    """Errors (N, 3) of every detector, and seconds per circle.
+    """Return errors (N, 3) [m] of every detector, and times per circle [s].
 
     `models` are the checksums of the networks: another network, another part.
     """
@@ -96,7 +96,7 @@ def _errors(estimate: Estimate, samples: Samples, config: DatasetConfig) -> NDAr
 
 
 def _seconds(estimate: Estimate, samples: Samples, config: DatasetConfig) -> NDArray[np.float64]:
-    """Time per circle of each call."""
+    """Time per circle of each call of an estimator [s], (calls,)."""
     scans = samples.take(np.arange(min(TIMED, len(samples)))).scans(config.scanner)
     times = []
     for start in range(0, len(scans), OBJECTS):

@@ -140,7 +140,7 @@ class MapRun:
 
     @property
     def is_visible(self) -> NDArray[np.bool_]:
-        """Objects with enough rays on them, (S, T)."""
+        """Return which objects have enough rays on them, (S, T)."""
         hits, rays = self.part["hits"], self.part["rays"]
         return np.asarray((hits >= LEAST_HITS) & (hits >= LEAST_SHARE * rays), np.bool_)
 
@@ -162,7 +162,10 @@ class MapRun:
         return errors
 
     def spells(self, target: int) -> Iterator[tuple[int, int]]:
-        """First and last scan + 1 of every time an object is visible; short gaps do not count."""
+        """Yield the first scan and the end of every period in which an object is visible.
+
+        The end is the last scan + 1. Short gaps do not interrupt a period.
+        """
         seen = np.flatnonzero(self.is_visible[:, target])
         if not len(seen):
             return
@@ -173,9 +176,9 @@ class MapRun:
             yield int(first), int(last) + 1
 
     def delays(self) -> NDArray[np.float64]:
-        """Time from becoming visible to being reported [s], of every spell that is long enough.
+        """Time from becoming visible to the report [s], for every long enough period of `spells`.
 
-        Infinite for a spell without a report.
+        Infinite for a period without a report.
         """
         found = []
         for target in range(self.row.shape[1]):
@@ -195,7 +198,7 @@ class MapRun:
         return int((due & (self.row >= 0)).sum()), int(due.sum())
 
     def switches(self) -> int:
-        """Changes of identity over all objects."""
+        """Number of changes of identity over all objects."""
         changes = 0
         for target in range(self.row.shape[1]):
             numbers = self.ids(target)

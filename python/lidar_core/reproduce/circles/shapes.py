@@ -36,7 +36,7 @@ PER_JOB = 250
 
 
 def shapes(*, seed: int, number: int, count: int) -> Part:
-    """Show `count` shapes, one per scan, to the choice of a shape.
+    """Simulate `count` shapes, one per scan, and estimate the kind of each.
 
     Returns
     -------

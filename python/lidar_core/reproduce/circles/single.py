@@ -230,7 +230,11 @@ def _measured(
     found: Found,
     note: str,
 ) -> Measured:
-    """Rows by name: radius and trajectory, and the paper's numbers; panels by name."""
+    """Return the measurements of an item from the runs `found`.
+
+    `table` has the rows by name: radius and trajectory, and the paper's values. `shown` has the
+    panels of the picture by name.
+    """
     best = found["best"]
     return Measured(
         (table, found),

@@ -142,7 +142,7 @@ RUNS = 3
 
 
 def situation(*, name: str, seed: int, scans: int) -> Part:
-    """Give a simulated scene to a pipeline; return a row per object and scan."""
+    """Run a pipeline on a simulated scene; return one row per object and scan."""
     make, poses_of = SITUATIONS[name]
     scene = make(seed)
     simulator = Simulator(scene, seed=seed, scans=scans)

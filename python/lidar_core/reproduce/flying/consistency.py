@@ -82,7 +82,7 @@ def stated_std(config: TrackerConfig) -> float:
 
 
 def _draw_states(config: TrackerConfig, rng: np.random.Generator, runs: int) -> Array:
-    """States (runs, steps, 9) that obey the motion model of `config`, by its equations."""
+    """Draw states (runs, steps, 9) that follow the motion model of `config`."""
     spread = (0.0, *config.initial_std[1:])
     per_step = config.process_noise == "paper"
     count = 1 if per_step else SUBSTEPS

@@ -85,7 +85,7 @@ def _field_of_view(lidar: LidarModel) -> tuple[float, float]:
 
 
 def _apart(rng: np.random.Generator, view: tuple[float, float], gap: float) -> NDArray[np.float64]:
-    """Directions (TARGETS, 3), evenly over the band, none within `gap` of another [rad].
+    """Draw directions (TARGETS, 3), uniform over the band `view`, at least `gap` [rad] apart.
 
     One in each of as many bands of equal area: the share that is met scatters less.
     """

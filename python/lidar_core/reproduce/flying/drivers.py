@@ -77,7 +77,7 @@ def flight(*, seed: int, number: int, scans: int, sensor: str) -> Part:
 
 
 def scene(seed: int, number: int, scans: int, sensor: str) -> Scene:
-    """Street with open sky, a sensor that hovers or drifts to and fro, and three targets."""
+    """Make a street with open sky, a sensor that hovers or drifts to and fro, three targets."""
     rng = scene_rng(seed, number, SENSORS.index(sensor))
     observer: Scripted = sim.Hover(position=(0.0, 0.0, HEIGHT))
     if number % 4 >= 2:

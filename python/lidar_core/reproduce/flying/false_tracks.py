@@ -64,7 +64,10 @@ def jobs(request: Request) -> list[Job]:
 
 
 def street(*, seed: int, number: int, scans: int, condition: str) -> Part:
-    """Fly through one street; NAME_false: scan, number and place of the false tracks of a mode."""
+    """Fly through one street; return per mode NAME the false tracks as NAME_false.
+
+    A row of it has scan, track number and position.
+    """
     name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans, condition), seed=name)
     noise = None

@@ -1,1 +1,1 @@
-"""Items of the paper on LiDAR and radar fusion."""
+"""Items (tables and figures) of the paper on LiDAR and radar fusion."""

@@ -58,7 +58,7 @@ MIXTURE = config("ctrv", "imm").model_copy(
 
 
 def ensemble(model: str, runs: int, seed: int) -> Ensemble:
-    """Targets of `model`, the same for all its filters."""
+    """Draw targets that move by `model`; all filters of the model get the same ones."""
     number = [*METHODS, SWITCHING].index(model)
     return draw_ensemble(model, runs, np.random.default_rng([20231121, seed, number]))
 

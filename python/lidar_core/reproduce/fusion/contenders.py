@@ -32,7 +32,7 @@ def printed() -> dict[str, Contender]:
 
 
 def corrected() -> dict[str, Contender]:
-    """The paper's filter with correct equations, and others in its place; noise as in `printed`."""
+    """Return the paper's filter with correct equations, and alternatives; noise as in `printed`."""
     ways = {
         "EKF-CV": ("cv", "ekf"),
         EKF: ("ctrv", "ekf"),

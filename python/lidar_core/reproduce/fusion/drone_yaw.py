@@ -87,7 +87,7 @@ class Ride:
         return self.greatest * np.cos(np.pi / SWING * (seconds - delay)) + bias
 
     def relative(self, truth: TargetTruth) -> TargetTruth:
-        """Position in the sensor's frame, and velocity relative to it in the same axes."""
+        """Return the truth in the sensor's frame: position, and velocity relative to the sensor."""
         ahead = np.stack([np.cos(self.yaw), np.sin(self.yaw)], axis=1)
         own = self.speed[:, None] * ahead
         place = turned_back(truth.position - self.position, ahead)
@@ -97,7 +97,7 @@ class Ride:
 
 
 def turned_back(vectors: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors (..., 2) in axes whose first points along `ahead`, unit vectors."""
+    """Rotate vectors (..., 2) into axes whose first axis is the unit vector `ahead`."""
     x, y, c, s = vectors[..., 0], vectors[..., 1], ahead[..., 0], ahead[..., 1]
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)
 
@@ -190,7 +190,7 @@ def _late(
 def _targets(
     motion: tuple[float, float], request: Request, faults: tuple[float, float]
 ) -> tuple[TargetTruth, list[list[Measurement]]]:
-    """The truth in the frame of the sensor, and draws of the measurements."""
+    """Return the truth in the frame of the sensor, and draws of the measurements."""
     truth = course(OBJ_POSE).truth
     seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     ride = Ride.of(seconds, *motion)

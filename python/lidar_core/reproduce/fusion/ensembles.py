@@ -173,7 +173,7 @@ def _polar(state: Array, half: float) -> Array:
 
 
 def _measure(model: str, states: Array, rng: np.random.Generator) -> Array:
-    """Values of a measurement per step (R, STEPS, 3)."""
+    """Draw the values of one measurement per step, (R, STEPS, 3)."""
     x, y = states[..., 0], states[..., 1]
     vx, vy = states[..., 2], states[..., 3]
     if model.startswith("ctr"):

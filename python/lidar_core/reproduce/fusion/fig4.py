@@ -99,7 +99,7 @@ def _follow(made: Overflown, mode: str) -> SpaceTrack:
 
 
 def _flat(made: Overflown, sight: LevelSight) -> list[Measurement]:
-    """Level measurements, with what is known of their errors."""
+    """Return the level measurements with their covariances."""
     seen = []
     for row, stamp_ns in enumerate(made.stamps_ns.tolist()):
         values, noise = sight.values[row], sight.covariances[row]
@@ -135,7 +135,7 @@ def _rows(found: Mapping[str, Flown]) -> list[Row]:
 
 
 def _rows_in_space(scene: str, flights: Mapping[str, InSpace]) -> list[Row]:
-    """Error and consistency of a level and a tilted drone, and the ratio of the errors."""
+    """Rows of error and consistency with a level and a tilted drone, and the ratio of errors."""
     rows, rmse = [], {}
     for flight, runs in flights.items():
         wrong = np.array([errors for errors, _ in runs])

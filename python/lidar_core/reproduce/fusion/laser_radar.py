@@ -47,7 +47,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A recording as arrays.
+    """Recording of one target as arrays.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def power_std(level: float) -> float:
 
 
 def places(values: NDArray[np.float64], is_lidar: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Measured positions (K, 2)."""
+    """Measured positions (K, 2) [m] of LiDAR and radar rows."""
     bearing = values[:, 1]
     polar = values[:, :1] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     return np.where(is_lidar[:, None], values[:, :2], polar)
@@ -186,7 +186,7 @@ def estimates(result: Run, of: Course, form: Form) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """A filter, and how measurements reach it.
+    """Filter in a comparison, and the form in which it gets the measurements.
 
     Attributes
     ----------

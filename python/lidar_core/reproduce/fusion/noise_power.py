@@ -122,7 +122,7 @@ def rows_of(paper: Curves, best: Curves, right: Curves | None = None) -> list[Ro
 
 
 def _raw(of: Course, request: Request) -> list[float]:
-    """Errors of the measured positions of both sensors."""
+    """Errors of the measured positions of both sensors at every noise level [m]."""
     found = []
     for level in LEVELS:
         draws = draws_of(of, level, request.scans, seed=request.seed)

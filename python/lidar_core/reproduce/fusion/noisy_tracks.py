@@ -43,7 +43,7 @@ LEVELS = {16: -16.0, 8: -8.0, 0: 0.0}
 
 
 def contenders() -> dict[str, Contender]:
-    """The paper's equations as printed, the same corrected, and ours."""
+    """Return the filters by name: the paper's as printed, the same corrected, and ours."""
     return {PRINTED: printed()[EKF], EKF: corrected()[EKF], BEST: ours()[BEST]}
 
 
@@ -53,7 +53,7 @@ def configs() -> dict[str, Config]:
 
 
 def truth() -> NDArray[np.float64]:
-    """True positions (K, 2)."""
+    """True positions (K, 2) [m] of the first recording."""
     return course(SAMPLE_1).truth.position
 
 

@@ -131,7 +131,7 @@ def _lost_rows(of: Course, request: Request) -> list[Row]:
 
 
 def _clean(of: Course) -> list[Row]:
-    """Both recordings as they are: figures that courses publish, and noise that is known."""
+    """Rows of RMSE on unchanged recordings: with the filter of courses, and with known noise."""
     rows = []
     for name, title in ((SAMPLE_1, "sample-1"), (OBJ_POSE, "obj_pose")):
         one = course(name)

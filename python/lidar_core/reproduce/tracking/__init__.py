@@ -1,1 +1,1 @@
-"""Items about mechanisms that all trackers share: noise of sensors, dropouts."""
+"""Items about mechanisms that all trackers share, such as sensor noise and dropouts."""

@@ -69,7 +69,7 @@ class Arena:
                 live = self._passed(live, rng)
 
     def _new(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """States x, y, vx, vy of new targets."""
+        """Draw states x, y [m], vx, vy [m/s] of new targets, (count, 4)."""
         speed, heading = rng.uniform(*SPEEDS, count), rng.uniform(-np.pi, np.pi, count)
         velocity = speed * np.stack([np.cos(heading), np.sin(heading)])
         return np.hstack([rng.uniform(-SIDE / 2, SIDE / 2, (count, 2)), velocity.T])
@@ -118,7 +118,7 @@ def followed(
 def are_matched(
     places: NDArray[np.float64], reach: NDArray[np.float64], truth: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return which places have a target of their own within reach; as many as possible have."""
+    """Return which places have their own target within reach; as many as possible are paired."""
     away = np.linalg.norm(places[:, None] - truth[None], axis=2)
     matched = np.zeros(len(places), np.bool_)
     rows, _ = cheapest(np.where(away <= reach[:, None], away, np.inf), gate=FAR, alone=FAR)

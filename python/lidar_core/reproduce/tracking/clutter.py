@@ -37,7 +37,7 @@ class Score:
 
 
 def scored(arena: Arena, config: MultiTargetConfig, rng: np.random.Generator) -> Score:
-    """Score one run."""
+    """Run the tracker once and return its mean scores over the scans."""
     rows = []
     for moment, tracks in followed(arena, config, rng):
         places = tracks.position[tracks.confirmed]

@@ -95,7 +95,7 @@ def hypotheses(arena: Arena, config: MultiTargetConfig, rng: np.random.Generator
 
 
 def config_with(factor: float) -> MultiTargetConfig:
-    """Default configuration with another probability of detection and clutter."""
+    """Default configuration with probability of detection and clutter changed by a factor."""
     default = MultiTargetConfig()
     return MultiTargetConfig(
         detection_probability=min(0.99, factor * default.detection_probability),

@@ -69,7 +69,7 @@ class Scene:
         return self.velocity * self.step / RATE
 
     def scan(self, *seen: NDArray[np.float64]) -> None:
-        """Track one more scan."""
+        """Track one more scan with measurements at `seen` [m] and of the bystanders."""
         places = np.array([*seen, *self.others]).reshape(-1, 2)
         stamp = self.step * 1_000_000_000 // RATE
         places = places + self.rng.normal(0.0, NOISE, places.shape)
@@ -158,7 +158,7 @@ def _measure(request: Request) -> Measured:
 
 
 def is_kept(name: str) -> bool:
-    """True for cases in which the target itself comes back."""
+    """Return whether `name` is a case in which the target itself comes back."""
     return "comes back" in name
 
 

@@ -58,7 +58,7 @@ def has_objects(folder: str | Path) -> bool:
 
 
 def objects_of(folder: str | Path, *, recording: str | None = None, run: str = "") -> Columns:
-    """All objects of a run at all times.
+    """Return all objects of a run at all times.
 
     Parameters
     ----------

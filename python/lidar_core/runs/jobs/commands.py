@@ -34,7 +34,7 @@ def options_of(command: str) -> set[str]:
 
 @cache
 def command_line() -> Any:
-    """All commands, built once: that takes as long as a short job."""
+    """Return the command line with all commands; it is built only once, because that is slow."""
     return get_command(resolve_name(COMMAND_LINE))
 
 

@@ -36,7 +36,7 @@ def passage() -> Iterator[Path]:
 
 
 def remove_abandoned(places: Path) -> None:
-    """Remove the folders of batches in `places` that no process holds, as far as they are ours."""
+    """Remove folders of batches in `places` that belong to this user and that no process holds."""
     if os.name != "posix":  # no locks tell which batches still run
         return
     for one in places.glob(f"{PREFIX}*"):

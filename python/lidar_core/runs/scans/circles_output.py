@@ -102,7 +102,7 @@ class CirclesRun:
 
     @property
     def n_received(self) -> int:
-        """Scans so far, rejected ones included."""
+        """Number of scans so far, including rejected ones."""
         return self.pipeline.health().received
 
     @property
@@ -233,7 +233,7 @@ class CirclesRun:
         )
 
     def checkpoint_state(self) -> dict[str, Any]:
-        """All state but the rows, for a checkpoint."""
+        """Return the state without the rows, for a checkpoint."""
         last, near = self._last_points, self._too_near
         return {"pipeline": self.pipeline.to_bytes(), "last_points": last, "too_near": near}
 

@@ -149,7 +149,7 @@ class FlyingRun:
         self._wall_ms.append(wall_ms)
 
     def checkpoint_state(self) -> dict[str, Any]:
-        """All state but the rows, for a checkpoint."""
+        """Return the state without the rows, for a checkpoint."""
         kept = {"detector": self.detector.to_bytes(), "standing": self._standing.state()}
         return kept | {name: getattr(self, name) for name in self._KEPT}
 
@@ -171,7 +171,7 @@ class FlyingRun:
 
     @property
     def n_received(self) -> int:
-        """Scans so far, rejected ones included."""
+        """Number of scans so far, including rejected ones."""
         return len(self.frames) + self.rejected.total()
 
     @property

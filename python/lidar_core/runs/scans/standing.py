@@ -50,7 +50,7 @@ class StandingCheck:
         return self._verdicts >= VERDICTS
 
     def state(self) -> list[NDArray[np.float64]]:
-        """All state, for a checkpoint."""
+        """Return the whole state, for a checkpoint."""
         counts = np.array([self._seen, self._age, self._verdicts], np.float64)
         return [counts, self._motion, *([self._reference.places] if self._reference else [])]
 

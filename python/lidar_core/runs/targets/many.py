@@ -122,7 +122,7 @@ class ManyRun:
         return made
 
     def checkpoint_state(self) -> dict[str, Any]:
-        """All state but the rows, for a checkpoint."""
+        """Return the state without the rows, for a checkpoint."""
         (tracker,) = self.tracker
         return {"tracker": tracker.to_bytes()}
 
@@ -280,7 +280,7 @@ class ManyRun:
         return np.concatenate(states), np.concatenate(covariances)
 
     def _detections(self) -> dict[str, Any]:
-        """Detections of targets, in the world."""
+        """Table of the detections of targets in the world [m]."""
         is_target = np.array(
             [m.sensor in TARGET_SENSORS for scan in self.scans for m in scan.measurements], np.bool_
         )

@@ -41,7 +41,7 @@ class Swing:
     def places(
         self, place: NDArray[np.float64], seconds: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Poses (K, 4, 4) at times [s], frame of the shape, of a surface with rest pose `place`."""
+        """Poses (K, 4, 4) in the shape's frame of a surface that rests at `place` [m]."""
         angle = self.reach * np.sin(2 * np.pi * self.rate * seconds + self.phase)
         half = np.stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)], axis=-1)
         turned = poses(np.tile(self.pivot, (len(angle), 1)), half)
@@ -90,7 +90,7 @@ class Person(Config):
     )
 
     def surfaces(self) -> Placed:
-        """Return trunk, neck, head, left and right arm, left and right leg."""
+        """Return the surfaces: trunk, neck, head, left and right arm, left and right leg."""
         depth, width = TRUNK
         shoulder, hip, head = self._heights()
         arm = width / 2 + ARM_GAP + ARM_RADIUS  # its axis from the middle plane [m]
@@ -145,7 +145,7 @@ class Barrel(Config):
         return DRUM_RADIUS
 
     def surfaces(self) -> Placed:
-        """Return drum and hoops."""
+        """Return the surfaces: drum and hoops."""
         drum = SimShape.cylinder(self.radius, self.height)
         hoop = SimShape.cylinder(self.radius + HOOP, 0.04 * self.height)
         up = np.array([0.0, 0.0, self.height])

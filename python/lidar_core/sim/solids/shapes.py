@@ -25,7 +25,7 @@ class Plane(Config):
     )
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.plane(self.size or (float("inf"), float("inf"))), np.zeros(3))]
 
 
@@ -36,7 +36,7 @@ class Box(Config):
     size: tuple[Length, Length, Length] = Field(description="Lengths along x, y and z [m].")
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.cuboid(self.size), np.zeros(3))]
 
 
@@ -50,7 +50,7 @@ class Cylinder(Config):
     )
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.cylinder(self.radius, self.height or float("inf")), np.zeros(3))]
 
 
@@ -64,7 +64,7 @@ class EllipticCylinder(Config):
     half_axes: tuple[Length, Length] = Field(description="Half axes along x and y [m].")
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.elliptic_cylinder(self.half_axes, float("inf")), np.zeros(3))]
 
 
@@ -75,7 +75,7 @@ class Sphere(Config):
     radius: Length = Field(description="Radius [m].")
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.sphere(self.radius), np.zeros(3))]
 
 
@@ -89,7 +89,7 @@ class Mesh(Config):
     )
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         faces = np.array(self.faces, np.int64).clip(-1, 2**32 - 1).astype(np.uint32)
         return [(SimShape.mesh(np.array(self.vertices, np.float64), faces), np.zeros(3))]
 
@@ -101,7 +101,7 @@ class Hexacopter(Config):
     radius: Length = Field(default=0.325, description="Radius of the sphere around it [m].")
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.mesh(*hexacopter_mesh(self.radius)), np.zeros(3))]
 
 
@@ -112,7 +112,7 @@ class Quadcopter(Config):
     radius: Length = Field(default=0.25, description="Radius of the sphere around it [m].")
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         return [(SimShape.mesh(*quadcopter_mesh(self.radius)), np.zeros(3))]
 
 
@@ -126,7 +126,7 @@ class HeightField(Config):
     cell: Length = Field(description="Distance of neighbouring heights [m].")
 
     def surfaces(self) -> Placed:
-        """One surface."""
+        """Return the single surface of the shape, with its position [m]."""
         if len({len(row) for row in self.heights}) > 1:
             heights = np.zeros((0, 0))  # refused by the core, with its reason
         else:
@@ -157,7 +157,7 @@ class Tree(Config):
     sway_rate: float = Field(default=0.5, gt=0, le=100, description="Mean swings per second [Hz].")
 
     def surfaces(self) -> Placed:
-        """Return trunk and leaves."""
+        """Return the surfaces: trunk and leaves."""
         trunk = SimShape.cylinder(self.trunk_radius, self.trunk_height)
         leaf = SimShape.sphere(self.leaf_radius)
         rng = np.random.default_rng(self.seed)

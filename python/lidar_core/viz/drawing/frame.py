@@ -40,7 +40,7 @@ class Window:
 
     @property
     def middle(self) -> NDArray[np.float64]:
-        """Centre [m]."""
+        """Centre of the window (2,) [m]."""
         return (self.low + self.high) / 2
 
     def holds(self, place: NDArray[np.float64]) -> bool:

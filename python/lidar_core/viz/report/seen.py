@@ -28,7 +28,7 @@ def first_seen(
     Parameters
     ----------
     centers : ndarray, shape (V, 3), float64
-        Of the voxels [m].
+        Centres of the voxels [m].
     voxel_size : float
         Side of a voxel [m], > 0.
     clouds : iterable of ndarray, shape (N, 3)

@@ -30,9 +30,10 @@ def returns_world(item: PosedScan[LaserScan], far: float) -> Points:
 
 
 def standing(points: list[Points], seconds: NDArray[np.float64]) -> list[NDArray[np.bool_]]:
-    """For every return of every scan, find out whether it belongs to a static object.
+    """Return for every return of every scan whether it belongs to a static object.
 
-    It does if `OFTEN` of the scans of some `LONG_S` around its own have a return within `NEAR`.
+    It does if within some interval of `LONG_S` [s] that contains its scan, a share of at least
+    `OFTEN` of the scans has a return within `NEAR` [m] of it.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def in_sight(places: NDArray[np.float64]) -> bool:
 
 
 def scores(part: Part, mode: str) -> TrackScores:
-    """Score the tracks of a mode, once the burn-in is over."""
+    """Score the tracks of a mode after the burn-in."""
     config = EvaluationConfig(burn_in_scans=SETTLED)
     return score_tracks(*tables(part, mode, "tracks", config=config), config=config)
 
@@ -133,7 +133,10 @@ def draw_numbers(figure: Any, parts: Sequence[Part]) -> None:
 
 
 def _states(part: Part, mode: str) -> NDArray[np.int64]:
-    """0 no track, 1 the target's first track, 2 another one, 3 hidden and no track."""
+    """State of every target and scan.
+
+    0: no track, 1: the target's first track, 2: another track, 3: hidden and without a track.
+    """
     table = numbers(part, mode)
     first = np.array([next(iter(line[line >= 0]), -1) for line in table.T])
     states = np.where(table < 0, 0, np.where(table == first, 1, 2))

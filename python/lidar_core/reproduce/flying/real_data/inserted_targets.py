@@ -49,7 +49,7 @@ TARGETS: dict[str, Solid] = {
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A circle around a place that keeps its offset from the sensor: an escort.
+    """Circular flight around a centre with a constant offset from the sensor, like an escort.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class RealScan:
         return np.asarray(self.pose[:3, :3].T @ (world - self.pose[:3, 3]))
 
     def count_hits(self, body: SolidTarget, centre: NDArray[np.float64]) -> tuple[int, bool]:
-        """Count the rays that hit a target, and report whether something hides it."""
+        """Count the rays that hit a target; return also whether something hides it."""
         near = self.around(centre, body.radius)
         if (self.lengths[near] < np.linalg.norm(centre)).any():
             return 0, True
@@ -283,7 +283,7 @@ def _are_apart(one: Flight, other: Flight) -> bool:
 
 
 def _candidate(scan: RealScan, rng: np.random.Generator) -> Flight:
-    """A random circle with its centre on a ray of `scan`, in front of that ray's return."""
+    """Draw a random circle with its centre on a ray of `scan`, in front of the return."""
     far = DISTANCES[1] + CLEARANCE
     while True:
         ray = rng.integers(len(scan.lengths))

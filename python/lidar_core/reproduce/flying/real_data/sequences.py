@@ -170,7 +170,7 @@ def _poses(sequence: RealSequence, static: bool) -> str:
 
 
 def _unpack(path: Path) -> Path:
-    """Folder of the scans of an archive; other recordings are read where they lie."""
+    """Return the folder of an archive's unpacked scans; for other recordings, `path` itself."""
     if not path.name.endswith(".tar.xz"):
         return path
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:20]
@@ -196,7 +196,7 @@ def _cache() -> Path:
     Raises
     ------
     FormatError
-        It belongs to somebody else.
+        The folder belongs to another user.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"lidar-core-sequences-{user}"

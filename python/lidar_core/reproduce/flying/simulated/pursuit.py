@@ -1,4 +1,4 @@
-"""Closed loops: the tracks of its own detector steer an observer, sec. V-B."""
+"""Closed loops in which the tracks of its own detector steer an observer, sec. V-B."""
 
 from collections import deque
 from collections.abc import Callable
@@ -56,7 +56,7 @@ class Interceptor:
 
 
 def _at_distance(observer: Vector, target: Vector, distance: float) -> Vector:
-    """The point at `distance` from the target on the level towards the observer."""
+    """Return the point at `distance` [m] from the target, horizontally towards the observer."""
     away = (observer - target) * (1.0, 1.0, 0.0)
     return np.asarray(target + away * (distance / max(float(np.linalg.norm(away)), 1e-6)))
 

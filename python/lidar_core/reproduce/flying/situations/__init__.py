@@ -1,1 +1,1 @@
-"""Flying objects of many sizes and speeds, and all that moves beside them."""
+"""Situations with flying objects of many sizes and speeds, and with other moving things."""

@@ -1,4 +1,4 @@
-"""A flight through a situation, and its counts."""
+"""Flight through a simulated situation, and the counts of its results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -124,7 +124,7 @@ class Counts:
 
 
 def is_due(part: Part) -> NDArray[np.bool_]:
-    """Target scans in which a track has to be there, (S, T)."""
+    """Return in which scans each target must have a track, (S, T)."""
     late = part["seconds"][:, None] >= START_S
     return np.asarray((part["hits"] >= FEWEST) & late, np.bool_)
 

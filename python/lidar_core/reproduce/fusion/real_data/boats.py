@@ -70,7 +70,7 @@ def files_of(scenario: int) -> tuple[str, str]:
 def followed(
     scans: Sequence[DetectionScan], config: MultiTargetConfig
 ) -> tuple[list[TargetTracks], list[TargetTracks]]:
-    """Reported tracks after each scan, and all hypotheses."""
+    """Run the tracker; return the reported tracks after each scan, and all hypotheses."""
     tracker, told, held = MultiTargetTracker(config), [], []
     for scan in scans:
         tracker.process(scan.stamp_ns, scan.measurements, source=scan.source)
@@ -171,7 +171,7 @@ def existence_error(scans: Sequence[DetectionScan], held: Sequence[TargetTracks]
 def identities(
     scans: Sequence[DetectionScan], tracks: Sequence[TargetTracks]
 ) -> dict[tuple[str, str], float | None]:
-    """MOTA and HOTA, where the library that computes them is installed.
+    """Compute MOTA and HOTA, if the library for them is installed.
 
     Targets count outside detection gaps; scans are distinguished by their number, since two may
     have one stamp.

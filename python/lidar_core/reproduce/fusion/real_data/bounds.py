@@ -1,4 +1,4 @@
-"""What any tracker could reach on a recording of boats: association by the truth."""
+"""Upper bound for trackers on a recording of boats, from association by the truth."""
 
 from collections.abc import Mapping, Sequence
 
@@ -69,7 +69,7 @@ class _Track:
 def _returns(
     scan: DetectionScan, reach: float
 ) -> tuple[Mapping[int, Measurement], Sequence[Measurement]]:
-    """The return of each target, paired one to one; and all returns within `reach` of one."""
+    """Return the measurement of each target, paired one to one, and all within `reach` [m]."""
     numbers = list(scan.truth)
     places = np.array([measured_place(m) for m in scan.measurements]).reshape(-1, 2)
     away = _distances(places, scan)

@@ -1,4 +1,4 @@
-"""L/R files: the default filter with correct and wrong noise of its sensors."""
+"""Scores on L/R files of the default filter with correct and wrong noise of its sensors."""
 
 from collections.abc import Mapping
 
