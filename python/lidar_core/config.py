@@ -189,7 +189,7 @@ def as_config(config: ConfigT | None, model: type[ConfigT]) -> ConfigT:
     Raises
     ------
     ConfigError
-        It is not of this model.
+        `config` is not of this model.
     """
     if config is None:
         return model()

@@ -84,7 +84,7 @@ def check_replaceable(path: str | Path) -> None:
     Raises
     ------
     FormatError
-        One of these is there.
+        A pipe, a device or a socket is there.
     InputError
         The name is no UTF-8.
     """

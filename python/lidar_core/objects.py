@@ -225,7 +225,7 @@ class FlyingDetections(ObjectTable):
         Confidence, 0 to 1: share of free voxels among those around the object that rays can see,
         lower for few points; 0 if only a track indicates that the object flies.
     time_ns : ndarray, shape (M,), int64
-        When each was measured [ns]: the mean time of its points; the stamp of the scan where
+        Times of measurement [ns]: the mean time of its points; the stamp of the scan where
         times of points are not given.
     """
 
@@ -423,7 +423,7 @@ class TargetTruth(ObjectTable):
         Rays that would hit it within range if nothing else were there: 0 outside the field of view
         or range; many more than `hits` if it is hidden.
     visible : ndarray, shape (T,), bool
-        At least one point.
+        True if at least one point of the scan is on the target.
     """
 
     id: NDArray[np.int32]

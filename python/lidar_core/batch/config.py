@@ -150,7 +150,7 @@ def jobs_of(config: BatchConfig, folder: Path) -> list[BatchJob]:
     Raises
     ------
     ConfigError
-        No file has the pattern, or there is no group.
+        No file matches a pattern, or the batch has no group.
     """
     if not config.jobs:
         raise ConfigError("jobs: expected at least one group of jobs, got none")

@@ -109,7 +109,7 @@ class CirclesHealth:
         (with 10 scans per second often from 80 ms on), for scans that are 0.25 s or more apart, and
         in paper mode. In best mode poses are corrected by a delay that clearly differs from zero.
     no_return : str
-        What the driver of this scanner gives for a ray without return, learnt from the scans:
+        Value of the scanner's driver for a ray without return, learnt from the scans:
         "inf", "zero" or "nan"; always "inf" in paper mode. Ranges at or beyond `range_max` are
         misses, too.
     stuck_poses : int

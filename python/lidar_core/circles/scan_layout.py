@@ -23,7 +23,7 @@ def scanner_of(scan: LaserScan, config: CirclesConfig, place: str) -> Scanner:
     Raises
     ------
     FormatError
-        No pipeline can use its scans; the text begins with `place`.
+        The scans cannot be used by a pipeline; the text begins with `place`.
     """
     limits = config.scanner
     try:

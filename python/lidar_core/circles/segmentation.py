@@ -129,7 +129,7 @@ def arrays_of(
     Raises
     ------
     InputError
-        They are not segments, or their arrays have a wrong type.
+        The argument is not segments, or its arrays have a wrong type.
     """
     if not isinstance(segments, Segments):
         raise InputError(f"segments: expected Segments, got {type(segments).__name__}")

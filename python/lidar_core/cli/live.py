@@ -216,7 +216,7 @@ def live_config(domain: int | None, stream: Sequence[str]) -> "LiveConfig":
     Raises
     ------
     ConfigError
-        No such value, or outside its range.
+        A value is unknown or outside its range.
     """
     from lidar_core.live import LiveConfig
     from lidar_core.runs.settings import with_assignments

@@ -149,7 +149,7 @@ def read_truth(
     is_planar : bool
         Leave out heights, because the estimates have none.
     run : Prediction, optional
-        What the truth is for. If the truth has other times than its scans and is not sparser, its
+        Run to compare. If the truth has other times than its scans and is not sparser, its
         values are interpolated to the times of the scans (`Truth.is_interpolated`). If all its
         heights are zero, the truth needs no z.
 

@@ -139,7 +139,7 @@ def read_labelled_cloud(path: str | Path) -> tuple[NDArray[np.float64], NDArray[
     Raises
     ------
     FormatError
-        No intensity, or other numbers in it.
+        The file has no intensity, or one that is neither 0 nor 1.
     """
     place = Path(path)
     place = place / TRUTH_FILE if place.is_dir() else place
@@ -160,7 +160,7 @@ def read_static_map(path: str | Path) -> tuple[NDArray[np.float64], float | None
     Parameters
     ----------
     path : str or Path
-        Whatever `lidar_core.io.read_cloud` reads, or a run folder of detect: its map.lcvm.
+        File that `lidar_core.io.read_cloud` reads, or a run folder of `detect` with its map.lcvm.
     """
     place = Path(path)
     if (place / RUN_FILE).is_file():

@@ -113,7 +113,7 @@ class SetScores:
     Attributes
     ----------
     n_scans : int
-        These scans.
+        Number of these scans.
     ospa, gospa : float
         Mean distances [m].
     localisation, missed, false : float

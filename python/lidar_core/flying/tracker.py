@@ -174,7 +174,7 @@ class PointCloudTracker(FullState):
         extent : array_like, shape (M, 3), optional
             Sides of their bounding boxes [m].
         time_ns : array_like, shape (M,), int64, optional
-            When each position was measured [ns], within 10 s of `stamp_ns`; without it, then.
+            Time of measurement of each position [ns], within 10 s of `stamp_ns`, the default.
 
         Returns
         -------

@@ -96,7 +96,7 @@ class TargetFilter(FullState):
         Raises
         ------
         InputError
-            Not a `Measurement`.
+            The argument is not a `Measurement`.
         """
         if not isinstance(measurement, Measurement):
             raise InputError(

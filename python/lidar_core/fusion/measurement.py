@@ -60,8 +60,8 @@ class Measurement:
         Names of the values of a radar, in their order: range, bearing, elevation, range_rate. A
         filter in the plane uses an elevation to convert range and range rate to the plane.
     seen_from : array_like, shape (2,), optional
-        With sensor "lidar", if a radar has measured that position: position of the radar in the
-        same frame [m]. `MultiTargetTracker` then distinguishes double echoes from targets.
+        Position [m] of the radar that measured a position given as sensor "lidar", in the same
+        frame. `MultiTargetTracker` then distinguishes double echoes from targets.
 
     Raises
     ------

@@ -104,7 +104,7 @@ def implausible(
     Returns
     -------
     Implausible or None
-        What is wrong, with causes as text. None if nothing is wrong, if fewer than 20 measurements
+        Problem, with causes as text. None if nothing is wrong, if fewer than 20 measurements
         were compared, and for the model as published: its matrices are no covariances, so its NIS
         has no meaning.
 

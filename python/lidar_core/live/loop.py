@@ -37,17 +37,17 @@ class LiveLoop(Generic[ScanT]):
     source : Source
         Started by `run`, and closed.
     pipeline : callable
-        Makes the pipeline for scans of a kind, or returns None for an unwanted kind.
+        Called with a kind of scans; makes its pipeline, or returns None for an unwanted kind.
     poses : LivePoses
         Source of the sensor's poses.
     outputs : sequence of Output
-        Get every update, in this order; closed at the end.
+        Outputs that get every update, in this order; closed at the end.
     config : LiveConfig
         Waiting times.
     topics : sequence of str
         Topics of the LiDARs; empty for the first one with a scan.
     tape : Tape, optional
-        Gets everything that arrives.
+        Writer that gets everything that arrives.
     on_report : callable
         Called with a report every second.
     on_silence : callable

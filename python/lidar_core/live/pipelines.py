@@ -42,7 +42,7 @@ class FlyingLive(LivePipeline[Scan]):
     Parameters
     ----------
     detector : FlyingObjectDetector
-        Gets every scan.
+        Detector that gets every scan.
     """
 
     capability = "flying"
@@ -70,7 +70,7 @@ class CirclesLive(LivePipeline[LaserScan]):
     Attributes
     ----------
     pipeline : CirclePipeline or None
-        Gets every scan; None until all LiDARs are known.
+        Pipeline that gets every scan; None until all LiDARs are known.
     config : CirclesConfig
     allow_untrusted : bool
         True if untrusted models may run.

@@ -37,7 +37,7 @@ class LivePoses:
     fixed_frame : str
         Frame that poses are given in, once the first scan has one.
     on_note : callable
-        Is given the text of every warning of the odometry.
+        Called with the text of every warning of the odometry.
     dropped : Counter
         Poses of more frames than are kept, by topic.
 

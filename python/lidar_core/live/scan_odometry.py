@@ -16,7 +16,7 @@ class ScanOdometry:
     Parameters
     ----------
     note : callable, optional
-        Is given the text of every warning.
+        Called with the text of every warning.
 
     Raises
     ------
@@ -38,7 +38,7 @@ class ScanOdometry:
         NoTransformError
             The pose cannot be estimated, or the scan is not later than the one before.
         ConfigError
-            It is a 2D scan, or of another LiDAR than those before.
+            The scan is a 2D scan, or is of another LiDAR than those before.
         """
         if not isinstance(scan, Scan):
             raise ConfigError(

@@ -25,9 +25,9 @@ class Report:
     Attributes
     ----------
     elapsed_s, rate_hz : float
-        Since the start [s]; scans per second since the last report.
+        Time since the start [s]; scans per second since the last report.
     from_stamp, from_arrival : Delay or None
-        Since the last report.
+        Latencies since the last report.
     counts : dict
         Counts of skipped messages since the start.
     processed : int

@@ -83,7 +83,7 @@ class Tape:
         Raises
         ------
         OSError
-            It could not be written.
+            The file could not be written.
         LidarCoreError
             The format cannot store the messages.
         """

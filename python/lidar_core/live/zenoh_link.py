@@ -104,14 +104,14 @@ def open_session(endpoint: str, *, timeout: float) -> Any:
     Parameters
     ----------
     endpoint : str
-        Such as tcp/127.0.0.1:7447.
+        Endpoint to link to, such as tcp/127.0.0.1:7447.
     timeout : float
         Longest time until the first link [s].
 
     Raises
     ------
     ConfigError
-        No such endpoint can be.
+        The endpoint is not valid.
     LinkError
         No router or peer answers there.
     MissingExtraError

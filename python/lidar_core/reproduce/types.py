@@ -136,9 +136,9 @@ class Item:
     minutes : float
         Duration of the full run on two cores [min].
     measure : callable
-        Does the work of a request.
+        Function that does the work of a request.
     rows : callable
-        Makes the table of the measurements.
+        Function that makes the table from the measurements.
     draw : callable
         Draws the measurements into an empty matplotlib Figure, its first argument.
     heading : str

@@ -93,9 +93,9 @@ def batch(
     fresh : bool
         Run every job again.
     on_progress : callable
-        Is called with "batch", how many jobs are done, and of how many.
+        Called with "batch", the number of finished jobs, and the number of all jobs.
     on_job : callable
-        Is called with the `JobRecord` of every job that has ended.
+        Called with the `JobRecord` of every job that has ended.
 
     Returns
     -------

@@ -27,7 +27,7 @@ def write_figure(
     path : str or Path
         File to write.
     draw : callable
-        Gets the Figure.
+        Called with the Figure.
     size : (float, float)
         Width and height [inch].
     dpi : int

@@ -25,7 +25,7 @@ def write_film(
     path : str or Path
         .gif, or .mp4 where ffmpeg is installed; written atomically.
     paint : callable
-        Gets the Figure; yields whenever a frame is drawn.
+        Called with the Figure; yields whenever a frame is drawn.
     size : (float, float)
         Width and height [inch].
     dpi : int

@@ -358,7 +358,7 @@ def serve_foxglove(
     MissingExtraError
         websockets or mcap is not installed.
     FormatError
-        Not a whole MCAP file.
+        The file is no complete MCAP file.
     LinkError
         The port is in use.
     """

@@ -96,7 +96,7 @@ class Playback:
     FileNotFoundError
         No such folder.
     FormatError
-        No run of these commands.
+        The folder is no run of these commands.
     """
 
     def __init__(self, folder: str | Path) -> None:

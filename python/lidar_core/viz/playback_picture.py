@@ -62,7 +62,7 @@ def draw_moment(
     at : float, optional
         Time since the start [s]; without it the last time with a scan.
     on_other_time : callable
-        Gets the time that is drawn and the last time [s], if none is near `at`.
+        Called with the drawn time and the last time [s] if there is none near `at`.
 
     Raises
     ------
@@ -107,11 +107,11 @@ def draw_film(
     path : str or Path
         .gif, or .mp4 where ffmpeg is installed; written atomically.
     frames : int
-        At most, evenly picked.
+        Largest number of frames, which are evenly picked.
     rate : float
         Frames per second [Hz].
     on_frame : callable
-        Gets the number of frames that are drawn, and that of all.
+        Called with the number of frames that are drawn, and that of all.
 
     Raises
     ------
@@ -164,11 +164,11 @@ class _Scene:
     title : str
         Name of the run.
     is_planar : bool
-        Whether there is a view from above alone.
+        True if there is only a view from above.
     shows_whole_ways : bool
-        Whether the ways fill the picture: fused targets have no map around them.
+        True if the paths fill the picture: fused targets have no map around them.
     points_name : str
-        What points without a class are called.
+        Name of points without a class.
     moving, around : sequence of ndarray, shape (N, 3)
         Places that are in the middle, and places that are shown where there is room [m].
     voxels : ndarray, shape (N, 3)

@@ -19,7 +19,7 @@ def checked(detector: object) -> object:
     Raises
     ------
     ValueError
-        It is none of these; the text states what was expected.
+        `detector` is none of these; the text states what was expected.
     """
     known = (*get_args(FitMethod), *shipped())
     if isinstance(detector, str | Path) and (

@@ -62,7 +62,7 @@ def check_trusted(path: Path, content: bytes, *, allow_untrusted: bool) -> None:
     Raises
     ------
     ConfigError
-        It is not; the text names the options.
+        The model is not trusted; the text names the options.
     """
     if allow_untrusted:
         return

@@ -121,8 +121,8 @@ class CircleMap(FullState):
             Covariance of the pose: translation [m], then the angles alpha, beta, gamma of Rz(gamma)
             Ry(beta) Rx(alpha) [rad].
         delays : array_like, shape (C,), optional
-            When each circle was measured, after `stamp_ns`, -10 to 10 [s]; `filter` "paper" does
-            not heed it.
+            Time of measurement of each circle after `stamp_ns`, -10 to 10 [s]; `filter` "paper"
+            ignores it.
         scan : (ranges, bearings), each of shape (B,), optional
             Ranges [m] and bearings [rad] of the scan in the level frame; +inf for misses, NaN for
             no information. The map finds with it which elements are hidden or out of view, and

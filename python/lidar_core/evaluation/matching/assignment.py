@@ -104,7 +104,7 @@ def assign(cost: ArrayLike, *, gate: float) -> tuple[NDArray[np.int64], NDArray[
     Raises
     ------
     InputError
-        No table, a negative cost, or a gate out of range.
+        `cost` is no table or has a negative cost, or the gate is out of range.
 
     Notes
     -----

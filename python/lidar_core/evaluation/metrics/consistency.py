@@ -88,7 +88,7 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     values : ndarray, shape (...), float64
-        No unit; NaN where the error is NaN.
+        NEES (no unit); NaN where the error is NaN.
 
     Raises
     ------

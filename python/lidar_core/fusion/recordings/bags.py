@@ -84,7 +84,7 @@ def read_bag(path: str | Path, options: BagOptions | None = None) -> list[Detect
     Raises
     ------
     FormatError
-        No such recording, no such message in it, or a broken one.
+        The recording does not exist, has no such message, or a broken one.
     ConfigError
         A topic that is not there or has another type; or several topics with poses, none named.
 

@@ -48,7 +48,7 @@ def read_continental(path: str | Path) -> list[DetectionScan]:
     Raises
     ------
     FormatError
-        No such lists; the text names file, message, entry and key.
+        The files have no such lists; the text names file, message, entry and key.
     LimitError
         More than 256 MiB.
     MissingExtraError

@@ -54,7 +54,7 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
     Raises
     ------
     FormatError
-        No such lists; the text names file, column and row.
+        The files have no such lists; the text names file, column and row.
     LimitError
         More than 256 MiB.
 

@@ -57,7 +57,7 @@ def read_nuscenes_radar(path: str | Path) -> list[DetectionScan]:
     Raises
     ------
     FormatError
-        No such sweep; the text names the file.
+        A file is no such sweep; the text names the file.
     LimitError
         More than 256 MiB, or a sweep that is too large.
     MissingExtraError

@@ -28,7 +28,7 @@ def chunk_records(chunk: Any, place: str, limit: int) -> list[Any]:
     FormatError
         Its checksum or a length is wrong.
     LimitError
-        It has more than `limit` bytes.
+        The chunk has more than `limit` bytes.
     """
     what = "a chunk of bytes"
     check_size(place, chunk.uncompressed_size, limit=limit, key="max_record_bytes", what=what)

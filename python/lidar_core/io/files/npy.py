@@ -38,7 +38,7 @@ def array_in(archive: ZipFile, name: str, *, what: str, limit: int, key: str) ->
     FormatError
         The header states another size than the data have; nothing is allocated.
     LimitError
-        It is larger; the text names the option `key`.
+        The array is larger; the text names the option `key`.
     """
     place = f"{archive.filename}, {what} {name}"
     info = archive.getinfo(f"{name}.npy")

@@ -62,7 +62,7 @@ class LivoxStream:
         Raises
         ------
         FormatError
-            No packet of points of Livox.
+            The bytes are no packet of points of Livox.
         LimitError
             A scan of more than `max_points` points.
         """

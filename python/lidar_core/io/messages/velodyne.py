@@ -76,7 +76,7 @@ class VelodyneStream:
         Raises
         ------
         FormatError
-            No Velodyne data packet of a known model.
+            The bytes are no Velodyne data packet of a known model.
         """
         if len(packet) != VELODYNE_PAYLOAD:
             raise FormatError(

@@ -21,7 +21,7 @@ def sensor_at(place: str, options: ReadOptions) -> Sensor:
     Raises
     ------
     FormatError
-        It is not the metadata of an Ouster sensor.
+        The file or answer is not the metadata of an Ouster sensor.
     LinkError
         No sensor answers at the address.
     """
@@ -66,7 +66,7 @@ class OusterStream:
         Raises
         ------
         FormatError
-            No packet of this sensor.
+            The bytes are no packet of this sensor.
         """
         del stamp_ns  # the sensor's own are better
         layout = self._layout

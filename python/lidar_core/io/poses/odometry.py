@@ -81,7 +81,7 @@ class KissOdometry:
     Parameters
     ----------
     note : callable, optional
-        Is given the text of every warning.
+        Called with the text of every warning.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ def read_matrices(path: Path) -> NDArray[np.float64]:
     Raises
     ------
     FormatError
-        Not twelve numbers a line, or no rotation.
+        A line does not have twelve numbers, or its matrix is no rotation.
     """
     rows = _numbers(path)
     if rows.shape[1] != KITTI_COLUMNS:
@@ -38,7 +38,7 @@ def read_poses(path: Path) -> tuple[NDArray[np.int64] | None, NDArray[np.float64
     Raises
     ------
     FormatError
-        Neither eight nor twelve numbers a line, or no rotation.
+        A line has neither eight nor twelve numbers, or no rotation.
     """
     rows = _numbers(path)
     if rows.shape[1] == KITTI_COLUMNS:

@@ -312,11 +312,11 @@ def posed_scans(
     Raises
     ------
     FormatError
-        No poses (while iterating); the text states what was found and which option helps.
+        There are no poses (while iterating); the text states what was found and which option helps.
     InputError
         No scans within the span that was asked for (while iterating).
     ConfigError
-        No such topic, or several to choose from.
+        The topic does not exist, or none is named and there are several.
     """
     return PosedScans(recording, _merge_options(options, values), Scan)
 

@@ -36,7 +36,7 @@ def checked_message(item: object, *, also: str = "") -> Message:
     Raises
     ------
     InputError
-        It is no message, or one of its values has another shape or type.
+        The object is no message, or one of its values has another shape or type.
     """
     if isinstance(item, Scan):
         return _checked_scan(item)

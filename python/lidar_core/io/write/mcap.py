@@ -61,9 +61,9 @@ class FoxgloveLog:
         Parameters
         ----------
         item : Scan, LaserScan, Pose or Tracks
-            What to write.
+            Message or tracks to write.
         log_time_ns : int, optional
-            When it arrived [ns], which may differ from its stamp; None: its stamp.
+            Time of its arrival [ns], which may differ from its stamp; None: its stamp.
 
         Raises
         ------

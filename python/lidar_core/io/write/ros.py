@@ -211,9 +211,9 @@ class RosWriter(WrittenInBlock):
         Parameters
         ----------
         item : Scan, LaserScan or Pose
-            What to write.
+            Message to write.
         log_time_ns : int, optional
-            When it arrived [ns], which may differ from its stamp; None: its stamp.
+            Time of its arrival [ns], which may differ from its stamp; None: its stamp.
 
         Raises
         ------

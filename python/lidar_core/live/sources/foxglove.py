@@ -58,7 +58,7 @@ class FoxgloveSource(Source):
     Parameters
     ----------
     address : str
-        Such as ws://127.0.0.1:8765.
+        Address of the server, such as ws://127.0.0.1:8765.
     topics : StreamTopics
         Requested topics.
     options : ReadOptions

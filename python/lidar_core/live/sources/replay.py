@@ -40,7 +40,7 @@ class ReplaySource(Source):
     ConfigError
         The recording has no such topic.
     FormatError
-        It has no scans of the wanted kind.
+        The recording has no scans of the wanted kind.
     """
 
     def __init__(

@@ -43,7 +43,7 @@ class UdpSource(Source):
     port : int
         UDP port; 0 takes a free one.
     stream : callable
-        Makes the decoder of the packets, from the findings that it adds to.
+        Called with the findings to which it adds; makes the decoder of the packets.
     kind : str
         Kind of the source, as a user names it.
     own_clock : bool

@@ -48,7 +48,7 @@ def read_table(path: str | Path) -> Columns:
     Raises
     ------
     FormatError
-        None of these, or a batch that was interrupted before it wrote its tables.
+        The path is none of these, or a batch that was interrupted before it wrote its tables.
     """
     place = Path(path)
     if not place.is_dir():

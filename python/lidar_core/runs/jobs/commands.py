@@ -49,7 +49,7 @@ def check_commands(job: BatchJob) -> None:
     Raises
     ------
     ConfigError
-        One of these.
+        A command is one of these.
     """
     known = sorted(set(_commands()) - set(WITHOUT))
     for command in job.commands:

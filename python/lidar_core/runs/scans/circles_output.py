@@ -73,7 +73,7 @@ class CirclesRun:
     Parameters
     ----------
     pipeline : CirclePipeline
-        Gets every scan.
+        Pipeline that gets every scan.
     film : bool
         True if a film is among the pictures.
     allow_untrusted : bool

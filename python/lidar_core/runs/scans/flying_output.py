@@ -45,7 +45,7 @@ class FlyingRun:
     Parameters
     ----------
     detector : FlyingObjectDetector
-        Gets every scan.
+        Detector that gets every scan.
     threads : int
         Number of threads of the detector that a checkpoint restores.
     """

@@ -122,7 +122,7 @@ def open_source(
     Raises
     ------
     ConfigError
-        None or both, or no such source; it cannot bring poses, and `pose` asks for some.
+        None or both are given, the source is unknown, or it has no poses and `pose` needs some.
     """
     if (text is None) == (replay is None):
         raise ConfigError(f"source, replay: expected one of them; a source is {SOURCES}")
@@ -190,7 +190,7 @@ def open_metrics(text: str) -> MetricsServer:
     Raises
     ------
     ConfigError
-        No such place.
+        The text names no such address.
     LinkError
         The port cannot be opened.
     """
@@ -273,7 +273,7 @@ def open_output(
     Raises
     ------
     ConfigError
-        No such output.
+        The output is unknown.
     """
     from lidar_core.live.outputs import output as outputs
 

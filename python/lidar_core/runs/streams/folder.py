@@ -26,7 +26,7 @@ class LiveFolder(Output):
     folder : RunFolder
         Begun with the first scan.
     pipeline : callable
-        Makes the pipeline for scans of a kind, as in `LiveLoop`.
+        Called with a kind of scans; makes its pipeline, as in `LiveLoop`.
     checkpoint : float, optional
         Time between two checkpoints [s].
     resume : bool

@@ -117,7 +117,7 @@ def live(
         Called with texts: source and outputs, refused clients, topics of a stream without wanted
         scans.
     on_report : callable
-        Is called with a `Report` every second.
+        Called with a `Report` every second.
 
     Returns
     -------

@@ -191,7 +191,7 @@ class FuseJob:
         Raises
         ------
         InputError
-            There are none.
+            No time lies within the span.
         """
         first = min(stamps, default=0)
         rows = [row for row, stamp in enumerate(stamps) if self.span.holds(stamp, first)]

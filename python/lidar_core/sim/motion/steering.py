@@ -44,7 +44,7 @@ class SteeredSensor:
     Attributes
     ----------
     position, velocity : ndarray, shape (3,), float64
-        At `stamp_ns` [m], [m/s].
+        Position [m] and velocity [m/s] at `stamp_ns`.
     stamp_ns : int
         End of the flight so far [ns].
 

@@ -87,7 +87,7 @@ def animate_circles(
     rate : float
         Frames per second [Hz].
     on_frame : callable
-        Gets the number of frames that are drawn, and that of all.
+        Called with the number of frames that are drawn, and that of all.
 
     Raises
     ------

@@ -80,7 +80,7 @@ def write_report(
     FileExistsError
         `output` is a file that is no report.
     FormatError
-        No run of these commands, or one of its files cannot be read.
+        The folder is no run of these commands, or one of its files cannot be read.
     MissingExtraError
         matplotlib is not installed.
     """

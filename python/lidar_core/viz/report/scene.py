@@ -37,7 +37,7 @@ def scene_of(
     start_ns : int
         Time that the slider calls 0 [ns].
     has_known_map : bool
-        Whether the run began with a map, which is shown from the start.
+        True if the run began with a map, which is then shown from the start.
 
     Returns
     -------

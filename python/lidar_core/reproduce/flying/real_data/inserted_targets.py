@@ -261,7 +261,7 @@ def drawn_flights(
     Raises
     ------
     InputError
-        No shape has a place.
+        No place was found for any shape.
     """
     flights: dict[str, Flight] = {}
     for name, shape in TARGETS.items():

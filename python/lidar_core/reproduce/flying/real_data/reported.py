@@ -101,7 +101,7 @@ class FalseTrack:
     in_body : ndarray, shape (3,)
         Median place in the sensor's frame [m].
     is_own_body : bool
-        It stays near the sensor and moves along with it.
+        True if it stays near the sensor and moves along with it.
     """
 
     number: int

@@ -212,9 +212,9 @@ def _extract(path: Path, folder: Path) -> None:
     Raises
     ------
     FormatError
-        It is damaged, or has members that reach out of the folder.
+        The archive is damaged, or has members outside of the folder.
     LimitError
-        It unpacks to too much.
+        The unpacked files are too large.
     """
     try:
         with tarfile.open(path) as archive:
