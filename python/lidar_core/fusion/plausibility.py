@@ -281,7 +281,10 @@ def _repairs(
     ratio: float,
     limit: float,
 ) -> list[str]:
-    """Texts of the mistakes whose correction reduces the NIS most: to a tenth, below `limit`."""
+    """Texts of the mistakes whose correction reduces the NIS most, and below `limit`.
+
+    It must fall to a tenth; for an error of a clock a third is enough if it was above `limit`.
+    """
     known = {m.sensor for m in measurements}
     found = []
     # Without lengths of another sensor a smaller unit makes every error smaller: it would explain
