@@ -72,6 +72,15 @@ def test_a_target_of_one_or_two_returns_has_a_track(
     assert others == 0
 
 
+def test_a_target_of_less_than_a_return_per_scan_has_a_track_within_the_range_of_the_map() -> None:
+    """Rays are 0.15 m apart there, and the ball has 0.14 m."""
+    shown = [
+        bool((np.linalg.norm(frame.tracks.flying.position - made.truth.position, axis=1) < 1).any())
+        for made, frame in _frames(_scene(_far(9.0, 0.14), AT_REST))
+    ]
+    assert np.mean(shown[30:]) >= 0.9
+
+
 def test_without_it_such_a_target_has_none() -> None:
     config = FlyingConfig(few_returns_distance=None)
     assert _recall(_scene(_far(25.0, 0.6), AT_REST), 1.0, config) == (0.0, 0)

@@ -16,7 +16,7 @@ const OWN_GAPS: f64 = 1.2;
 const ALONE: f64 = 2.0;
 const ALONE_GAPS: f64 = 2.5;
 /// Where rays lie this near to each other, targets give enough returns for a detection [m].
-const DENSE: f64 = 0.25;
+const DENSE: f64 = 0.1;
 /// Standard deviation of a lone return around the centre of its target, in distances between rays: targets of one
 /// or two returns are about as large as these.
 const SPREAD: f64 = 0.3;
