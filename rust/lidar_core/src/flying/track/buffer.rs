@@ -1,4 +1,4 @@
-//! The latest point clouds, sorted by stamp, for detections that arrive late.
+//! Buffer of the latest point clouds, sorted by stamp, for detections that arrive late.
 
 use crate::Error;
 use crate::util::budget::{MAX_POINTS, vec_with_capacity};
@@ -6,7 +6,7 @@ use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Memory of a cloud is used again unless it is so many times what is needed.
+/// Largest ratio of a cloud's memory to the needed memory. A larger one is not used again.
 const MOST_SPARE: usize = 4;
 
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -18,7 +18,8 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    /// Take the finite points of a scan; none if they are not to be kept.
+    /// Fill this cloud with the finite points of a scan [m], or with none if `keeps_points` is
+    /// false.
     ///
     /// # Errors
     /// [`Error::Limit`] for too many points, [`Error::Length`] for delays that do not fit.
@@ -61,7 +62,7 @@ impl Cloud {
 pub(super) struct Buffer {
     clouds: VecDeque<Cloud>,
     size: usize,
-    /// A cloud that left: its memory is used again.
+    /// A cloud that has left the buffer. Its memory is used for the next one.
     spare: Cloud,
 }
 
@@ -70,7 +71,7 @@ impl Buffer {
         Self { clouds: VecDeque::new(), size, spare: Cloud::default() }
     }
 
-    /// A copy of the finite points of a scan; without points if these are not to be kept.
+    /// A cloud with the finite points of a scan [m], or without points if `keeps_points` is false.
     ///
     /// # Errors
     /// [`Error::Limit`] for too many points, [`Error::Length`] for delays that do not fit.
@@ -86,12 +87,12 @@ impl Buffer {
         Ok(cloud)
     }
 
-    /// Clouds, oldest first.
+    /// The clouds of the buffer, oldest first.
     pub(super) fn clouds(&self) -> &VecDeque<Cloud> {
         &self.clouds
     }
 
-    /// Take over clouds.
+    /// Replace the clouds by those of a saved state.
     ///
     /// # Errors
     /// [`Error::Format`] for clouds that no buffer of this size holds.
@@ -110,15 +111,16 @@ impl Buffer {
         Ok(())
     }
 
-    /// True if a cloud of this stamp is in the buffer.
+    /// True if the buffer holds a cloud of this stamp.
     pub(super) fn has(&self, stamp_ns: i64) -> bool {
         self.clouds.iter().any(|cloud| cloud.stamp_ns == stamp_ns)
     }
 
-    /// True if a cloud of this stamp is older than one that was processed.
+    /// True if a cloud of this stamp would be older than the newest cloud in the buffer.
     ///
     /// # Errors
-    /// [`Error::Time`] for a stamp that is there already, or older than a full buffer.
+    /// [`Error::Time`] if the buffer already holds this stamp, or is full and has only newer
+    /// clouds.
     pub(super) fn is_late(&self, stamp_ns: i64) -> Result<bool, Error> {
         let refuse = |what| Err(Error::Time { what });
         if self.has(stamp_ns) {
@@ -141,7 +143,7 @@ impl Buffer {
         }
     }
 
-    /// Insert by stamp; the oldest cloud leaves a full buffer.
+    /// Insert a cloud by its stamp. If the buffer was full, the oldest cloud leaves it.
     pub(super) fn push(&mut self, cloud: Cloud) {
         let place = self.clouds.partition_point(|other| other.stamp_ns < cloud.stamp_ns);
         self.clouds.insert(place, cloud);
@@ -150,7 +152,7 @@ impl Buffer {
         }
     }
 
-    /// Clouds newer than `stamp_ns`, oldest first.
+    /// The clouds of the buffer that are newer than `stamp_ns`, oldest first.
     pub(super) fn newer_than(&self, stamp_ns: i64) -> impl Iterator<Item = &Cloud> {
         self.clouds.iter().filter(move |cloud| cloud.stamp_ns > stamp_ns)
     }

@@ -1,4 +1,4 @@
-//! Clusters that may be a track's target.
+//! Clusters of a scan that may be the target of a track.
 
 use super::measurement::{CloudScan, Measurement};
 use super::parameters::{MeasurementForm, TrackerParameters};
@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
 
 /// Clusters of the points in `rows`, given by their `labels`, that are small enough and far enough
-/// from the background, by position.
+/// from the background. They are sorted by position.
 ///
 /// The result does not depend on the order of the points, not even in its last bit.
 ///
@@ -58,7 +58,7 @@ fn clusters(rows: &[u32], labels: &[i32], scan: &CloudScan<'_>) -> Vec<Candidate
     clusters
 }
 
-/// Centres instead of centroids, where the scan knows its rays.
+/// Replace the centroids of clusters by estimated centres, if the rays of the scan are known.
 fn take_centers(found: &mut [(CandidateCluster, Measurement)], scan: &CloudScan<'_>) {
     let rows: Vec<&[u32]> = found.iter().map(|(cluster, _)| cluster.rows.as_slice()).collect();
     let centers = scan.visibility.and_then(|visibility| visibility.centers(&rows));
@@ -74,7 +74,7 @@ fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
 
 #[derive(Clone)]
 struct CandidateCluster {
-    /// Rows of its points in the scan, by coordinates.
+    /// Rows of its points in the scan, sorted by coordinates.
     rows: Vec<u32>,
     low: [f32; 3],
     high: [f32; 3],

@@ -1,19 +1,21 @@
-//! Assignment of the clusters of a scan to tracks, and the points around tracks that belong to none.
+//! Assignment of the clusters of a scan to tracks, and count of the points around tracks.
 //!
-//! A target in the air is alone. A pane of glass that returns a few rays now and then, rain, dust and
-//! leaves give points all over: a track that leaps among them has more of them around it than in it.
+//! A flying target is alone. Rain, dust, leaves, and panes of glass that return a few rays now and
+//! then give scattered points. A track that jumps among these has more points around it than in its
+//! own clusters.
 
 use super::measurement::{Measurement, SearchRegion};
 use super::parameters::Hiding;
 use super::state::{PointTrack, UNNUMBERED};
 use nalgebra::Vector3;
 
-/// Points this near to a track are around it [m].
+/// Points within this distance of a track count as points around it [m].
 const AROUND: f64 = 2.0;
-/// Clusters of more points are parts of something that is there all the time.
+/// Largest cluster whose points count as points around a track. A cluster of more points belongs to
+/// something that is always there.
 const MOST_POINTS: usize = 3;
 
-/// Clusters of a scan, and which of them is assigned to every track.
+/// Clusters of a scan, and which of them belongs to each track.
 #[derive(Default)]
 pub(super) struct ClusterAssignment {
     pub(super) clusters: Vec<Measurement>,
@@ -21,7 +23,8 @@ pub(super) struct ClusterAssignment {
 }
 
 impl ClusterAssignment {
-    /// The cluster of every track, with the covariance that it has for it.
+    /// The measurement of every track, with the covariance that its cluster has for this track;
+    /// None if it has no cluster.
     pub(super) fn measured(
         &self,
         regions: &[SearchRegion],
@@ -35,7 +38,7 @@ impl ClusterAssignment {
         self.cluster_of.iter().zip(regions).map(measured).collect()
     }
 
-    /// Count the points of tracks that are not confirmed, and those around them.
+    /// For each unconfirmed track, count the points of its cluster and the points around it.
     pub(super) fn count<'a>(&self, tracks: impl Iterator<Item = &'a mut PointTrack>) {
         for (track, cluster) in tracks.zip(&self.cluster_of) {
             if track.confirmed || track.id == UNNUMBERED {
@@ -48,7 +51,7 @@ impl ClusterAssignment {
         }
     }
 
-    /// Points around a place in small clusters that no track holds.
+    /// Number of points around a place, in small clusters that belong to no track.
     fn stray_points(&self, place: Vector3<f64>) -> usize {
         let is_stray = |index: &usize| !self.cluster_of.contains(&Some(*index));
         let stray = (0..self.clusters.len()).filter(is_stray).map(|index| &self.clusters[index]);

@@ -8,37 +8,40 @@ use super::state::PointTrack;
 use crate::Error;
 use nalgebra::{Matrix3, Vector3};
 
-/// No place on Earth has larger coordinates, no object longer sides [m].
+/// Largest absolute coordinate of a position, and largest side of an object, that is accepted [m].
+/// No place on Earth is beyond it.
 const LARGEST: f64 = 1e9;
-/// No scan takes longer [s].
+/// Largest time of a measurement after the stamp of its scan that is accepted [s].
 const MAX_DELAY: f64 = 10.0;
 
-/// Detections of one time, in the tracker's frame.
+/// One set of detections: all of one stamp, in the frame of the tracker. Every list has one entry
+/// per detection.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Detections<'a> {
-    /// Time they describe [ns].
+    /// Stamp of the set [ns].
     pub stamp_ns: i64,
     /// Positions [m].
     pub positions: &'a [[f64; 3]],
-    /// Covariance of every position [m^2]; without it the parameters' initial one is taken.
+    /// Covariance of every position [m^2]. None: all have the initial standard deviation of the
+    /// parameters.
     pub covariance: Option<&'a [[[f64; 3]; 3]]>,
-    /// Sides of their bounding boxes [m].
+    /// Sides of the bounding box of every detection [m]. None: zero.
     pub extent: Option<&'a [[f64; 3]]>,
-    /// When each position was measured, after the stamp [s].
+    /// Time at which each position was measured, after the stamp [s]. None: at the stamp.
     pub delay: Option<&'a [f64]>,
-    /// Confidence of each detection, 0 to 1; without it none is certain.
+    /// Confidence of each detection, 0 to 1. None: no detection is certain.
     pub confidence: Option<&'a [f64]>,
-    /// Whether each may be a part of a surface beside it; without it none is.
+    /// Whether each detection may be a part of a surface beside it. None: no detection is.
     pub is_joined: Option<&'a [bool]>,
     /// Whether a detection has more returns of surfaces around it than returns of its own; None: no
     /// detection has.
     pub is_among_surfaces: Option<&'a [bool]>,
-    /// Size and filling of each; without it nothing is known of them.
+    /// Size, fill and surroundings of each detection. None: unknown.
     pub shape: Option<&'a [TargetShape]>,
 }
 
 impl Detections<'_> {
-    /// One hypothesis per detection, in order.
+    /// One hypothesis (a track with a single detection) per detection, in the order of the set.
     ///
     /// # Errors
     /// [`Error::Limit`], [`Error::Length`], or [`Error::Value`] for the first bad entry.
@@ -127,8 +130,9 @@ pub(super) fn too_many(count: usize) -> Error {
     }
 }
 
-/// Sec. III-F3 takes it as it is, and a centre's own is whole; to a centroid's comes what clusters
-/// are not told about.
+/// Covariance of a detected position [m^2]. The paper (sec. III-F3) takes it as given, and the
+/// covariance of a centre is complete. That of a centroid lacks the measurement noise
+/// `measurement_std`, which is added.
 fn known_covariance(rows: &[[f64; 3]; 3], parameters: &TrackerParameters) -> Matrix3<f64> {
     let given = Matrix3::from_fn(|row, column| rows[row][column]);
     match parameters.measurement {

@@ -1,4 +1,4 @@
-//! The whole state of the tracker.
+//! Saving and restoring the whole state of the tracker.
 
 use super::PointCloudTracker;
 use super::belief::existence::FalseBirths;
@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 
 const KIND: &str = "tracker";
 
-/// State of a tracker as bytes are written from it.
+/// State of a tracker, for writing.
 #[derive(Serialize)]
 pub(crate) struct TrackerState<'a> {
     clouds: &'a VecDeque<Cloud>,
@@ -28,7 +28,7 @@ pub(crate) struct TrackerState<'a> {
     earlier: SavedReturns,
 }
 
-/// [`TrackerState`] as it is read back.
+/// [`TrackerState`], for reading.
 #[derive(Deserialize)]
 pub(crate) struct SavedTracker {
     clouds: VecDeque<Cloud>,
@@ -42,7 +42,7 @@ pub(crate) struct SavedTracker {
 }
 
 impl PointCloudTracker {
-    /// The whole state as bytes.
+    /// The whole state of the tracker as bytes, for [`PointCloudTracker::from_state`].
     ///
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
@@ -50,7 +50,8 @@ impl PointCloudTracker {
         sealed(KIND, self.parameters(), &self.state())
     }
 
-    /// Tracker from a saved state; it continues with the same bits as the saved one.
+    /// The tracker of a saved state. Its later results are equal to those of the saved tracker, bit
+    /// by bit.
     ///
     /// # Errors
     /// Errors of [`PointCloudTracker::new`]; [`Error::Format`] for bytes that
@@ -131,7 +132,7 @@ mod tests {
         Ok(tracker)
     }
 
-    /// What becomes of a saved tracker whose track was changed.
+    /// The result of restoring a saved tracker after `change` was applied to its track.
     fn restored(change: fn(&mut PointTrack)) -> Result<PointCloudTracker, Error> {
         let mut tracker = with_a_track()?;
         tracker.tracks.iter_mut().for_each(change);

@@ -1,4 +1,4 @@
-//! Birth to removal: numbers, confirmation, merging, deletion.
+//! Life of a track from birth to removal: numbers, confirmation, merging, deletion.
 
 use super::association::pairs::AlongX;
 use super::belief::existence::{DELETED, ExpectedClutter, FalseBirths, KEPT};
@@ -15,12 +15,14 @@ use crate::tracking::kind::TrackKind;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
-/// Structure in a ball of this radius around a place is beside it [m]. The ball is raised by so much: ground that is
-/// further below than the rest of the radius is not beside it.
+/// Radius of the ball around a place in which occupied voxels count as beside it [m]. The centre of
+/// the ball is raised by `RAISED` [m], so that ground more than the difference of the two below the
+/// place does not count.
 const BESIDE: f64 = 2.0;
 const RAISED: f64 = 1.0;
 
-/// Remove tracks that have become too uncertain; their numbers.
+/// Remove tracks that have become too uncertain, or that were not measured for too long. Returns
+/// their numbers.
 ///
 /// # Source
 /// Vrba et al., Algorithm 2, lines 15-17.
@@ -42,28 +44,30 @@ pub(super) fn remove_uncertain(
     remove(tracks, lost)
 }
 
-/// A set of detections and the tracks that it held.
+/// A set of detections, and the tracks to which it was assigned.
 pub(super) struct SetOfDetections<'a> {
     pub(super) stamp_ns: i64,
-    /// Places in the list of tracks of those that it held, and what it showed of them.
+    /// The tracks that got a detection, as indices into the list of tracks, and the evidence of
+    /// each detection.
     pub(super) fed: &'a [(usize, Evidence)],
-    /// Place of the first new track.
+    /// Index of the first track that this set began; all before it were known.
     pub(super) known: usize,
-    /// Clutter that is expected around it.
+    /// Expected clutter around the set.
     pub(super) around: ExpectedClutter,
-    /// What was detected before, and where.
+    /// Earlier detections that no flying target explains, and their places.
     pub(super) visits: &'a Visits,
-    /// Returns of the last seconds that belong to nothing known.
+    /// Returns of the last seconds that belong to no known object.
     pub(super) earlier: &'a EarlierReturns,
     pub(super) occupied: &'a dyn Occupancy,
 }
 
-/// True if structure is beside a place [m] or above it.
+/// True if the map has structure beside a place [m] or above it.
 fn is_beside(occupied: &dyn Occupancy, place: [f64; 3]) -> bool {
     occupied.any_within([place[0], place[1], place[2] + RAISED], BESIDE)
 }
 
-/// Enter a set of detections into all tracks. Returns the numbers of those that are confirmed by it.
+/// Enter a set of detections into all tracks. Returns the numbers of the tracks that it has
+/// confirmed.
 pub(super) fn confirm(
     tracks: &mut [PointTrack],
     set: &SetOfDetections<'_>,
@@ -122,8 +126,8 @@ pub(super) fn confirm(
     confirmed
 }
 
-/// Remove tracks that were never confirmed and that no recent set of detections held, or that are
-/// improbable; their numbers.
+/// Remove unconfirmed tracks that no recent set of detections contained, or, with confirmation by
+/// existence, all tracks whose target is improbable. Returns their numbers.
 pub(super) fn remove_unconfirmed(
     tracks: &mut Vec<PointTrack>,
     births: &mut FalseBirths,
@@ -141,7 +145,7 @@ pub(super) fn remove_unconfirmed(
     }
 }
 
-/// Number the tracks that have none; the numbers.
+/// Give numbers to the tracks that have none. Returns the new numbers.
 pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
     let mut born = Vec::new();
     for track in tracks.iter_mut().filter(|track| track.id == UNNUMBERED) {
@@ -155,9 +159,9 @@ pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
     born
 }
 
-/// End the tracks of single detections that a confirmed track was made of: a fast target explains both of them,
-/// so that they are no targets. A track of `born` takes the number of the eldest of them that was reported.
-/// Returns pairs of the number that stays and the one that goes.
+/// Remove the tracks of single detections from which a confirmed track of a fast target was made:
+/// the fast target explains both detections. A track of `born` takes the number of the eldest of
+/// them that was reported. Returns pairs of the number that stays and the number that goes.
 pub(super) fn explain(
     tracks: &mut Vec<PointTrack>,
     born: &[i64],
@@ -186,8 +190,9 @@ pub(super) fn explain(
     merged
 }
 
-/// Remember the detections that fed tracks with these numbers, or began them, unless the target flies. What a
-/// target left before that was known is forgotten. What is on the ground passes once, and does not come and go.
+/// Remember the places of detections that fed or began the tracks `shown`, unless their target
+/// flies or moves on the ground. What a flying target left before that was known is forgotten. What
+/// is on the ground passes once, and does not come and go.
 pub(super) fn remember(
     visits: &mut Visits,
     tracks: &[PointTrack],
@@ -204,10 +209,12 @@ pub(super) fn remember(
     }
 }
 
-/// Merge tracks of one target; pairs of the number that stays and the one that goes.
+/// Merge tracks that follow the same target. Returns pairs of the number that stays and the number
+/// that goes.
 ///
-/// The elder keeps its number, a confirmed track before any other; the state is that of the one
-/// seen last.
+/// The elder track keeps its number, but a confirmed track has priority over an unconfirmed one.
+/// The state is that of the track that was measured last; where one track follows a part of a large
+/// target, it is that of the large one.
 pub(super) fn merge(tracks: &mut Vec<PointTrack>, merging: &Merging) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();
     let mut index = if has_twins(tracks, merging) { 0 } else { tracks.len() };
@@ -264,7 +271,7 @@ fn is_twin(one: &PointTrack, other: &PointTrack, merging: &Merging) -> bool {
         && (one.velocity() - other.velocity()).norm() <= merging.speed
 }
 
-/// Whether `other` may be a part of `one`, which is large.
+/// Whether the target of `other` may be a part of the large target of `one`.
 pub(super) fn is_part(one: &PointTrack, other: &PointTrack) -> bool {
     let offset = other.position() - one.position();
     let gap =
@@ -274,7 +281,7 @@ pub(super) fn is_part(one: &PointTrack, other: &PointTrack) -> bool {
         && Vector3::from_fn(|axis, _| gap(axis)).norm() <= PART_GAP
 }
 
-/// The newest `window` of the sets of detections.
+/// The newest `window` bits of `sets`, a history of sets of detections.
 fn last(sets: u64, window: u32) -> u64 {
     sets & (u64::MAX >> (u64::BITS - window))
 }

@@ -1,30 +1,35 @@
-//! How much more a target manoeuvres than the motion model expects.
+//! Adaptation of the process noise: how much more a target manoeuvres than the motion model
+//! expects.
 
 use serde::{Deserialize, Serialize};
 
-/// Dimensions of a measured position.
+/// Number of dimensions of a measured position.
 const DIMENSIONS: f64 = 3.0;
-/// Mean of the squared Mahalanobis distance per dimension at which the noise stays as it is. It would be one for a
-/// model that fits. The rest lets a widened one, which fits once more, return to what was told.
+/// Mean of the squared Mahalanobis distance per dimension at which the process noise stays as it
+/// is. For a model that fits, this mean is one. The value above one lets enlarged noise return to
+/// the configured one as soon as it fits again.
 const FITS: f64 = 1.2;
-/// A single distance counts as this much at most: it may be a cluster of something else.
+/// Largest value for which a single squared distance per dimension counts: the measurement may be a
+/// cluster of something else.
 const MOST_SURPRISE: f64 = 5.0;
-/// Change of the logarithm of the factor per unit of surprise.
+/// Change of the logarithm of the factor per unit by which a measurement exceeds [`FITS`].
 const GAIN: f64 = 0.2;
-/// Largest factor. Simulated swarms of up to 18 m/s^2 were followed worse with 3; more was not tried.
+/// Largest factor of the standard deviations. In simulations, swarms with accelerations of up to 18
+/// m/s^2 were followed worse with 3. Larger values were not tried.
 const MOST: f64 = 5.0;
 
-/// Factor of the standard deviations of the process noise of one target: one until its measurements lie further
-/// from their predictions than these allow.
+/// Factor of the standard deviations of one target's process noise. It is one until measurements
+/// are further from their predictions than the configured noise allows.
 ///
 /// # Source
-/// Adaptive filtering by the innovations (Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic
-/// Control 17(5), 1972): with the right noise, their squared Mahalanobis distances have a known mean.
+/// Adaptive filtering by the innovations (Mehra, "Approaches to adaptive filtering", IEEE Trans.
+/// Automatic Control 17(5), 1972): with the right noise, the squared Mahalanobis distances of the
+/// innovations have a known mean.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Manoeuvre(f64);
 
 impl Manoeuvre {
-    /// As calm as the motion model says.
+    /// Factor one: the target moves as the motion model expects.
     pub(super) const CALM: Self = Self(1.0);
 
     /// Factor of the standard deviations of the process noise, 1 to 5.
@@ -32,13 +37,14 @@ impl Manoeuvre {
         self.0
     }
 
-    /// Let the squared Mahalanobis distance of a measurement count.
+    /// Adapt the factor to `nis`, the squared Mahalanobis distance of a measurement from its
+    /// prediction.
     pub(super) fn feel(&mut self, nis: f64) {
         let surprise = (nis / DIMENSIONS).min(MOST_SURPRISE) - FITS;
         self.0 = (self.0 * libm::exp(GAIN * surprise)).clamp(1.0, MOST);
     }
 
-    /// Whether it can come from [`Manoeuvre::feel`].
+    /// Whether [`Manoeuvre::feel`] can give this value: checks a saved state.
     pub(super) fn is_possible(self) -> bool {
         (1.0..=MOST).contains(&self.0)
     }

@@ -1,4 +1,4 @@
-//! Inputs of a track: a scan, its measurements, and the region of a track's search.
+//! Inputs for the update of a track: the scan, its measurements, and the search region.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -10,11 +10,11 @@ use crate::estimation::kalman::{self, Gaussian, symmetrised};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Input of an update from one scan.
+/// A scan, as input of an update.
 #[derive(Clone, Copy)]
 pub(super) struct CloudScan<'a> {
     pub(super) points: &'a [[f32; 3]],
-    /// Time of every point after the stamp [s].
+    /// Time of every point after the stamp [s]. None: all points are of the stamp.
     pub(super) delays: Option<&'a [f32]>,
     pub(super) stamp_ns: i64,
     pub(super) occupied: &'a dyn Occupancy,
@@ -22,7 +22,7 @@ pub(super) struct CloudScan<'a> {
 }
 
 impl CloudScan<'_> {
-    /// Time of a point after the stamp [s].
+    /// Time of the point `row` after the stamp [s].
     pub(super) fn delay(&self, row: u32) -> f32 {
         self.delays.map_or(0.0, |delays| delays[row as usize])
     }
@@ -33,52 +33,55 @@ impl CloudScan<'_> {
     }
 }
 
-/// Something measured: where, how well, and how large.
+/// A measured position, its covariance, and the size of what was measured.
 #[derive(Clone, Debug)]
 pub(super) struct Measurement {
     pub(super) position: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
-    /// Time of the measurement after the state's [s]: a scan takes a while.
+    /// Time of the measurement after the time of the track's state [s]. It differs from zero
+    /// because a scan takes time.
     pub(super) delay: f64,
     pub(super) extent: [f64; 3],
     /// Number of points; 0 for a detection.
     pub(super) n_points: usize,
-    /// True if a part of the target may be hidden.
+    /// Whether a part of the target may be hidden.
     pub(super) is_cut: bool,
-    /// Row of one of its points in the cloud.
+    /// Row in the cloud of one of its points; None for a detection.
     pub(super) row: Option<u32>,
 }
 
-/// Evidence of a detection for the existence of its track.
+/// What a detection says about the existence of its track's target.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Evidence {
     pub(super) is_sure: bool,
-    /// Only its track tells that it flies.
+    /// Whether only its track tells that it flies.
     pub(super) is_led: bool,
-    /// Surfaces around it give more returns than it does.
+    /// Whether surfaces around it give more returns than it has itself.
     pub(super) is_among_surfaces: bool,
-    /// It may be a part of the surface beside it.
+    /// Whether it may be a part of the surface beside it.
     pub(super) is_joined: bool,
     pub(super) shape: Option<TargetShape>,
 }
 
-/// Place of a state `delay` seconds after its time, and its covariance.
+/// Position of a state `delay` seconds after its time [m], and the covariance [m^2].
 fn place_of(state: &Gaussian<9>, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
     let H = position_matrix(delay);
     (H * state.mean, symmetrised(H * state.covariance * H.transpose()))
 }
 
-/// Difference of a cluster to the place of a state at its time, and its covariance.
+/// Difference of a cluster to the position that a state predicts at the time of the cluster [m],
+/// and its covariance [m^2].
 fn difference(state: &Gaussian<9>, cluster: &Measurement) -> (Vector3<f64>, Matrix3<f64>) {
     let (place, covariance) = place_of(state, cluster.delay);
     (cluster.position - place, covariance + cluster.covariance)
 }
 
-/// Search region of a track.
+/// Region in which a track looks for its target in a scan.
 pub(super) struct SearchRegion {
     /// State of the track at the stamp of the scan.
     pub(super) estimate: Gaussian<9>,
-    /// The same if its target has turned hard since it was seen; None if it is none that does.
+    /// State at the stamp if the target has turned hard since it was last seen. None if this track
+    /// cannot turn hard: see [`super::state::PointTrack::turned_at`].
     pub(super) turned: Option<Gaussian<9>>,
     pub(super) radius: f64,
     pub(super) size: [f64; 3],
@@ -98,13 +101,15 @@ impl SearchRegion {
         self.estimate.mean.fixed_rows::<3>(6).into_owned()
     }
 
-    /// Expected place `delay` seconds after the stamp, and its covariance. A track that has just begun knows where
-    /// its target was, but hardly how fast it is: 0.1 s after that, its place is uncertain by 0.4 m.
+    /// Predicted position `delay` seconds after the stamp [m], and its covariance [m^2]. A new
+    /// track knows the position of its target but hardly the velocity: 0.1 s later, its position is
+    /// uncertain by 0.4 m.
     pub(super) fn place_at(&self, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
         place_of(&self.estimate, delay)
     }
 
-    /// Difference of a cluster to the place where it is expected, and the covariance of that; None if it is out of reach.
+    /// Difference of a cluster to its predicted position [m] and the covariance of this difference
+    /// [m^2]. None if the cluster is out of reach.
     pub(super) fn offset(
         &self,
         cluster: &Measurement,
@@ -118,8 +123,9 @@ impl SearchRegion {
         (y.norm() <= self.radius).then_some((y, covariance))
     }
 
-    /// The state of a target that has turned hard, where that of one which has not cannot explain a cluster with its
-    /// covariance for this track: its squared Mahalanobis distance is beyond `gate`.
+    /// The state after a hard turn, if the state without a turn cannot explain the cluster: the
+    /// squared Mahalanobis distance, with the cluster's covariance for this track, is beyond
+    /// `gate`. Otherwise None.
     pub(super) fn turned_to(&self, cluster: &Measurement, gate: f64) -> Option<&Gaussian<9>> {
         let turned = self.turned.as_ref()?;
         let (y, covariance) = difference(&self.estimate, cluster);
@@ -127,8 +133,8 @@ impl SearchRegion {
         (!is_ahead).then_some(turned)
     }
 
-    /// Covariance of a cluster as a measurement of this track: what is missing of a hidden side
-    /// may be missing on one end.
+    /// Covariance of a cluster as a measurement of this track [m^2]. Where a side is partly hidden,
+    /// the missing part may be at one end, which makes the position along this side less certain.
     pub(super) fn covariance_of(
         &self,
         cluster: &Measurement,

@@ -1,8 +1,8 @@
-//! Point cloud multi-target tracker: Kalman tracks, scan buffer, life cycle. Longer than other files: what uses the
-//! private state of the tracker.
+//! Tracker of several targets in point clouds: Kalman tracks, scan buffer, life cycle. Longer than other files: it
+//! holds all that uses the private state of the tracker.
 //!
-//! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III-F and
-//! Algorithm 2, and what goes beyond it: see [`TrackerParameters`].
+//! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III-F and Algorithm 2.
+//! Extensions: see [`TrackerParameters`].
 
 mod association;
 mod belief;
@@ -53,18 +53,18 @@ use nalgebra::Vector3;
 use state::PointTrack;
 use update::Updater;
 
-/// A target that was not seen for longer is not expected any more [s].
+/// Longest time without a measurement for which the detector still expects a target [s].
 const EXPECTED: f64 = 0.5;
-/// It is expected within so many standard deviations of where it is predicted, but no further than
-/// this from its box [m].
+/// The target is expected within this number of standard deviations of its predicted position, but at most `FARTHEST`
+/// metres from its box.
 const EXPECTED_STDS: f64 = 2.5;
 const FARTHEST: f64 = 0.5;
-/// Returns this near to the box of a track may be its own [m].
+/// Returns within this distance of the box of a track may be its own [m].
 const OF_TRACK: f64 = 0.5;
-/// Memory that a point of a cloud may take beside its copy [bytes].
+/// Memory that a point of a cloud may need in addition to its copy [bytes].
 const ROOM_OF_POINT: usize = 64;
 
-/// Multi-target tracker over point clouds and detections that may come late.
+/// Tracker of several targets in point clouds. Detections may arrive late.
 ///
 /// All positions are in one local world frame, near enough to its origin for `f32` points.
 pub struct PointCloudTracker {
@@ -72,7 +72,7 @@ pub struct PointCloudTracker {
     buffer: Buffer,
     keeps_points: bool,
     tracks: Vec<PointTrack>,
-    /// What stood in free space during the burn-in.
+    /// Objects that stood in free space at the end of the burn-in.
     standing: Vec<UnmovedTarget>,
     next_id: i64,
     births: FalseBirths,
@@ -81,7 +81,7 @@ pub struct PointCloudTracker {
 }
 
 impl PointCloudTracker {
-    /// A tracker without tracks, on `threads` threads.
+    /// A tracker without tracks that computes on `threads` threads.
     ///
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work.
@@ -99,11 +99,10 @@ impl PointCloudTracker {
         })
     }
 
-    /// Move every track to `stamp_ns` and correct it with its cluster among `points` [m].
+    /// Predict every track to `stamp_ns` and correct it with its cluster among `points` [m].
     ///
-    /// Points that are not finite are no information. Tracks that are newer than the cloud, because
-    /// of a detection, wait for the next cloud. `delays` is the time of every point after the stamp
-    /// [s], for scans that take time.
+    /// Points that are not finite are ignored. Tracks that a detection has made newer than the cloud wait for the
+    /// next cloud. `delays`: time of every point after the stamp [s], for scans that take time.
     ///
     /// # Errors
     /// [`Error::Time`] for a stamp that was processed, or older than a full buffer;
@@ -141,7 +140,7 @@ impl PointCloudTracker {
         Ok(stats)
     }
 
-    /// Process a set of detections, which may be empty, and may be older than the clouds.
+    /// Process a set of detections. It may be empty, and may be older than the clouds.
     ///
     /// # Errors
     /// [`Error::Length`], [`Error::Value`] for an entry that cannot be used, [`Error::Limit`] above
@@ -194,7 +193,7 @@ impl PointCloudTracker {
         Ok(stats)
     }
 
-    /// Every track, unconfirmed ones included, predicted to `stamp_ns`, by number. Changes nothing.
+    /// Every track, also unconfirmed ones, predicted to `stamp_ns`, in the order of numbers. Changes nothing.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
         let TrackerParameters { motion, measurement, .. } = self.parameters();
@@ -237,8 +236,8 @@ impl PointCloudTracker {
         all
     }
 
-    /// Watch what stands in free space: detections of the end of the burn-in, whose points are
-    /// background from now on.
+    /// Watch objects that stand in free space: detections at the end of the burn-in, whose points are background from
+    /// then on.
     pub(crate) fn watch(&mut self, found: &Detections<'_>) {
         for index in 0..found.positions.len() {
             self.standing.push(UnmovedTarget::new(self.next_id, found, index));
@@ -246,8 +245,8 @@ impl PointCloudTracker {
         }
     }
 
-    /// Remember the places of returns that are neither background nor of a flying object [m]. Those on a
-    /// confirmed track of kind Flying are its own.
+    /// Remember the positions [m] of returns that belong neither to the background nor to a flying object. Returns on
+    /// a confirmed track of kind Flying belong to this track and are left out.
     pub(crate) fn remember(&mut self, stamp_ns: i64, places: impl Iterator<Item = [f32; 3]>) {
         if !matches!(self.parameters().confirmation, Confirmation::Existence { .. }) {
             return;
@@ -267,12 +266,12 @@ impl PointCloudTracker {
         self.earlier.add(stamp_ns, places.filter(is_free));
     }
 
-    /// Whether to keep the points of coming clouds, as detections need that are older than a cloud.
+    /// Whether to keep the points of the next clouds. They are needed if detections arrive later than a newer cloud.
     pub(crate) fn keep_points(&mut self, keeps_points: bool) {
         self.keeps_points = keeps_points;
     }
 
-    /// The first time from `stamp_ns` on of which no cloud is known.
+    /// The first time at or after `stamp_ns` [ns] for which the buffer holds no cloud.
     pub(crate) fn free_stamp(&self, mut stamp_ns: i64) -> i64 {
         while self.buffer.has(stamp_ns) && stamp_ns < i64::MAX {
             stamp_ns += 1;
@@ -289,19 +288,19 @@ impl PointCloudTracker {
         if count > MAX_TRACKS { Err(detections::too_many(count)) } else { Ok(()) }
     }
 
-    /// Whether track `id` is there and confirmed.
+    /// Whether a track with the number `id` exists and is confirmed.
     pub(crate) fn is_confirmed(&self, id: i64) -> bool {
         self.tracks.iter().any(|track| track.id == id && track.confirmed)
     }
 
-    /// What the target of track `id` is; None where tracks are confirmed by counts.
+    /// Kind of the target of track `id`. None if there is no such track, or if tracks are confirmed by counts.
     pub(crate) fn kind_of(&self, id: i64) -> Option<TrackKind> {
         let track = self.tracks.iter().find(|track| track.id == id)?;
         self.kinds(track).map(|kinds| kinds.kind())
     }
 
-    /// Where targets of the kind Flying are predicted at `stamp_ns`, of confirmed tracks that were seen
-    /// lately.
+    /// Predicted positions at `stamp_ns` of targets that are expected: of confirmed tracks of kind Flying that were
+    /// seen lately, and of objects that have stood since the burn-in and may move.
     pub(crate) fn expected_at(&self, stamp_ns: i64) -> Vec<ExpectedTarget> {
         let is_known = |track: &&PointTrack| {
             let kind = self.kinds(track).map(|kinds| kinds.kind());
@@ -329,7 +328,7 @@ impl PointCloudTracker {
         self.tracks.iter().filter(is_known).map(target).chain(standing).collect()
     }
 
-    /// Begin certain tracks with targets that several scans together show, as many as there is room for.
+    /// Begin confirmed tracks of targets that several scans together show, while there is room for more.
     pub(crate) fn adopt(&mut self, found: &[FoundTarget], stamp_ns: i64) {
         for target in found.iter().take(MAX_TRACKS.saturating_sub(self.tracks.len())) {
             let mut track = PointTrack::of_found(target, stamp_ns, &self.updater.parameters);
@@ -348,15 +347,15 @@ impl PointCloudTracker {
             .collect()
     }
 
-    /// The cluster of track `id` in the newest cloud is in free space, though it has too few points
-    /// for a detection: it counts with the next set of detections.
+    /// State that the cluster of track `id` in the newest cloud is in free space but has too few points for a
+    /// detection. It counts as evidence with the next set of detections.
     pub(crate) fn hint(&mut self, id: i64) {
         for track in self.tracks.iter_mut().filter(|track| track.id == id) {
             track.sight = Sight::Few;
         }
     }
 
-    /// Whether a cloud of this time would be taken.
+    /// Check that a cloud with this stamp would be accepted.
     ///
     /// # Errors
     /// [`Error::Time`] as [`PointCloudTracker::new_point_cloud`].
@@ -364,9 +363,9 @@ impl PointCloudTracker {
         self.buffer.is_late(stamp_ns).map(drop)
     }
 
-    /// Positions of all tracks, unconfirmed ones included, that are further than `distance` [m]
-    /// from where they began, and of confirmed ones of kind Flying that surely have a speed: a target on a
-    /// small circle never gets far. Also half the diagonals of their boxes [m].
+    /// Positions of tracks [m], also unconfirmed ones, that are more than `distance` [m] from their first detection,
+    /// and of confirmed ones of kind Flying that surely have a speed (on a small circle a target never gets far).
+    /// Each with half the diagonal of its box [m].
     #[must_use]
     pub fn moved_by(&self, distance: f64) -> Vec<([f64; 3], f64)> {
         let flies = |track: &PointTrack| {
@@ -381,12 +380,12 @@ impl PointCloudTracker {
         all.map(|track| (track.position().into(), half(track))).collect()
     }
 
-    /// Forget the tracks within `distance` [m] of an occupied voxel.
+    /// Remove the tracks within `distance` [m] of an occupied voxel.
     pub fn drop_near(&mut self, occupied: &dyn Occupancy, distance: f64) {
         self.tracks.retain(|track| !occupied.any_within(track.position().into(), distance));
     }
 
-    /// Forget all tracks and clouds. Numbers of tracks continue.
+    /// Remove all tracks and clouds. The numbers of later tracks continue.
     pub fn reset(&mut self) {
         self.tracks.clear();
         self.standing.clear();
@@ -409,7 +408,7 @@ impl PointCloudTracker {
         }
     }
 
-    /// Kinds of the target of a track; None where tracks are confirmed by counts.
+    /// Probabilities of the kinds of a track's target. None if tracks are confirmed by counts.
     fn kinds(&self, track: &PointTrack) -> Option<KindBelief> {
         match self.parameters().confirmation {
             Confirmation::Counts { .. } => None,

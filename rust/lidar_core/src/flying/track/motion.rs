@@ -6,11 +6,12 @@ use super::parameters::{Motion, NoiseForm, Radius, RadiusForm};
 use crate::estimation::kalman::{Gaussian, symmetrised};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// Below this share of the time constant a series replaces a difference of equal numbers.
+/// Below this ratio of time to time constant, a series replaces a difference of nearly equal
+/// numbers.
 const SMALL: f64 = 1e-4;
-/// Below this one the closed form of the noise loses digits.
+/// Below this ratio of time to time constant, the closed form of the noise loses digits.
 const CANCELS: f64 = 0.5;
-/// Nodes and weights on [-1, 1].
+/// Nodes and weights of the Gauss-Legendre quadrature on [-1, 1].
 const GAUSS_LEGENDRE: [(f64, f64); 5] = [
     (-0.906_179_845_938_664, 0.236_926_885_056_189_08),
     (-0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
@@ -22,7 +23,8 @@ const GAUSS_LEGENDRE: [(f64, f64); 5] = [
 pub(super) type Matrix9 = SMatrix<f64, 9, 9>;
 pub(super) type Matrix3x9 = SMatrix<f64, 3, 9>;
 
-/// `prior` after `dt` seconds; a negative `dt` looks back, with the same growth of uncertainty.
+/// State `prior` predicted by `dt` seconds. A negative `dt` predicts backwards, with the same
+/// growth of uncertainty.
 pub(super) fn predict(prior: &Gaussian<9>, dt: f64, motion: &Motion) -> Gaussian<9> {
     Gaussian {
         mean: transition(dt, motion) * prior.mean,
@@ -30,7 +32,7 @@ pub(super) fn predict(prior: &Gaussian<9>, dt: f64, motion: &Motion) -> Gaussian
     }
 }
 
-/// Covariance of [`predict`].
+/// Covariance of the state that [`predict`] returns.
 pub(super) fn predict_covariance(P: &Matrix9, dt: f64, motion: &Motion) -> Matrix9 {
     let (A, Q) = (transition(dt, motion), process_covariance(dt.abs(), motion));
     symmetrised(if dt < 0.0 { A * (P + Q) * A.transpose() } else { A * P * A.transpose() + Q })
@@ -47,12 +49,12 @@ pub(super) fn position_matrix(delay: f64) -> Matrix3x9 {
     H
 }
 
-/// Expected position.
+/// Position of a state [m].
 pub(super) fn position(state: &Gaussian<9>) -> Vector3<f64> {
     state.mean.fixed_rows::<3>(0).into_owned()
 }
 
-/// Block of the position.
+/// Covariance of the position [m^2]: the upper left block of the state's covariance.
 pub(super) fn position_block(P: &Matrix9) -> Matrix3<f64> {
     P.fixed_view::<3, 3>(0, 0).into_owned()
 }
@@ -70,8 +72,8 @@ pub(super) fn radius(P: &Matrix9, parameters: &Radius) -> f64 {
     parameters.min.max(parameters.scale * spread)
 }
 
-/// State transition. Where the acceleration fades, looking back holds it: undoing the decay would
-/// let it grow without bounds.
+/// State transition matrix for `dt` seconds. If the acceleration fades, a prediction backwards
+/// keeps it constant: the inverse of the decay would let it grow without bounds.
 ///
 /// # Source
 /// Vrba et al., eq. 27; with decay: Singer, "Estimating optimal tracking filter performance for
@@ -91,8 +93,8 @@ fn transition(dt: f64, motion: &Motion) -> Matrix9 {
     A
 }
 
-/// Position, velocity and acceleration after `dt` seconds that follow from a unit of acceleration
-/// that fades with time constant `time`.
+/// Position, velocity and acceleration after `dt` seconds that a unit of acceleration causes. The
+/// acceleration fades with time constant `time` [s].
 fn faded(dt: f64, time: f64) -> [f64; 3] {
     let x = dt / time;
     let lost = -libm::expm1(-x); // 1 - exp(-x)
@@ -136,14 +138,15 @@ fn process_covariance(dt: f64, motion: &Motion) -> Matrix9 {
     Q
 }
 
-/// Blocks rr, rv, ra, vv, va, aa that unit noise on the acceleration makes in `dt` seconds.
+/// Blocks rr, rv, ra, vv, va, aa of the process noise after `dt` seconds, for white noise of unit
+/// density on the derivative of the acceleration.
 fn wandering_noise(dt: f64) -> [f64; 6] {
     let (t2, t3) = (dt * dt, dt * dt * dt);
     [t3 * t2 / 20.0, t2 * t2 / 8.0, t3 / 6.0, t3 / 3.0, t2 / 2.0, dt]
 }
 
-/// Like [`wandering_noise`], but the acceleration fades with time constant `time`: Singer's closed
-/// form, or, where that would cancel, the integral by five Gauss-Legendre nodes.
+/// Like [`wandering_noise`], but the acceleration fades with time constant `time` [s]: Singer's
+/// closed form, or the integral by five Gauss-Legendre nodes where the closed form loses digits.
 fn faded_noise(dt: f64, time: f64) -> [f64; 6] {
     let x = dt / time;
     if x < CANCELS {

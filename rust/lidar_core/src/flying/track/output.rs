@@ -1,14 +1,15 @@
-//! Output of the tracker: tracks at a time, changes by a call, and places to look for targets.
+//! Output of the tracker: its tracks at one time, the changes by a call, and predicted positions of
+//! targets.
 
 use crate::estimation::kalman::{Gaussian, mahalanobis, symmetrised};
 use crate::geometry::transform::Transform;
 use crate::tracking::kind::{KINDS, TrackKind};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// A track, predicted to one time.
+/// A track, predicted to one time, in the frame of the tracker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
-    /// Number, never reused.
+    /// Number of the track. It is never given to another one.
     pub id: i64,
     /// Time of the state [ns].
     pub stamp_ns: i64,
@@ -18,20 +19,20 @@ pub struct Track {
     pub extent: [f64; 3],
     /// Number of detections that updated it.
     pub n_detections: u32,
-    /// Time since its first detection [s].
+    /// Time from its first detection to `stamp_ns` [s].
     pub age: f64,
     /// Time of the last measurement [ns].
     pub seen_ns: i64,
-    /// Whether it is to be reported.
+    /// Whether the track is confirmed: see [`super::parameters::Confirmation`].
     pub confirmed: bool,
-    /// Confirmed, and not out of sight for too long.
+    /// Whether to report the track: it is confirmed, and was measured recently enough.
     pub reported: bool,
-    /// Probability that its target exists; not a number where tracks are confirmed by counts.
+    /// Probability that its target exists. NaN if tracks are confirmed by counts.
     pub existence: f64,
-    /// Kind of the target; Flying if tracks are confirmed by counts.
+    /// Kind of the target. `Flying` if tracks are confirmed by counts.
     pub kind: TrackKind,
-    /// Probability of every kind, in the order of [`TrackKind::ALL`], if the target exists; not
-    /// numbers where tracks are confirmed by counts.
+    /// Probability of every kind, given that the target exists, in the order of [`TrackKind::ALL`].
+    /// NaN if tracks are confirmed by counts.
     pub kind_probability: [f64; KINDS],
 }
 
@@ -40,7 +41,8 @@ impl Track {
         self.state.mean.fixed_rows::<3>(0).into_owned()
     }
 
-    /// The track in another frame.
+    /// The track in another frame: `target_from_source` is the pose of its present frame in that
+    /// one.
     #[must_use]
     pub fn moved(&self, target_from_source: &Transform) -> Self {
         let r = &target_from_source.rotation;
@@ -58,12 +60,12 @@ impl Track {
     }
 }
 
-/// Squared distance within which the target of a track may be: 95 % of chi-square of 3 degrees of
-/// freedom.
+/// Largest squared Mahalanobis distance at which two tracks may have the same target: 95 % quantile
+/// of chi-squared with 3 degrees of freedom.
 const MAYBE: f64 = 7.81;
 
-/// Do not report a flying track that was not measured where one is that was measured since: the rows
-/// of a sparse sensor can make two detections of one target, and only one track goes on.
+/// Do not report a flying track if another track near it was measured more recently. The rows of a
+/// sparse sensor can make two detections of one target, and only one of the two tracks goes on.
 pub(super) fn leave_out_doubles(tracks: &mut [Track]) {
     let flies = |track: &Track| track.reported && track.kind == TrackKind::Flying;
     let seen: Vec<(i64, Vector3<f64>)> = tracks
@@ -84,56 +86,60 @@ pub(super) fn leave_out_doubles(tracks: &mut [Track]) {
     }
 }
 
-/// A target that a track predicts, at the stamp of a scan.
+/// Where a track predicts its target at the stamp of a scan.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ExpectedTarget {
     /// Position of the target [m].
     pub(crate) position: [f64; 3],
     /// Velocity of the target [m/s].
     pub(crate) velocity: [f64; 3],
-    /// Half of the sides of the box around all places where a part of it may be [m].
+    /// Half of the sides of the box that contains every place where a part of the target may be
+    /// [m].
     pub(crate) half: [f64; 3],
-    /// Usual sides of its own box [m].
+    /// Usual sides of the bounding box of the target [m].
     pub(crate) size: [f64; 3],
-    /// It has stood at `position` since the burn-in, and its own points are what the map holds there.
+    /// Whether the target has stood at `position` since the burn-in. The occupied voxels there are
+    /// then its own points.
     pub(crate) has_stood: bool,
 }
 
-/// A target that several scans together show, at the stamp of the newest one.
+/// A target that several scans together show (track-before-detect), at the stamp of the newest of
+/// them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FoundTarget {
     /// Position of the target [m].
     pub(crate) position: [f64; 3],
     /// Velocity of the target [m/s].
     pub(crate) velocity: [f64; 3],
-    /// On every axis the variance of the position [m^2], the covariance of position and velocity [m^2/s], and the
-    /// variance of the velocity [m^2/s^2].
+    /// The same three values for every axis: variance of the position [m^2], covariance of position
+    /// and velocity [m^2/s], variance of the velocity [m^2/s^2].
     pub(crate) covariance: [f64; 3],
-    /// Where and when it was seen first [m], [ns].
+    /// Position of its first return [m], and the time of that [ns].
     pub(crate) first: [f64; 3],
     pub(crate) first_ns: i64,
-    /// Scans that showed it.
+    /// Number of scans that showed it.
     pub(crate) n_returns: u32,
 }
 
-/// Changes of the tracks by one call, by their numbers.
+/// Changes of the tracks by one call, as numbers of tracks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
-    /// The cloud was older than the newest one: kept for late detections, tracks untouched.
+    /// Whether the cloud was older than the newest one. Such a cloud is kept for late detections
+    /// and changes no track.
     pub late: bool,
-    /// Corrected by a cluster.
+    /// Tracks that were corrected by a cluster.
     pub corrected: Vec<i64>,
-    /// For each of these the row of a point of its cluster.
+    /// Row in the cloud of one point of the cluster of each corrected track.
     pub rows: Vec<u32>,
-    /// New.
+    /// New tracks.
     pub born: Vec<i64>,
-    /// Reported from now on.
+    /// Tracks that this call has confirmed.
     pub confirmed: Vec<i64>,
-    /// Removed.
+    /// Removed tracks.
     pub removed: Vec<i64>,
-    /// Pairs of the track that stays and the one that was merged into it.
+    /// Merged tracks: pairs of the number that stays and the number that goes.
     pub merged: Vec<[i64; 2]>,
-    /// Measurements that could not be used because a covariance was not positive definite.
+    /// Number of measurements that were not used because a covariance was not positive definite.
     pub rejected: usize,
 }
 

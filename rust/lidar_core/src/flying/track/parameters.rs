@@ -1,62 +1,67 @@
-//! Parameters of the tracker; `Paper` variants are the algorithm as published.
+//! Parameters of the tracker. Variants called `Paper` are the algorithm as published.
 
 use crate::Error;
 use crate::error::{require, require_positive};
 use crate::geometry::cluster::{self, Clustering};
 
-/// Largest number of tracks, and of detections in one set.
+/// Largest number of tracks, and largest number of detections in one set.
 pub const MAX_TRACKS: usize = 10_000;
-/// Largest number of sets of detections that confirmation looks back on: one bit each.
+/// Largest number of sets of detections in the history of a track: one bit for each.
 pub const MAX_WINDOW: u32 = 64;
 
-/// Unit of the uncertainty radius.
+/// Which root of the covariance's determinant is the uncertainty radius.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RadiusForm {
-    /// Eq. 26: cube root of the determinant, which is a variance [m^2].
+    /// Cube root of the determinant, as in eq. 26. Its unit is that of a variance [m^2].
     Paper,
-    /// Sixth root: the geometric mean of the standard deviations [m].
+    /// Sixth root of the determinant: the geometric mean of the standard deviations [m].
     SixthRoot,
 }
 
-/// Radius of the region in which a track looks for its target.
+/// Radius of the region in which a track looks for its target. It grows with the uncertainty of the
+/// position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radius {
-    /// Root that is taken.
+    /// Root of the determinant.
     pub form: RadiusForm,
-    /// Multiplier c_r.
+    /// Multiplier c_r of the root.
     pub scale: f64,
-    /// Never smaller [m].
+    /// Smallest radius [m].
     pub min: f64,
-    /// A track beyond it is removed [m].
+    /// Largest radius [m]. A track with a larger one is removed.
     pub max: f64,
 }
 
 /// Form of the process noise of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseForm {
-    /// Eq. 31: the same covariance at every step, however long.
+    /// The same covariance is added at every step, however long the step is (eq. 31).
     Paper,
-    /// White noise in continuous time: two short steps equal one long one.
+    /// White noise in continuous time: two short steps give the same result as one long step.
     Continuous,
-    /// The same, wider for a flying target as long as its measurements lie further from their predictions than
-    /// the noise allows. A target that turns hard between two scans has a new acceleration.
+    /// Like `Continuous`, with larger noise for a flying target while its measurements are further
+    /// from their predictions than the noise allows. For a target that turns hard between two
+    /// scans, the old acceleration is dropped.
     Adaptive,
 }
 
-/// Motion of a target: a point mass with noise on position, velocity and acceleration, per axis.
+/// Motion model of a target: a point mass with noise on position, velocity and acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// Time constant with which the acceleration fades [s]; None, as in eq. 27: it stays.
+    /// Time constant with which the acceleration fades [s]. None: it stays constant, as in eq. 27.
     pub acceleration_time: Option<f64>,
-    /// Time constant of the acceleration while a track is not seen [s]; None: `acceleration_time`.
+    /// Time constant of the acceleration while a track is not measured [s]. None:
+    /// `acceleration_time`.
     pub unseen_time: Option<f64>,
-    /// Meaning of the numbers in `std`.
+    /// Form of the process noise, which decides the meaning of `std`.
     pub form: NoiseForm,
-    /// Standard deviations: per step [m, m/s, m/s^2], or as roots of densities [the same / sqrt(s)].
+    /// Standard deviations of the noise on position, velocity and acceleration, on every axis: per
+    /// step [m, m/s, m/s^2] (`Paper`), or as roots of spectral densities [the same / sqrt(s)].
     pub std: [f64; 3],
 }
 
-/// Targets accelerate for about a second; what is not seen for long rather goes straight on.
+/// Targets accelerate for about a second. A target that is not seen for long is assumed to fly
+/// straight on.
 impl Default for Motion {
     fn default() -> Self {
         Self {
@@ -68,42 +73,44 @@ impl Default for Motion {
     }
 }
 
-/// Position that a cluster measures, and its uncertainty.
+/// Position that a cluster measures, and the covariance of this measurement. Z is the parameter
+/// `measurement_std`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementForm {
-    /// The centroid, with Z^2 I, sec. III-F1, at the stamp of the scan.
+    /// The centroid at the stamp of the scan, with covariance Z^2 I (sec. III-F1).
     Paper,
-    /// The centroid, with Z^2 I plus the scatter of the cluster's points divided by their number,
-    /// at the mean time of these points.
+    /// The centroid at the mean time of the cluster's points. Its covariance is Z^2 I plus the
+    /// scatter of the points divided by their number.
     Cluster,
-    /// The centre behind the points with its own covariance, at their mean time; the same as
-    /// `Cluster` where the rays of the scan are not known.
+    /// The estimated centre of the target behind the points, at their mean time, with its own
+    /// covariance. Like `Cluster` if the rays of the scan are not known.
     Center,
 }
 
-/// Handling of clusters that are partly hidden by something in front of the target.
+/// Treatment of clusters of targets that are partly hidden by something in front of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hiding {
-    /// A side shorter than this share of the track's usual one is partly hidden.
+    /// A side of a cluster is partly hidden if it is shorter than this share of the track's usual
+    /// side.
     pub share: f64,
-    /// Time constant of the usual size [s].
+    /// Time constant of the average that gives the usual size [s].
     pub time: f64,
 }
 
-/// Two seconds are long beside the time between two scans, and short beside a change of distance
-/// that changes the visible size.
+/// Two seconds are long compared with the time between two scans. They are short compared with the
+/// time in which a change of distance changes the visible size.
 impl Default for Hiding {
     fn default() -> Self {
         Self { share: 0.75, time: 2.0 }
     }
 }
 
-/// Association of tracks with clusters and of detections with tracks.
+/// Association of tracks with clusters, and of detections with tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Association {
-    /// Algorithm 2: every track takes the nearest centroid, every detection the nearest track.
+    /// Every track takes the nearest centroid, and every detection the nearest track (Algorithm 2).
     Paper,
-    /// Global nearest neighbour: one to one, gated by Mahalanobis distance.
+    /// Global nearest neighbour: one-to-one assignment, with a gate on the Mahalanobis distance.
     Global {
         /// Probability that a true pair passes the gate.
         gate_probability: f64,
@@ -112,19 +119,19 @@ pub enum Association {
     },
 }
 
-/// When a track is reported.
+/// Rule that decides when a track is confirmed and reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Confirmation {
-    /// A track is confirmed for good once `hits` of the last `window` sets of detections contained
-    /// it.
+    /// A track is confirmed for good as soon as `hits` of the last `window` sets of detections
+    /// contained it.
     Counts {
-        /// Sets that held the track, >= 1.
+        /// Number of sets that contained the track, >= 1.
         hits: u32,
-        /// Sets looked back on, `hits` to [`MAX_WINDOW`].
+        /// Number of sets in the history, from `hits` to [`MAX_WINDOW`].
         window: u32,
     },
-    /// Once the probability that its target exists reaches `report`, until it falls below half of
-    /// that. Improbable tracks are removed.
+    /// A track is confirmed when the probability that its target exists reaches `report`, until the
+    /// probability falls below half of `report`. Improbable tracks are removed.
     Existence {
         /// Probability from which on a track is reported, above 0 and below 1.
         report: f64,
@@ -147,12 +154,12 @@ impl Confirmation {
     }
 }
 
-/// Two tracks this close are one target.
+/// Limits within which two tracks follow the same target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Merging {
-    /// Distance of their positions [m].
+    /// Largest distance between their positions [m].
     pub distance: f64,
-    /// Difference of their velocities [m/s].
+    /// Largest difference of their velocities [m/s].
     pub speed: f64,
 }
 
@@ -163,17 +170,17 @@ impl Default for Merging {
     }
 }
 
-/// Rule for the ageing of a track without a measurement.
+/// Growth of a track's uncertainty, for its removal, while it has no measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ageing {
-    /// Always: Algorithm 2, lines 15-17.
+    /// It always grows (Algorithm 2, lines 15-17).
     Paper,
-    /// Only while its region should give returns; the region is then never larger than the
-    /// largest radius.
+    /// It grows only while the track's region should give returns. The search region then never
+    /// exceeds the largest radius.
     Visible {
-        /// A track without measurement for longer is removed in any case [s].
+        /// Longest time without a measurement after which a track is kept [s].
         max_coast: f64,
-        /// A track without measurement for longer is kept but not reported [s].
+        /// Longest time without a measurement for which a track is reported [s].
         report_coast: f64,
     },
 }
@@ -181,44 +188,48 @@ pub enum Ageing {
 /// All parameters of the tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackerParameters {
-    /// Clouds kept for late detections, N_buf.
+    /// Number of clouds kept for late detections, N_buf.
     pub buffer_size: usize,
-    /// Clusters inside a track's region.
+    /// Parameters of the clustering of points inside the tracks' regions.
     pub clustering: Clustering,
-    /// Largest side of the bounding box of a target's cluster [m].
+    /// Largest side of the bounding box of a target's cluster [m]. None: no limit.
     pub max_extent: Option<f64>,
-    /// A centroid this close to an occupied voxel's centre is background, d_min [m].
+    /// A cluster is background if its centroid is within this distance of the centre of an occupied
+    /// voxel, d_min [m].
     pub occupied_distance: f64,
-    /// Uncertainty radius.
+    /// Uncertainty radius, within which a track looks for its target.
     pub radius: Radius,
-    /// Motion model.
+    /// Motion model of the targets.
     pub motion: Motion,
-    /// Standard deviations of a new track: position [m], velocity [m/s], acceleration [m/s^2].
+    /// Standard deviations of the state of a new track: position [m], velocity [m/s], acceleration
+    /// [m/s^2].
     pub initial_std: [f64; 3],
-    /// Covariance of centroids.
+    /// Position and covariance that a cluster measures.
     pub measurement: MeasurementForm,
-    /// Z: standard deviation of a centroid, and of a detection beside its own covariance [m].
+    /// Z: standard deviation of a centroid, on every axis [m]. It is also added to the given
+    /// covariance of a detection in the mode `Cluster`.
     pub measurement_std: f64,
-    /// Uncertainty that a hidden side adds to the position of a cluster; None: it adds none.
+    /// How a hidden side makes the position of a cluster less certain. None: not at all.
     pub hiding: Option<Hiding>,
     /// Rule that assigns clusters and detections to tracks.
     pub association: Association,
-    /// Standard deviation of an acceleration of the target since it was lost [m/s^2]: it widens the
-    /// region in which a detection continues a lost confirmed track. None: only the predicted
-    /// region counts. Global association only.
+    /// Standard deviation of a lost target's acceleration [m/s^2]. It widens the region in which a
+    /// detection continues a track that was confirmed and lost. None: only the predicted region
+    /// counts. Used with global association only.
     pub rejoin_acceleration: Option<f64>,
-    /// A cluster this near to several tracks, which are further apart from each other, is divided
-    /// among them [m]; None: clusters stay whole. Global association only.
+    /// A cluster within this distance of several tracks, which are further than this from each
+    /// other, is divided among them [m]. None: clusters stay whole. Used with global association
+    /// only.
     pub split_distance: Option<f64>,
-    /// Confirmation.
+    /// Rule that confirms tracks.
     pub confirmation: Confirmation,
-    /// Merging of duplicates.
+    /// Limits for merging tracks of the same target. None: tracks are not merged.
     pub merging: Option<Merging>,
-    /// Ageing.
+    /// Growth of a track's uncertainty while it has no measurement.
     pub ageing: Ageing,
 }
 
-/// Best mode.
+/// Parameters of the best mode (not of the paper).
 impl Default for TrackerParameters {
     fn default() -> Self {
         Self {
@@ -273,7 +284,7 @@ impl TrackerParameters {
 }
 
 impl TrackerParameters {
-    /// Check what memory safety and termination need.
+    /// Check the values that memory safety and termination depend on.
     ///
     /// # Errors
     /// [`Error::Parameter`] for the first value outside its range.

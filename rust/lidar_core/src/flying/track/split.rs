@@ -1,5 +1,5 @@
-//! Clusters of several targets, whose points go to the nearest track, and several clusters of one
-//! large target, which are united.
+//! Division of clusters that contain several targets, and union of several clusters of one large
+//! target.
 
 use super::association::pairs::AlongX;
 use super::measurement::SearchRegion;
@@ -7,23 +7,23 @@ use crate::estimation::kalman;
 use crate::flying::large_targets::{LARGE, PART_GAP};
 use nalgebra::Vector3;
 
-/// Parameters that split a cluster into several targets.
+/// Parameters for the division of a cluster into several targets.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Division {
-    /// A track this near to a point of a cluster may own a part of it; tracks no further apart
-    /// from each other may be one target [m].
+    /// A track may own a part of a cluster if one of the cluster's points is within this distance.
+    /// Tracks that are no further apart may follow the same target [m].
     pub(super) distance: f64,
-    /// Tracks whose squared Mahalanobis distance is larger are apart.
+    /// Two tracks are surely apart if their squared Mahalanobis distance is larger.
     pub(super) gate: f64,
-    /// No part is smaller.
+    /// Smallest number of points of a part. A cluster with a smaller part stays whole.
     pub(super) min_points: usize,
 }
 
-/// Confirmed tracks, in order.
+/// The confirmed tracks, sorted along x.
 struct Confirmed<'a> {
     regions: Vec<&'a SearchRegion>,
     along_x: AlongX,
-    /// The highest of their speeds [m/s].
+    /// Highest speed of these tracks [m/s].
     fastest: f64,
 }
 
@@ -37,7 +37,7 @@ impl<'a> Confirmed<'a> {
     }
 }
 
-/// A point, and its time after the stamp [s].
+/// Position of a point [m], and its time after the stamp [s].
 struct TimedPoint {
     at: Vector3<f64>,
     delay: f64,
@@ -50,9 +50,10 @@ impl TimedPoint {
 }
 
 impl Division {
-    /// Divide the clusters that lie near several confirmed tracks which are surely apart.
+    /// Divide every cluster that lies near several confirmed tracks which are surely apart: each
+    /// point goes to the nearest of these tracks.
     ///
-    /// `labels` are those of [`crate::geometry::cluster::label`]; parts get labels of their own.
+    /// `labels` are those of [`crate::geometry::cluster::label`]. New parts get new labels.
     pub(super) fn divide(
         &self,
         labels: &mut [i32],
@@ -81,7 +82,8 @@ impl Division {
         }
     }
 
-    /// Places by the track that owns them; none if the cluster stays whole.
+    /// Indices of the points of a cluster, by the track that owns them. Empty if the cluster stays
+    /// whole.
     fn parts(&self, places: &[TimedPoint], confirmed: &Confirmed<'_>) -> Vec<Vec<usize>> {
         let owners = self.owners(places, confirmed);
         if owners.len() < 2 {
@@ -101,7 +103,8 @@ impl Division {
         parts
     }
 
-    /// Tracks near the cluster, each surely apart from those before it.
+    /// Confirmed tracks near the cluster that may own a part of it: each is surely apart from those
+    /// before it.
     fn owners<'a>(
         &self,
         places: &[TimedPoint],
@@ -130,7 +133,8 @@ impl Division {
         owners
     }
 
-    /// Whether two tracks are surely apart `delay` seconds after the stamp.
+    /// Whether two tracks are surely apart `delay` seconds after the stamp: by distance and by
+    /// Mahalanobis distance.
     fn are_apart(&self, one: &SearchRegion, other: &SearchRegion, delay: f64) -> bool {
         let [(one, spread), (other, more)] = [one, other].map(|region| region.place_at(delay));
         let (y, covariance) = (one - other, spread + more);
@@ -139,9 +143,9 @@ impl Division {
     }
 }
 
-/// Make the clusters one that lie in the box in which a confirmed track predicts a large target, as far as they
-/// are together no longer than `longest` [m] and nearer to no other track: a track that takes a tip of a wing for
-/// the wing leaps by half its length.
+/// Join the clusters inside the box in which a confirmed track predicts a large target, if they are
+/// together no longer than `longest` [m] and nearer to no other track. Without this, a track that
+/// takes the tip of a wing for the whole wing would jump by half its length.
 pub(super) fn unite(
     labels: &mut [i32],
     points: &[[f32; 3]],
@@ -188,7 +192,7 @@ pub(super) fn unite(
     }
 }
 
-/// Rows of every cluster, by label.
+/// Rows of the points of every cluster; index: label, below `count`.
 fn rows_of(labels: &[i32], count: i32) -> Vec<Vec<usize>> {
     let mut rows = vec![Vec::new(); usize::try_from(count).unwrap_or(0)];
     for (row, &label) in labels.iter().enumerate() {

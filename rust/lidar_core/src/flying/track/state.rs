@@ -15,82 +15,81 @@ use crate::tracking::kind::TrackKind;
 use nalgebra::{Matrix3, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Weight that the points of a track and around it keep from one scan to the next.
+/// Weight that counts of points in a track's own clusters and around it keep from one scan to the next.
 const AROUND_KEPT: f64 = 0.8;
 
-/// Weight of the newest scan in the usual number of points.
+/// Weight of the newest scan in the average number of points of a track's cluster.
 const NEW_POINTS: f64 = 0.3;
 
-/// Every scan shows the same parts of a large target, so that the error of its centre is the same in all of
-/// them, and no number of scans removes it: its standard deviation as a share of the longest side of the
-/// target.
+/// Standard deviation of the centre of a large target, as a share of its longest side, that remains after any number
+/// of scans: every scan shows the same parts of the target, so the error of the centre is the same in all.
 const SHAPE_SHARE: f64 = 0.03;
 
-/// Squared Mahalanobis distance of a velocity from none that errors reach once in 10,000 times (three degrees
-/// of freedom).
+/// Squared Mahalanobis distance of a velocity from zero (three degrees of freedom) above which the track surely has a
+/// speed: errors alone exceed it once in 10,000 times.
 const HAS_SPEED: f64 = 21.1;
 
-/// A track this far from where it began does not hang there [m].
+/// A track further than this from its first detection does not hang there [m].
 const AWAY: f64 = 1.0;
 
-/// Larger numbers than any of a track, whose products are finite.
+/// Largest number that a saved state of a track may contain. Products of such numbers are finite.
 const MOST_POSSIBLE: f64 = 1e100;
 
 /// Standard deviation of the acceleration of a multirotor that turns hard, on every axis: one g [m/s^2].
 const HARD_TURN: f64 = 9.8;
 
-/// No number yet: it gets one when it joins the tracks.
+/// Number of a hypothesis, which gets its own number when it becomes a track.
 pub(super) const UNNUMBERED: i64 = -1;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct PointTrack {
     pub(super) id: i64,
     pub(super) estimate: Gaussian<9>,
-    /// The covariance the track would have if time had passed only while it should be visible.
+    /// Covariance of the state if time had passed only while the track should have been visible.
     pub(super) aged: Matrix9,
     pub(super) stamp_ns: i64,
     pub(super) born_ns: i64,
-    /// Position of the first detection.
+    /// Position of the first detection [m].
     pub(super) born_at: Vector3<f64>,
-    /// When that was measured, after `born_ns` [s].
+    /// Time at which the first detection was measured, after `born_ns` [s].
     pub(super) delay: f64,
-    /// Time of the last measurement, and the position then.
+    /// Time of the last measurement [ns]; `seen_at` is the position then [m].
     pub(super) seen_ns: i64,
     pub(super) seen_at: Vector3<f64>,
-    /// Speed then [m/s].
+    /// Speed at the last measurement [m/s].
     pub(super) seen_speed: f64,
     pub(super) extent: [f64; 3],
-    /// Usual extent of the target: an average over time [m].
+    /// Usual sides of the target's bounding box [m]: an average over time.
     pub(super) size: [f64; 3],
     pub(super) n_detections: u32,
-    /// The last sets of detections, newest in the lowest bit: 1 where the track was in it.
+    /// Which of the last sets of detections contained the track: 1 if it did, newest set in the lowest bit.
     pub(super) history: u64,
-    /// What the detection showed that it began with.
+    /// Evidence of the detection with which the track began (of the later one, if it began with two).
     pub(super) first: Evidence,
-    /// What the detection before that showed, if it began with two.
+    /// Evidence of the earlier of the two detections with which the track began; None if it began with one.
     pub(super) before: Option<Evidence>,
-    /// Numbers of the tracks of the two detections that it began with, until it is confirmed.
+    /// Numbers of the tracks of the two single detections with which it began. Empty once it is confirmed.
     pub(super) made_of: Vec<i64>,
-    /// What the newest scan shows of it.
+    /// What the newest scan shows of the track.
     pub(super) sight: Sight,
-    /// Squared Mahalanobis distance of its cluster in the newest scan, if that had one.
+    /// Squared Mahalanobis distance of its cluster in the newest scan; None if it has none.
     pub(super) nis: Option<f64>,
-    /// How much more its target manoeuvres than the motion model expects.
+    /// Factor for the process noise: how much more the target manoeuvres than the motion model expects.
     pub(super) manoeuvre: Manoeuvre,
-    /// Whether its target exists.
+    /// Belief about the target: whether it exists, and of which kind it is.
     pub(super) belief: TrackBelief,
     pub(super) confirmed: bool,
-    /// Whether it ever was.
+    /// Whether the track is or ever was confirmed.
     pub(super) was_confirmed: bool,
-    /// Points of its own clusters, and of those around it that belong to no track: sums in which
-    /// older scans count less.
+    /// Number of points in its own clusters, summed over scans with decreasing weight; `stray_points`: the same for
+    /// points around it that belong to no track.
     pub(super) own_points: f64,
     pub(super) stray_points: f64,
-    /// Usual number of points of its cluster: an average over scans that showed it; zero before any.
+    /// Average number of points of its cluster, over scans that showed it. Zero before the first.
     pub(super) usual_points: f64,
-    /// True if the newest cloud shows that nothing is left where it began.
+    /// Whether the newest cloud shows that nothing is left at the place where the track began.
     pub(super) left: bool,
-    /// Where something stood around its start.
+    /// Places around the first detection that gave returns before the track began.
     pub(super) stood: StoodPlaces,
 }
 
@@ -154,7 +153,7 @@ impl PointTrack {
         }
     }
 
-    /// A certain track of a target that several scans together show.
+    /// A confirmed track of a target that several scans together show (track-before-detect).
     pub(super) fn of_found(
         target: &FoundTarget,
         stamp_ns: i64,
@@ -187,7 +186,7 @@ impl PointTrack {
         track
     }
 
-    /// Whether its numbers are those of some track: a saved state may hold anything.
+    /// Whether a saved state may contain these values: finite, and with possible covariances.
     pub(super) fn is_possible(&self) -> bool {
         let is_covariance = |matrix: &Matrix9| {
             let is_number = |&value: &f64| value.abs() <= MOST_POSSIBLE;
@@ -215,14 +214,14 @@ impl PointTrack {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
     }
 
-    /// Whether it is surely away from where it began, further than leaves sway.
+    /// Whether the track is surely away from its first detection, further than leaves sway in the wind.
     pub(super) fn is_away(&self) -> bool {
         let spread = motion::position_block(&self.estimate.covariance).trace() / 3.0;
         let reach = AWAY + 2.0 * spread.max(0.0).sqrt();
         (self.position() - self.born_at).norm() > reach
     }
 
-    /// Whether its velocity differs from none by more than the error of its estimate.
+    /// Whether the velocity differs from zero by more than the error of its estimate.
     pub(super) fn has_speed(&self) -> bool {
         let covariance = self.estimate.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         kalman::mahalanobis(&self.velocity(), &covariance)
@@ -234,12 +233,12 @@ impl PointTrack {
         self.size.into_iter().fold(0.0, f64::max)
     }
 
-    /// Probability that its target exists.
+    /// Probability that the target exists, at the time of the last set of detections.
     pub(super) fn existence(&self) -> f64 {
         self.belief.existence(self.is_among_strays())
     }
 
-    /// Probability of existence at another time, without anything seen.
+    /// Probability that the target exists, predicted to `stamp_ns` without new evidence.
     pub(super) fn existence_at(&self, stamp_ns: i64) -> f64 {
         self.belief.at(stamp_ns).existence(self.is_among_strays())
     }
@@ -248,7 +247,8 @@ impl PointTrack {
         self.stray_points > self.own_points
     }
 
-    /// Count its end among those of tracks without targets, as far as it may have been one.
+    /// Enter the end of the track into the statistics of tracks without a target. A track that was ever confirmed
+    /// does not count; others count with the probability that they had no target.
     pub(super) fn count_end(&self, births: &mut FalseBirths) {
         if !self.was_confirmed {
             births.count_end(self.existence());
@@ -259,8 +259,8 @@ impl PointTrack {
         motion::radius(&self.estimate.covariance, parameters)
     }
 
-    /// The state at `stamp_ns`. The acceleration of a track that was not seen at its own time is
-    /// of the past.
+    /// The state, predicted to `stamp_ns`. If the track is not currently seen, its acceleration fades with the time
+    /// constant for unseen targets.
     pub(super) fn at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
         let acceleration_time = match model.unseen_time {
             Some(time) if self.seen_ns < self.stamp_ns => Some(time),
@@ -275,7 +275,8 @@ impl PointTrack {
         motion::predict(&self.estimate, seconds(self.stamp_ns, stamp_ns), &model)
     }
 
-    /// The state at `stamp_ns`, with all uncertainty of the place of the centre.
+    /// The state to report, predicted to `stamp_ns`: for a large target, the position has the added uncertainty of
+    /// its shape.
     pub(super) fn told_at(&self, stamp_ns: i64, model: &Motion) -> Gaussian<9> {
         let mut state = self.at(stamp_ns, model);
         let side = self.longest_side();
@@ -284,14 +285,14 @@ impl PointTrack {
         state
     }
 
-    /// Move to `stamp_ns`.
+    /// Predict the state to `stamp_ns`.
     pub(super) fn predict(&mut self, stamp_ns: i64, model: &Motion) {
         self.estimate = self.at(stamp_ns, model);
         self.stamp_ns = stamp_ns;
     }
 
-    /// The state at `stamp_ns` if the target has turned hard since its own time: whatever acceleration it had is
-    /// over. None if the motion model does not adapt, or the track is none of what manoeuvres.
+    /// The state at `stamp_ns` if the target has turned hard since the time of the state: its old acceleration is
+    /// over. None if the motion model does not adapt, or if the track is not one of a target that flies and moves.
     pub(super) fn turned_at(&self, stamp_ns: i64, model: &Motion) -> Option<Gaussian<9>> {
         if model.form != NoiseForm::Adaptive || !self.may_turn_hard() {
             return None;
@@ -305,15 +306,14 @@ impl PointTrack {
         Some(turned.at(stamp_ns, model))
     }
 
-    /// Take the state of a target that has turned hard, which the motion model did not expect.
+    /// Replace the state by `turned`, that of a hard turn, and raise the process noise.
     pub(super) fn turn(&mut self, turned: &Gaussian<9>) {
         self.estimate = turned.clone();
         self.manoeuvre.feel(f64::INFINITY);
     }
 
-    /// Widen the estimate of a target that has been out of sight since `seen_ns` and may be found
-    /// again: it may have accelerated by `acceleration` [m/s^2] all the time, and its position is
-    /// not known better than that of a new track, `position_std` [m].
+    /// Enlarge the covariance of a target that has been lost since `seen_ns`: since then it may have accelerated by
+    /// `acceleration` [m/s^2], and its position is no better known than that of a new track, `position_std` [m].
     pub(super) fn widen(&mut self, acceleration: f64, position_std: f64) {
         let dt = seconds(self.seen_ns, self.stamp_ns);
         let strayed = [0.5 * dt * dt, dt, 1.0].map(|share| share * acceleration);
@@ -327,17 +327,17 @@ impl PointTrack {
         }
     }
 
-    /// Length of the way since it was seen, at the speed that it had then [m].
+    /// Distance flown since the last measurement, at the speed of that time [m].
     pub(super) fn distance_flown(&self) -> f64 {
         self.seen_speed * seconds(self.seen_ns, self.stamp_ns)
     }
 
-    /// Let `dt` seconds without a measurement count.
+    /// Increase the covariance `aged` for `dt` seconds without a measurement.
     pub(super) fn grow_old(&mut self, dt: f64, model: &Motion) {
         self.aged = motion::predict_covariance(&self.aged, dt, model);
     }
 
-    /// Let the last extent, seen for `dt` seconds, count for the usual one.
+    /// Update the usual sides with those of the last cluster, which was seen for `dt` seconds.
     pub(super) fn remember_size(&mut self, dt: f64, hiding: &Hiding) {
         let weight = -libm::expm1(-dt / hiding.time);
         for (size, extent) in self.size.iter_mut().zip(self.extent) {
@@ -345,25 +345,25 @@ impl PointTrack {
         }
     }
 
-    /// Count the points of its cluster in a scan, and those around it that belong to no track.
+    /// Enter one scan into the counts of points: in the track's cluster, and around it without a track.
     pub(super) fn count_points(&mut self, own: usize, stray: usize) {
         self.own_points = AROUND_KEPT * self.own_points + own as f64;
         self.stray_points = AROUND_KEPT * self.stray_points + stray as f64;
     }
 
-    /// Whether it has moved and most probably flies. What sways or drifts in the wind surprises, too, and must not be
-    /// followed the more closely for it.
+    /// Whether the process noise may adapt: the target has moved and most probably flies. What sways or drifts in the
+    /// wind also deviates from its prediction, but must not be followed more closely for it.
     fn may_manoeuvre(&self) -> bool {
         self.belief.has_moved() && self.belief.kinds().kind() == TrackKind::Flying
     }
 
-    /// Whether it surely has a speed and most probably flies: a target on a small circle is never away from where it
-    /// began.
+    /// Whether a hard turn is possible: the target most probably flies, and has moved or surely has a speed. A target
+    /// on a small circle is never away from its first detection.
     fn may_turn_hard(&self) -> bool {
         self.may_manoeuvre() || self.has_speed() && self.belief.kinds().kind() == TrackKind::Flying
     }
 
-    /// Count the points of a cluster that corrected it for their usual number.
+    /// Enter the points of the cluster of a correction into the average number of points.
     fn remember_points(&mut self, n_points: usize) {
         let n_points = n_points as f64;
         if self.usual_points == 0.0 {
@@ -373,9 +373,9 @@ impl PointTrack {
         }
     }
 
-    /// How many of `rays` through its place should have met the target: of one that was confirmed no more than the
-    /// usual number of its returns. A flat target of few returns may lie between two rows, so that missing it
-    /// says less than missing one of many.
+    /// Number of returns expected from `rays` through the track's position. For a track that was confirmed it is at
+    /// most its usual number of returns: a flat target of few returns may lie between two rows, so missing it says
+    /// less than missing a target of many returns.
     pub(super) fn expected_returns(&self, rays: usize) -> usize {
         if !self.was_confirmed || self.usual_points == 0.0 || rays < ENOUGH_RAYS {
             return rays;
@@ -412,7 +412,7 @@ impl PointTrack {
     }
 }
 
-/// How many tracks that were never confirmed have no target.
+/// Expected number of tracks without a target, among those that were never confirmed.
 pub(super) fn without_target(tracks: &[PointTrack]) -> f64 {
     tracks.iter().filter(|track| !track.was_confirmed).map(|track| 1.0 - track.existence()).sum()
 }

@@ -1,4 +1,4 @@
-//! The tracker as a whole, by hand; its full comparison with an oracle is in `tests/python`.
+//! Tests of the whole tracker with values calculated by hand. The comparison with an oracle is in `tests/python`.
 
 use super::*;
 
@@ -95,8 +95,8 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
     Ok(())
 }
 
-/// Probability of existence after every set of detections of a target that is seen with `confidence`
-/// at `speed`, where points at `left` [m] stay; `seen` tells which sets hold it.
+/// Probability of existence after every set of detections of a target with `confidence` and `speed` [m/s]; `seen`
+/// tells which sets contain it. `left`: positions along x of points that stay [m].
 fn existence_of(confidence: f64, speed: f64, left: &[f32], seen: &str) -> Result<Vec<f64>, Error> {
     let confirmation = Confirmation::Existence { report: 0.9 };
     let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
@@ -147,8 +147,8 @@ fn a_target_that_is_gone_becomes_improbable() -> Result<(), Error> {
     Ok(())
 }
 
-/// Numbers of the tracks that are born when a target which was hidden for 0.8 s comes back `aside`
-/// [m] of its straight way.
+/// Numbers of the tracks that begin when a target which was hidden for 0.8 s comes back `aside` [m] of its straight
+/// path. `acceleration`: `rejoin_acceleration` of the parameters.
 fn born_behind_cover(acceleration: Option<f64>, aside: f64) -> Result<Vec<i64>, Error> {
     let motion = Motion {
         form: NoiseForm::Continuous,
@@ -289,8 +289,8 @@ fn parameters_that_cannot_work_are_refused() {
     }
 }
 
-/// Detections and points of ten scans, one of each for a track that leaps by 0.3 m, and `stray` points
-/// around it; the number of reported tracks.
+/// Number of reported tracks after ten scans with one detection each, whose track jumps by 0.3 m. `own` points belong
+/// to its cluster, `stray` points lie around it.
 fn tracks_among(stray: usize, own: usize) -> Result<usize, Error> {
     let confirmation = TrackerParameters::default().confirmation;
     let parameters = TrackerParameters { confirmation, ..best() };
@@ -320,8 +320,8 @@ fn a_track_among_more_stray_points_than_its_own_is_not_confirmed() -> Result<(),
     Ok(())
 }
 
-/// Numbers of tracks after some sets of detections of two things, given how far apart they are and
-/// the sides of the first; the second has sides of 0.3 m.
+/// Numbers of tracks after some sets of detections of two objects that are `apart` [m]. The first has the sides
+/// `sides` [m], the second 0.3 m.
 fn tracks_of_two(apart: f64, sides: [f64; 3]) -> Result<Vec<i64>, Error> {
     let mut tracker = PointCloudTracker::new(best(), 1)?;
     for set in 0..4 {
@@ -395,8 +395,8 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
     Ok(())
 }
 
-/// Numbers of the confirmed tracks after one detection this far from something that stood, which the map
-/// holds still or not.
+/// Numbers of the confirmed tracks after one detection `away` [m] from an object that stood. `is_held`: whether the
+/// map still holds the object.
 fn after_standing(away: f64, is_held: bool) -> Result<Vec<i64>, Error> {
     let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
     let small = [[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]];
@@ -426,8 +426,8 @@ fn what_has_left_its_place_is_a_target_at_once_and_what_is_there_is_not() -> Res
     Ok(())
 }
 
-/// Numbers and existence of the tracks of a target of 30 m/s that a rolling scan meets `delay` after
-/// its stamp, in so many scans; `step` is what it flies from one to the next [m].
+/// Numbers and existence of the tracks of a target of 30 m/s that flies `step` [m] from scan to scan. A rolling scan
+/// meets it `delay` [s] after its stamp.
 fn passer(delay: f64, scans: i64, step: f64) -> Result<Vec<(i64, f64)>, Error> {
     passer_of(TrackerParameters::default(), delay, scans, step)
 }
@@ -471,7 +471,8 @@ fn a_fast_target_is_known_by_its_third_detection_however_late_in_the_scan() -> R
     Ok(())
 }
 
-/// However often a large target is seen, its centre is no better known than the shape of it; a small one is.
+/// The centre of a large target is never better known than its shape, however often it is seen; that of a small one
+/// is.
 #[test]
 fn scans_do_not_remove_what_the_shape_of_a_large_target_hides() -> Result<(), Error> {
     for (side, is_large) in [(1.5, true), (0.5, false)] {
@@ -496,8 +497,8 @@ fn scans_do_not_remove_what_the_shape_of_a_large_target_hides() -> Result<(), Er
     Ok(())
 }
 
-/// Whether the track of a target counts as moved that flies one round on a circle of a radius [m] and is back
-/// at its start; errors are up to 0.02 m.
+/// Whether a track counts as moved if its target flies one round on a circle of `radius` [m] and is back at its
+/// start. Errors are up to 0.02 m.
 fn counts_as_moved(radius: f64) -> Result<bool, Error> {
     let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
     for scan in 0..10_i64 {
@@ -531,8 +532,8 @@ fn a_target_on_a_small_circle_moves_and_one_that_hovers_does_not() -> Result<(),
     Ok(())
 }
 
-/// The single detections of a fast target are no targets beside it. Its number is that of the first
-/// of them that was reported.
+/// The single detections of a fast target give no tracks beside its own. Its number is that of the first of them that
+/// was reported.
 #[test]
 fn the_parts_of_a_fast_target_end_when_it_is_confirmed() -> Result<(), Error> {
     let confirmation = |report| Confirmation::Existence { report };

@@ -1,4 +1,5 @@
-//! updateTrack of Algorithm 2: prediction, association with clusters, correction.
+//! Update of tracks with a scan (updateTrack of Algorithm 2): prediction, association with
+//! clusters, correction.
 
 use super::association::pairs::AlongX;
 use super::belief::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
@@ -23,21 +24,22 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Result of an update.
+/// Result of the update of tracks with a scan.
 #[derive(Debug, Default)]
 pub(super) struct UpdateOutcome {
     pub(super) corrected: Vec<i64>,
-    /// A row of the cluster of each of these.
+    /// For each corrected track, the row in the cloud of one point of its cluster.
     pub(super) rows: Vec<u32>,
-    /// Measurements whose innovation covariance could not be factorised.
+    /// Number of measurements that were not used because their innovation covariance could not be
+    /// factorised.
     pub(super) rejected: usize,
 }
 
 pub(super) struct Updater {
     pub(super) parameters: TrackerParameters,
-    /// Largest squared Mahalanobis distance of a pair.
+    /// Largest squared Mahalanobis distance of a track and its measurement.
     gate: f64,
-    /// Cost of a track without a measurement.
+    /// Cost, in the assignment, of a track without a measurement.
     unassigned: f64,
     labellers: ObjectPool<Labeller>,
     pool: ThreadPool,
@@ -58,7 +60,8 @@ impl Updater {
         Ok(Self { parameters, gate, unassigned, labellers, pool })
     }
 
-    /// Bring every track that is older than the scan to its time and correct it with its cluster.
+    /// Predict every track that is older than the scan to the time of the scan, and correct it with
+    /// its cluster.
     pub(super) fn update(
         &self,
         tracks: &mut [PointTrack],
@@ -96,8 +99,9 @@ impl Updater {
         Ok(outcome)
     }
 
-    /// Correct a predicted track with its measurement, or let it grow older if `rays` should have met
-    /// it and it has none.
+    /// Correct a predicted track with its measurement. Without one, its uncertainty grows if
+    /// `rays`, the number of rays through its place, is large enough that the target should have
+    /// given returns. `dt`: time of the prediction [s].
     fn correct(
         &self,
         (dt, track): (f64, &mut PointTrack),
@@ -129,7 +133,8 @@ impl Updater {
         }
     }
 
-    /// Bring hypotheses to the present, over the buffered clouds newer than they are.
+    /// Predict hypotheses of `stamp_ns` to the present, and correct them with the buffered clouds
+    /// that are newer. Removes hypotheses that have become too uncertain.
     ///
     /// # Source
     /// Vrba et al., Algorithm 2, lines 22-25.
@@ -155,7 +160,7 @@ impl Updater {
         Ok(hypotheses)
     }
 
-    /// The bounded uncertainty radius: see [`Ageing`].
+    /// Radius of a track's search region [m]. Whether it is bounded from above: see [`Ageing`].
     pub(super) fn search_radius(&self, track: &PointTrack) -> f64 {
         let radius = track.radius(&self.parameters.radius);
         match self.parameters.ageing {
@@ -164,10 +169,11 @@ impl Updater {
         }
     }
 
-    /// Minimise the sum of -2 ln(likelihood) over pairs of rows and columns, given their places.
+    /// Assign rows to columns so that the sum of -2 ln(likelihood) is smallest. `rows` and
+    /// `columns` are positions [m]. Returns the column of every row, or None.
     ///
-    /// `offset` gives the difference of a pair and its covariance, or None if it is out of reach, as
-    /// all are that lie further apart than `reach`.
+    /// `offset` gives the difference of a pair and its covariance. It gives None if the pair is out
+    /// of reach, as are all pairs further apart than `reach` [m].
     pub(super) fn assign(
         &self,
         rows: impl ExactSizeIterator<Item = Vector3<f64>>,
@@ -202,8 +208,9 @@ impl Updater {
         }
     }
 
-    /// Rays that would have met the target of a track which was not found, up to a number that is
-    /// enough. It counts for the age of the track, and for whether its target exists.
+    /// Number of rays that would have met the target of a track, counted up to [`MANY_RAYS`], for a
+    /// track that was not found. It decides whether the track ages, and is evidence for the
+    /// target's existence.
     fn rays(
         &self,
         region: &SearchRegion,
@@ -218,7 +225,8 @@ impl Updater {
         }
     }
 
-    /// Source: Vrba et al., Algorithm 2, lines 36-43.
+    /// The nearest cluster of every track, as in Algorithm 2, lines 36-43 (Vrba et al.); None if a
+    /// track has no cluster.
     fn nearest(
         &self,
         regions: &[SearchRegion],
@@ -246,7 +254,7 @@ impl Updater {
         found.into_iter().collect()
     }
 
-    /// Clusters of all regions together, each given to one track at most.
+    /// Assign the clusters of all regions together to tracks, each cluster to at most one track.
     fn one_to_one(
         &self,
         regions: &[SearchRegion],
@@ -283,9 +291,9 @@ impl Updater {
     }
 }
 
-/// True if a track is away from where it began for the first time, and the scan shows that nothing is left
-/// there. A track that leaps along the leaves of a tree leaves some behind, and one that follows a gap
-/// along what lies behind it leaves a place that nobody sees any more.
+/// True if a track is away from its first detection for the first time, and the scan shows that
+/// nothing is left there. A track that jumps along the leaves of a tree leaves some behind. One
+/// that follows a gap along what lies behind it leaves a place that no ray sees any more.
 fn has_left(track: &PointTrack, scan: &CloudScan<'_>) -> bool {
     let holds =
         |point: &[f32; 3]| (Vector3::from(point.map(f64::from)) - track.born_at).norm() <= CLEARED;
@@ -295,7 +303,8 @@ fn has_left(track: &PointTrack, scan: &CloudScan<'_>) -> bool {
         && scan.visibility.is_none_or(|view| view.expected(track.born_at.into(), CLEARED))
 }
 
-/// Largest distance of a cluster from the track's position at the stamp of the scan [m].
+/// Largest distance that any cluster may have from its track's position at the stamp of the scan
+/// [m].
 fn reach(regions: &[SearchRegion], clusters: &[Measurement]) -> f64 {
     let latest = clusters.iter().map(|cluster| cluster.delay.abs()).fold(0.0, f64::max);
     let flown = |region: &SearchRegion| {
@@ -305,7 +314,8 @@ fn reach(regions: &[SearchRegion], clusters: &[Measurement]) -> f64 {
     regions.iter().map(reach).fold(0.0, f64::max)
 }
 
-/// Tracks that are older than `stamp_ns`, brought to it, each with the time that took [s].
+/// Tracks that are older than `stamp_ns`, predicted to it, each with the time of the prediction
+/// [s].
 fn predicted<'a>(
     tracks: &'a mut [PointTrack],
     stamp_ns: i64,

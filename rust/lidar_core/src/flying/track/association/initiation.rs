@@ -1,32 +1,35 @@
-//! Tracks that begin with two detections of a fast target: its speed comes from the data.
+//! Tracks that begin with two detections of a fast target. The speed follows from the distance
+//! between them.
 
 use super::super::belief::existence::Sight;
 use super::super::motion::{Matrix9, position_block, seconds};
 use super::super::state::PointTrack;
 use nalgebra::Vector3;
 
-/// Speeds of targets that two detections begin a track of; slower ones stay in the gate of the first
-/// detection [m/s].
+/// Lowest and highest speed of a target whose track begins with two detections [m/s]. A slower
+/// target stays in the gate of its first detection.
 const SPEEDS: [f64; 2] = [8.0, 60.0];
-/// Time between the two detections [s]: within a scan they may be of the same sweep.
+/// Shortest and longest time between the two detections [s]. Detections that are closer in time may
+/// be of the same sweep.
 const TIMES: [f64; 2] = [0.02, 0.25];
 
-/// Way from one detection to the next.
+/// Straight motion from one detection to the next: velocity [m/s] and time [s].
 pub(super) struct Way {
     velocity: Vector3<f64>,
     time: f64,
 }
 
 impl Way {
-    /// Length of the way [m].
+    /// Distance between the two detections [m].
     pub(super) fn length(&self) -> f64 {
         self.velocity.norm() * self.time
     }
 }
 
 impl PointTrack {
-    /// The way to this fresh detection from another track, if that was detected once and is not there
-    /// any more, and a target may have flown it.
+    /// The motion from the only detection of track `other` to this new detection. None if a target
+    /// cannot have flown it, if `other` has more than one detection, or if the newest scan still
+    /// shows something at `other`.
     pub(super) fn way_from(&self, other: &PointTrack) -> Option<Way> {
         let is_left = !matches!(other.sight, Sight::Followed | Sight::Few);
         if self.stamp_ns != self.born_ns || other.n_detections != 1 || !is_left {
@@ -38,8 +41,9 @@ impl PointTrack {
         (within(time, TIMES) && within(velocity.norm(), SPEEDS)).then_some(Way { velocity, time })
     }
 
-    /// A track of this fresh detection and the one that began `other`. The acceleration between them
-    /// has the standard deviation `acceleration` [m/s^2]; both places are as uncertain as the second.
+    /// A track of this new detection and the detection that began `other`. The acceleration between
+    /// the two has the standard deviation `acceleration` [m/s^2]. Both positions have the
+    /// uncertainty of the second.
     ///
     /// # Source
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with applications to tracking and navigation", 2001,

@@ -9,20 +9,22 @@ use super::super::update::Updater;
 use super::pending::{MeasuredPlace, PendingTrack};
 use crate::Error;
 
-/// A target that turned while it was not seen is this share of the way that it may have flown from
-/// where it was seen, as a standard deviation.
+/// Standard deviation of the place of a lost target that may have turned, around the place where it
+/// was last seen: this share of the distance that it may have flown since then.
 const LOITER_SHARE: f64 = 0.5;
 
-/// Which track every set of detections fed.
+/// Result of the association of one set of detections with the tracks.
 #[derive(Debug, Default)]
 pub(in crate::flying::track) struct Matches {
-    /// Places in the list of tracks, in the order of the detections, and what these tell.
+    /// The tracks that got a detection, as indices into the list of tracks, in the order of the
+    /// detections, each with the evidence of its detection.
     pub(in crate::flying::track) fed: Vec<(usize, Evidence)>,
     pub(in crate::flying::track) rejected: usize,
 }
 
 impl Updater {
-    /// Give every hypothesis to a track, or make it one; the newest scan is of `scanned_ns`.
+    /// Assign every hypothesis (a detection brought to the present) to a track, or make it a new
+    /// track. `scanned_ns`: time of the newest scan [ns].
     pub(in crate::flying::track) fn join(
         &self,
         tracks: &mut Vec<PointTrack>,
@@ -35,7 +37,8 @@ impl Updater {
         }
     }
 
-    /// Source: Vrba et al., Algorithm 2, lines 26-30; the nearest of the similar tracks counts.
+    /// Associate as Algorithm 2, lines 26-30 (Vrba et al.): every hypothesis goes to the nearest
+    /// track whose uncertainty radius overlaps with its own, or becomes a new track.
     fn join_nearest(&self, tracks: &mut Vec<PointTrack>, hypotheses: Vec<PointTrack>) -> Matches {
         let radius = &self.parameters.radius;
         let mut matches = Matches::default();
@@ -93,8 +96,8 @@ impl Updater {
         Ok(self.feed(tracks, &waiting, hypotheses, &track_of))
     }
 
-    /// A track as it waits for detections of `now_ns`: it looks further if it was not found in the
-    /// newest scan.
+    /// The track at `now_ns` [ns], as it waits for detections. A confirmed track that was not found
+    /// in the newest scan is lost: its search region is wider.
     fn waiting(&self, track: &PointTrack, now_ns: i64, scanned_ns: Option<i64>) -> PendingTrack {
         let is_lost = scanned_ns.is_some_and(|scanned_ns| track.seen_ns < scanned_ns);
         let mut waiting = track.clone();
@@ -111,7 +114,8 @@ impl Updater {
         }
     }
 
-    /// Give every hypothesis to its track; those that have none become tracks.
+    /// Correct every assigned track with its hypothesis. `track_of`: index of the track of each
+    /// hypothesis; hypotheses with None become new tracks.
     fn feed(
         &self,
         tracks: &mut Vec<PointTrack>,
@@ -145,9 +149,10 @@ impl Updater {
         matches
     }
 
-    /// True if the hypothesis is the target of a track once more: a rolling scan may meet a target
-    /// at its start and again at its end, partly at least. No further away than a gap inside a
-    /// cluster, or beside the box of a large target, of which it is a part.
+    /// True if the hypothesis shows the target of a known track a second time: a rolling scan may
+    /// meet a target, or a part of it, at its start and again at its end. Such a hypothesis is no
+    /// further from the track than two points of one cluster may be, or it is beside the box of a
+    /// large target and is a part of it.
     fn is_seen_twice(&self, hypothesis: &PointTrack, tracks: &[PointTrack]) -> bool {
         let model = &self.parameters.motion;
         let is_fresh = hypothesis.stamp_ns == hypothesis.born_ns;
@@ -163,9 +168,9 @@ impl Updater {
         })
     }
 
-    /// A track of a detection and one before it that is too far away for the gate of a new track: a
-    /// target so fast that it was seen once in each of two places. None where tracks are confirmed by
-    /// counts.
+    /// A new track of this detection and an earlier single one that lies outside the gate of a new
+    /// track: a target so fast that it was seen once in each of two places. None if there is no
+    /// such earlier detection, or if tracks are confirmed by counts.
     fn fast_pair(&self, hypothesis: &PointTrack, tracks: &[PointTrack]) -> Option<PointTrack> {
         let Confirmation::Existence { .. } = self.parameters.confirmation else { return None };
         let pairs = tracks.iter().filter_map(|track| Some((hypothesis.way_from(track)?, track)));

@@ -1,11 +1,11 @@
-//! Places near each other, without looking at all pairs.
+//! Search for neighbouring positions without a look at all pairs.
 
 use nalgebra::Vector3;
 
-/// Room for rounding, relative.
+/// Relative margin for rounding errors.
 const MARGIN: f64 = 1e-9;
 
-/// Places sorted along x, by their number.
+/// Positions sorted along x. Each keeps its number: its index in the input.
 pub(in crate::flying::track) struct AlongX {
     sorted: Vec<(f64, usize)>,
 }
@@ -17,7 +17,7 @@ impl AlongX {
         Self { sorted }
     }
 
-    /// Numbers of the places from `low` - `reach` to `high` + `reach` along x [m].
+    /// Numbers of the positions whose x lies between `low - reach` and `high + reach` [m].
     pub(in crate::flying::track) fn near(
         &self,
         low: f64,

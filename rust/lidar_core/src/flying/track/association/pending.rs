@@ -1,4 +1,5 @@
-//! Predicted place of a track's target at a set of detections, and fit of each detection.
+//! Predicted positions of the targets of tracks at the time of a set of detections, and their
+//! differences to the detections.
 
 use super::super::motion::{position, position_block, position_matrix};
 use super::super::parameters::Motion;
@@ -6,26 +7,27 @@ use super::super::state::PointTrack;
 use crate::estimation::kalman::{self, Gaussian, symmetrised};
 use nalgebra::{Matrix3, Vector3};
 
-/// A track to which detections can be assigned.
+/// A track, predicted to the time of a set of detections that may be assigned to it.
 pub(super) struct PendingTrack {
     pub(super) track: PointTrack,
-    /// Detections further away are not its own [m].
+    /// Largest distance of a detection of this track from its predicted position [m].
     pub(super) reach: f64,
-    /// A target that is lost may have gone on as predicted, or it may have turned: then it is this
-    /// far from where it was seen, as a standard deviation [m].
+    /// Standard deviation of the position of a lost target around the place where it was last seen
+    /// [m]: it may have turned instead of going on as predicted. None: only the predicted position counts.
     pub(super) strayed: Option<f64>,
 }
 
 impl PendingTrack {
-    /// Largest distance of its detections from where it is predicted [m].
+    /// Largest distance of a detection of this track from the predicted position, also if the
+    /// target has turned [m].
     pub(super) fn furthest(&self) -> f64 {
         let turned =
             self.strayed.map_or(0.0, |_| (self.track.position() - self.track.seen_at).norm());
         self.reach + turned
     }
 
-    /// Difference to a detection and its covariance, of the more probable of the places where the
-    /// target may be; None if the detection is out of reach.
+    /// Difference to a detection [m] and its covariance [m^2], from the more probable of two
+    /// positions: as predicted, or after a turn. None if the detection is too far away from both.
     pub(super) fn offset(&self, detection: &MeasuredPlace) -> Option<Offset> {
         match (self.if_ahead(detection), self.if_turned(detection)) {
             (Some(one), Some(other)) if cost(&other) < cost(&one) => Some(other),
@@ -40,7 +42,8 @@ impl PendingTrack {
         self.offset_to(self.track.position_after(detection.delay), covariance, detection)
     }
 
-    /// The offset as if the target had turned since it was seen.
+    /// Like [`PendingTrack::offset`], for a target that has turned since it was last seen. None
+    /// also if `strayed` is None.
     fn if_turned(&self, detection: &MeasuredPlace) -> Option<Offset> {
         let std = self.strayed?;
         self.offset_to(self.track.seen_at, Matrix3::identity() * (std * std), detection)
@@ -56,8 +59,9 @@ impl PendingTrack {
         (y.norm() <= self.reach).then_some((y, detection.covariance + covariance))
     }
 
-    /// The track after a turn that led to a detection: its motion is not known any more. None if the
-    /// target went on as predicted.
+    /// The track, with the state of the detection `found`, if a turn explains the detection better
+    /// than the predicted motion: the old motion is then unknown. None if the target went on as
+    /// predicted.
     pub(super) fn turned_to(&self, found: &PointTrack, model: &Motion) -> Option<PointTrack> {
         let mut found = found.clone();
         found.predict(found.stamp_ns.max(self.track.stamp_ns), model);
@@ -78,11 +82,11 @@ impl PendingTrack {
     }
 }
 
-/// Where a hypothesis is at a time after its stamp.
+/// Position of a detection, its covariance, and the time to which both belong.
 pub(super) struct MeasuredPlace {
     pub(super) position: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
-    /// Time after the stamp [s].
+    /// Time of the position after the stamp of the detection [s].
     pub(super) delay: f64,
 }
 
@@ -92,8 +96,9 @@ impl MeasuredPlace {
         Self { position: position(estimate), covariance, delay: 0.0 }
     }
 
-    /// Of a fresh detection at the time when it was measured: where it was at the stamp of its scan,
-    /// before that, nobody knows without its velocity. A target of 30 m/s moves by metres meanwhile.
+    /// Position of a detection that no scan has updated yet, at the time when it was measured. Its
+    /// position at the stamp is hardly known, because the velocity is not: a target of 30 m/s moves
+    /// by metres in between. A hypothesis that a scan has updated gives its position at the stamp.
     pub(super) fn of(hypothesis: &PointTrack, velocity_std: f64) -> Self {
         let at_stamp = Self::at_stamp(&hypothesis.estimate);
         if hypothesis.stamp_ns != hypothesis.born_ns || hypothesis.delay == 0.0 {
@@ -106,10 +111,11 @@ impl MeasuredPlace {
     }
 }
 
-/// A difference and its covariance.
+/// Difference of two positions [m] and its covariance [m^2].
 pub(super) type Offset = (Vector3<f64>, Matrix3<f64>);
 
-/// -2 ln of the likelihood of a difference, without what all share.
+/// -2 ln of the likelihood of a difference, without the constant term. Infinite if the covariance
+/// is not positive definite.
 fn cost((y, covariance): &Offset) -> f64 {
     kalman::mahalanobis(y, covariance)
         .map_or(f64::INFINITY, |distance| distance.squared + distance.log_determinant)

@@ -1,9 +1,9 @@
 //! Probability that the target of a track exists, and probabilities of its kinds.
 //!
-//! Besides a target, two other causes make detections: something that stands still and has just come
-//! into view, such as a part of a surface, and returns that come and go, such as rain, dust and leaves.
-//! Every set of detections says how well each of the three explains what was seen of a track. How often
-//! tracks begin that have no target is learnt from those that end.
+//! Two causes besides a target make detections: something that stands still and has just come into
+//! view, such as a part of a surface, and returns that come and go, such as rain, dust and leaves.
+//! Every set of detections gives the likelihood of what was seen of a track under each of the three
+//! causes. The rate of new tracks without a target is learnt from the tracks that end.
 //!
 //! The same evidence shows whether the target is at rest: see [`Kinds`].
 
@@ -15,37 +15,39 @@ use crate::tracking::existence::{Presence, Sojourn};
 use crate::tracking::kind::KindBelief;
 use serde::{Deserialize, Serialize};
 
-/// A track is removed if its target is less probable.
+/// Probability of existence below which a track is removed.
 pub(in crate::flying::track) const DELETED: f64 = 0.01;
-/// Share of the probability from which on a track is reported, below which it is not any more.
+/// Share of the probability for reporting (`report`) at which a reported track stops being
+/// reported.
 pub(in crate::flying::track) const KEPT: f64 = 0.5;
-/// Detections of less confidence are weak.
+/// Confidence below which a detection is weak.
 pub(in crate::flying::track) const SURE: f64 = 0.7;
-/// A track this far from where it began has moved, with two standard deviations on top [m] ...
+/// A track has moved if it is further than this, plus two standard deviations, from its first
+/// detection [m], and nothing is left there: see [`CLEARED`].
 pub(in crate::flying::track) const MOVED: f64 = 0.5;
-/// ... if nothing is left this near to its start [m].
+/// No point may be left within this distance of the first detection of a track that has moved [m].
 pub(in crate::flying::track) const CLEARED: f64 = 0.3;
-/// Rays through the place of a target that hardly ever miss it.
+/// Number of rays through the place of a target that hardly ever all miss it.
 pub(in crate::flying::track) const MANY_RAYS: usize = 12;
 
-/// Probability that the target exists of a track that begins with many scans.
+/// Probability of existence for the target of a track that several scans together showed to move.
 const OF_MOVER: f64 = 0.98;
 
-/// Mean times for which a target stays, gives returns, and gives none although it is in view [s].
+/// Mean times for which a target exists, gives returns, and gives none although it is in view [s].
 const MEAN: Sojourn = Sojourn { lifetime: 30.0, visible: 5.0, hidden: 0.3 };
 
 /// What a set of detections, and the scan before it, show of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::flying::track) enum Sight {
-    /// It is outside of the field of view, or hidden: no evidence.
+    /// The track is outside of the field of view, or hidden: no evidence.
     Unseen,
-    /// Many rays passed its place without a hit.
+    /// Many rays passed through its place without a hit.
     Missed,
-    /// A few rays did.
+    /// A few rays passed through its place without a hit.
     BarelyMissed,
-    /// There are points, but no evidence that they are in free space.
+    /// There are points at its place, but no evidence that they are in free space.
     Followed,
-    /// Too few points for a detection, in free space.
+    /// There are points in free space, but too few for a detection.
     Few,
     /// A detection that is not certain.
     Weak,
@@ -53,12 +55,12 @@ pub(in crate::flying::track) enum Sight {
     Sure,
 }
 
-/// How likely each cause makes something: a target, one that gives no returns for a while, something
-/// that stands, and what comes and goes. Only ratios count.
+/// Likelihoods of an observation under each cause: a target; a target that gives no returns for a
+/// while; something that stands; something that comes and goes. Only their ratios count.
 pub(super) type CauseLikelihoods = [f64; 4];
 
 impl Sight {
-    /// Of a track without points, through whose place so many rays went.
+    /// Observation of a track without points, through whose place this number of rays went.
     pub(in crate::flying::track) fn without(rays: usize) -> Self {
         match rays {
             MANY_RAYS.. => Self::Missed,
@@ -67,8 +69,9 @@ impl Sight {
         }
     }
 
-    /// Whether it tells about a track at all. Points that may be of anything say that what began the
-    /// track stands, but nothing about what has moved; few points say something about that alone.
+    /// Whether the observation is evidence for this track. Points at its place that may belong to
+    /// anything (`Followed`) tell nothing once it has moved. Too few points for a detection (`Few`)
+    /// tell something only then.
     pub(super) fn tells(self, has_moved: bool) -> bool {
         match self {
             Self::Followed => !has_moved,
@@ -77,7 +80,7 @@ impl Sight {
         }
     }
 
-    /// Whether it is something in free space, of which the place tells.
+    /// Whether points were observed in free space, so that the clutter of the place counts.
     pub(super) fn is_in_free_space(self) -> bool {
         matches!(self, Self::Few | Self::Weak | Self::Sure)
     }
@@ -90,8 +93,9 @@ impl Sight {
         }
     }
 
-    /// Shares of what was seen of tracks, with and without targets, of simulated sensors as their
-    /// drivers deliver them and in rain, dust, leaves and among insects.
+    /// Likelihoods of the observation under each cause. They are frequencies from simulations of
+    /// sensors, as their drivers deliver the data, with and without targets, in rain, dust and
+    /// leaves and among insects.
     pub(super) fn likelihood(self, around: ExpectedClutter) -> CauseLikelihoods {
         let [target, hidden, standing, fleeting] = self.shares();
         let more = if self.is_in_free_space() { around.clutter } else { 1.0 };
@@ -111,17 +115,18 @@ impl Sight {
     }
 }
 
-/// Of a detection that seems to be a part of a surface: one in thirty of those of targets, half of
-/// those of parts.
+/// Likelihoods of the causes for a detection that seems to be part of a surface: one in thirty
+/// detections of targets, half of those of parts of surfaces.
 const JOINED: CauseLikelihoods = [0.033, 0.033, 0.5, 0.033];
-/// Of having more points around it than its own.
+/// Likelihood, for a target, of having more points around it than its own, relative to other
+/// causes.
 const AMONG_STRAYS: f64 = 0.02;
 
-/// Probabilities of the causes of a track.
+/// Probabilities of the causes that may have made a track.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct TrackBelief {
     pub(super) presence: Presence,
-    /// Probability that something stands there, if there is no target.
+    /// Probability that something stands at the track's place, given that there is no target.
     pub(super) standing: f64,
     pub(super) stamp_ns: i64,
     pub(super) has_moved: bool,
@@ -129,56 +134,58 @@ pub(in crate::flying::track) struct TrackBelief {
 }
 
 impl TrackBelief {
-    /// Before anything was seen.
+    /// Belief before any observation.
     pub(in crate::flying::track) fn unknown(stamp_ns: i64) -> Self {
         let presence = Presence::measured(0.5);
         let kinds = Kinds::new();
         Self { presence, standing: 0.5, stamp_ns, has_moved: false, kinds }
     }
 
-    /// Of a target that many scans together show to move.
+    /// Belief about a target that several scans together show to move.
     pub(in crate::flying::track) fn of_mover(stamp_ns: i64) -> Self {
         let presence = Presence::measured(OF_MOVER);
         let kinds = Kinds::of_mover();
         Self { presence, standing: 0.0, stamp_ns, has_moved: true, kinds }
     }
 
-    /// At another time, without anything seen.
+    /// The belief predicted to `stamp_ns`, without a new observation.
     pub(in crate::flying::track) fn at(&self, stamp_ns: i64) -> Self {
         let presence = self.presence.predicted(seconds(self.stamp_ns, stamp_ns), &MEAN);
         Self { presence, stamp_ns, ..*self }
     }
 
-    /// Probability that the target exists: one among many returns that belong to nothing is rather one
-    /// of them.
+    /// Probability that the target exists. `is_among_strays`: there are more points around the
+    /// track that belong to no track than its own. It is then rather one of these points.
     pub(in crate::flying::track) fn existence(&self, is_among_strays: bool) -> f64 {
         let odds = if is_among_strays { AMONG_STRAYS } else { 1.0 };
         self.presence.weighed(odds, odds).existence
     }
 
-    /// Whether the track was seen away from where it began.
+    /// Whether the track was seen away from its first detection, with nothing left there.
     pub(in crate::flying::track) fn has_moved(&self) -> bool {
         self.has_moved
     }
 
-    /// Enter that something was there before, with this probability at least.
+    /// Raise the probability that the target exists to at least `existence`: something was there
+    /// before.
     pub(super) fn exists(&mut self, existence: f64) {
         if self.presence.existence < existence {
             self.presence = Presence::measured(existence);
         }
     }
 
-    /// The more probable belief of two tracks of one target.
+    /// Of two beliefs about the same target, the one with the higher probability of existence.
     pub(in crate::flying::track) fn more_probable(self, other: Self) -> Self {
         if other.presence.existence > self.presence.existence { other } else { self }
     }
 
-    /// Probabilities of what the target is.
+    /// Probabilities of the kinds of the target.
     pub(in crate::flying::track) fn kinds(&self) -> KindBelief {
         self.kinds.belief(self.has_moved)
     }
 
-    /// Enter what a detection shows of the target itself.
+    /// Enter what a detection shows of the target itself: whether it seems part of a surface, and
+    /// its shape.
     pub(super) fn take_shape(&mut self, evidence: Evidence) {
         if evidence.is_joined {
             self.take(JOINED);
@@ -189,18 +196,20 @@ impl TrackBelief {
         }
     }
 
-    /// Enter how much came and went, 0 to 1, where it was detected, and whether it stays beside structure.
+    /// Enter one detection: how often something came and went at its place before, 0 to 1, and
+    /// whether the track stays beside structure.
     pub(in crate::flying::track) fn visit(&mut self, share: f64, hangs: bool) {
         self.kinds.visit(share, hangs);
     }
 
-    /// Enter whether something stood where it was detected before it began, 0 to 1.
+    /// Enter for one detection whether something stood at its place before the track began, 0 (no)
+    /// to 1 (yes).
     pub(in crate::flying::track) fn stand(&mut self, stood: f64) {
         self.kinds.stand(stood);
     }
 
-    /// Enter the acceleration of the track along every axis [m/s^2] and its variance, `seconds` after the
-    /// last one; `expected` is the standard deviation that a new track has.
+    /// Enter the track's acceleration [m/s^2] and its variance along every axis, `seconds` after
+    /// the last entry. `expected`: standard deviation of the acceleration of a new track [m/s^2].
     pub(super) fn take_acceleration(
         &mut self,
         accelerations: [[f64; 2]; 3],
@@ -220,30 +229,31 @@ impl TrackBelief {
     }
 }
 
-/// Number of sets after which one counts 1/e.
+/// Number of sets of detections after which the weight of an old set has fallen to 1/e.
 const MEMORY: f64 = 300.0;
-/// Tracks that begin with a target, in a set of detections.
+/// Expected number of tracks with a target that one set of detections begins.
 const TARGETS: f64 = 0.05;
-/// Tracks that begin without one, and the sets in which they did, before tracks tell.
+/// Prior of the statistics: this number of tracks without a target began in `SETS_PRIOR` sets.
 const FALSE_PRIOR: f64 = 1.0;
 const SETS_PRIOR: f64 = 10.0;
-/// Tracks without a target that a set begins where the likelihoods of what comes and goes hold; where
-/// there are more of them, more detections of it fall into the gate of a track.
+/// Tracks without a target that one set begins where the likelihoods of the cause "comes and goes"
+/// hold as they are. If more begin, more detections of that cause also fall into the gates of
+/// tracks.
 const USUAL: f64 = 0.1;
 const CLUTTER_BOUNDS: [f64; 2] = [0.5, 1.8];
-/// Fewest tracks without a target that a set is expected to begin.
+/// Smallest expected number of tracks without a target that one set begins.
 const FEWEST: f64 = 0.02;
 
-/// What new tracks, and detections in the gates of tracks, are expected to be.
+/// What is expected of the next set of detections, from the statistics of tracks without a target.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::flying::track) struct ExpectedClutter {
-    /// Probability that a new track has a target.
+    /// Prior probability that a new track has a target.
     pub(super) prior: f64,
-    /// Detections of what comes and goes, over the usual.
+    /// Factor for the likelihood of detections that come and go, relative to the usual rate.
     clutter: f64,
 }
 
-/// How often tracks begin that have no target.
+/// Statistics: how often tracks without a target begin.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(in crate::flying::track) struct FalseBirths {
     sets: f64,
@@ -251,19 +261,21 @@ pub(in crate::flying::track) struct FalseBirths {
 }
 
 impl FalseBirths {
-    /// Take in a set of detections.
+    /// Count a set of detections.
     pub(in crate::flying::track) fn count_set(&mut self) {
         let kept = 1.0 - 1.0 / MEMORY;
         self.sets = kept * self.sets + 1.0;
         self.without_target *= kept;
     }
 
-    /// Take in the end of a track that was never confirmed and had a target with this probability.
+    /// Count the end of a track that was never confirmed. `existence`: probability that it had a
+    /// target.
     pub(in crate::flying::track) fn count_end(&mut self, existence: f64) {
         self.without_target += 1.0 - existence;
     }
 
-    /// What is expected of the next set, beside so many tracks without a target that are there already.
+    /// What to expect of the next set of detections. `alive`: expected number of present tracks
+    /// without a target.
     pub(in crate::flying::track) fn expected(&self, alive: f64) -> ExpectedClutter {
         let without = (FALSE_PRIOR + self.without_target + alive) / (SETS_PRIOR + self.sets);
         let [low, high] = CLUTTER_BOUNDS;

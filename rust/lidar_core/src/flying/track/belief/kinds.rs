@@ -1,95 +1,93 @@
-//! Probabilities of the kinds of a track's target.
+//! Probabilities of the kinds of a track's target (flying, on the ground, static, clutter, unknown).
 //!
-//! Every set of detections tells whether it stands. Its size, and how much of its outline is filled,
-//! are the same in all of them: these are averaged, and weighed once. Insects are smaller than what
-//! is looked for; of dust and leaves few rays come back among many that pass. Rays pass below what
-//! flies, and not below what stands on the ground.
+//! Every set of detections tells whether the target stands. Its size and its fill (share of its outline that returns
+//! rays) are the same in all detections, so they are averaged and weighed once. Insects are smaller than the targets.
+//! Dust and leaves return few of many rays. Rays pass below what flies, and not below what stands on the ground.
 
 use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
 
-/// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`.
+/// Prior probabilities of the kinds of a new track, in the order of `TrackKind::ALL`, as in all tables of this file.
 const SHARES: [f64; KINDS] = [0.03, 0.6, 0.05, 0.07, 0.25];
-/// What is part of a surface is so many times likelier to seem so: it stands, or is on the ground.
+/// Likelihoods, per kind, that a detection seems to be part of a surface: higher for what stands or is on the ground.
 const JOINED: [f64; KINDS] = [1.0, 0.5, 5.0, 5.0, 0.5];
-/// Largest number of detections that count: those of one target are alike in their errors.
+/// Largest number of detections that count: the errors of detections of one target are alike.
 const MOST: f64 = 20.0;
-/// Of the logarithm of a value in one detection: its standard deviation around that of the target.
+/// Standard deviation of the logarithm of a value in one detection around the value of the target.
 const NOISE: f64 = 0.4;
 
-/// Returns of a detection that has half the weight of one with very many: rows that lie far apart often meet only a
-/// part of a target, with few returns, whose size says little about that of the whole. What all detections together
-/// tell is as certain as before.
+/// Number of returns at which a detection has half the weight of one with very many. Rows that lie far apart often
+/// meet only a part of a target: such a detection has few returns, and its size says little about the target. The
+/// certainty of all detections together is not changed by this.
 const HALF_WEIGHT: f64 = 10.0;
 
-/// Share of the tracks that seem to have moved though their targets stand.
+/// Share of the tracks that seem to have moved although their targets stand.
 const STILL_THOUGH_MOVED: f64 = 0.03;
 
-/// Of what rays pass below, and of what none do: that stands on the ground, or is cut off by the edge
-/// of the field of view, as people near a scanner are.
+/// Likelihoods, per kind, that rays pass below a target (`FREE_BELOW`), or that none do (`NOT_FREE_BELOW`): it stands
+/// on the ground, or the edge of the field of view cuts it off, as it does people near a scanner.
 const FREE_BELOW: [f64; KINDS] = [0.8, 1.0, 0.15, 0.4, 1.0];
 const NOT_FREE_BELOW: [f64; KINDS] = [0.7, 0.35, 1.5, 1.0, 0.35];
-/// The same of the first look at it: what comes into view like this nearly always walks or drives in over
-/// the lower edge of the field of view. What flies is seen as a whole before, or soon after.
+/// Likelihoods of `NOT_FREE_BELOW` for the first look. Nearly everything that comes into view like this walks or
+/// drives in over the lower edge of the field of view. A flying target is seen as a whole before or soon after.
 const NOT_FREE_AT_FIRST: [f64; KINDS] = [0.35, 0.08, 1.5, 1.0, 0.08];
-/// Of what has moved to where nothing below it was ever seen, or is hidden by something in front of it: behind a table, a car or a wall most things that
-/// move are people. What hides the space below hides it in every scan, so it counts once, also of what seemed to
-/// be free below before: the track of a person may begin with an arm. Where rays below it are lost, as over a wet
-/// road, nothing hides anything.
+/// Likelihoods, per kind, that a target has moved over space that was never seen, or that something in front of it
+/// hides the space below: behind a table, a car or a wall, most moving things are people. They count once, since the
+/// same thing hides the space in every scan, also if the space seemed free before: the track of a person may begin
+/// with an arm. Where rays below the target are lost, as over a wet road, nothing is hidden.
 const OVER_UNSEEN: [f64; KINDS] = [0.2, 0.03, 1.5, 1.0, 0.03];
 
-/// Standard deviations of the acceleration of what moves steadily, and of what manoeuvres [m/s^2].
+/// Standard deviation of the acceleration of a target that moves steadily (`STEADY`) or manoeuvres (`AGILE`) [m/s^2].
 const STEADY: f64 = 1.0;
 const AGILE: f64 = 4.0;
-/// Shares of the kinds that manoeuvre all the time: people and vehicles hardly ever do. What stands has no
-/// acceleration but that of errors, which tell nothing.
+/// Share of each kind that manoeuvres all the time: people and vehicles hardly ever do. The accelerations of what
+/// stands are errors of the estimate, which tell nothing.
 const AGILE_SHARES: [f64; KINDS] = [0.5, 0.5, 0.02, 0.5, 0.5];
-/// Estimates of an acceleration that lie closer together follow mostly from the same measurements: they
-/// count in proportion to the time between them [s].
+/// Estimates of an acceleration that are closer in time use mostly the same measurements, so they count in proportion
+/// to the time between them [s].
 const APART: f64 = 0.5;
-/// With more than this share of the variance left that a new track has, an acceleration is not measured.
+/// Share of the variance of a new track above which an acceleration counts as not measured.
 const KNOWN_SHARE: f64 = 0.95;
-/// Largest amount of `Kinds::agility`: what is long past must not outweigh all that follows.
+/// Largest absolute value of `Kinds::agility`. Without this limit, the distant past would outweigh all that follows.
 const MOST_AGILITY: f64 = 8.0;
 
-/// Of what was seen where things came and went before, at all of its detections, as far as one of them tells: few
-/// targets come just there.
+/// Likelihoods, per kind, if something came and went at the places of all detections before the track began. Few
+/// targets come to just such places. A smaller share of detections counts for less.
 const RECURS: [f64; KINDS] = [0.2, 0.02, 1.0, 1.0, 1.0];
-/// Of what stays beside structure, at all of its detections, and does not manoeuvre: leaves, wires and flags hang on
-/// something and sway; few targets begin beside structure, stay there, and hardly accelerate.
+/// Likelihoods, per kind, if the target stayed beside structure in all detections and does not manoeuvre: leaves,
+/// wires and flags hang on something and sway. Few targets begin beside structure, stay there and hardly accelerate.
 const HANGS: [f64; KINDS] = [0.3, 0.1, 0.3, 1.0, 1.0];
 
-/// Of what is where something stood before it began, in its last detections: few targets come just there. What
-/// hovered before it was noticed does, too, and is not known before it moves. What manoeuvres does not stand.
+/// Likelihoods, per kind, if something stood at the places of the last detections before the track began. Few targets
+/// come to just such places, except one that hovered before it was noticed. What manoeuvres does not stand.
 const STOOD: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
-/// So many last detections.
+/// Number of last detections that `Kinds::stood` averages.
 const LAST: f64 = 5.0;
 
-/// Likelihoods of detections that all end at the edge of something nearer which a moving sensor looks past. Parts of
-/// static objects appear behind such an edge in every scan, at another place each time. Targets are soon seen as a
-/// whole. Static objects are, too: a track of which one of the first `FIRST` detections was at an edge counts, until it
-/// has moved, as if all of them were. Of a track that has moved, only the share beyond one half counts, since targets
-/// pass behind things.
+/// Likelihoods, per kind, if all detections end at the edge of something nearer that a moving sensor looks past.
+/// Parts of static objects appear behind such an edge in every scan, each time elsewhere. Targets are soon seen as a
+/// whole, but so are static objects: a track with one of its first `FIRST` detections at an edge counts as if all
+/// were, until it has moved. After that only the share beyond one half counts, since targets pass behind things.
 const UNCOVERED: [f64; KINDS] = [6.0, 0.02, 1.0, 2.0, 1.0];
 /// Number of first detections that show whether a track began at an edge.
 const FIRST: f64 = 3.0;
 
-/// Properties of a target itself in one detection.
+/// What one detection shows of the target itself: size, fill and surroundings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetShape {
-    /// Its returns.
+    /// Number of its returns.
     pub n_points: usize,
     /// Radius of the sphere around it [m].
     pub radius: f64,
-    /// The radius if rays pass it as near to each other as its points are [m].
+    /// Radius of the sphere if the rays beside the target were as close to each other as its points [m].
     pub least_radius: f64,
-    /// Share of the rays inside the ellipse of its points that hit; not a number if unknown.
+    /// Share of the rays inside the ellipse around its points that hit it. NaN if unknown.
     pub filled_share: f64,
-    /// True if rays pass below it; None if unknown.
+    /// Whether rays pass below it. None if unknown.
     pub is_free_below: Option<bool>,
-    /// True if it has moved over space that was never seen, or something in front of it hides what is below it.
+    /// Whether it has moved over space that was never seen, or something in front of it hides the space below it.
     pub is_over_unseen: bool,
-    /// True if it ends at the edge of something nearer that the moving sensor looks past.
+    /// Whether it ends at the edge of something nearer that the moving sensor looks past.
     pub is_uncovered: bool,
 }
 
@@ -97,32 +95,32 @@ pub struct TargetShape {
 #[derive(Clone, Copy)]
 struct LogNormal(f64, f64);
 
-/// A sort of target: its share among its kind, its radius [m], and how much of it is filled.
+/// A sort of targets of one kind: its share of the kind, distribution of the radius [m] and of the fill (0 to 1).
 struct Sort {
     share: f64,
     radius: LogNormal,
     filled: LogNormal,
 }
 
-/// Birds and small frames; targets of half a metre and more. How much of their outlines is filled was measured on
+/// Sorts of flying targets: birds and small frames; targets of half a metre and more. Their fill was measured on
 /// spheres and frames in recordings of five sensors: logarithms of -1.1 to 0 in the mean of a target.
 const FLYING: [Sort; 2] = [
     Sort { share: 0.5, radius: LogNormal(-1.6, 0.35), filled: LogNormal(-0.65, 0.4) },
     Sort { share: 0.5, radius: LogNormal(-0.7, 0.6), filled: LogNormal(-0.65, 0.4) },
 ];
-/// Insects; dust, smoke and rain, of which simulated puffs and drops have logarithms of -3.1 to -1.6; leaves and
-/// whatever else.
+/// Sorts of clutter: insects; dust, smoke and rain (simulated puffs and drops have a logarithm of the fill of -3.1 to
+/// -1.6); leaves and everything else.
 const CLUTTER: [Sort; 3] = [
     Sort { share: 0.35, radius: LogNormal(-3.0, 0.4), filled: LogNormal(-0.7, 0.7) },
     Sort { share: 0.35, radius: LogNormal(-1.2, 0.8), filled: LogNormal(-2.2, 0.6) },
     Sort { share: 0.3, radius: LogNormal(-1.6, 1.0), filled: LogNormal(-1.2, 1.0) },
 ];
 
-/// Mean of a value over detections.
+/// Weighted mean of a value over the last detections.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Mean {
     count: f64,
-    /// Sum of the weights of these.
+    /// Sum of the weights of the values.
     weight: f64,
     mean: f64,
 }
@@ -142,7 +140,8 @@ impl Mean {
         self.mean += (value - self.mean) * weight / self.weight;
     }
 
-    /// Add the logarithm of a value that `returns` returns tell. Values that are not positive say nothing.
+    /// Add the logarithm of a value from a detection of `returns` returns. A value that is not positive and finite is
+    /// ignored.
     fn add_log(&mut self, value: f64, returns: usize) {
         if value > 0.0 && value.is_finite() {
             let count = returns as f64;
@@ -150,7 +149,8 @@ impl Mean {
         }
     }
 
-    /// Probability density of the mean of logarithms, up to a factor that all sorts share.
+    /// Probability density of the mean of the logarithms under distribution `of`, without a factor that all sorts
+    /// share.
     fn density(&self, of: LogNormal) -> f64 {
         if self.count == 0.0 {
             return 1.0;
@@ -162,37 +162,37 @@ impl Mean {
     }
 }
 
-/// Probabilities of the kinds of a target.
+/// Evidence for the kind of a track's target, summed over its detections.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct Kinds {
-    /// Belief from what was seen in every set of detections.
+    /// Belief from the evidence that is weighed at once, without the averaged values below.
     seen: KindBelief,
-    /// Of the logarithms of its radius [m], and of how much of it is filled.
+    /// Mean logarithm of the radius [m] (`radius`, `least_radius`), and of the fill.
     radius: Mean,
     least_radius: Mean,
     filled: Mean,
-    /// How much came and went before where it was detected, 0 to 1.
+    /// Mean of how often something came and went before at the places of its detections, 0 to 1.
     recurs: Mean,
-    /// Share of its detections in which it was beside structure and near where it began.
+    /// Share of the detections in which it was beside structure and near its first detection.
     hangs: Mean,
-    /// Whether something stood where its last detections are, 0 to 1.
+    /// Mean, over the last detections, of whether something stood at their places before, 0 to 1.
     stood: Mean,
-    /// Share of its detections that end at an edge which the sensor looks past.
+    /// Share of the detections that end at the edge of something nearer that the sensor looks past.
     uncovered: Mean,
-    /// Whether one of the first of them did.
+    /// Whether one of the first detections ends at such an edge.
     began_uncovered: bool,
-    /// Whether rays passed below it in the first look that told; None if none has told yet.
+    /// Whether rays passed below it in the first look that showed this. None before such a look.
     was_free_at_first: Option<bool>,
-    /// Whether the newest look that told anything found it above space that was never seen.
+    /// Whether the newest look that showed anything found it above space that was never seen.
     is_over_unseen: bool,
-    /// Whether any look found it above such space.
+    /// Whether any look found it above space that was never seen.
     was_over_unseen: bool,
-    /// Logarithm of how many times likelier its accelerations are if it manoeuvres than if it does not.
+    /// Logarithm of the likelihood ratio of its accelerations: manoeuvring to not manoeuvring.
     agility: f64,
 }
 
 impl Kinds {
-    /// Belief about the kind of a new track.
+    /// Belief about a new track.
     pub(in crate::flying::track) fn new() -> Self {
         let [radius, least_radius, filled] = [Mean::default(); 3];
         let seen = KindBelief::prior(SHARES);
@@ -214,25 +214,25 @@ impl Kinds {
         }
     }
 
-    /// Belief about something that has moved through the air.
+    /// Belief about a target that is known to have moved through the air.
     pub(super) fn of_mover() -> Self {
         let mut kinds = Self::new();
         kinds.see(1.0, STILL_THOUGH_MOVED);
         kinds
     }
 
-    /// Enter how likely something that moves, and something that stands, makes what was seen.
+    /// Enter evidence by its likelihood if the target moves (`moving`) and if it stands (`standing`).
     pub(super) fn see(&mut self, moving: f64, standing: f64) {
         self.seen = self.seen.weighed([moving, moving, moving, standing, moving]);
     }
 
-    /// Enter that a detection seemed to be part of a surface.
+    /// Enter that a detection seems to be part of a surface.
     pub(super) fn see_joined(&mut self) {
         self.seen = self.seen.weighed(JOINED);
     }
 
-    /// Enter the shape of a detection. That no ray passes below one that only the track leads, over space that
-    /// was never seen, says nothing more.
+    /// Enter the shape of a detection. `is_led`: only its track tells that it flies. For such a detection over space
+    /// that was never seen, it tells nothing more that no ray passes below.
     pub(super) fn measure(&mut self, shape: TargetShape, is_led: bool) {
         self.radius.add_log(shape.radius, shape.n_points);
         self.least_radius.add_log(shape.least_radius, shape.n_points);
@@ -258,8 +258,8 @@ impl Kinds {
         }
     }
 
-    /// What the first look above space that was never seen tells. What hides that space often hid it in the first
-    /// look of all, too: what that has told already is taken off.
+    /// Likelihoods of the first look above space that was never seen. Often the same thing hid this space in the very
+    /// first look: what that look has told already is divided out.
     fn over_unseen(&self) -> [f64; KINDS] {
         if self.was_free_at_first != Some(false) {
             return OVER_UNSEEN;
@@ -267,24 +267,24 @@ impl Kinds {
         std::array::from_fn(|kind| OVER_UNSEEN[kind] / NOT_FREE_AT_FIRST[kind])
     }
 
-    /// Enter how much came and went, 0 to 1, at the place of a detection before the track began, and whether that
-    /// is beside structure and near where the track began.
+    /// Enter one detection: how often something came and went at its place before the track began (`share`, 0 to 1),
+    /// and whether the place is beside structure and near the first detection (`hangs`).
     pub(super) fn visit(&mut self, share: f64, hangs: bool) {
         self.recurs.add(share);
         self.hangs.add(f64::from(u8::from(hangs)));
     }
 
-    /// Enter whether something stood at the place of a detection before the track began, 0 to 1.
+    /// Enter for one detection whether something stood at its place before the track began, 0 (no) to 1 (yes).
     pub(super) fn stand(&mut self, stood: f64) {
         self.stood.count = self.stood.count.min(LAST - 1.0);
         self.stood.weight = self.stood.count;
         self.stood.add(stood);
     }
 
-    /// Enter the acceleration of a track along every axis and its variance, `seconds` after the last one.
+    /// Enter the track's acceleration [m/s^2] and its variance along every axis, `seconds` after the last entry.
     ///
-    /// What a new track expects of it, with the standard deviation `expected`, is taken off first: only
-    /// what the scans say counts.
+    /// The prior of a new track, with the standard deviation `expected` [m/s^2], is removed first, so that only the
+    /// measurements count.
     pub(super) fn feel(&mut self, accelerations: [[f64; 2]; 3], expected: f64, seconds: f64) {
         let prior = expected * expected;
         let log_ratio = |[mean, variance]: [f64; 2]| {
@@ -301,7 +301,7 @@ impl Kinds {
         self.agility = self.agility.clamp(-MOST_AGILITY, MOST_AGILITY);
     }
 
-    /// Probabilities of the kinds of a target that was seen away from where it began, or not.
+    /// Probabilities of the kinds. `has_moved`: whether the target was seen away from its first detection.
     pub(in crate::flying::track) fn belief(&self, has_moved: bool) -> KindBelief {
         let uncovered = match (has_moved, self.began_uncovered) {
             (true, _) => (2.0 * self.uncovered.mean - 1.0).max(0.0),
@@ -377,7 +377,7 @@ mod tests {
         assert_eq!(kind(&[(0.05, 0.5), (0.16, 0.5), (0.05, 0.5), (0.05, 0.5)]), TrackKind::Clutter);
     }
 
-    /// Kind after detections of so many points and such a radius.
+    /// Kind after detections with these numbers of points and radii [m].
     fn kind_of_parts(parts: &[(usize, f64)]) -> TrackKind {
         let mut kinds = Kinds::new();
         for &(n_points, radius) in parts.iter().cycle().take(12) {
@@ -435,7 +435,7 @@ mod tests {
         assert_eq!(kinds.belief(true).kind(), TrackKind::Flying);
     }
 
-    /// Kinds of what moves above space that was never seen, with an acceleration, for so many scans.
+    /// Evidence of `scans` detections of a target with this acceleration [m/s^2] above space that was never seen.
     fn over_unseen(acceleration: [f64; 3], scans: usize) -> Kinds {
         let shape = TargetShape {
             n_points: 10,
@@ -613,7 +613,7 @@ mod tests {
         assert!((kinds.agility - other.agility).abs() < 1e-12 && kinds.agility > 0.0);
     }
 
-    /// Kind after ten detections with a radius, and what is told of the place, at an acceleration.
+    /// Kind after ten detections with this radius [m] and acceleration, whose places have these properties.
     fn at_place(radius: f64, share: f64, hangs: bool, acceleration: f64) -> TrackKind {
         let shape = TargetShape {
             n_points: 10,

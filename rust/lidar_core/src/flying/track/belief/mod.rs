@@ -1,4 +1,4 @@
-//! Belief about the target of a track: probability of its existence, and of its kinds.
+//! Belief about the target of a track: whether it exists, and of which kind it is.
 
 pub(super) mod existence;
 pub(super) mod kinds;

@@ -1,7 +1,7 @@
-//! Objects in free space during the burn-in: a target that hovers, or a hanging object.
+//! Objects that stand in free space during the burn-in: targets that hover, or hanging objects.
 //!
-//! Before it moves, both look alike, so its kind is unknown. Its points are background from the
-//! burn-in on. After it has left, a new track follows it.
+//! Both look alike until they move, so their kind is unknown. Their points are background from the
+//! burn-in on. When such a target leaves, a new track follows it.
 
 use super::super::detections::Detections;
 use super::super::measurement::CloudScan;
@@ -14,35 +14,40 @@ use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Points this far outside the box around it may be its own: it never quite stands still [m].
+/// Points this far outside the box around an object may still be its own, since it never stands
+/// quite still [m].
 const MARGIN: f64 = 0.15;
-/// It is gone if rays have passed through its place, and met nothing there, for so long [s].
+/// The object is gone if rays have passed through its place for this time [s] without a hit.
 const GONE: f64 = 0.25;
-/// Shares of the kinds of what stands in free air, in the order of `TrackKind::ALL`: most things are
-/// not decided before they move.
+/// Prior probabilities of the kinds of what stands in free air, in the order of `TrackKind::ALL`.
+/// For most such objects the kind remains undecided until they move.
 const SHARES: [f64; KINDS] = [0.6, 0.2, 0.0, 0.2, 0.0];
-/// Mean time for which a target hovers [s]: what stands for much longer hangs there.
+/// Mean time for which a target hovers [s]. What stands for much longer hangs there.
 const HOVERS: f64 = 60.0;
-/// Probability that something is there: it was seen in most scans of the burn-in.
+/// Probability that the object exists: it was seen in most scans of the burn-in.
 const EXISTENCE: f64 = 0.99;
-/// Standard deviations of its speed [m/s] and acceleration [m/s^2].
+/// Standard deviations of the object's speed [m/s] and acceleration [m/s^2].
 const STILL: [f64; 2] = [0.05, 0.05];
-/// A track that began this near to its place [m], besides its size, may be it.
+/// A track may follow the object if it began within this distance of its place [m], in addition to
+/// the object's radius.
 const REACH: f64 = 0.5;
-/// A detection this far from its place [m], and two standard deviations, shows that it has moved: what hangs
-/// there does not.
+/// A track this far from the object's place [m], plus two standard deviations, shows that the
+/// object has moved. A hanging object does not.
 const LEFT: f64 = 0.25;
-/// In the first scans in which it moves it goes at most this far [m]: after that, nothing of the map is near it.
+/// Largest distance that the object moves in its first scans of motion [m]. After that, no occupied
+/// voxel is near it.
 const STARTS: f64 = 0.5;
-/// Larger things show new sides without moving, as do those of which parts this near to each other are known [m] ...
+/// Largest side of an object that is expected to move, and smallest distance to other such objects
+/// [m]. Larger objects, and those of several parts, show new sides without moving.
 const SMALL: f64 = 1.0;
-/// ... and the map does not hold all of a thing from the beginning [s].
+/// Time after the burn-in from which on an object is expected to move [s]. Before that, the map
+/// does not hold all of it.
 const SETTLED: f64 = 0.3;
-/// It is still there if a point at its place is this near to what the map holds [m]: where rays have passed
-/// through its place, what is there now is not what stood there.
+/// The object is still there if a point at its place is within this distance of an occupied voxel
+/// [m]. If rays have passed through its place, what is there now is not the same object.
 const HELD: f64 = 0.5;
 
-/// Something that stands in free space.
+/// An object that stands in free space since the burn-in.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(in crate::flying::track) struct UnmovedTarget {
     pub(in crate::flying::track) id: i64,
@@ -51,14 +56,15 @@ pub(in crate::flying::track) struct UnmovedTarget {
     extent: [f64; 3],
     born_ns: i64,
     seen_ns: i64,
-    /// False if the newest scan has no point at its place.
+    /// Whether the newest scan has a point of the object at its place.
     is_there: bool,
-    /// Since when all scans have shown that nothing is there.
+    /// Time since when all scans have shown that nothing is there [ns]. None: it is there, or its
+    /// place is hidden.
     empty_ns: Option<i64>,
 }
 
 impl UnmovedTarget {
-    /// The detection `index` of a set.
+    /// The object of detection `index` of a set, with the track number `id`.
     pub(in crate::flying::track) fn new(
         id: i64,
         detections: &Detections<'_>,
@@ -77,12 +83,12 @@ impl UnmovedTarget {
         }
     }
 
-    /// Radius of the ball around its place that holds all of it [m].
+    /// Radius of the ball around its place that contains all of it [m].
     fn radius(&self) -> f64 {
         0.5 * Vector3::from(self.extent).norm() + MARGIN
     }
 
-    /// Where it is looked for if it moves.
+    /// The region in which it is expected if it begins to move.
     fn expected(&self) -> ExpectedTarget {
         ExpectedTarget {
             position: self.position.into(),
@@ -93,7 +99,8 @@ impl UnmovedTarget {
         }
     }
 
-    /// As a track at `stamp_ns`, reported if `is_recent` says so of the time when it was seen.
+    /// The object as a track at `stamp_ns`. It is reported if `is_recent` is true for the time when
+    /// it was last seen [ns].
     pub(in crate::flying::track) fn track(
         &self,
         stamp_ns: i64,
@@ -123,7 +130,7 @@ impl UnmovedTarget {
         }
     }
 
-    /// The longer it stands, the less probable it is a target that hovers.
+    /// Probabilities of its kinds. The longer it stands, the less probable is a target that hovers.
     fn kinds(&self, stamp_ns: i64) -> KindBelief {
         let hovers = libm::exp(-seconds(self.born_ns, stamp_ns).max(0.0) / HOVERS);
         let mut likelihood = [hovers; KINDS];
@@ -131,13 +138,13 @@ impl UnmovedTarget {
         KindBelief::prior(SHARES).weighed(likelihood)
     }
 
-    /// Whether a track is this one, which has left its place.
+    /// Whether `track` follows this object, which has left its place.
     fn is_now(&self, track: &PointTrack) -> bool {
         let away = (track.born_at - self.position).norm();
         !self.is_there && track.born_ns >= self.born_ns && away <= self.radius() + REACH
     }
 
-    /// Whether a track is surely away from its place.
+    /// Whether `track` is surely away from the object's place.
     fn is_away(&self, track: &PointTrack) -> bool {
         let covariance = self.covariance + position_block(&track.estimate.covariance);
         let std = (covariance.trace() / 3.0).max(0.0).sqrt();
@@ -145,7 +152,8 @@ impl UnmovedTarget {
     }
 }
 
-/// What stands and may move at `stamp_ns`: near its own place, which the map takes for structure.
+/// The objects that may begin to move at `stamp_ns`. Each is expected near its own place, which is
+/// occupied in the map.
 pub(in crate::flying::track) fn expected_at(
     standing: &[UnmovedTarget],
     stamp_ns: i64,
@@ -161,7 +169,8 @@ pub(in crate::flying::track) fn expected_at(
     standing.iter().filter(may_move).map(UnmovedTarget::expected)
 }
 
-/// Look for what stands in a scan. What has gone is removed; the numbers of these.
+/// Look for the objects in a scan and remove those that have gone. Returns the numbers of the
+/// removed ones.
 pub(in crate::flying::track) fn look(
     standing: &mut Vec<UnmovedTarget>,
     scan: &CloudScan<'_>,
@@ -190,8 +199,8 @@ pub(in crate::flying::track) fn look(
     gone
 }
 
-/// Confirm the tracks that follow what stood from the moment on at which it has surely left its place, as
-/// far as that makes their targets as probable as `report`: it existed before. Their numbers are added to
+/// Confirm the tracks that follow an object which has surely left its place, if their probability
+/// of existence reaches `report`: the object was known before. Adds the numbers of these tracks to
 /// `confirmed`.
 pub(in crate::flying::track) fn follow(
     standing: &[UnmovedTarget],
@@ -209,8 +218,8 @@ pub(in crate::flying::track) fn follow(
     }
 }
 
-/// Give the numbers of what stood, and has left, to the tracks that follow it since. Pairs of the
-/// number that stays and the one that goes.
+/// Give the number of an object that has left its place to the confirmed track that follows it.
+/// Returns pairs of the number that stays and the number that goes.
 pub(in crate::flying::track) fn hand_over(
     standing: &mut Vec<UnmovedTarget>,
     tracks: &mut [PointTrack],

@@ -1,9 +1,10 @@
 //! Places that gave returns again and again before a track began there.
 //!
-//! The crown of a tree, through which most rays pass, is free space in the map at times. Its next returns
-//! seem to be of a target that has come. But they come from where earlier scans had returns, too, and what
-//! flies gives none at one place for seconds before it is seen. So every track knows the places around its
-//! start that gave returns before; while it is at these, its target may stand there.
+//! The crown of a tree, through which most rays pass, is free space in the map at times. Its next
+//! returns then look like a new target. But earlier scans had returns at the same places, while a
+//! flying target gives none at one place for seconds before it is seen. So every track knows the
+//! places around its start that gave returns before. While it is at these, its target may be
+//! something that stands there.
 
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
@@ -12,25 +13,26 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Side of the cells that returns are sorted into [m]. Those beside a cell count with it.
+/// Side of the cells into which returns are sorted [m]. The neighbours of a cell count with it.
 const CELL: f64 = 0.3;
-/// Returns are remembered for so long [ns], in so many steps of time.
+/// Returns are remembered for this time [ns], in up to `STEPS` time steps.
 const WINDOW_NS: i64 = 4_000_000_000;
 const STEPS: usize = 64;
-/// Returns so long before a track began may be of its target already [ns].
+/// Returns less than this time [ns] before a track began may be of its own target and do not count.
 const FRESH_NS: i64 = 300_000_000;
-/// With fewer steps of time before a track nothing is said.
+/// Smallest number of time steps before a track. With fewer, nothing is said about its places.
 const FEWEST: u32 = 5;
-/// A track knows the places this near to its start [m].
+/// A track knows the places within this distance of its start, along every axis [m].
 const AROUND: f64 = 2.5;
-/// What stood this far from its start is not its own target [m].
+/// Something that stood further than this from a track's start is not its own target [m].
 const OTHER: f64 = 0.8;
-/// In less time than this [ns], what stood beside a target and the way of a slow one look alike.
+/// Shortest time of observation for statements about what stood beside a target [ns]. In less time,
+/// the path of a slow target looks the same.
 const LONG_NS: i64 = 1_500_000_000;
-/// Most cells that are remembered: others are left out.
+/// Largest number of cells. Returns in further cells are ignored.
 const MOST: usize = 100_000;
-/// Share of the steps with returns up to which nothing stood at a place, and from which on something did:
-/// targets on small circles, or at half a metre per second, reach 0.5 where they began.
+/// Share of time steps with returns: up to the first value nothing stood at a place, from the
+/// second on something did. Targets on small circles, or at 0.5 m/s, reach 0.5 at their start.
 const SHARES: [f64; 2] = [0.35, 0.6];
 
 type PlaceCell = [i32; 3];
@@ -39,18 +41,18 @@ fn cell_of(place: [f64; 3]) -> PlaceCell {
     place.map(|value| (value / CELL).floor() as i32) // far beyond all places it saturates
 }
 
-/// Returns of the last seconds that belong to nothing known.
+/// Places of the returns of the last seconds that belong to no known object.
 #[derive(Clone, Debug, Default)]
 pub(in crate::flying::track) struct EarlierReturns {
-    /// When each step of time began; the newest is at `newest`.
+    /// Time at which each step began [ns]. The index of the newest step is `newest`.
     began: Vec<i64>,
     newest: usize,
-    /// Steps with returns in a cell: a bit for each.
+    /// For every cell, the time steps in which it gave returns: one bit per step.
     cells: HashMap<PlaceCell, u64, BuildHasherDefault<KeyHasher>>,
 }
 
 impl EarlierReturns {
-    /// Take in the places of returns of a scan [m].
+    /// Add the positions [m] of the returns of a scan.
     pub(in crate::flying::track) fn add(
         &mut self,
         stamp_ns: i64,
@@ -72,7 +74,7 @@ impl EarlierReturns {
         }
     }
 
-    /// Begin a step of time, in place of the oldest one.
+    /// Begin a new time step, which replaces the oldest one.
     fn begin(&mut self, stamp_ns: i64) {
         if self.began.len() < STEPS {
             self.newest = self.began.len();
@@ -88,7 +90,8 @@ impl EarlierReturns {
         });
     }
 
-    /// The places around the start of a track that gave returns before it began.
+    /// The places around the start of a track at `place` [m] that gave returns before it began at
+    /// `born_ns`. Empty if too little was seen before.
     pub(in crate::flying::track) fn around(&self, place: [f64; 3], born_ns: i64) -> StoodPlaces {
         let [last, first] = [FRESH_NS, WINDOW_NS].map(|before| born_ns.saturating_sub(before));
         let counts = |index: usize| (first..=last).contains(&self.began[index]);
@@ -113,14 +116,14 @@ impl EarlierReturns {
         places
     }
 
-    /// State that goes on to the same bits.
+    /// The state to save. A tracker restored from it gives the same results, bit by bit.
     pub(in crate::flying::track) fn saved(&self) -> SavedReturns {
         let mut cells: Vec<_> = self.cells.iter().map(|(&cell, &steps)| (cell, steps)).collect();
         cells.sort_unstable();
         SavedReturns { began: self.began.clone(), newest: self.newest as u64, cells }
     }
 
-    /// Returns from a saved state; None if no scans can have left it.
+    /// Returns from a saved state. None if scans cannot have left such a state.
     pub(in crate::flying::track) fn restored(saved: SavedReturns) -> Option<Self> {
         let SavedReturns { began, newest, cells } = saved;
         let newest = usize::try_from(newest).ok()?;
@@ -143,29 +146,31 @@ pub(in crate::flying::track) struct SavedReturns {
     cells: Vec<(PlaceCell, u64)>,
 }
 
-/// The places around the start of a track that gave returns before it began.
+/// The places around the start of a track that gave returns before it began. Without time steps:
+/// not known.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(in crate::flying::track) struct StoodPlaces {
-    /// Number of steps of time.
+    /// Number of time steps that were observed before the track began.
     steps: u32,
-    /// Whether something else than its own target stood at any of them.
+    /// Whether something other than the track's own target stood at any of these places.
     is_beside: bool,
-    /// Cells in ascending order, and a bit for every step in which they gave returns.
+    /// Cells in ascending order, each with one bit for every step in which it gave returns.
     cells: Vec<(PlaceCell, u64)>,
 }
 
 impl StoodPlaces {
-    /// Whether enough was seen before.
+    /// Whether enough was observed before the track began.
     pub(in crate::flying::track) fn is_known(&self) -> bool {
         self.steps > 0
     }
 
-    /// Whether something else than its own target stood around the start of the track.
+    /// Whether something other than the track's own target stood around its start.
     pub(in crate::flying::track) fn is_beside(&self) -> bool {
         self.is_beside
     }
 
-    /// Whether something stood at a place [m]: 0 if not, 1 if so.
+    /// Whether something stood at `place` [m] before the track began: 0 (no) to 1 (yes). 0 also if
+    /// too little was observed.
     pub(in crate::flying::track) fn at(&self, place: [f64; 3]) -> f64 {
         let [x, y, z] = cell_of(place);
         let mut steps = 0_u64;
@@ -183,7 +188,7 @@ impl StoodPlaces {
         ((share - none) / (all - none)).clamp(0.0, 1.0)
     }
 
-    /// True if scans can have left it.
+    /// Whether a saved state may contain these places.
     pub(in crate::flying::track) fn is_possible(&self) -> bool {
         self.steps as usize <= STEPS && self.cells.len() <= MOST && self.cells.is_sorted()
     }
@@ -195,7 +200,7 @@ mod tests {
 
     const SCAN_NS: i64 = 100_000_000;
 
-    /// Scans, ten per second, of which `place` gives the returns.
+    /// Returns of `scans` scans at ten per second; `place` gives the return of each, or None.
     fn seen(scans: i64, place: impl Fn(i64) -> Option<[f32; 3]>) -> EarlierReturns {
         let mut seen = EarlierReturns::default();
         (0..scans).for_each(|scan| seen.add(scan * SCAN_NS, place(scan).into_iter()));

@@ -1,42 +1,44 @@
-//! Places of detections that came and went, and that no flying target explains.
+//! Places where detections came and went, without a flying target that explains them.
 //!
-//! Leaves in the wind, flags and wires are seen at the same places again and again, each time for a moment. A
-//! target comes to a place where nothing was before. So every detection of a track is asked how often something
-//! else was there, long before the track began.
+//! Leaves in the wind, flags and wires are seen at the same places again and again, each time for a
+//! moment. A target comes to a place where nothing was before. So for every detection of a track it
+//! is counted how often something else was at its place, long before the track began.
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Detections this near to a place were at it [m].
+/// Detections within this distance of a place count as detections at the place [m].
 const REACH: f64 = 0.5;
-/// Only what was there so long before a track began counts [ns]: before, it may have been the target itself.
+/// Detections count only if they are at least this much older than a track [ns]. Later ones may be
+/// of its own target.
 const BEFORE_NS: i64 = 1_000_000_000;
-/// A place that was empty for so long [ns] between two detections had two visits. What passes once, such as a person
-/// or a puff of dust, and what stays for a while, is one.
+/// Time without detections between two visits of a place [ns]. Something that passes once, such as
+/// a person or a puff of dust, or that stays for a while, is one visit.
 const VISIT_NS: i64 = 2_000_000_000;
-/// So many visits tell as much as all others together could.
+/// Number of visits for which [`Visits::share`] is one half.
 const HALF: f64 = 2.0;
-/// Detections are kept for so long [ns], and no more of them than this.
+/// Detections are kept for this time [ns], and at most `MOST` of them.
 const KEPT_NS: i64 = 60_000_000_000;
 const MOST: usize = 4096;
 
-/// A detection that no flying target explains.
+/// One detection that no flying target explains: time, track and position [m].
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Visit {
     stamp_ns: i64,
-    /// Number of its track.
+    /// Number of the track that it fed.
     id: i64,
     place: [f64; 3],
 }
 
-/// The last detections that no flying target explains.
+/// The latest detections that no flying target explains.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(in crate::flying::track) struct Visits {
     last: VecDeque<Visit>,
 }
 
 impl Visits {
-    /// How often something else was at a place, long before a track began: 0 for never, towards 1 for often.
+    /// How often something else was at `place` [m] long before track `id` began at `born_ns`: 0 for
+    /// never, towards 1 for often.
     pub(in crate::flying::track) fn share(&self, place: [f64; 3], id: i64, born_ns: i64) -> f64 {
         let until = born_ns.saturating_sub(BEFORE_NS);
         let is_at = |visit: &&Visit| {
@@ -52,7 +54,7 @@ impl Visits {
         visits / (visits + HALF)
     }
 
-    /// Take in a detection at a place that fed track `id`.
+    /// Add a detection at `place` [m] that fed track `id`.
     pub(in crate::flying::track) fn add(&mut self, stamp_ns: i64, id: i64, place: [f64; 3]) {
         self.last.push_back(Visit { stamp_ns, id, place });
         let oldest = stamp_ns.saturating_sub(KEPT_NS);
@@ -63,20 +65,21 @@ impl Visits {
         }
     }
 
-    /// Forget the detections of track `id`, which is a flying target.
+    /// Remove the detections of track `id`, which turned out to be a flying target.
     pub(in crate::flying::track) fn forget(&mut self, id: i64) {
         self.last.retain(|visit| visit.id != id);
     }
 
-    /// Give the detections of tracks the numbers that their targets have now: pairs of the number that stays and
-    /// the one that goes.
+    /// Replace numbers of tracks after a merge: each pair is the number that stays and the number
+    /// that goes.
     pub(in crate::flying::track) fn rename(&mut self, merged: &[[i64; 2]]) {
         if !merged.is_empty() {
             self.last.iter_mut().for_each(|visit| visit.id = renamed(visit.id, merged));
         }
     }
 
-    /// True if a tracker that has given numbers below `next_id` may keep them.
+    /// Whether a saved state may contain these detections, if the tracker has given only numbers
+    /// below `next_id`.
     pub(in crate::flying::track) fn is_possible(&self, next_id: i64) -> bool {
         self.last.len() <= MOST && self.last.iter().all(|visit| (0..next_id).contains(&visit.id))
     }
@@ -86,7 +89,8 @@ impl Visits {
     }
 }
 
-/// The number that a target has now.
+/// Number of a track after a merge. `merged`: pairs of the number that stays and the number that
+/// goes.
 pub(in crate::flying::track) fn renamed(id: i64, merged: &[[i64; 2]]) -> i64 {
     merged.iter().fold(id, |id, &[stays, gone]| if id == gone { stays } else { id })
 }

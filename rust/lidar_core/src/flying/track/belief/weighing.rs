@@ -1,4 +1,4 @@
-//! Evidence of detections for the existence of the targets of tracks.
+//! Entry of detections, as evidence, into the belief about the targets of tracks.
 
 use super::super::measurement::Evidence;
 use super::super::motion::{position_block, seconds};
@@ -6,24 +6,25 @@ use super::super::state::PointTrack;
 use super::existence::{CauseLikelihoods, ExpectedClutter, MOVED, Sight, TrackBelief};
 use crate::tracking::existence::Presence;
 
-/// Of a first detection around which surfaces give more returns than it does: the parts of a surface that
-/// come into view do so beside the rest of it, few targets do.
+/// Likelihoods of the causes for a first detection with more returns of surfaces around it than its
+/// own. Parts of a surface come into view beside the rest of the surface; few targets do.
 const AMONG_SURFACES: CauseLikelihoods = [0.18, 0.18, 1.0, 0.6];
-/// Likelihood of having moved, per cause.
+/// Likelihoods of the causes for a track that has moved.
 const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
-/// What comes and goes does so anywhere in the gate of a track; what is there is found near its
-/// prediction, at a squared Mahalanobis distance of chi-squared distribution. This is the ratio of the
-/// two at no distance, for the largest distance of default gates, and its bounds: neither are targets
-/// that well described, nor is the rest that scattered.
+/// Likelihood ratio for the position of a detection, at distance zero and for the largest gate:
+/// targets are found near the prediction (chi-squared distribution of the squared Mahalanobis
+/// distance), while what comes and goes is anywhere in the gate. `NEAR_BOUNDS` limits the ratio,
+/// since neither targets fit that well nor is the rest that scattered.
 const NEAREST: f64 = 25.0;
 const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
-/// The upper bound of the first detection after the two that began the track of a fast target: that
-/// three lie on a straight line metres apart, what comes and goes hardly ever does.
+/// Upper limit of that ratio for the third detection of a fast target, whose track began with two.
+/// What comes and goes hardly ever gives three detections on a straight line that are metres apart.
 const NEAR_THIRD: f64 = 10.0;
-/// Of two detections that only a fast target explains: few targets are that fast.
+/// Likelihoods of the causes for two detections that only a fast target explains. Few targets are
+/// that fast.
 const IS_FAST: CauseLikelihoods = [0.3, 0.3, 1.0, 1.0];
 
-/// Initial beliefs about a new track.
+/// Belief about a new track, from the evidence of its first detections.
 pub(in crate::flying::track) fn born(
     around: ExpectedClutter,
     track: &PointTrack,
@@ -44,8 +45,9 @@ pub(in crate::flying::track) fn born(
     belief
 }
 
-/// Enter a set of detections of `stamp_ns`, with what it showed of the track if it held that. A new track
-/// expects accelerations of the standard deviation `acceleration_std` [m/s^2].
+/// Enter a set of detections of `stamp_ns` into the belief about a track. `evidence`: that of its
+/// detection; None if the set has none for it. `acceleration_std`: standard deviation of the
+/// acceleration of a new track [m/s^2].
 pub(in crate::flying::track) fn weigh(
     track: &mut PointTrack,
     evidence: Option<Evidence>,
@@ -85,7 +87,7 @@ pub(in crate::flying::track) fn weigh(
     track.belief = belief;
 }
 
-/// True if a track is surely away from where it began and nothing is left there.
+/// Whether a track is surely away from its first detection and nothing is left there.
 fn has_moved(track: &PointTrack) -> bool {
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = MOVED + 2.0 * spread.max(0.0).sqrt();

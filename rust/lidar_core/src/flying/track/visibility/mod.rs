@@ -1,4 +1,4 @@
-//! Visibility of targets: occupied space, rays of a cloud, points in the regions of tracks.
+//! Visibility of targets: occupied space, rays of a cloud, points in the search regions of tracks.
 
 pub(super) mod occupancy;
 pub(super) mod select;

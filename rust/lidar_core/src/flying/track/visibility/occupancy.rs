@@ -1,30 +1,32 @@
-//! Queries of the tracker to the map and to the scan.
+//! Questions of the tracker about the map and the scan.
 
 use crate::flying::detect::center::Center;
 
-/// Voxels that are at least tentatively occupied: the set O of Algorithm 2.
+/// Voxels that are tentatively or confidently occupied: the set O of Algorithm 2.
 pub trait Occupancy: Sync {
     /// True if a centre of such a voxel lies within `distance` [m] of `point` [m], borders included.
     fn any_within(&self, point: [f64; 3], distance: f64) -> bool;
 }
 
-/// Rays that must pass, so that a target should have given returns.
+/// Number of rays that must pass through the place of a target, so that it should have given
+/// returns.
 pub const ENOUGH_RAYS: usize = 3;
 
 /// Visibility of targets in a scan.
 pub trait Visibility: Sync {
-    /// Rays that end in the ball around `position` [m] or pass through it, counted up to `most`: a
-    /// target there, of that size, was in the field of view and within range of so many, and nothing
-    /// hid it from them.
+    /// Number of rays that end in the ball around `position` [m] with `radius` [m] or pass through
+    /// it, counted up to `most`. These rays would have met a target of that size: it was in the
+    /// field of view and in range, and nothing hid it.
     fn rays(&self, position: [f64; 3], radius: f64, most: usize) -> usize;
 
-    /// True if a target in the ball around `position` [m] should have given returns.
+    /// True if a target in the ball around `position` [m] with `radius` [m] should have given
+    /// returns: at least [`ENOUGH_RAYS`] rays would have met it.
     fn expected(&self, position: [f64; 3], radius: f64) -> bool {
         self.rays(position, radius, ENOUGH_RAYS) >= ENOUGH_RAYS
     }
 
-    /// Centres of targets, given the rows of their points in the scan; None if the rays that
-    /// passed beside them are not known.
+    /// Centre of every target, given the rows of its points in the scan. None if it is not known
+    /// which rays passed beside the targets.
     fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
         let _ = targets;
         None
@@ -33,7 +35,7 @@ pub trait Visibility: Sync {
 
 type Cell = [i32; 3];
 
-/// Centres of occupied voxels as a plain list, sorted into cells.
+/// Centres of occupied voxels from a plain list, sorted into cells.
 #[derive(Debug)]
 pub struct OccupiedPoints {
     cell_size: f64,
@@ -41,8 +43,8 @@ pub struct OccupiedPoints {
 }
 
 impl OccupiedPoints {
-    /// `distance` [m] is the distance that will be asked for; points that are not finite are
-    /// left out.
+    /// Sort the points [m]; those that are not finite are left out. `distance` [m]: the distance
+    /// that later queries will use. Other distances are slower but also correct.
     #[must_use]
     pub fn new(points: &[[f32; 3]], distance: f64) -> Self {
         let cell_size = if distance.is_normal() && distance > 0.0 { distance } else { 1.0 };
@@ -82,7 +84,8 @@ impl Occupancy for OccupiedPoints {
     }
 }
 
-/// Cell of a point; far away all points share the last cell, which costs time, not correctness.
+/// Cell that contains a point. Very far points share the outermost cell, which costs time but no
+/// correctness.
 pub(in crate::flying::track) fn cell_of(point: [f64; 3], cell_size: f64) -> Cell {
     point.map(|value| {
         let scaled = value / cell_size;

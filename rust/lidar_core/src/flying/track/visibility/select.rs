@@ -4,22 +4,22 @@ use super::occupancy::cell_of;
 use rayon::prelude::*;
 
 const POINTS_PER_CHUNK: usize = 16_384; // fixed: chunk borders must not move with the thread count
-/// Bits of the filter that turns most points away after one look.
+/// Number of bits of the filter that rejects most points after one look-up.
 const FILTER_BITS: usize = 1 << 16;
-/// A region is never larger [m]: wider than any scan.
+/// Radius to which larger regions are cut [m]. It exceeds the range of every sensor.
 const MAX_RADIUS: f64 = 1e6;
 
-/// Region of a track.
+/// Search region of a track: a ball with centre and radius [m].
 #[derive(Clone, Copy, Debug)]
 pub(in crate::flying::track) struct Ball {
     pub(in crate::flying::track) center: [f64; 3],
     pub(in crate::flying::track) radius: f64,
 }
 
-/// Index of a point and of a ball that holds it.
+/// Indices of a point and of a ball that contains it.
 pub(in crate::flying::track) type PointInBall = (u32, u32);
 
-/// All pairs of a point and a ball that holds it, by ascending point, then ball.
+/// All pairs of a point and a ball that contains it, sorted by point, then by ball.
 pub(in crate::flying::track) fn hits(
     pool: &rayon::ThreadPool,
     points: &[[f32; 3]],
@@ -36,7 +36,7 @@ pub(in crate::flying::track) fn hits(
     parts.concat()
 }
 
-/// Balls sorted into cells as wide as the largest of them.
+/// Balls, sorted into cubic cells as wide as the largest ball.
 struct Regions {
     balls: Vec<Ball>,
     cell_size: f64,

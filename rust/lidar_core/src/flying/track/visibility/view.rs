@@ -1,19 +1,20 @@
-//! Visibility, as far as a bare cloud shows it.
+//! Visibility of targets in a plain cloud without information about single rays.
 
 use super::occupancy::Visibility;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// Radius around a track's position that is looked at [m].
+/// Largest radius around a track's position in which rays are looked at [m].
 const LOOK_RADIUS: f64 = 0.5;
 
-/// A cloud and where it was taken from: a position is hidden if most returns in its direction are
-/// nearer than it. Without any return there the sky is open, and a target would have been seen.
+/// A cloud and the position of the sensor. A target position is hidden if most returns in its
+/// direction are nearer. Without any return in its direction it is visible: a target there would
+/// have given returns.
 #[derive(Clone, Copy, Debug)]
 pub struct CloudView<'a> {
-    /// Returns [m].
+    /// Measured points of the cloud [m], in the frame of `origin`.
     pub points: &'a [[f32; 3]],
-    /// Start points of the rays [m].
+    /// Start point of all rays: position of the sensor [m].
     pub origin: [f64; 3],
 }
 
