@@ -1,4 +1,4 @@
-//! Update of the map by the marks of one scan: the only place where a scan changes values.
+//! Update of the map by the marks of one scan. Only here does a scan change values of voxels.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
@@ -11,30 +11,29 @@ use crate::flying::map::voxel_map::VoxelMap;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Blocks that a thread takes at a time.
+/// Number of blocks that a thread takes at a time.
 const BLOCKS_AT_A_TIME: usize = 16;
 
-/// A block that a scan marked.
+/// A block in which a scan has marked voxels.
 pub(super) struct MarkedBlock {
     place: Place,
     marks: Slot,
-    /// Slot of the block in the map; None while it has none.
+    /// Slot of the block in the map. None if the map does not have this block yet.
     home: Option<u32>,
-    /// The block, taken out of the map meanwhile.
+    /// The block, taken out of the map during the update.
     block: Option<Box<Block>>,
-    /// Voxels that hold marks.
+    /// Number of voxels with marks.
     voxels: usize,
-    /// Voxels whose value is another one now.
+    /// Number of voxels whose value has changed.
     n_changed: u32,
-    /// Voxels whose groups have to be looked at.
+    /// Voxels whose state has changed, so that their groups must be updated.
     changed: Bits,
-    /// Voxels that were at least tentatively occupied before.
+    /// Voxels that were at least tentatively occupied before the update.
     before: Bits,
 }
 
-/// Apply the marks of a scan to `map`. Returns the number of voxels that hold marks, of those
-/// whose value is another one now, and of those that were forgotten to have room. `marked` is memory:
-/// empty before and after.
+/// Apply the marks of a scan to `map`. Returns three numbers of voxels: with marks, with a changed
+/// value, and forgotten to make room. `marked` is memory for the work: empty before and after.
 ///
 /// # Errors
 /// [`Error::Limit`] if the map has no room for the scan alone; the map is unchanged then.
@@ -73,9 +72,9 @@ pub(super) fn update_blocks(
     taken.map(|forgotten| [voxels, changed, forgotten])
 }
 
-/// Have the map forget what is farthest from the scan where its budget has no room for the scan:
-/// the surroundings matter more than where the robot has been. Returns the number of observed voxels
-/// that were forgotten.
+/// Make room for the scan if the map's budget has none: the map forgets what is farthest from the
+/// scan, since the surroundings matter more than where the robot has been. Returns the number of
+/// observed voxels that were forgotten.
 fn find_room(map: &mut VoxelMap, marked: &mut [MarkedBlock]) -> Result<usize, Error> {
     let missing = marked.iter().filter(|marked| marked.home.is_none()).count();
     if map.blocks.len() + missing <= map.blocks.max_blocks() {
@@ -89,7 +88,7 @@ fn find_room(map: &mut VoxelMap, marked: &mut [MarkedBlock]) -> Result<usize, Er
     Ok(forgotten)
 }
 
-/// Take the blocks out of the map, made where they are missing: all or none.
+/// Take the marked blocks out of the map, and make missing ones. On an error, none is taken.
 fn take_blocks(blocks: &mut Blocks, marked: &mut [MarkedBlock]) -> Result<(), Error> {
     // All that can fail comes first: after it `make` finds its memory.
     blocks.reserve(marked.iter().filter(|marked| marked.home.is_none()).count())?;

@@ -1,4 +1,4 @@
-//! Bundles of rays that are walked side by side: their walls, lengths and places.
+//! Bundles of rays that are walked side by side: walls, lengths and places of the rays.
 //!
 //! Every ray is mirrored so that it runs upwards along all axes.
 
@@ -7,13 +7,13 @@ use super::accumulate::window::Window;
 use super::ray_segments::{LANES, Lanes, Numbers, Ray, RaySegments, places};
 use crate::geometry::lattice::{least, whole};
 
-/// No ray ends further from its start, in sub-units.
+/// Largest length of a ray, in sub-units.
 const FURTHEST: f64 = (i32::MAX - 1) as f64;
-/// Wall of an axis along which none is crossed: behind every end.
+/// Position of the next wall on an axis along which the ray crosses none: behind every end.
 const NEVER: u32 = i32::MAX.cast_unsigned();
 
-/// Rays that are walked together, or stretches of rays. Positions along a ray are whole numbers of
-/// sub-units, of which a unit of length has 2^`shift`.
+/// Rays, or stretches of rays, that are walked together. Positions along a ray are whole numbers of
+/// sub-units. A unit (1/16384 of a voxel edge) has 2^`shift` sub-units.
 pub(super) struct Bundle {
     /// Position of the next wall along every axis.
     pub(super) wall: [Lanes; 3],
@@ -21,23 +21,23 @@ pub(super) struct Bundle {
     pub(super) pace: [Lanes; 3],
     /// Number of walls that the whole ray crosses along every axis.
     pub(super) walls: [Lanes; 3],
-    /// Position of the end.
+    /// Position of the end along the ray.
     pub(super) end: Lanes,
     pub(super) shift: Lanes,
-    /// Position of the start, in units.
+    /// Position along the ray at which it entered its voxel, in units.
     pub(super) entered: Lanes,
-    /// Place of the voxel in the window, mirrored.
+    /// Place of the present voxel in the window, mirrored.
     pub(super) place: Lanes,
-    /// Bits of the place that are mirrored.
+    /// Bits of the place that are mirrored, so that the ray goes up along all axes.
     pub(super) mirror: Lanes,
-    /// Voxels that every ray visits; none of those that only fill the bundle.
+    /// Number of voxels that every ray visits. 0 for lanes that only fill the bundle.
     pub(super) visits: Lanes,
-    /// Rays that every ray stands for.
+    /// Number of rays that every ray stands for.
     pub(super) count: Lanes,
 }
 
 impl Bundle {
-    /// A bundle of rays that go nowhere.
+    /// A bundle of rays without length, in which no lane visits a voxel.
     pub(super) const NONE: Self = Self {
         wall: [[NEVER; LANES]; 3],
         pace: [[0; LANES]; 3],
@@ -70,19 +70,19 @@ impl Bundle {
         bundle
     }
 
-    /// Voxels that all rays visit.
+    /// Sum of the voxels that the rays visit.
     #[inline(always)]
     pub(super) fn all_visits(&self) -> u64 {
         self.visits.iter().map(|&visits| u64::from(visits)).sum()
     }
 
-    /// True if a ray stands for others too.
+    /// True if a ray stands for other rays too.
     #[inline(always)]
     pub(super) fn stands_for_others(&self) -> bool {
         self.count.iter().fold(false, |any, &count| any | (count > 1))
     }
 
-    /// Let lengths count as often as their rays.
+    /// Multiply lengths by the number of rays that each ray stands for.
     #[inline(always)]
     pub(super) fn multiply(&self, lengths: &mut [Lanes]) {
         for lengths in lengths {
@@ -92,7 +92,7 @@ impl Bundle {
         }
     }
 
-    /// Set shift and end of every ray; returns their lengths in sub-units.
+    /// Set shift and end of every ray. Returns the lengths in sub-units.
     #[inline(always)]
     fn measure(&mut self, start: &[Numbers; 3], end: &[Numbers; 3]) -> Numbers {
         let mut length = [0.0; LANES];
@@ -110,7 +110,7 @@ impl Bundle {
         length
     }
 
-    /// Place the walls along an axis whose bits of a place are `bits`.
+    /// Set the walls along an axis. `bits`: the bits of a place that belong to the axis.
     #[inline(always)]
     fn set_walls(
         &mut self,

@@ -1,4 +1,4 @@
-//! Input and counts of the update of a map by one scan.
+//! Input of the update of a map by one scan, and the counts that the update returns.
 
 use super::accumulate::mark::Content;
 use super::pose_weights::{PoseError, PoseNoise};
@@ -7,7 +7,7 @@ use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::util::budget::check_points;
 
-/// Start points of rays [m].
+/// Start points of the rays of a scan [m], in the frame of the map.
 #[derive(Clone, Copy, Debug)]
 pub enum Origins<'a> {
     /// One start point for all rays.
@@ -17,7 +17,7 @@ pub enum Origins<'a> {
 }
 
 impl Origins<'_> {
-    /// Origin of the ray `index` [m], frame of the map.
+    /// Start point of the ray `index` [m], in the frame of the map.
     #[must_use]
     #[inline]
     pub fn at(&self, index: usize) -> [f64; 3] {
@@ -28,7 +28,7 @@ impl Origins<'_> {
     }
 }
 
-/// One scan in the frame of the map.
+/// One classified scan in the frame of the map, as input of [`super::integrator::Integrator`].
 #[derive(Clone, Copy, Debug)]
 pub struct ClassifiedScan<'a> {
     /// End of every ray [m].
@@ -37,21 +37,23 @@ pub struct ClassifiedScan<'a> {
     pub class: &'a [PointClass],
     /// Start points of the rays.
     pub origins: Origins<'a>,
-    /// Direction of every ray; needed where `no_return` is set.
+    /// Direction of every ray. Needed for the rays that `no_return` marks.
     pub directions: Option<&'a [[f32; 3]]>,
-    /// True for rays without return: they clear up to `max_range`.
+    /// True for rays without a return. They clear the voxels up to `reach`. None: all rays have a
+    /// return.
     pub no_return: Option<&'a [bool]>,
-    /// Points whose ray is not cast, such as the nearer of two returns.
+    /// True for points whose ray is not cast, such as the nearer of two returns. None: all rays are
+    /// cast.
     pub no_ray: Option<&'a [bool]>,
-    /// Length that the rays of `no_return` clear [m], beyond their directions; without it, up to
-    /// `max_range`. Other entries are not looked at.
+    /// Length along their direction up to which rays of `no_return` clear voxels [m]. None: up to
+    /// `max_range`. Entries of other rays are ignored.
     pub reach: Option<&'a [f32]>,
-    /// Uncertainty of the points, if the update uses it.
+    /// Uncertainty of the points. None: the update ignores it.
     pub pose_error: Option<&'a PoseError>,
 }
 
 impl<'a> ClassifiedScan<'a> {
-    /// The rays of a scan before its classes are known.
+    /// The rays of a scan whose points are not classified yet.
     pub(crate) fn before_classes(scan: &'a Prepared, noise: &'a PoseNoise) -> Self {
         let one = Origins::One(scan.pose.translation);
         Self {
@@ -70,24 +72,25 @@ impl<'a> ClassifiedScan<'a> {
 /// Counts of one scan's update of the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IntegrateStats {
-    /// Points used, per class background, flying, unknown; moving ones count as unknown.
+    /// Points that were used: background, flying, unknown. Moving points count as unknown.
     pub points: [usize; 3],
     /// Entries without information: class invalid, not finite, or without a direction.
     pub skipped: usize,
-    /// Number of rays that were cast, with and without return, or that a cast ray represents.
+    /// Number of rays, with and without return: those that were cast, and those that a cast ray
+    /// stands for.
     pub rays: usize,
-    /// Rays without return among the cast rays.
+    /// Number of rays without return among `rays`.
     pub no_return_rays: usize,
-    /// Voxels crossed by rays, each crossing counted.
+    /// Number of voxels that rays crossed. A voxel counts once for every crossing.
     pub visits: u64,
-    /// Crossings among the visits that rays passed in one step
+    /// Number of these crossings that rays skipped
     /// ([`Skip`](crate::flying::map::parameters::Skip)).
     pub visits_skipped: u64,
-    /// Voxels that points lie in or that rays visited, without those that they passed.
+    /// Number of voxels that contain points or that rays visited. Skipped voxels do not count.
     pub voxels: usize,
-    /// Voxels whose value is another one than before; the same number whatever is passed.
+    /// Number of voxels whose value has changed. It does not depend on what rays skip.
     pub voxels_changed: usize,
-    /// Observed voxels that the map forgot, farthest from the scan first, to stay within
+    /// Number of observed voxels that the map forgot, farthest from the scan first, to stay within
     /// [`MapParameters::max_voxels`](crate::flying::map::parameters::MapParameters::max_voxels).
     pub voxels_forgotten: usize,
 }

@@ -1,10 +1,11 @@
-//! Directions in which the rays of a scan reach cells that they may change, and distances of those
-//! cells.
+//! Map of directions: where the rays of a scan may reach live cells (cells with voxels that rays
+//! may change), and at which distances.
 //!
-//! All rays start in a small box, the eye. Around it lie the six faces of a cube, each with a grid of
-//! directions. A ray belongs to the face of the axis along which it goes furthest. A direction holds a bit for every
-//! layer of voxels across this axis, counted from the eye: set if a live cell lies there. Cells are enlarged
-//! by the eye and by more than the walk of a ray is rounded: a bit too many costs time, and none is missing.
+//! All rays start in a small box, the eye. Around it are the six faces of a cube, each with a grid
+//! of directions. A ray belongs to the face of the axis along which it goes furthest. Every
+//! direction has a bit for each layer of voxels across this axis, counted from the eye. The bit is
+//! set if the layer has a live cell in this direction. Cells are enlarged by the eye and by more
+//! than the rounding of the walk of a ray: a bit too many costs time, and none is missing.
 
 use super::accumulate::live_cells::{LiveCells, cubes};
 use super::accumulate::window::Window;
@@ -15,26 +16,28 @@ use crate::flying::map::inert::{CELL_BITS, CellBits};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Blocks of a window per ray above which the map costs more than it saves.
+/// Number of blocks of the window per ray above which the map of directions costs more than it
+/// saves.
 const BLOCKS_PER_RAY: usize = 4;
-/// Blocks that a thread takes at a time.
+/// Number of blocks that a thread takes at a time.
 const BLOCKS_AT_A_TIME: usize = 256;
 
-/// Layers with live cells, by direction.
+/// Layers with live cells, for every direction of rays.
 #[derive(Default)]
 pub(crate) struct CubeMap {
     sight: EyeView,
     layers: Layers,
-    /// Layers that other threads draw.
+    /// Layers that the other threads draw.
     others: Vec<Layers>,
     /// Indices of the blocks with live cells that rays may reach.
     near: Vec<u32>,
-    /// Blocks of the window that rays may visit.
+    /// For each block of the window, whether rays may visit it.
     is_met: Vec<bool>,
 }
 
 impl CubeMap {
-    /// See the `live` cells of a window as `rays` do. False if that does not pay.
+    /// Fill the map with the `live` cells of a window, as `rays` may reach them. Returns false if
+    /// the map does not pay, and must not be used.
     pub(super) fn fill(
         &mut self,
         pool: Option<&ThreadPool>,
@@ -95,12 +98,12 @@ impl CubeMap {
         true
     }
 
-    /// How cells are seen.
+    /// The view from the start of the rays.
     pub(super) fn sight(&self) -> &EyeView {
         &self.sight
     }
 
-    /// Layers that hold live cells in a direction.
+    /// Bits of the layers that hold live cells in a direction.
     #[inline(always)]
     pub(super) fn layers(&self, direction: u32) -> u64 {
         self.layers.0[direction as usize]
@@ -112,7 +115,7 @@ impl CubeMap {
     }
 }
 
-/// A word for every direction, with a bit for every layer.
+/// One word for every direction, with one bit for every layer.
 #[derive(Default)]
 struct Layers(Vec<u64>);
 
@@ -122,12 +125,12 @@ impl Layers {
         self.0.resize(6 * GRID * GRID, 0);
     }
 
-    /// Hold what the other holds, too.
+    /// Add the layers of `other`.
     fn join(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(layers, other)| *layers |= other);
     }
 
-    /// Add the live cells of a block.
+    /// Add the live cells of a block. `corner`: first voxel of the block in the window.
     fn add_block(&mut self, sight: &EyeView, corner: [u32; 3], live: CellBits) {
         cubes(live, |at, edge| {
             let low = std::array::from_fn(|axis| corner[axis] + (at[axis] << CELL_BITS));
@@ -135,14 +138,14 @@ impl Layers {
         });
     }
 
-    /// Add a cube of voxels.
+    /// Add a cube of voxels. `low`: its first voxel in the window; `edge` [voxels].
     fn add(&mut self, sight: &EyeView, low: [u32; 3], edge: u32) {
         sight.look_at(low, edge, |directions, seen| {
             self.0[directions].iter_mut().for_each(|layers| *layers |= seen);
         });
     }
 
-    /// True if a ray through live layers may visit a block.
+    /// True if a ray through live layers may visit the block at `corner`.
     fn hold_some_of(&self, sight: &EyeView, corner: [u32; 3]) -> bool {
         let mut met = 0;
         sight.look_at(corner, EDGE as u32, |directions, seen| {
@@ -166,13 +169,14 @@ mod tests {
 
     type Segment = ([f64; 3], [f32; 3]);
 
-    /// A number from 0 to 1 for each `index`.
+    /// A pseudo-random number from 0 to 1 for each `index`.
     fn share(index: u32) -> f64 {
         f64::from(index.wrapping_mul(2_654_435_769).rotate_left(9).wrapping_mul(2_246_822_519))
             / 4_294_967_296.0
     }
 
-    /// Lengths in all voxels of a window, of all rays or of their stretches; and the visits walked.
+    /// Ray lengths in all voxels of a window, of whole rays or of their stretches through `live`
+    /// cells, and the number of visits that were walked.
     fn lengths(
         window: Window,
         segments: &[Segment],
@@ -189,8 +193,8 @@ mod tests {
         Ok((all.collect(), sums[0].walked()))
     }
 
-    /// Compare the lengths in live cells, which are `number` in `of`, with those of whole rays. Returns
-    /// the share of the visits that were walked.
+    /// Check that the lengths in live cells equal those of whole rays. Returns the share of the
+    /// visits that were walked.
     fn compare(
         high: [i32; 3],
         segments: &[Segment],
@@ -221,7 +225,8 @@ mod tests {
         Ok(walked as f64 / all as f64)
     }
 
-    /// Rays from a box of edge `spread` in the middle of the window to all its ends.
+    /// Segments of `number` rays from a box of edge `spread` in the middle of the window to all its
+    /// sides.
     fn rays(high: [i32; 3], spread: f64, number: u32) -> Vec<Segment> {
         let at = |seed: u32, axis: u32| share(seed * 8 + axis);
         (0..number)

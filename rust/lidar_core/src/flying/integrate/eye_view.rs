@@ -1,6 +1,6 @@
-//! The place where the rays of a scan start, and how cubes of voxels are seen from it.
+//! View of cubes of voxels from the eye: the small box in which the rays of a scan start.
 //!
-//! Around it lie the six faces of a cube, each with a grid of directions.
+//! Around the eye are the six faces of a cube, each with a grid of directions.
 
 use super::accumulate::window::Window;
 use super::classified_scan::Origins;
@@ -10,33 +10,34 @@ use crate::flying::map::inert::CELL_BITS;
 use crate::geometry::lattice::{least, whole};
 use std::ops::Range;
 
-/// Directions along the edge of a face.
+/// Number of directions along the edge of a face.
 pub(super) const GRID: usize = 64;
-/// Bit of the last layer, and of all behind it.
+/// Bit of the last layer. It also stands for all layers behind it.
 pub(super) const LAST: u32 = u64::BITS - 1;
-/// Largest eye [voxels]: seen from a larger one, too many cells overlap.
+/// Largest edge of the eye [voxels]. Seen from a larger eye, too many cells overlap.
 const LARGEST_EYE: f64 = 16.0;
-/// Distance that is added to cells on all sides [voxels], beside what rounding asks for.
+/// Margin of cells on all sides [voxels], in addition to the margin for rounding errors.
 const LEAST_MARGIN: f64 = 1.0 / 256.0;
 
 /// Box in which all rays start: its lowest and highest corner [voxels].
 type Eye = [[f64; 3]; 2];
 
-/// How cells are seen.
+/// View from the eye: position of the eye, and layers of voxels around it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct EyeView {
-    /// The eye with the margin of cells, from the first voxel of the window.
+    /// The eye, enlarged by the margin of cells, relative to the first voxel of the window
+    /// [voxels].
     eye: Eye,
-    /// Longest ray with the same margin [voxels].
+    /// Length of the longest ray, enlarged by a margin [voxels].
     reach: f64,
-    /// Voxels across a layer, as a power of two.
+    /// Base-2 logarithm of the thickness of a layer in voxels.
     pub(super) layer_bits: u32,
-    /// Layer of the eye along every axis, for rays that go up, and for those that go down.
+    /// Layer of the eye along every axis: for rays that go up the axis, and for rays that go down.
     pub(super) first: [[u32; 2]; 3],
 }
 
 impl EyeView {
-    /// None if the rays start too far apart.
+    /// View of the rays of a scan. None if their start points are too far apart.
     pub(super) fn of(window: &Window, source: &Source<'_>, rays: &[Ray]) -> Option<Self> {
         let size: [u32; 3] = std::array::from_fn(|axis| window.extent(axis));
         // In sub-units of a ray, of which its length has 2^30 at least, a wall is rounded by at most three
@@ -67,7 +68,7 @@ impl EyeView {
         Some(Self { eye, reach, layer_bits, first })
     }
 
-    /// Distances along every axis at which rays may meet a cube of voxels: the least and the greatest.
+    /// Smallest and largest distance along every axis at which rays may meet a cube of voxels.
     #[inline(always)]
     fn away(&self, low: [u32; 3], edge: u32) -> [[f64; 3]; 2] {
         let near = std::array::from_fn(|axis| f64::from(low[axis]) - self.eye[1][axis]);
@@ -75,14 +76,15 @@ impl EyeView {
         [near, far]
     }
 
-    /// True if a ray may be long enough for a block.
+    /// True if a ray may be long enough to reach a block. `corner`: its first voxel in the window.
     pub(super) fn reaches(&self, corner: [u32; 3]) -> bool {
         let [near, far] = self.away(corner, EDGE as u32);
         let gap = |axis: usize| near[axis].max(-far[axis]).max(0.0);
         (0..3).map(|axis| gap(axis) * gap(axis)).sum::<f64>() <= self.reach * self.reach
     }
 
-    /// Visit the directions of the rays that may meet a cube of voxels, row by row, with its layers.
+    /// Call `visit` for the directions of rays that may meet a cube of voxels, row by row, with the
+    /// bits of the cube's layers.
     #[inline(always)]
     pub(super) fn look_at(
         &self,
@@ -116,7 +118,7 @@ impl EyeView {
         }
     }
 
-    /// Bits of the layers of a cube, None if it lies behind the eye.
+    /// Bits of the layers of a cube along `axis`. None if the cube is behind the eye.
     #[inline(always)]
     fn layers(&self, axis: usize, is_down: bool, low: u32, edge: u32) -> Option<u64> {
         let (low, high) = (low >> self.layer_bits, (low + edge - 1) >> self.layer_bits);
@@ -130,21 +132,22 @@ impl EyeView {
     }
 }
 
-/// Number of the face of rays along `axis`, and the place of a direction there, given as distances
-/// along the next two axes per distance along this one.
+/// Number of a direction. `face`: twice the axis along which the ray goes furthest, plus 1 if it
+/// goes down. The other numbers are its cells on the grid of the face, along the next two axes.
 #[inline(always)]
 pub(super) fn direction(face: u32, [u, v]: [u32; 2]) -> u32 {
     const EDGE: u32 = GRID as u32;
     (face * EDGE + v) * EDGE + u
 }
 
-/// Place of a slope along an edge of the grid.
+/// Cell of a slope on an edge of the grid. A slope is the distance along another axis per distance
+/// along the ray's axis, -1 to 1.
 #[inline(always)]
 pub(super) fn grid_at(slope: f64) -> u32 {
     whole(on_grid(slope).floor())
 }
 
-/// Place on the grid with a fraction: never below 0.
+/// Like [`grid_at`], with the fraction: from 0 to the last cell.
 #[inline(always)]
 fn on_grid(slope: f64) -> f64 {
     const HALF: f64 = GRID as f64 / 2.0;
@@ -152,7 +155,7 @@ fn on_grid(slope: f64) -> f64 {
     least((slope + 1.0) * HALF, GRID as f64 - 1.0)
 }
 
-/// The box in which rays start.
+/// The box in which the rays start [voxels].
 fn eye(source: &Source<'_>, rays: &[Ray]) -> Eye {
     let [low, high] = match source.scan.origins {
         Origins::One(origin) => [origin; 2],

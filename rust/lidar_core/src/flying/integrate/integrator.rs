@@ -1,6 +1,7 @@
-//! One scan into the map: rays, points, then one exponential update per voxel.
+//! Update of the map by one scan: rays, points, then one exponential update per voxel.
 //!
-//! Two steps: cast the rays, which needs no classes, then mark the points and update the voxels.
+//! There are two steps: cast the rays, which needs no classes, then mark the points and update the
+//! voxels.
 //!
 //! Source: Vrba et al., eqs 8-12 and 16-22.
 
@@ -25,24 +26,24 @@ use crate::util::budget::{check_memory, check_scan_memory};
 use crate::util::cancel;
 use crate::util::threads::Workers;
 
-/// Blocks that a scan may touch whatever the budget of the map: those outside its operating volume
-/// are not stored. 256 MiB.
+/// Number of blocks that a scan may touch whatever the budget of the map is, because blocks outside
+/// the operating volume are not stored. They take 256 MiB.
 const LEAST_SCRATCH: usize = 1 << 17;
-/// Memory that a block of the window may take, beside that of the threads [bytes].
+/// Memory of a block of the window, without the memory of the threads [bytes].
 const ROOM_OF_BLOCK: usize = 16;
 
-/// Stage that updates a voxel map with scans; its memory is used again by the next scan.
+/// Updates a voxel map with scans. It keeps its memory for the next scan.
 pub struct Integrator {
     workers: Workers,
     plan: Plan,
     cells: LiveCells,
     live: CubeMap,
-    /// One per thread; the first takes the sums of the others.
+    /// One accumulator per thread. The first one takes the sums of the others.
     accumulators: Vec<Accumulator>,
     blocks: Vec<MarkedBlock>,
-    /// True while the accumulators hold marks.
+    /// True while the accumulators hold marks of a scan.
     is_open: bool,
-    /// Space is passed also where the search for it may take longer than the visits.
+    /// True if rays also skip voxels where the search for these may take longer than the visits.
     passes_always: bool,
 }
 
@@ -78,7 +79,7 @@ impl Integrator {
         }
     }
 
-    /// An integrator that passes space also in scans that are too small to gain by it.
+    /// An integrator whose rays skip voxels also in scans that are too small to gain from it.
     #[cfg(test)]
     pub(super) fn that_always_passes(threads: usize) -> Result<Self, Error> {
         Ok(Self { passes_always: true, ..Self::new(threads)? })
@@ -86,9 +87,9 @@ impl Integrator {
 
     /// Update `map` with one classified scan.
     ///
-    /// A voxel that holds points is pulled once per point towards the value of its strongest
-    /// class (background before flying before unknown; flying sets it outright, eq. 17); any
-    /// other voxel is pulled towards free by the length of the rays inside it (eq. 22).
+    /// A voxel with points is pulled once per point towards the value of its strongest class:
+    /// background, then flying, then unknown (flying sets the value, eq. 17). Every other voxel is
+    /// pulled towards free by the length of the rays inside it (eq. 22).
     ///
     /// # Errors
     /// [`Error::Length`], [`Error::Value`], [`Error::PointOutOfRange`], [`Error::Limit`],
@@ -103,8 +104,7 @@ impl Integrator {
         self.apply(map, scan.class, scan.pose_error)
     }
 
-    /// Cast the rays of a scan. Of the classes only
-    /// [`PointClass::Invalid`] matters.
+    /// Cast the rays of a scan. Of the classes, only [`PointClass::Invalid`] matters here.
     ///
     /// # Errors
     /// As [`Integrator::integrate`].
@@ -142,7 +142,7 @@ impl Integrator {
         accumulators[0].check()
     }
 
-    /// Mark the points of the scan that was cast last, by their class, and update the map.
+    /// Mark the points of the scan whose rays were cast last, by their class, and update the map.
     ///
     /// # Errors
     /// As [`Integrator::integrate`].

@@ -1,4 +1,5 @@
-//! A scan into the map: rays cast through blocks, marks per voxel, one update per voxel.
+//! Update of the map by a scan: rays are cast through blocks, voxels get marks, and each voxel is
+//! updated once.
 
 pub(crate) mod accumulate;
 pub(crate) mod block_update;

@@ -1,7 +1,8 @@
-//! Rays, their bounds and the voxels of points of a scan, checked before the map changes.
+//! Plan of the update by a scan: rays, their bounds and the voxels of points, checked before the
+//! map changes.
 //!
-//! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
-//! that calls them.
+//! The loops run over the lanes of a bundle. The compiler turns them into instructions of the
+//! vector unit that the caller was compiled for.
 
 use super::accumulate::mark::Content;
 use super::classified_scan::{IntegrateStats, check_lengths, content_of};
@@ -15,25 +16,25 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rays and points of a scan, checked before the map changes.
+/// Rays of a scan and voxels of its points, checked before the map changes.
 #[derive(Default)]
 pub(crate) struct Plan {
     pub(crate) rays: Vec<Ray>,
     /// Voxel and row of every point.
     points: Vec<(Voxel, u32)>,
-    /// Rows of the scan.
+    /// Number of rows of the scan.
     pub(crate) rows: usize,
-    /// The voxels between which the rays lie.
+    /// Lowest and highest corner of the voxels of the rays. None without rays.
     span: Option<[Voxel; 2]>,
-    /// Counts that do not need the classes of the points.
+    /// Counts that do not depend on the classes of the points.
     pub(crate) stats: IntegrateStats,
     error: Option<Error>,
-    /// Plans of the following parts of the scan, filled by other threads.
+    /// Plans of the later parts of the scan, filled by other threads.
     others: Vec<Plan>,
 }
 
 impl Plan {
-    /// Plan the rays of a scan, in parts of equal size on all threads of the pool.
+    /// Plan the rays and points of a scan, in parts of equal size on all threads of the pool.
     ///
     /// # Errors
     /// The first error in the order of the input.
@@ -76,7 +77,7 @@ impl Plan {
         self.stats.rays = self.rays.len();
     }
 
-    /// Add what the next part of the scan asks for.
+    /// Add the plan of the next part of the scan.
     fn append(&mut self, next: &mut Self) {
         self.rays.extend_from_slice(&next.rays);
         self.points.extend_from_slice(&next.points);
@@ -93,12 +94,13 @@ impl Plan {
         self.error = self.error.take().or(next.error.take());
     }
 
-    /// First and last voxel of the rays; without rays, one with a point.
+    /// First and last voxel of the rays. Without rays, the voxel of a point; None without points.
     pub(crate) fn bounds(&self) -> Option<[Voxel; 2]> {
         self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
     }
 
-    /// Voxels of the points with their contents by the classes of the rows.
+    /// Voxel of every point, with the content that follows from the class of its row. Points of
+    /// class Invalid are left out.
     pub(crate) fn classified(
         &self,
         class: &[PointClass],
@@ -107,7 +109,7 @@ impl Plan {
         self.points.iter().filter_map(move |&(voxel, row)| Some((voxel, content(row)?)))
     }
 
-    /// Note what entries side by side ask for, and what their rays reach.
+    /// Plan the `entries` of the scan (at most one bundle), and extend `bounds` to their rays.
     #[inline(always)]
     fn note(
         &mut self,
@@ -137,7 +139,8 @@ impl Plan {
         noted
     }
 
-    /// Append entries to the plan, without branches: the kinds of entries cannot be predicted.
+    /// Append the entries of a bundle to the plan. Without branches, since the kinds of entries
+    /// cannot be predicted.
     #[inline(always)]
     fn push(&mut self, flags: &EntryFlags, [x, y, z]: &[[i32; LANES]; 3], index: &Indices) {
         let (mut points, mut rays) = ([([0; 3], 0); LANES], [Ray { index: 0, count: 1 }; LANES]);
@@ -156,10 +159,12 @@ impl Plan {
     }
 }
 
-/// Find the exact voxels of points whose voxels rounding may have changed.
+/// Replace voxels that may be wrong because of rounding by the exact ones, for the lanes
+/// `in_doubt`.
 ///
 /// # Errors
-/// [`Error::PointOutOfRange`] for the first that has none; nothing is left of what comes then.
+/// [`Error::PointOutOfRange`] for the first point without a voxel. All flags from it on are then
+/// cleared.
 #[inline(never)]
 fn exact_voxels(
     lattice: &Lattice,
@@ -178,13 +183,13 @@ fn exact_voxels(
     Ok(())
 }
 
-/// Which entries of a bundle add points and rays; entries that only fill the bundle add none.
+/// Which entries of a bundle add points and rays. Entries that only fill the bundle add none.
 struct EntryFlags {
-    /// A point in the map.
+    /// The entry is a point.
     point: Flags,
-    /// A ray that met nothing.
+    /// The entry is a ray without return.
     away: Flags,
-    /// A ray, with a point or without.
+    /// The entry has a ray to cast, with or without return.
     ray: Flags,
 }
 
@@ -211,21 +216,21 @@ impl EntryFlags {
         Self { point, away, ray }
     }
 
-    /// Forget what the entries from `lane` on ask for.
+    /// Clear the flags of the entries from `lane` on.
     fn keep_before(&mut self, lane: usize) {
         for flags in [&mut self.point, &mut self.away, &mut self.ray] {
             flags[lane..].fill(false);
         }
     }
 
-    /// Entries that ask for something.
+    /// Number of entries that add a point or a ray.
     #[inline(always)]
     fn count(&self) -> usize {
         (0..LANES).map(|lane| usize::from(self.point[lane] | self.away[lane])).sum()
     }
 }
 
-/// Flags of the directions that are finite and not zero, among those whose flag is set.
+/// Of the lanes whose flag is set: those with a direction that is finite and not zero.
 #[inline(always)]
 fn lead_somewhere(directions: &[[f32; 3]; LANES], flags: &Flags) -> Flags {
     let mut found = [false; LANES];

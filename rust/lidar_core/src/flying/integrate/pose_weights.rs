@@ -1,9 +1,10 @@
-//! The map under an uncertain pose: where rays must not clear, and which voxels may have been hit.
+//! Update of the map under an uncertain pose: which voxels rays must not clear, and which voxels
+//! background points may be in.
 //!
-//! A point may lie before or behind the place where it was measured, so its ray ends earlier. A
-//! point of the background may lie in its voxel or in one near by: each has a share, the
-//! probability that the point lies there (Vrba et al., eqs 41-46), taken along the map's axes one by
-//! one and for a point in the middle of its voxel, so that all points of a voxel have the same.
+//! A point may be before or behind its measured position, so its ray ends earlier. A point of the
+//! background may be in its voxel or in one near by: the share of each voxel is the probability
+//! that the point is in it (Vrba et al., eqs 41-46). Shares are computed along each axis of the
+//! map, for a point in the middle of its voxel, so that all points of a voxel have the same shares.
 
 use super::accumulate::accumulator::Accumulator;
 use super::accumulate::mark::{Content, POINT_UNITS};
@@ -12,48 +13,48 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::{Lattice, Voxel};
 use crate::geometry::transform::{Transform, dot, minus, norm};
 
-/// Voxels that a point may be away from its own, along each axis.
+/// Largest distance of a point from its own voxel, along each axis [voxels].
 const REACH: i32 = 2;
-/// Shares below this one are taken as 0.
+/// Smaller shares are set to 0.
 const LEAST_SHARE: f64 = 0.02;
 
-/// Effect of an uncertain pose on the update of the map.
+/// How the update of the map uses the uncertainty of the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseWeighting {
-    /// Rays with a return end earlier: they do not clear voxels that their ends may lie in.
+    /// Rays with a return end earlier, so that they do not clear voxels in which their ends may be.
     Ends,
-    /// Rays that hit something end earlier, and a background point pulls every voxel that it may lie
-    /// in, each by its share.
+    /// Rays with a return end earlier. In addition, a background point updates every voxel in which
+    /// it may be, each with its share.
     Spread,
 }
 
-/// Uncertainty of the points of a scan.
+/// Uncertainty of the points of a scan, from the pose and the range.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseError {
-    /// Effect on the update of the map.
+    /// How the update of the map uses the uncertainty.
     pub weighting: PoseWeighting,
     /// Pose of the sensor in the world.
     pub world_from_lidar: Transform,
-    /// The world in the frame of the map.
+    /// Transform from the world to the frame of the map.
     pub map_from_world: Transform,
-    /// Covariance of the pose: translation, then the angles about x, y, z (eq. 38).
+    /// Covariance of the pose: translation [m], then the angles about x, y, z [rad] (eq. 38).
     pub covariance: [[f64; 6]; 6],
     /// Standard deviation of a range [m].
     pub range_std: f64,
-    /// Rays that hit something end this many standard deviations earlier.
+    /// Number of standard deviations by which rays with a return end earlier.
     pub end_sigmas: f64,
 }
 
-/// Shares of the voxels from `-REACH` to `REACH` along an axis.
+/// Shares, along one axis, of the voxels from `-REACH` to `REACH` around a point's own voxel.
 type Shares = [f64; 2 * REACH as usize + 1];
 
 impl PoseError {
-    /// True if points have weights.
+    /// True if a point updates every voxel in which it may be, by its share.
     pub(crate) fn weighs_points(&self) -> bool {
         self.weighting == PoseWeighting::Spread
     }
 
-    /// Variance along every axis of the map of a point at `point`, in the frame of the map.
+    /// Variance of a point at `point` (frame of the map) along every axis of the map [m^2].
     fn variance(&self, point: [f64; 3]) -> [f64; 3] {
         let world_from_map = self.map_from_world.inverse();
         let jacobian = pose_jacobian(&self.world_from_lidar, world_from_map.apply(point));
@@ -74,7 +75,8 @@ impl PoseError {
         })
     }
 
-    /// Length by which a ray along `span` of the map ends earlier [m].
+    /// Length by which a ray along `span` (frame of the map) ends earlier because of the
+    /// uncertainty [m].
     pub(crate) fn end_margin(&self, span: [f64; 3]) -> f64 {
         // The angles move its end across, not along.
         let along = self.map_from_world.inverse().rotate(span);
@@ -86,7 +88,8 @@ impl PoseError {
         self.end_sigmas * (of_position.max(0.0) + self.range_std * self.range_std).sqrt()
     }
 
-    /// Shares along every axis for points in the middle of `voxel`.
+    /// Per axis: the share of a point's weight that each voxel near `voxel` gets because of the
+    /// pose error, for a point in the middle of `voxel`.
     fn shares(&self, lattice: &Lattice, voxel: Voxel) -> [Shares; 3] {
         self.variance(lattice.center(voxel)).map(|variance| {
             let scale = lattice.voxel_size() / (2.0 * variance).sqrt();
@@ -102,7 +105,7 @@ impl PoseError {
     }
 }
 
-/// Note the points of a scan, each with its voxel. Rays have been noted before.
+/// Mark the points of a scan, each given with its voxel. The rays must have been marked before.
 pub(super) fn mark_points(
     map: &VoxelMap,
     accumulator: &mut Accumulator,
@@ -123,8 +126,8 @@ pub(super) fn mark_points(
     mark_shares(map, accumulator, error, background);
 }
 
-/// Note the points of the background, given as a voxel each, with the shares of the voxels that
-/// they may lie in; where other points lie, those count.
+/// Mark points of the background, given by their voxels, in all voxels in which they may be, with
+/// the shares of these. Voxels that hold other points keep the marks of those.
 fn mark_shares(
     map: &VoxelMap,
     accumulator: &mut Accumulator,
@@ -149,7 +152,8 @@ fn mark_shares(
     }
 }
 
-/// Steps from a voxel to those that a point may lie in, with their shares; its own in any case.
+/// Offsets from a point's voxel to the voxels in which it may be, with their shares. Offset 0 is
+/// always among them.
 fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
     let step = |index: usize| index as i32 - REACH;
     let planes = z
@@ -166,20 +170,21 @@ fn steps([x, y, z]: &[Shares; 3]) -> impl Iterator<Item = ([i32; 3], f64)> {
         .filter(|&(step, share)| share >= LEAST_SHARE || step == [0; 3])
 }
 
-/// Prior uncertainty of poses, and how the map uses it.
+/// Standard deviations of poses without a covariance, and how the map uses the uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseParameters {
     /// Standard deviations of the translation [m], for scans that come without a covariance.
     pub position_std: [f64; 3],
     /// Standard deviations of the angles about x, y, z [rad], for scans that come without a covariance.
     pub angle_std: [f64; 3],
-    /// Effect on the update of the map; None: the uncertainty is ignored.
+    /// How the update of the map uses the uncertainty. None: it ignores it.
     pub weighting: Option<PoseWeighting>,
-    /// Rays that hit something end this many standard deviations earlier, if `weighting` is set.
+    /// Number of standard deviations by which rays with a return end earlier, if `weighting` is
+    /// set.
     pub end_sigmas: f64,
 }
 
-/// Poses without a covariance are taken for certain; where one is given, rays end earlier.
+/// Poses without a covariance count as certain. With a covariance, rays end earlier.
 impl Default for PoseParameters {
     fn default() -> Self {
         Self {
@@ -192,24 +197,24 @@ impl Default for PoseParameters {
 }
 
 impl PoseParameters {
-    /// The map is updated with poses that count as certain.
+    /// Parameters with which the map update takes all poses as certain, as in the paper.
     #[must_use]
     pub fn paper() -> Self {
         Self { weighting: None, ..Self::default() }
     }
 }
 
-/// Uncertainty of the points of a scan that comes from its pose.
+/// Uncertainty that the points of a scan have because of its pose.
 pub(crate) struct PoseNoise {
-    /// Errors of the pose for detections and tracks; None if they are unknown.
+    /// Errors of the pose, for detections and tracks. None if they are unknown.
     pub(crate) spread: Option<PoseSpread>,
-    /// Errors of the pose for the update of the map; None if the map ignores them.
+    /// Errors of the pose, for the update of the map. None if the map ignores them.
     pub(crate) error: Option<PoseError>,
 }
 
 impl PoseParameters {
-    /// Uncertainty that the pose of a scan adds: from the covariance that came with the scan, if one
-    /// did.
+    /// Uncertainty of the points because of the pose: from the scan's covariance, or else from the
+    /// standard deviations of the parameters. `range_std` [m].
     pub(crate) fn noise(
         &self,
         covariance: Option<[[f64; 6]; 6]>,
@@ -222,8 +227,8 @@ impl PoseParameters {
         PoseNoise { error: self.error(spread.as_ref(), range_std), spread }
     }
 
-    /// Uncertainty that the pose of a scan gives to its points, if anything is known about it: from
-    /// the covariance that came with the scan, if one did.
+    /// Errors of the pose: from the scan's covariance, or else from the standard deviations of the
+    /// parameters. None if neither is known.
     fn spread(
         &self,
         covariance: Option<[[f64; 6]; 6]>,
@@ -239,7 +244,7 @@ impl PoseParameters {
         Some(PoseSpread { world_from_lidar, map_from_world, covariance })
     }
 
-    /// Uncertainty that the update of the map uses, given that of the pose.
+    /// Errors that the update of the map uses. None if it ignores them, or if `spread` is unknown.
     fn error(&self, spread: Option<&PoseSpread>, range_std: f64) -> Option<PoseError> {
         let &PoseSpread { world_from_lidar, map_from_world, covariance } = spread?;
         Some(PoseError {

@@ -1,8 +1,8 @@
-//! Many rays at a time through the blocks of a window.
+//! Walk of many rays at a time through the blocks of a window.
 //!
-//! The walk of Amanatides & Woo on the vector unit of the machine, chosen when the program runs, in
-//! whole numbers (docs/adr/0002). At an edge or corner the lowest axis goes first,
-//! as in `geometry::traverse`.
+//! The algorithm is that of Amanatides & Woo, on the vector unit of the machine (chosen when the
+//! program runs), in whole numbers (docs/adr/0002). At an edge or corner the lowest axis goes
+//! first, as in `geometry::traverse`.
 
 use super::accumulate::accumulator::{Accumulator, STEPS};
 use super::accumulate::window::Window;
@@ -13,20 +13,21 @@ use super::stretches::Stretches;
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 
-/// Times `STEPS` steps of a bundle that are written down before their lengths are added to memory:
-/// they stay in the first cache.
+/// Number of groups of `STEPS` steps that are buffered before their lengths are added to memory.
+/// The buffers stay in the first cache.
 const RUN: usize = 8;
 
-/// Where rays are cast.
+/// Input of the casting of rays: window, rays of the scan, and live cells.
 #[derive(Clone, Copy)]
 pub(crate) struct CastTask<'a> {
     pub(crate) window: &'a Window,
     pub(crate) source: &'a Source<'a>,
-    /// Cells that rays may change; rays skip the other ones. None: rays visit every cell.
+    /// Cells that rays may change. Rays skip the others. None: rays visit every cell.
     pub(crate) live: Option<&'a CubeMap>,
 }
 
-/// Add the length of `rays` inside every voxel they cross. `stretches` is memory.
+/// Add the length of `rays` inside every voxel that they cross to the accumulator. `stretches` is
+/// memory for the work.
 pub(crate) fn cast(
     accumulator: &mut Accumulator,
     task: &CastTask<'_>,
@@ -59,7 +60,7 @@ impl WithSimd for Cast<'_> {
 }
 
 impl Cast<'_> {
-    /// Cast all rays with `K` vectors per bundle.
+    /// Cast all rays, with `K` vectors per bundle.
     #[inline(always)]
     fn walk<S: Simd, const K: usize>(self, simd: S) {
         let Self { accumulator, task: &CastTask { window, source, live }, rays, stretches } = self;
@@ -82,13 +83,14 @@ impl Cast<'_> {
     }
 }
 
-/// Buffered steps of rays: 8 x 8 of 32 lanes, 8 KiB each; both buffers fit the first cache.
+/// Buffered steps of rays: 8 x 8 steps of 32 lanes, 8 KiB per buffer. Both buffers fit into the
+/// first cache.
 struct Buffers {
     places: [[Lanes; STEPS]; RUN],
     lengths: [[Lanes; STEPS]; RUN],
 }
 
-/// Add the lengths of a bundle.
+/// Walk the rays of a bundle and add their lengths to the accumulator.
 #[inline(always)]
 fn walk_bundle<S: Simd, const K: usize>(
     simd: S,
@@ -117,20 +119,20 @@ fn walk_bundle<S: Simd, const K: usize>(
     accumulator.count_walked(bundle.all_visits());
 }
 
-/// Rays of a bundle between walls, in vectors. No closures on the way: they would not be inlined
-/// everywhere, and compiled for another vector unit.
+/// Next walls and present voxels of the rays of a bundle, as vectors. Its methods use no closures:
+/// these would not be inlined everywhere, and would be compiled for another vector unit.
 pub(super) struct BundleWay<S: Simd, const K: usize> {
-    /// Position of the next wall along every axis.
+    /// Position along the ray of the next wall, for every axis.
     pub(super) wall: [[S::u32s; K]; 3],
-    /// Distance from one wall to the next.
+    /// Distance along the ray from one wall to the next, for every axis.
     pub(super) pace: [[S::u32s; K]; 3],
-    /// Place of the cell between the walls, mirrored.
+    /// Place of the present voxel in the window, mirrored.
     pub(super) place: [S::u32s; K],
-    /// Bits of a place that belong to an axis.
+    /// Bits of a place that belong to each axis.
     pub(super) bits: [S::u32s; 3],
 }
 
-/// Lanes as vectors.
+/// The numbers of all lanes as vectors.
 #[inline(always)]
 pub(super) fn vectors<S: Simd, const K: usize>(lanes: &Lanes) -> [S::u32s; K] {
     std::array::from_fn(|k| S::as_simd_u32s(lanes).0[k])
@@ -144,7 +146,7 @@ struct Walk<S: Simd, const K: usize> {
     mirror: [S::u32s; K],
     visits: [S::u32s; K],
     step: S::u32s,
-    /// Position at which the ray entered its voxel, in units.
+    /// Position along the ray at which it entered its voxel, in units.
     entered: [S::u32s; K],
 }
 
@@ -167,9 +169,10 @@ impl<S: Simd, const K: usize> Walk<S, K> {
         }
     }
 
-    /// Write down the voxels that the rays are in, and the lengths inside; go on to the next ones.
-    /// Rays that have arrived add nothing, every step to another voxel: no addition waits for the last.
-    /// There are as many: steps follow the edges of the window, voxels its volume.
+    /// Write the present voxels of the rays and the lengths inside, and go to the next voxels. Rays
+    /// that have arrived add length 0, at another voxel in every step, so that no addition waits
+    /// for the last one. There are enough voxels for this: the number of steps follows the edges of
+    /// the window, that of voxels its volume.
     #[inline(always)]
     fn step(&mut self, simd: S, places: &mut Lanes, lengths: &mut Lanes) {
         let (none, one) = (simd.splat_u32s(0), simd.splat_u32s(1));
@@ -192,13 +195,14 @@ impl<S: Simd, const K: usize> Walk<S, K> {
 }
 
 impl<S: Simd, const K: usize> BundleWay<S, K> {
-    /// Position of the wall that comes first.
+    /// Position along the ray of the nearest next wall.
     #[inline(always)]
     pub(super) fn first_wall(&self, simd: S, k: usize) -> S::u32s {
         simd.min_u32s(self.wall[0][k], simd.min_u32s(self.wall[1][k], self.wall[2][k]))
     }
 
-    /// Go through the first wall, along x, or else along y, or else along z. Returns the axis.
+    /// Go through the nearest wall: along x, or else along y, or else along z. Returns masks of the
+    /// lanes that went along x and along y.
     #[inline(always)]
     pub(super) fn cross(&mut self, simd: S, k: usize, first: S::u32s) -> [S::m32s; 2] {
         let along_x = simd.equal_u32s(self.wall[0][k], first);
@@ -207,7 +211,7 @@ impl<S: Simd, const K: usize> BundleWay<S, K> {
         [along_x, along_y]
     }
 
-    /// Through a wall along x, or else along y, or else along z.
+    /// Go through a wall along x, or else along y, or else along z, by the given masks.
     #[inline(always)]
     fn move_on(&mut self, simd: S, k: usize, along_x: S::m32s, along_y: S::m32s) {
         let [x, y, z] = [self.wall[0][k], self.wall[1][k], self.wall[2][k]];
@@ -237,7 +241,7 @@ mod tests {
     use crate::flying::map::block_shape::VOLUME;
     use pulp::{Arch, Scalar};
 
-    /// Marks of rays in all directions, cast by `run`.
+    /// Marks after rays in all directions were cast by `run`.
     fn marks(run: impl Fn(Cast<'_>)) -> Result<Vec<u32>, Error> {
         let segments: Vec<_> = (0..77u16)
             .map(|index| {

@@ -1,7 +1,7 @@
-//! Rays of a scan as segments, many at a time.
+//! Rays of a scan as segments, many at a time, in the frame of the map.
 //!
-//! Loops over the lanes of a bundle, which the compiler turns into instructions of the vector unit
-//! that calls them.
+//! The loops run over the lanes of a bundle. The compiler turns them into instructions of the
+//! vector unit that the caller was compiled for.
 
 use super::accumulate::window::Window;
 use super::classified_scan::{ClassifiedScan, Origins};
@@ -10,16 +10,17 @@ use crate::flying::map::parameters::MapParameters;
 use crate::geometry::lattice::{Lattice, Voxel, floor, least, whole, wide};
 use crate::geometry::transform::norm;
 
-/// Rays side by side: two vectors of the widest unit, so that one works while the other waits.
+/// Number of rays side by side: two vectors of the widest unit, so that one works while the other
+/// waits.
 pub(crate) const LANES: usize = 32;
-/// One coordinate per lane.
+/// One coordinate for each lane.
 pub(crate) type Numbers = [f64; LANES];
 
-/// One whole number per lane.
+/// One whole number for each lane.
 pub(crate) type Lanes = [u32; LANES];
-/// Entry of the scan per lane.
+/// Index of the scan's entry for each lane.
 pub(crate) type Indices = [usize; LANES];
-/// One flag per lane.
+/// One flag for each lane.
 pub(crate) type Flags = [bool; LANES];
 
 /// A ray that is cast.
@@ -27,11 +28,11 @@ pub(crate) type Flags = [bool; LANES];
 pub(crate) struct Ray {
     /// Row of the ray in the scan.
     pub(crate) index: u32,
-    /// Rays that it stands for.
+    /// Number of rays that it stands for.
     pub(crate) count: u32,
 }
 
-/// Source of the rays of a scan: points, directions, limits.
+/// Source of the rays of a scan: the scan, the limits of the map, and its lattice.
 #[derive(Clone, Copy)]
 pub(crate) struct Source<'a> {
     pub(crate) scan: &'a ClassifiedScan<'a>,
@@ -39,22 +40,22 @@ pub(crate) struct Source<'a> {
     pub(crate) lattice: &'a Lattice,
 }
 
-/// Rays side by side [m]; the last ones may repeat others.
+/// Starts and ends of rays side by side [m], or in voxels. The last lanes may repeat others.
 pub(crate) struct RaySegments {
     pub(crate) start: [Numbers; 3],
     pub(crate) end: [Numbers; 3],
 }
 
-/// Corners between which rays lie [m].
+/// Corners of the box around rays, separately for each lane [m].
 pub(crate) struct Bounds {
     low: [Numbers; 3],
     high: [Numbers; 3],
-    /// Lanes with a ray of which an end is not finite.
+    /// Lanes that had a ray with a start or end that is not finite.
     odd: Flags,
 }
 
 impl Source<'_> {
-    /// The segments of up to [`LANES`] rays, at least one.
+    /// The segments of up to [`LANES`] rays; at least one is needed.
     #[inline(always)]
     pub(crate) fn segments(&self, rays: &[Ray]) -> RaySegments {
         let mut index = [rays[0].index as usize; LANES];
@@ -64,7 +65,7 @@ impl Source<'_> {
         self.between(&index, &self.points(&index))
     }
 
-    /// The segments of the rays of these entries, whose points are given.
+    /// The segments of the rays of these entries. `points` are the points of the same entries.
     #[inline(always)]
     pub(crate) fn between(&self, index: &Indices, points: &[Numbers; 3]) -> RaySegments {
         let (start, mut end) = (self.starts(index), *points);
@@ -99,7 +100,7 @@ impl Source<'_> {
         points
     }
 
-    /// Start points of a bundle of rays.
+    /// Start points of the rays of these entries [m].
     #[inline(always)]
     fn starts(&self, index: &Indices) -> [Numbers; 3] {
         let mut start = [[0.0; LANES]; 3];
@@ -116,7 +117,7 @@ impl Source<'_> {
         start
     }
 
-    /// Rays that met nothing go along their direction, up to the maximum range.
+    /// Let rays without return go along their direction, up to `reach` or the maximum range.
     #[inline(always)]
     fn aim_without_return(&self, index: &Indices, along: &mut [Numbers; 3], margin: &mut Numbers) {
         let (Some(directions), Some(flags)) = (self.scan.directions, self.scan.no_return) else {
@@ -141,7 +142,8 @@ impl Source<'_> {
         }
     }
 
-    /// Let rays end before their points by the margin, and no further than `max_range` (eq. 20).
+    /// Let rays end before their points by the margin [m], and no further than `max_range` (eq.
+    /// 20).
     #[inline(always)]
     fn shorten(
         &self,
@@ -189,7 +191,7 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// Let them hold rays, those whose flags are set.
+    /// Extend the bounds to the rays whose flags are set.
     #[inline(always)]
     pub(crate) fn hold(&mut self, RaySegments { start, end }: &RaySegments, is_ray: &Flags) {
         for axis in 0..3 {
@@ -205,7 +207,7 @@ impl Bounds {
         }
     }
 
-    /// The voxels of the corners; none without rays, or if one cannot be indexed.
+    /// First and last voxel of the bounds. None without rays, or if a corner has no voxel.
     pub(crate) fn voxels(&self, lattice: &Lattice) -> Option<[Voxel; 2]> {
         // Scaling keeps the order of numbers: only the two extremes have to be scaled.
         let low = self.low.map(|lanes| lanes.into_iter().fold(f64::MAX, f64::min));
@@ -234,7 +236,7 @@ fn scaled(points: &[Numbers; 3], lattice: &Lattice) -> [Numbers; 3] {
     scaled
 }
 
-/// Places in `window` of points that lie in it, in units of voxels.
+/// Places in `window` of points that are inside it. The points are in units of voxels.
 #[inline(always)]
 pub(crate) fn places(points: &[Numbers; 3], window: &Window) -> Lanes {
     let mut places = [0; LANES];
@@ -254,7 +256,7 @@ pub(crate) mod tests {
     use crate::flying::map::parameters::tests::parameters;
     use crate::flying::point_class::PointClass;
 
-    /// Show `run` rays from starts to ends, in units of voxels.
+    /// Call `run` with rays from starts to ends, in units of voxels.
     pub(in super::super) fn with_rays<T>(
         segments: &[([f64; 3], [f32; 3])],
         run: impl FnOnce(&Source<'_>, Vec<Ray>) -> Result<T, Error>,

@@ -1,4 +1,4 @@
-//! Rays that pass saturated space leave the map that rays leave which visit every voxel.
+//! Tests: rays that skip saturated space leave the same map as rays that visit every voxel.
 
 use super::classified_scan::{ClassifiedScan, IntegrateStats, Origins};
 use super::integrator::Integrator;
@@ -9,12 +9,12 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::transform::Transform;
 
-/// Half the size of a room with the sensor in it [m].
+/// Half the sides of the room with the sensor in it [m].
 const ROOM: [f64; 3] = [6.0, 4.5, 2.5];
-/// Rays of a scan; each scan turns them a little.
+/// Number of rays of a scan. Each scan turns them a little.
 const RAYS: u32 = 2500;
 
-/// One scan that owns its arrays.
+/// A scan that owns its arrays.
 struct OwnedScan {
     points: Vec<[f32; 3]>,
     class: Vec<PointClass>,
@@ -113,21 +113,21 @@ fn error(weighting: PoseWeighting, translation: [f64; 3]) -> PoseError {
     }
 }
 
-/// Differences between the sequences.
+/// One case of the comparison: map, sensor and edits of a sequence of scans.
 #[derive(Clone)]
 struct Case {
     map: MapParameters,
     rays: u32,
-    /// Size of the room, of the usual one.
+    /// Size of the room, relative to the usual one.
     stretch: f64,
     second_sensor: f64,
-    /// Way of the sensor during a scan [m].
+    /// Distance that the sensor moves during a scan [m].
     way_during_scan: f64,
     weighting: Option<PoseWeighting>,
-    /// Changes of the map by a user between scans.
+    /// Edits of the map by a user, called before each scan with its number.
     between: fn(&mut VoxelMap, u32) -> Result<(), Error>,
     scans: u32,
-    /// Share of all visits that must have been passed, so that the test tests something.
+    /// Smallest share of visits that must have been skipped, so that the case tests the skipping.
     passed: f64,
 }
 
@@ -149,7 +149,7 @@ impl Default for Case {
 
 const SEPARATION: Separation = Separation { max_gap: 0.75, min_confident: 20, dilate: true };
 
-/// Known walls and free space, a load from bytes, and edits while scans come.
+/// Edits of a map between scans: known walls and free space, forgetting, and a reload from bytes.
 fn edit(map: &mut VoxelMap, step: u32) -> Result<(), Error> {
     let at = |x: f32| [[x, 0.3, 0.1], [x, 1.1, -0.6]];
     match step % 40 {
@@ -166,7 +166,7 @@ fn edit(map: &mut VoxelMap, step: u32) -> Result<(), Error> {
     Ok(())
 }
 
-/// The map as a file gives it back; a file does not hold what rays pass.
+/// The map after it was written to a file and read back. The file does not hold what rays may skip.
 fn again(map: &VoxelMap) -> Result<VoxelMap, Error> {
     let mut again = VoxelMap::from_bytes(&map.to_bytes())?;
     again.set_skip(map.parameters().skip);
@@ -235,7 +235,7 @@ fn cases() -> Vec<(&'static str, Case)> {
     ]
 }
 
-/// Run a case with and without passing; the counts of all scans that passed.
+/// Run a case with and without skipping, and compare the maps. Returns an error if a scan fails.
 fn compare(name: &str, case: &Case, threads: usize) -> Result<(), Error> {
     let make = |skip| VoxelMap::new(MapParameters { skip, ..case.map.clone() });
     let (mut plain, mut passing) = (make(Skip::Nothing)?, make(Skip::Saturated)?);

@@ -1,8 +1,9 @@
-//! Stretches of rays through layers that hold a voxel which rays may change.
+//! Stretches of rays through layers with live cells (cells that hold a voxel which rays may
+//! change).
 //!
-//! A layer lies between two walls across the axis along which a ray goes furthest. So a stretch begins and
-//! ends with the crossing of a wall. The walls that lie before it along every axis are counted by one
-//! division, exactly: a stretch visits the voxels that the whole ray visits there, with the same lengths.
+//! A layer is between two walls across the axis along which the ray goes furthest, so a stretch
+//! begins and ends with the crossing of a wall. One exact division per axis counts the walls before
+//! it. So a stretch visits the same voxels there as the whole ray, with the same lengths.
 
 use super::accumulate::window::Window;
 use super::bundle::Bundle;
@@ -12,25 +13,25 @@ use super::ray_segments::{LANES, Lanes, RaySegments};
 use crate::flying::map::block_shape::EDGE_BITS;
 use crate::geometry::lattice::whole;
 
-/// Crossing of a wall: its position along the ray, and the number of axes whose walls at this position
-/// have been crossed, the lowest axes first. Before all walls: 0, 0.
+/// Crossing of a wall: its position along the ray, and the number of axes, from the lowest on,
+/// whose walls at this position have been crossed. Before all walls: 0, 0.
 #[derive(Clone, Copy)]
 struct Crossing {
     at: u32,
     axes: u32,
 }
 
-/// Part of a ray.
+/// Part of a ray, from one crossing to another.
 #[derive(Clone, Copy)]
 struct Stretch {
-    /// Number of the ray.
+    /// Number of its ray, counted over all bundles.
     ray: u32,
     from: Crossing,
-    /// Crossing into the first voxel behind it; None: it goes on to the end of the ray.
+    /// Crossing into the first voxel behind the stretch. None: it goes on to the end of the ray.
     to: Option<Crossing>,
 }
 
-/// Rays side by side, and their stretches.
+/// Bundles of rays, and the stretches of these rays.
 #[derive(Default)]
 pub(crate) struct Stretches {
     rays: Vec<Bundle>,
@@ -38,7 +39,7 @@ pub(crate) struct Stretches {
 }
 
 impl Stretches {
-    /// Forget all rays.
+    /// Remove all rays and stretches.
     pub(super) fn clear(&mut self) {
         self.rays.clear();
         self.stretches.clear();
@@ -49,7 +50,8 @@ impl Stretches {
         self.stretches.len()
     }
 
-    /// Find the stretches of `rays` through `live` layers; `segments` are their starts and ends.
+    /// Add the stretches of `rays` through the layers of `live`. `segments`: starts and ends of the
+    /// rays.
     #[inline(always)]
     pub(super) fn find(
         &mut self,
@@ -70,7 +72,7 @@ impl Stretches {
         }
     }
 
-    /// Cut out what lies in live layers.
+    /// Add the stretches of the ray `lane` through live layers.
     #[inline(always)]
     fn cut(&mut self, live: &CubeMap, layered: &Layered, lane: usize) {
         let from = layered.from[lane].min(LAST);
@@ -92,7 +94,7 @@ impl Stretches {
         }
     }
 
-    /// Stretches from `first` on as a bundle.
+    /// Bundle of the stretches from number `first` on.
     #[inline(always)]
     pub(super) fn bundle(&self, window: &Window, first: usize) -> Bundle {
         let mut bundle = Bundle::NONE;
@@ -125,8 +127,8 @@ impl Stretches {
     }
 }
 
-/// Move the rays of a bundle along an axis to the crossing where their stretches begin, and count the
-/// walls that these cross.
+/// Move the rays of a bundle along an axis to the crossing where their stretches begin, and add the
+/// walls that the stretches cross along it to the visits.
 #[inline(always)]
 fn start_at(
     bundle: &mut Bundle,
@@ -157,18 +159,18 @@ fn start_at(
     }
 }
 
-/// Rays between the walls of layers, across the axis along which they go furthest.
+/// Rays of a bundle, as crossings of the layers across the axis along which each goes furthest.
 struct Layered {
     axis: Lanes,
-    /// Layer of the start, counted from the eye.
+    /// Layer in which the ray starts, counted from the eye.
     from: Lanes,
-    /// Position of the first wall, if the ray crosses one.
+    /// Position along the ray of the first wall between layers, if the ray crosses one.
     wall: Lanes,
-    /// Distance from one wall to the next.
+    /// Distance along the ray from one wall between layers to the next.
     pace: Lanes,
-    /// Walls that every ray crosses.
+    /// Number of walls between layers that the ray crosses.
     walls: Lanes,
-    /// Direction of the rays in the map.
+    /// Number of the ray's direction in the map of directions.
     direction: Lanes,
 }
 

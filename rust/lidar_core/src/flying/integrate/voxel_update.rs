@@ -1,4 +1,4 @@
-//! Update of the values of a block by the marks of a scan.
+//! Update of the values of one block by the marks of a scan.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
@@ -15,21 +15,21 @@ use crate::geometry::lattice::Voxel;
 use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 
-/// Voxels that are updated at a time: those of a row of x.
+/// Number of voxels that are updated at a time: one row along x.
 const ROW: usize = EDGE as usize;
 
-/// Update rule from a mark to a value.
+/// Update rule: new value of a voxel from its old value and its mark.
 #[derive(Clone, Copy)]
 pub(crate) struct Rule {
     levels: Levels,
     initial: f32,
     g: [f32; 3],
-    /// Values this close to `g_free` become `g_free` when rays pull them; below 0, none does.
+    /// Values within this distance of `g_free` become `g_free` when rays pull them. Below 0: never.
     settled: f32,
     per_unit: f64,
-    /// Weight of one of the units in which points are counted.
+    /// Weight of one unit in which points are counted.
     per_point: f64,
-    /// First and last voxel of the operating volume.
+    /// First and last voxel of the operating volume. None: it has no limits.
     limits: Option<[Voxel; 2]>,
 }
 
@@ -53,18 +53,21 @@ impl Rule {
         }
     }
 
-    /// Number of the voxels of `block` that the marks change.
+    /// Number of voxels of `block` with marks inside the operating volume. `met`: a bit for each
+    /// row with marks.
     pub(crate) fn count(&self, block: &Block, marks: &[Mark; VOLUME], met: u64) -> usize {
         dispatch(Count { rule: self, place: block.place, marks, met })
     }
 
-    /// Update a block that holds the rows `met`, on the vector unit of the machine. Returns the
-    /// voxels whose groups have to be looked at, and the number of those whose value is another one.
+    /// Update the rows `met` of a block on the vector unit of the machine. Returns the voxels whose
+    /// state has changed, so that their groups must be updated, and the number of voxels with a
+    /// changed value.
     pub(crate) fn apply(&self, block: &mut Block, marks: &[Mark; VOLUME], met: u64) -> (Bits, u32) {
         dispatch(Apply { rule: self, block, marks, met })
     }
 
-    /// Marks of a row from the voxel `first` on, without those outside the operating volume.
+    /// Marks of a row whose first voxel is `first`, with those outside the operating volume set to
+    /// 0.
     #[inline(always)]
     fn admitted(&self, place: Place, first: usize, marks: &[Mark; ROW]) -> [Mark; ROW] {
         let Some([low, high]) = self.limits else { return *marks };
@@ -75,7 +78,7 @@ impl Rule {
         })
     }
 
-    /// Updated values of a row, computed without branches for all its voxels at a time.
+    /// New values of a row, computed for all its voxels at a time.
     #[inline(always)]
     fn updated(&self, stored: &Row, marks: &MarkRow) -> Row {
         // A class is a bit above `MAX_COUNT`: one OR finds any. Most rows hold rays only.
@@ -88,7 +91,7 @@ impl Rule {
         values
     }
 
-    /// A value that only rays can have changed.
+    /// New value of a voxel in a row without points: only rays can have changed it.
     #[inline(always)]
     fn cleared(&self, stored: f32, mark: Mark) -> f32 {
         // Computed for every voxel and selected at the end: a branch would split the vector loop.
@@ -111,7 +114,7 @@ impl Rule {
         if mark == 0 { stored } else { value }
     }
 
-    /// A value that rays have pulled.
+    /// The value after a pull by rays: `g_free` if it is close enough.
     #[inline(always)]
     fn settled(&self, value: f32) -> f32 {
         if (value - self.g[0]).abs() <= self.settled { self.g[0] } else { value }
@@ -123,7 +126,8 @@ impl Rule {
     }
 }
 
-/// Distance from `g_free` of values that become it: 64 steps between numbers there.
+/// Distance from `g_free` within which values become `g_free`: 64 steps of floating-point numbers
+/// there.
 fn settled_within(g_free: f32) -> f32 {
     const STEPS: f32 = 64.0;
     STEPS * (g_free.abs().next_up() - g_free.abs())
@@ -158,7 +162,7 @@ struct Apply<'a> {
     rule: &'a Rule,
     block: &'a mut Block,
     marks: &'a [Mark; VOLUME],
-    /// A bit for every row that holds marks.
+    /// A bit for every row with marks.
     met: u64,
 }
 
@@ -179,7 +183,7 @@ impl WithSimd for Apply<'_> {
     }
 }
 
-/// Update a row; returns the number of its voxels whose value is another one now.
+/// Update a row. Returns the number of its voxels whose value has changed.
 #[inline(always)]
 fn update_row(
     rule: &Rule,

@@ -1,7 +1,7 @@
-//! Rays of one scan -> summed length per voxel. Source: Vrba et al., eqs 21-22.
+//! Sum of the ray lengths in every voxel, for the rays of one scan. Source: Vrba et al., eqs 21-22.
 //!
-//! Lengths are summed as integers in a window of blocks around the rays, so the result depends
-//! neither on the order of the rays nor on the number of threads.
+//! Lengths are summed as integers in a window of blocks around the rays. So the result does not
+//! depend on the order of the rays or on the number of threads.
 
 use super::accumulate::accumulator::Accumulator;
 use super::accumulate::mark::{RAYS_FROM_EMPTY, RAYS_FROM_FULL};
@@ -18,16 +18,18 @@ use rayon::prelude::*;
 use std::slice::Chunks;
 use std::sync::{Mutex, PoisonError};
 
-/// Rays handed to a thread at a time.
+/// Number of rays that are handed to a thread at a time.
 const RAYS_PER_CHUNK: usize = 1024;
 
-/// Largest number of rays that one stands for: a chunk of such rays cannot make a mark overflow.
+/// Largest number of rays that one ray stands for. A chunk of such rays cannot make a mark
+/// overflow.
 const MOST_MERGED: u32 = 64;
 
-/// Keep the first of all rays that end in the same voxel, to stand for the others too.
+/// Of all rays that end in the same voxel, keep the first one, which then stands for the others
+/// too.
 ///
 /// # Errors
-/// [`Error::Limit`] if they end in more than `most` blocks.
+/// [`Error::Limit`] if the rays end in more than `most` blocks.
 pub(crate) fn merge_ends(
     accumulator: &mut Accumulator,
     window: Window,
@@ -81,8 +83,9 @@ impl WithSimd for Merge<'_> {
     }
 }
 
-/// Sum the lengths of `rays` into the first accumulator; one accumulator per thread. Its `check`
-/// says whether they fit into `most` blocks. They are worthless if the call was asked to stop.
+/// Sum the lengths of `rays` into the first accumulator; there is one accumulator per thread.
+/// `Accumulator::check` tells afterwards whether they fit into `most` blocks. The sums must not be
+/// used if the call was asked to stop.
 pub(crate) fn cast_all(
     pool: Option<&ThreadPool>,
     accumulators: &mut [Accumulator],
@@ -130,7 +133,8 @@ pub(crate) fn cast_all(
     }
 }
 
-/// The next rays for a thread: from both ends, since rays far apart in a scan meet few common voxels.
+/// The next rays for a thread. Threads take from both ends, since rays far apart in a scan have few
+/// common voxels.
 fn take<'a>(chunks: &Mutex<Chunks<'a, Ray>>, thread: usize) -> Option<&'a [Ray]> {
     let mut chunks = chunks.lock().unwrap_or_else(PoisonError::into_inner);
     if thread.is_multiple_of(2) { chunks.next() } else { chunks.next_back() }
@@ -151,8 +155,8 @@ mod tests {
     use crate::geometry::traverse::traverse;
     use std::ops::ControlFlow;
 
-    /// Cast rays from starts to ends, in units of voxels. Returns those that are left if they are to
-    /// be merged first.
+    /// Cast rays from starts to ends, in units of voxels. With `merge`, merge them first. Returns
+    /// the rays that were cast.
     fn cast_some(
         sums: &mut [Accumulator],
         window: Window,
@@ -200,7 +204,7 @@ mod tests {
         Ok(())
     }
 
-    /// Ends of a ray inside `reach` voxels, some on walls.
+    /// Start and end of a test ray within `reach` voxels. Some are on walls.
     fn ends(index: u32, reach: f64) -> [[f64; 3]; 2] {
         let at = |number: u32| {
             let share =

@@ -1,4 +1,4 @@
-//! Marks of one scan: points or ray length per voxel.
+//! Accumulator: marks of one scan, with points or ray length for every voxel.
 
 use super::dense_blocks::DenseBlocks;
 use super::mark::{Content, Mark, tag_and_count, with_points};
@@ -12,40 +12,41 @@ use rayon::ThreadPool;
 use std::hint::black_box;
 
 const EMPTY: u32 = u32::MAX;
-/// Points that are marked together.
+/// Number of points that are marked together.
 const POINTS_AT_A_TIME: usize = 64;
 
-/// Steps of a ray that are added in one go.
+/// Number of steps of a ray that are added together.
 pub(in crate::flying::integrate) const STEPS: usize = 8;
-/// Steps of `N` rays side by side.
+/// One number for each of `N` rays side by side, for each of several steps.
 pub(crate) type Steps<const N: usize> = [[u32; N]; STEPS];
 
-/// Marks of one scan, block by block: empty between scans, its memory is used again.
+/// Marks of one scan, block by block. It is empty between scans and keeps its memory.
 ///
-/// If the whole window lies in memory, the slot of a block is its index.
+/// If the whole window is in memory, the slot of a block is its index in the window.
 #[derive(Default)]
 pub(crate) struct Accumulator {
     window: Option<Window>,
-    /// Marks in the window.
+    /// Marks inside the window.
     dense: DenseBlocks,
-    /// Slots of the blocks of a window that does not lie in memory as a whole, by their index.
+    /// For a window that is not in memory as a whole: slot of every block, by its index in the
+    /// window.
     table: Vec<u32>,
-    /// Indices of the blocks that have a slot there, with it.
+    /// Index and slot of every block in `table` that has a slot.
     opened: Vec<(u32, u32)>,
-    /// Marks of points beyond the window.
+    /// Marks of points outside the window.
     sparse: SparseBlocks,
-    /// Slots of the blocks that are added to those of this one.
+    /// Memory for [`Accumulator::absorb`]: slots of the other accumulator, by own slot.
     sources: Vec<u32>,
     visits: u64,
-    /// Touched voxels in which a ray left its length.
+    /// Number of voxels to which walked rays added length. A voxel counts once for every ray.
     walked: u64,
     /// Largest number of blocks that one scan may touch.
     most: usize,
-    /// True once a block found no memory.
+    /// True if there was no memory for a block.
     is_starved: bool,
 }
 
-/// Position of a block or a mark: in the window, or among the blocks beyond it.
+/// Position of a block or a mark: inside the window, or among the blocks outside it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Slot {
     Within(usize),
@@ -53,7 +54,7 @@ pub(crate) enum Slot {
 }
 
 impl Accumulator {
-    /// Memory that `aim` would take [bytes].
+    /// Memory that [`Accumulator::aim`] would take [bytes].
     pub(in crate::flying::integrate) fn room(&self, window: &Window) -> usize {
         if window.is_whole() {
             let of_block = size_of::<[Mark; VOLUME]>() + size_of::<u64>();
@@ -63,7 +64,7 @@ impl Accumulator {
         }
     }
 
-    /// Aim the empty accumulator at `window`; it will touch at most `most` blocks.
+    /// Prepare the empty accumulator for `window`. The scan will touch at most `most` blocks.
     pub(crate) fn aim(&mut self, window: Window, most: usize) {
         self.most = most;
         if window.is_whole() {
@@ -75,7 +76,7 @@ impl Accumulator {
         self.window = Some(window);
     }
 
-    /// Empty it for the next scan.
+    /// Remove all marks, for the next scan.
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
         (self.visits, self.walked, self.is_starved) = (0, 0, false);
         self.dense.clear(pool);
@@ -85,7 +86,7 @@ impl Accumulator {
         self.sparse.clear();
     }
 
-    /// Slot of the block at `index` of the window, made when first met.
+    /// Slot of the block at `index` of the window. It is opened if needed.
     #[inline(always)]
     fn slot(&mut self, window: &Window, index: usize) -> usize {
         if window.is_whole() {
@@ -110,8 +111,8 @@ impl Accumulator {
         slot
     }
 
-    /// Add the lengths of steps of `N` rays side by side to the voxels whose bits in the window are in
-    /// `places`. Sums may pass the largest mark until `settle`.
+    /// Add the lengths of several steps of `N` rays to the voxels at `places` of the window. Until
+    /// `settle`, sums may exceed the largest count of a mark.
     #[inline(never)] // it would have too few registers
     pub(crate) fn add<const N: usize>(
         &mut self,
@@ -137,17 +138,18 @@ impl Accumulator {
         }
     }
 
-    /// Note that rays were cast which cross so many voxels.
+    /// Add to the number of voxels that rays cross.
     pub(in crate::flying::integrate) fn count(&mut self, visits: u64) {
         self.visits += visits;
     }
 
-    /// Note that rays left their lengths in so many of the voxels.
+    /// Add to the number of voxels to which walked rays added length.
     pub(in crate::flying::integrate) fn count_walked(&mut self, visits: u64) {
         self.walked += visits;
     }
 
-    /// Full marks stay full; the rows that rays met are noted. `meets` knows the blocks that they met.
+    /// Limit the sums of rays to the largest count, and note the rows with marks. `meets` tells
+    /// which blocks of the window rays may have met.
     pub(in crate::flying::integrate) fn settle(&mut self, meets: impl Fn(usize) -> bool) {
         match self.window {
             Some(window) if window.is_whole() => {
@@ -157,7 +159,7 @@ impl Accumulator {
         }
     }
 
-    /// Note points, each with its class.
+    /// Mark points, each given by its voxel and content.
     pub(in crate::flying::integrate) fn mark_all(
         &mut self,
         mut points: impl Iterator<Item = (Voxel, Content)>,
@@ -187,14 +189,15 @@ impl Accumulator {
         }
     }
 
-    /// Note a point, or as many units, of class `content` in `voxel`.
+    /// Mark points of class `content` in `voxel`: `units` points, or units of weight.
     pub(crate) fn mark_points(&mut self, voxel: Voxel, content: Content, units: u32) {
         if let Some(mark) = self.mark(voxel) {
             *mark = with_points(*mark, content, units);
         }
     }
 
-    /// Note that points of the background may lie in `voxel`, unless it holds others.
+    /// Mark that background points may be in `voxel`, by `units` of weight, unless it holds other
+    /// points.
     pub(crate) fn mark_beside(&mut self, voxel: Voxel, units: u32) {
         let others = [Content::Unknown as u32, Content::Flying as u32];
         if self.mark(voxel).is_some_and(|mark| !others.contains(&tag_and_count(*mark).0)) {
@@ -202,13 +205,13 @@ impl Accumulator {
         }
     }
 
-    /// Mark of a voxel that is about to be set.
+    /// Mark of a voxel, to be changed. None if too many blocks would be open.
     #[inline]
     pub(crate) fn mark(&mut self, voxel: Voxel) -> Option<&mut Mark> {
         self.spot(voxel).map(|spot| self.at(spot))
     }
 
-    /// Mark at a place of the window that is about to be set.
+    /// Mark at a place of the window, to be changed.
     #[inline(always)]
     pub(in crate::flying::integrate) fn mark_within(
         &mut self,
@@ -219,7 +222,7 @@ impl Accumulator {
         &mut self.dense.marks_mut()[spot]
     }
 
-    /// Position of the mark of a voxel that is about to be set.
+    /// Position of the mark of a voxel, to be changed. None if too many blocks would be open.
     #[inline(always)]
     fn spot(&mut self, voxel: Voxel) -> Option<Slot> {
         let window = self.window?;
@@ -230,7 +233,7 @@ impl Accumulator {
         Some(Slot::Beyond(self.sparse.spot(slot, offset_of(voxel))))
     }
 
-    /// Position of the mark at a place of the window that is about to be set.
+    /// Index of the mark at a place of the window, to be changed.
     #[inline(always)]
     fn spot_within(&mut self, window: &Window, place: usize) -> usize {
         let slot = self.slot(window, place / VOLUME);
@@ -245,8 +248,8 @@ impl Accumulator {
         }
     }
 
-    /// Take over the lengths that `other` summed up in the same window; both are settled. Runs on
-    /// the threads of the pool that it is called in.
+    /// Add the ray lengths that `other` summed up in the same window, and empty `other`. Both must
+    /// be settled. Runs on the threads of the pool that it is called in.
     pub(crate) fn absorb(&mut self, other: &mut Self, window: &Window, pool: &ThreadPool) {
         self.visits += other.visits;
         self.walked += other.walked;
@@ -265,11 +268,12 @@ impl Accumulator {
         other.clear(Some(pool));
     }
 
-    /// Check that there was room for all blocks of the scan.
+    /// Check that there was room for all blocks of the scan. On an error its marks must not be
+    /// used.
     ///
     /// # Errors
-    /// [`Error::Limit`] if the scan touches too many blocks, [`Error::Memory`] if there is none for
-    /// them; its marks are of no use then.
+    /// [`Error::Limit`] if the scan touches too many blocks, [`Error::Memory`] if there is no
+    /// memory for them.
     pub(crate) fn check(&self) -> Result<(), Error> {
         if self.is_starved {
             let blocks = self.opened.len();
@@ -287,17 +291,17 @@ impl Accumulator {
         Ok(())
     }
 
-    /// Voxels visited by rays, each visit counted.
+    /// Number of voxels that rays cross. A voxel counts once for every crossing.
     pub(crate) fn visits(&self) -> u64 {
         self.visits
     }
 
-    /// Touched voxels in which a ray left its length.
+    /// Number of voxels to which walked rays added length. A voxel counts once for every ray.
     pub(crate) fn walked(&self) -> u64 {
         self.walked
     }
 
-    /// Index and slot of every block in the window that holds marks.
+    /// Index and slot of every block of the window with marks.
     fn slots(&self) -> impl Iterator<Item = (u32, u32)> {
         let opened = self.opened.iter().copied();
         let all = if self.opened.is_empty() { self.dense.len() as u32 } else { 0 };
@@ -308,8 +312,8 @@ impl Accumulator {
             .filter(|&(_, slot)| met[slot as usize] != 0)
     }
 
-    /// Blocks with marks: first those in the window, in its order, then others in ascending order
-    /// of place.
+    /// Blocks with marks: first those of the window, in its order, then the others in ascending
+    /// order of place.
     pub(crate) fn marked(&mut self) -> impl Iterator<Item = (Place, Slot)> {
         // Blocks are opened in an order that depends on the threads; the map must not.
         self.opened.sort_unstable();
@@ -323,8 +327,8 @@ impl Accumulator {
         )
     }
 
-    /// Marks of a block, and a bit for every row that holds any; others are of no use. They may have
-    /// to be put into `spare`.
+    /// Marks of a block, and a bit for every row with marks. Rows without this bit must not be
+    /// read. `spare`: memory for blocks outside the window.
     pub(crate) fn block<'a>(
         &'a self,
         slot: Slot,
@@ -340,8 +344,8 @@ impl Accumulator {
     }
 }
 
-/// Call `add` for every step, ray by ray, since additions to one voxel right after another wait for
-/// each other.
+/// Call `add` for every step, ray by ray: additions to the same voxel directly after one another
+/// would wait for each other.
 #[inline(always)]
 fn each<const N: usize>(
     places: &[Steps<N>],

@@ -1,4 +1,4 @@
-//! Marks of many blocks, and which of their rows hold any.
+//! Marks of whole blocks, and which of their rows hold any.
 
 use super::mark::{MAX_COUNT, Mark};
 use crate::flying::map::block_shape::{EDGE, VOLUME};
@@ -7,26 +7,27 @@ use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Marks of a row of x.
+/// Marks of one row of voxels along x.
 pub(in crate::flying::integrate) type MarkRow = [Mark; EDGE as usize];
-/// Blocks that a thread takes at a time.
+/// Number of blocks that a thread takes at a time.
 const BLOCKS_AT_A_TIME: usize = 64;
 
-/// Marks of blocks by their slot. All zero between scans.
+/// Marks of whole blocks, by slot. All are zero between scans.
 #[derive(Default)]
 pub(in crate::flying::integrate) struct DenseBlocks {
     marks: Vec<Mark>,
-    /// Per block, a bit for each row that holds marks; marks of rays count once they are settled.
+    /// For each block, a bit for every row with marks. Rows with marks of rays are included only
+    /// after `settle`.
     met: Vec<u64>,
 }
 
 impl DenseBlocks {
-    /// Slots that it has.
+    /// Number of slots.
     pub(crate) fn len(&self) -> usize {
         self.met.len()
     }
 
-    /// Have so many slots from the start: untouched pages cost no memory.
+    /// Have at least this number of slots. Memory pages that are not touched cost nothing.
     pub(crate) fn reserve(&mut self, slots: usize) {
         if self.len() < slots {
             // `vec![0; n]` takes zeroed pages from the system, which cost nothing until they are touched;
@@ -35,7 +36,7 @@ impl DenseBlocks {
         }
     }
 
-    /// Grow to so many slots as blocks are opened; false if the memory cannot be had.
+    /// Grow to this number of slots while blocks are opened. False if there is not enough memory.
     #[must_use]
     pub(crate) fn grow(&mut self, slots: usize) -> bool {
         let more = slots.saturating_sub(self.len());
@@ -48,13 +49,13 @@ impl DenseBlocks {
         has_room
     }
 
-    /// Marks of all slots.
+    /// Marks of all slots, one after another.
     #[inline(always)]
     pub(in crate::flying::integrate) fn marks_mut(&mut self) -> &mut [Mark] {
         &mut self.marks
     }
 
-    /// Place of a mark that is about to be set.
+    /// Index of a mark among those of all slots. Its row then counts as one with marks.
     #[inline(always)]
     pub(in crate::flying::integrate) fn spot(&mut self, slot: usize, offset: usize) -> usize {
         // 512 voxels are 64 rows of 8: a bit for each fits one word.
@@ -62,22 +63,23 @@ impl DenseBlocks {
         slot * VOLUME + offset
     }
 
-    /// Rows of a block that hold marks.
+    /// For each block, a bit for every row with marks.
     pub(crate) fn met(&self) -> &[u64] {
         &self.met
     }
 
-    /// Marks of all blocks.
+    /// Marks of all blocks, by slot.
     pub(crate) fn blocks(&self) -> &[[Mark; VOLUME]] {
         self.marks.as_chunks().0
     }
 
-    /// Hold the sums of rays in `slots` down to the largest, and note the rows that they met.
+    /// Limit the sums of rays in `slots` to the largest count, and note the rows with marks.
     pub(crate) fn settle(&mut self, slots: impl Iterator<Item = usize>) {
         dispatch(Settle { dense: self, slots });
     }
 
-    /// Add the marks that `other` holds in `sources`, by slot. Both are settled.
+    /// Add the marks of `other`. `sources`: for each own slot, the slot of `other`; others have no
+    /// counterpart. Both must be settled.
     pub(crate) fn absorb(&mut self, other: &Self, sources: &[u32]) {
         let add = |((marks, met), &source): ((&mut [Mark; VOLUME], &mut u64), &u32)| {
             let Some(&more) = other.met.get(source as usize) else { return };
@@ -91,7 +93,7 @@ impl DenseBlocks {
         self.par_blocks().zip(sources).for_each(add);
     }
 
-    /// Empty every row that holds marks.
+    /// Set the marks of all rows that hold any to 0.
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
         let clear = |(marks, met): (&mut [Mark; VOLUME], &mut u64)| {
             let rows: &mut [MarkRow] = marks.as_chunks_mut().0;
@@ -112,7 +114,7 @@ impl DenseBlocks {
     }
 }
 
-/// Rows whose bits are set, in ascending order.
+/// Numbers of the set bits, in ascending order.
 #[inline(always)]
 pub(crate) fn rows_of(mut bits: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
@@ -147,7 +149,7 @@ impl<I: Iterator<Item = usize>> WithSimd for Settle<'_, I> {
     }
 }
 
-/// Limit marks to `MAX_COUNT`. Returns a bit for every row that holds marks.
+/// Limit the marks of a block to `MAX_COUNT`. Returns a bit for every row with marks.
 #[inline(always)]
 fn settle_block(marks: &mut [Mark; VOLUME]) -> u64 {
     let (mut met, mut all) = (0, 0);

@@ -1,4 +1,4 @@
-//! CellBits of a window that hold a voxel which rays may change.
+//! Live cells of a window: cells that hold a voxel which rays may change.
 
 use super::window::Window;
 use crate::flying::map::inert::{CELLS, CellBits};
@@ -7,25 +7,25 @@ use crate::flying::map::voxel_map::VoxelMap;
 /// All cells of a block.
 pub(in crate::flying::integrate) const ALL: CellBits = CellBits::MAX;
 
-/// For every block of a window, the cells that hold a voxel which rays may change.
+/// For every block of a window, its live cells: those that hold a voxel which rays may change.
 #[derive(Default)]
 pub(crate) struct LiveCells {
     blocks: Vec<CellBits>,
-    /// Number of cells that rays skip.
+    /// Number of cells that rays may skip.
     n_inert: usize,
-    /// Number of cells of the blocks that the map holds or refuses.
+    /// Number of cells in blocks that the map holds, or that are outside its operating volume.
     n_known: usize,
-    /// Cubes in which cells are drawn that are not passed.
+    /// Number of cubes into which the live cells of these blocks are grouped.
     n_cubes: usize,
 }
 
-/// Cost of drawing a cube, in visits of a ray.
+/// Cost of drawing a cube into the map of directions, in visits of a ray.
 const VISITS_PER_CUBE: usize = 32;
-/// Cells of the first brick of 2 x 2 x 2 cells in a block.
+/// Bits of the first brick of 2 x 2 x 2 cells in a block.
 const BRICK: CellBits = 0x0033_0033;
 
-/// Call `visit` for the cubes that the cells of a block make up, together where they fill a larger one: the
-/// lowest corner of each in cells, and its edge in cells.
+/// Call `visit` for the cubes that the live cells of a block make up. Cells that fill a larger cube
+/// are one cube. Arguments: lowest corner of the cube and its edge, in cells.
 #[inline(always)]
 pub(in crate::flying::integrate) fn cubes(live: CellBits, mut visit: impl FnMut([u32; 3], u32)) {
     if live == ALL {
@@ -49,13 +49,13 @@ pub(in crate::flying::integrate) fn cubes(live: CellBits, mut visit: impl FnMut(
 }
 
 impl LiveCells {
-    /// CellBits of blocks by their index.
+    /// Live cells with these bits for each block.
     #[cfg(test)]
     pub(in crate::flying::integrate) fn of(blocks: Vec<CellBits>) -> Self {
         Self { blocks, ..Self::default() }
     }
 
-    /// Look at what `map` holds in `window`.
+    /// Find the live cells of `map` in `window`.
     pub(crate) fn fill(&mut self, window: &Window, map: &VoxelMap) {
         self.blocks.clear();
         // A block that is missing was never observed.
@@ -90,14 +90,14 @@ impl LiveCells {
         self.blocks[index] = live;
     }
 
-    /// True if enough of what is known is passed to pay for the search of what is not, given the number of
-    /// visits that rays make at most: one cell in sixteen, and more visits than the search takes.
+    /// True if skipping pays: at least one known cell in sixteen is skipped, and more visits are
+    /// saved than the search for live cells costs. `visits`: largest number of visits of the rays.
     pub(in crate::flying::integrate) fn is_worth_it(&self, visits: f64) -> bool {
         let passed = visits * self.n_inert as f64 / self.n_known.max(1) as f64;
         16 * self.n_inert > self.n_known && passed > (VISITS_PER_CUBE * self.n_cubes) as f64
     }
 
-    /// CellBits of the block at `index` of the window.
+    /// Bits of the live cells of the block at `index` of the window.
     pub(in crate::flying::integrate) fn at(&self, index: usize) -> CellBits {
         self.blocks[index]
     }

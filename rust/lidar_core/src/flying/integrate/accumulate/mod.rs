@@ -1,4 +1,5 @@
-//! Sums of one scan per voxel: the window of blocks around its rays, with the sums of each voxel.
+//! Sums of one scan for every voxel: the window of blocks around its rays, and the marks of the
+//! voxels.
 
 pub(crate) mod accumulator;
 pub(crate) mod dense_blocks;

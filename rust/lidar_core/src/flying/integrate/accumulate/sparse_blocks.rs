@@ -1,4 +1,4 @@
-//! Marks of points beyond the window of the rays.
+//! Marks of points outside the window of the rays.
 
 use super::dense_blocks::{MarkRow, rows_of};
 use super::mark::Mark;
@@ -8,22 +8,24 @@ use crate::util::key_hasher::KeyHasher;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Points beyond the window, row by row: a stray return must not widen it, nor take a block.
+/// Marks of points outside the window, row by row. So a stray return neither widens the window nor
+/// takes a whole block.
 #[derive(Default)]
 pub(crate) struct SparseBlocks {
     slots: HashMap<Place, u32, BuildHasherDefault<KeyHasher>>,
-    /// Blocks with their slots.
+    /// All blocks with their slots, in the order in which they were opened.
     pub(in crate::flying::integrate) opened: Vec<(Place, u32)>,
-    /// The last block that was asked for: points side by side share it.
+    /// The last block that was asked for. Neighbouring points share it.
     last: Option<(Place, u32)>,
-    /// Per slot, a bit for each row that holds marks; then the index of each such row.
+    /// For each slot, a bit for every row with marks. `places`: index of each such row in `rows`.
     met: Vec<u64>,
     places: Vec<[u32; VOLUME / EDGE as usize]>,
     rows: Vec<MarkRow>,
 }
 
 impl SparseBlocks {
-    /// Slot of a block, made when first met; None if there are more than `most`.
+    /// Slot of a block, which is opened if needed. None if more than `most` + 1 blocks would be
+    /// open.
     #[inline(always)]
     pub(crate) fn slot(&mut self, place: Place, most: usize) -> Option<usize> {
         if let Some((_, slot)) = self.last.filter(|(last, _)| *last == place) {
@@ -51,7 +53,7 @@ impl SparseBlocks {
         }
     }
 
-    /// Place of a mark that is about to be set.
+    /// Index of a mark in `marks_mut`. Its row is made if needed.
     #[inline(always)]
     pub(in crate::flying::integrate) fn spot(&mut self, slot: usize, offset: usize) -> usize {
         let (row, at) = (offset / EDGE as usize, offset % EDGE as usize);
@@ -64,13 +66,14 @@ impl SparseBlocks {
         self.places[slot][row] as usize * EDGE as usize + at
     }
 
-    /// Marks of all rows.
+    /// Marks of all rows, one after another.
     #[inline(always)]
     pub(in crate::flying::integrate) fn marks_mut(&mut self) -> &mut [Mark] {
         self.rows.as_flattened_mut()
     }
 
-    /// Copy the rows of a block to their places in a whole one. Returns a bit for each.
+    /// Copy the rows with marks of a block to their places in `block`. Returns a bit for each of
+    /// these rows.
     pub(crate) fn copy(&self, slot: usize, block: &mut [Mark; VOLUME]) -> u64 {
         let rows: &mut [MarkRow] = block.as_chunks_mut().0;
         // The other rows keep the marks of another block: readers look at rows in the mask only.
@@ -80,7 +83,7 @@ impl SparseBlocks {
         self.met[slot]
     }
 
-    /// Empty it for the next scan.
+    /// Remove all marks.
     pub(crate) fn clear(&mut self) {
         self.slots.clear();
         self.opened.clear();

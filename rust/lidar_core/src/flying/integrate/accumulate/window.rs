@@ -1,46 +1,47 @@
-//! Blocks that bound the rays of one scan.
+//! Window: the box of blocks around the rays of one scan.
 
 use crate::Error;
 use crate::flying::map::block_shape::{EDGE, EDGE_BITS};
 use crate::flying::map::blocks::Place;
 use crate::geometry::lattice::Voxel;
 
-/// Largest number of blocks in the window of one scan: a voxel's place then fits 32 bits.
+/// Largest number of blocks in the window of one scan. A voxel's place then fits 32 bits.
 const MAX_WINDOW: u64 = 1 << 23;
-/// Largest number of blocks along an axis: walls on longer rays would be rounded to a part of a voxel
-/// (docs/adr/0002).
+/// Largest number of blocks along an axis. For longer rays, rounding would move walls by a part of
+/// a voxel (docs/adr/0002).
 const MAX_ALONG: u64 = 1 << 11;
-/// Windows of at most so many blocks lie in memory as a whole. 64 MiB, of which only what rays meet
-/// is ever used.
+/// Largest number of blocks of a window that is in memory as a whole. It takes 64 MiB, of which
+/// only what rays meet is ever used.
 const MAX_WHOLE: usize = 1 << 15;
 
-/// Blocks that bound the rays of one scan.
+/// The box of blocks around the rays of one scan.
 ///
-/// A voxel's place in the window is a row of bits: its place in the block, then that of the block,
-/// each along all axes, so that a step along an axis is one addition. Lengths are powers of two
-/// then, but for the axis that comes last.
+/// A voxel's place in the window is a word of bits: its place in the block in the lowest bits, then
+/// the index of the block, each along all axes. So a step along an axis is one addition. The
+/// lengths along the axes are therefore rounded up to powers of two, except for the axis whose bits
+/// come last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Window {
     low: [i32; 3],
     size: [usize; 3],
-    /// Bits that the index of a block takes along x, y, z.
+    /// Number of bits of a block's index along x, y, z.
     bits: [u32; 3],
-    /// The lowest one of each among the bits of a voxel.
+    /// Lowest bit of each axis of the block's index, within the place of a voxel.
     lowest: [u32; 3],
-    /// Axes in the order of their bits.
+    /// Axes in the order of their bits, lowest first.
     order: [usize; 3],
-    /// Blocks of the window and beside it, up to powers of two.
+    /// Number of block indices: the blocks of the window, with lengths rounded up to powers of two.
     len: usize,
 }
 
-/// Bits of the place of a voxel in its block.
+/// Number of bits for the place of a voxel in its block.
 const INSIDE: u32 = 3 * EDGE_BITS as u32;
 
 impl Window {
-    /// The window that spans both voxels.
+    /// The smallest window that contains both voxels.
     ///
     /// # Errors
-    /// [`Error::Limit`] if it holds too many blocks.
+    /// [`Error::Limit`] if it would hold too many blocks.
     pub(crate) fn spanning(low: Voxel, high: Voxel) -> Result<Self, Error> {
         let (low, high) = (Place::of(low).0, Place::of(high).0);
         let size: [u64; 3] =
@@ -73,34 +74,34 @@ impl Window {
         })
     }
 
-    /// Blocks of the window and beside it, up to powers of two.
+    /// Number of block indices, including those that only the rounding to powers of two adds.
     pub(crate) fn len(&self) -> usize {
         self.len
     }
 
-    /// True if the marks of the whole window lie in memory.
+    /// True if the marks of the whole window are in memory.
     pub(crate) fn is_whole(&self) -> bool {
         self.len <= MAX_WHOLE
     }
 
-    /// Indices of its blocks.
+    /// Indices of the blocks in the window.
     pub(crate) fn indices(&self) -> impl Iterator<Item = usize> {
         let [i, j, k] = self.order.map(|axis| (self.size[axis], self.lowest[axis] - INSIDE));
         let along = |(size, lowest): (usize, u32)| (0..size).map(move |block| block << lowest);
         along(k).flat_map(move |k| along(j).flat_map(move |j| along(i).map(move |i| k | j | i)))
     }
 
-    /// Index of its first voxels along an axis.
+    /// Coordinate of the window's first voxel along an axis.
     pub(crate) fn first(&self, axis: usize) -> i32 {
         self.low[axis] << EDGE_BITS
     }
 
-    /// Voxels along an axis.
+    /// Number of voxels along an axis.
     pub(crate) fn extent(&self, axis: usize) -> u32 {
         (self.size[axis] << EDGE_BITS) as u32 // at most 2^14
     }
 
-    /// First voxel of the block at `index`, counted from the first of the window.
+    /// First voxel of the block at `index`, relative to the first voxel of the window.
     pub(crate) fn corner(&self, index: usize) -> [u32; 3] {
         std::array::from_fn(|axis| {
             let block = index >> (self.lowest[axis] - INSIDE) & ((1 << self.bits[axis]) - 1);
@@ -108,7 +109,7 @@ impl Window {
         })
     }
 
-    /// Bits along `axis` of a voxel that is so many after the first.
+    /// Bits along `axis` of the place of a voxel that is `after` voxels behind the window's first.
     #[inline(always)]
     pub(in crate::flying::integrate) fn bits_at(&self, axis: usize, after: u32) -> u32 {
         let (inside, block) = (after % EDGE as u32, after / EDGE as u32);
@@ -123,7 +124,7 @@ impl Window {
         inside << (EDGE_BITS as usize * axis) | block.wrapping_shl(self.lowest[axis])
     }
 
-    /// Place of a voxel, if it lies in the window.
+    /// Place of a voxel. None if it is outside the window.
     #[inline(always)]
     pub(in crate::flying::integrate) fn place_of(&self, voxel: Voxel) -> Option<usize> {
         let mut after = [0; 3];
@@ -137,7 +138,7 @@ impl Window {
         Some((0..3).fold(0, |bits, axis| bits | self.bits_at(axis, after[axis])) as usize)
     }
 
-    /// Index of the block at `place`, if it lies in the window.
+    /// Index of the block at `place`. None if it is outside the window.
     pub(crate) fn index_of(&self, place: Place) -> Option<usize> {
         let first = self.place_of(place.voxel(0));
         first.map(|voxel| voxel >> INSIDE)
@@ -151,8 +152,8 @@ impl Window {
     }
 }
 
-/// Axes by the bits that the index of a block takes along each, and last the one along which a power
-/// of two would be the most too many.
+/// Order of the axes, lowest bits first. The last axis is the one along which rounding to a power
+/// of two would add most.
 fn order_of(size: [u64; 3], bits: [u32; 3]) -> [usize; 3] {
     let filled = |axis: usize| size[axis] as f64 / f64::from(1u32 << bits[axis]);
     let last = (0..2).fold(2, |last, axis| if filled(axis) < filled(last) { axis } else { last });
