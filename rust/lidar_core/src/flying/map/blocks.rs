@@ -1,5 +1,4 @@
-//! Storage of the voxel map: cubes of 8 x 8 x 8 voxels with rows of 8, allocated at the first
-//! visit.
+//! Storage of the voxel map: blocks of 8 x 8 x 8 voxels. The rows of 8 voxels are allocated at the first visit.
 
 use super::block_shape::{Bits, EDGE, EDGE_BITS, Row, VOLUME, has};
 use super::inert::Inert;
@@ -12,27 +11,27 @@ use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
-/// Share of the budget that is given up at once, one in this many: what lies farthest from the scan
-/// that found no room.
+/// Share of the budget (one in this many) that is given up at once if a scan finds no room: the blocks farthest from
+/// the scan.
 const SPARE: usize = 8;
 
-/// Marks a voxel inside a block that no point and no ray has met.
+/// Value of a voxel that no point and no ray has met.
 pub(crate) const NEVER: f32 = f32::NAN;
 
-/// Values of 512 voxels: of those rows that were met.
+/// Values of up to 512 voxels: those of the rows that points or rays have met.
 #[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Block {
     pub(crate) place: Place,
-    /// At least tentatively occupied.
+    /// Voxels that are tentatively or confidently occupied.
     pub(crate) tentative: Bits,
-    /// Confidently occupied.
+    /// Voxels that are confidently occupied.
     pub(crate) confident: Bits,
-    /// Voxels that rays cannot change. Not saved: bytes may be wrong, and a scan finds it again.
+    /// Voxels that rays cannot change. They are not saved, since bytes may be wrong and a scan finds them again.
     #[serde(skip)]
     pub(crate) inert: Inert,
-    /// A bit for every row that is held.
+    /// One bit for every row that is stored.
     held: u64,
-    /// The rows that are held, by y, then z.
+    /// The stored rows, in the order of y, then z.
     rows: Vec<Row>,
 }
 
@@ -42,27 +41,27 @@ impl Block {
         Self { place, tentative: bits, confident: bits, inert, held: 0, rows: Vec::new() }
     }
 
-    /// True if its parts agree, as they must where bytes told them.
+    /// True if the number of rows agrees with their bits. Checks a block from a saved state.
     fn is_whole(&self) -> bool {
         self.rows.len() == self.held.count_ones() as usize
     }
 
-    /// True if one of its voxels is permanent: somebody told it, and no scan brings it back.
+    /// True if one of its voxels is permanent: a user has set it, and no scan can restore it.
     fn is_permanent(&self) -> bool {
         self.rows.iter().flatten().any(|value| value.is_infinite())
     }
 
-    /// Voxels that were observed.
+    /// Number of voxels that were observed.
     pub(crate) fn observed(&self) -> usize {
         self.rows.iter().flatten().filter(|value| !value.is_nan()).count()
     }
 
-    /// Bytes that the block takes.
+    /// Memory of the block [bytes].
     pub(crate) fn bytes(&self) -> usize {
         size_of::<Self>() + self.rows.capacity() * size_of::<Row>()
     }
 
-    /// The stored value; NaN where nothing has been observed.
+    /// The stored value of the voxel `offset`. NaN if it was never observed.
     #[inline]
     pub(crate) fn value(&self, offset: usize) -> f32 {
         let row = offset / EDGE as usize;
@@ -76,7 +75,7 @@ impl Block {
         (0..VOLUME).map(|offset| self.value(offset))
     }
 
-    /// Store a value.
+    /// Store the value of the voxel `offset`.
     pub(crate) fn set(&mut self, offset: usize, value: f32) {
         let row = offset / EDGE as usize;
         self.hold(1 << row);
@@ -86,20 +85,20 @@ impl Block {
         }
     }
 
-    /// A row that is held.
+    /// The values of a row, to be changed. None if the row is not stored.
     #[inline]
     fn row_mut(&mut self, row: usize) -> Option<&mut Row> {
         let at = self.before(row);
         self.rows.get_mut(at).filter(|_| self.held >> row & 1 == 1)
     }
 
-    /// Values of a row that is held.
+    /// The values of a row. None if the row is not stored.
     #[inline]
     pub(crate) fn row(&self, row: usize) -> Option<&Row> {
         self.rows.get(self.before(row)).filter(|_| self.held >> row & 1 == 1)
     }
 
-    /// Store the values of a row that is held, of which none crosses a bound.
+    /// Change the values of a stored row. None of them may cross a bound between occupied states.
     #[inline]
     pub(crate) fn set_row(&mut self, row: usize, values: &Row) {
         self.inert.forget_row(row);
@@ -108,7 +107,7 @@ impl Block {
         }
     }
 
-    /// Hold the rows whose bits are set, beside those that are held.
+    /// Store the rows whose bits are set, in addition to those that are already stored.
     pub(crate) fn hold(&mut self, rows: u64) {
         let (old, held) = (self.held, self.held | rows);
         if old == held {
@@ -124,7 +123,7 @@ impl Block {
         (self.held, self.rows) = (held, all);
     }
 
-    /// Rows that are held before this one.
+    /// Number of stored rows before this one.
     #[inline]
     fn before(&self, row: usize) -> usize {
         // Rows lie packed in the order of their bits: the bits below count those before.
@@ -132,7 +131,7 @@ impl Block {
     }
 }
 
-/// Index of a block along x, y, z.
+/// Index of a block along x, y, z, in the grid of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(crate) struct Place(pub(crate) [i32; 3]);
 
@@ -143,7 +142,7 @@ impl Place {
         Self(voxel.map(|index| index >> EDGE_BITS))
     }
 
-    /// True if those beside it have indices, as around every voxel that holds a point.
+    /// True if all neighbours of the block have indices. This holds around every voxel that contains a point.
     pub(crate) fn has_neighbours(self) -> bool {
         self.0.iter().all(|&index| i32::MIN < index && index < i32::MAX)
     }
@@ -157,7 +156,7 @@ impl Place {
     }
 }
 
-/// Place of a voxel inside its block.
+/// Offset of a voxel in its block: x + 8 y + 64 z.
 #[inline]
 pub(crate) fn offset_of(voxel: Voxel) -> usize {
     // The lowest bits of two's complement are the place in the block for negative indices too.
@@ -173,11 +172,11 @@ impl Hash for Place {
     }
 }
 
-/// All blocks, found by their place in constant time.
+/// All blocks of a map, found by their place in constant time.
 #[derive(Clone)]
 pub(crate) struct Blocks {
     slots: HashMap<Place, u32, BuildHasherDefault<KeyHasher>>,
-    /// None only while a block is being updated.
+    /// The blocks by slot. None only while a block is being updated.
     pool: Vec<Option<Box<Block>>>,
     max_blocks: usize,
 }
@@ -196,7 +195,7 @@ impl Blocks {
         self.pool.len()
     }
 
-    /// The budget, in blocks.
+    /// Largest number of blocks: the budget of the map.
     pub(crate) fn max_blocks(&self) -> usize {
         self.max_blocks
     }
@@ -216,7 +215,7 @@ impl Blocks {
         Some((slot, self.at(slot)?))
     }
 
-    /// The stored value; NaN where nothing has been observed.
+    /// The stored value of a voxel. NaN if it was never observed.
     pub(crate) fn stored(&self, voxel: Voxel) -> f32 {
         self.get(Place::of(voxel)).map_or(NEVER, |block| block.value(offset_of(voxel)))
     }
@@ -235,16 +234,16 @@ impl Blocks {
         self.pool.iter().filter_map(Option::as_deref)
     }
 
-    /// Slots of the blocks at `places`, made where they are missing: all or none.
+    /// Slots of the blocks at `places`. Missing blocks are made; on an error, none is.
     ///
     /// # Errors
-    /// [`Error::Limit`] if the map would outgrow its budget or the memory cannot be had.
+    /// [`Error::Limit`] if the map would exceed its budget, or if there is not enough memory.
     pub(crate) fn ensure(&mut self, places: &[Place]) -> Result<Vec<u32>, Error> {
         self.reserve(places.iter().filter(|&&place| self.slot(place).is_none()).count())?;
         Ok(places.iter().map(|&place| self.make(place)).collect())
     }
 
-    /// Have room for so many more blocks.
+    /// Reserve memory for this number of additional blocks.
     ///
     /// # Errors
     /// As [`Blocks::ensure`].
@@ -260,7 +259,7 @@ impl Blocks {
         Ok(())
     }
 
-    /// Slot of the block at `place`, made if it is missing.
+    /// Slot of the block at `place`, which is made if it is missing.
     pub(crate) fn make(&mut self, place: Place) -> u32 {
         let next = self.pool.len() as u32; // at most u32::MAX blocks
         let slot = *self.slots.entry(place).or_insert(next);
@@ -270,15 +269,14 @@ impl Blocks {
         slot
     }
 
-    /// Blocks that have to go, so that `missing` more have room; none where they have it already.
+    /// Blocks to remove so that there is room for `missing` more. Empty if there is room already.
     ///
-    /// Those farthest from the box between `low` and `high` go first, those of the same distance in
-    /// the order of their places. An eighth of the budget goes with them as far as it lies outside
-    /// the box, so that few scans have to make room. What `is_needed` names and what holds permanent
-    /// voxels stays.
+    /// Blocks farthest from the box between `low` and `high` go first; at the same distance, in the order of their
+    /// places. Outside the box, an eighth of the budget goes at once, so that few scans have to make room. Blocks
+    /// that `is_needed` names, and blocks with permanent voxels, stay.
     ///
     /// # Errors
-    /// [`Error::Limit`] if there is no room without these.
+    /// [`Error::Limit`] if there are not enough blocks that may go.
     pub(crate) fn farthest(
         &self,
         missing: usize,
@@ -317,10 +315,10 @@ impl Blocks {
         }
     }
 
-    /// Take over blocks in the order in which they were made.
+    /// Insert blocks of a saved state, in the order in which they were made.
     ///
     /// # Errors
-    /// [`Error::Limit`] above the budget; [`Error::Format`] for blocks that cannot be.
+    /// [`Error::Limit`] above the budget; [`Error::Format`] for blocks that no map has.
     pub(crate) fn restore(&mut self, blocks: Vec<Block>) -> Result<(), Error> {
         self.reserve(blocks.len())?;
         for (slot, block) in blocks.into_iter().enumerate() {
@@ -333,7 +331,7 @@ impl Blocks {
         Ok(())
     }
 
-    /// Take a block out for an update; `put` brings it back.
+    /// Take a block out for an update. [`Blocks::put`] puts it back. None if there is no such block.
     pub(crate) fn take(&mut self, slot: u32) -> Option<Box<Block>> {
         self.pool.get_mut(slot as usize)?.take()
     }
@@ -342,7 +340,7 @@ impl Blocks {
         self.pool[slot as usize] = Some(block);
     }
 
-    /// Drop every block for which `keep` says false.
+    /// Remove every block for which `keep` returns false. The slots of others change.
     pub(crate) fn retain(&mut self, mut keep: impl FnMut(Place) -> bool) {
         self.pool.retain(|block| block.as_ref().is_some_and(|block| keep(block.place)));
         // Slots are positions in the pool: all behind a dropped block have changed.
@@ -355,7 +353,7 @@ impl Blocks {
     }
 }
 
-/// Reads voxels one after another; remembers the last block, since neighbours share it.
+/// Reads single voxels. It remembers the last block, since neighbouring voxels share it.
 pub(crate) struct Cursor<'a> {
     blocks: &'a Blocks,
     last: Option<(Place, Option<&'a Block>)>,
@@ -379,7 +377,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// The stored value; NaN where nothing has been observed.
+    /// The stored value of a voxel. NaN if it was never observed.
     #[inline]
     pub(crate) fn stored(&mut self, voxel: Voxel) -> f32 {
         self.block(Place::of(voxel)).map_or(NEVER, |block| block.value(offset_of(voxel)))

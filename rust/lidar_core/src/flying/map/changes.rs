@@ -1,4 +1,4 @@
-//! Changes of a voxel map since the last removal of separate background.
+//! Changes of a voxel map since the last removal of separate voxels.
 
 use super::block_shape::{Bits, EDGE};
 use super::blocks::Place;
@@ -13,31 +13,35 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
-/// Layers with changes that are kept; above it, as when removal has been given up, all is looked at again.
+/// Largest number of layers with changes that are kept. With more, the next removal searches the
+/// whole map.
 const MOST_CHANGES: usize = 1 << 20;
 
-/// Voxels whose occupied state changed since the last removal.
+/// Voxels whose occupied state has changed since the last removal of separate voxels.
 #[derive(Clone, Default)]
 pub(crate) struct Changes {
-    /// Voxels that became occupied, at least tentatively.
+    /// Voxels that became tentatively or confidently occupied.
     pub(super) gained: Vec<Layer>,
-    /// Voxels that ceased to be occupied, or confidently so, and those that removal left occupied.
+    /// Voxels that are no longer occupied, or no longer confidently, and voxels that the removal
+    /// left occupied.
     pub(super) lost: Vec<Layer>,
-    /// The parameters of the last removal; with others every component is looked at.
+    /// Parameters of the last removal. A removal with other parameters searches the whole map.
+    /// None: there was no removal.
     pub(super) settled_with: Option<Separation>,
-    /// A voxel of a component that had enough confident voxels. It stays when the map forgets its
-    /// block: what was not seen to go is still there.
+    /// A voxel of a group with enough confident voxels. None: there was no such group. It stays
+    /// when the map forgets the voxel's block, because the group was not seen to go.
     pub(super) anchor: Option<Voxel>,
-    /// Memory that the searches use again.
+    /// Memory of the searches for groups, used again.
     pub(super) search_memory: SearchMemory,
-    /// Neighbours for the parameters of the last removal.
+    /// Neighbourhood for the parameters of the last removal. None: not computed yet.
     pub(super) neighbours: Option<Neighbours>,
-    /// Voxels whose groups are never separate: what stands still from the beginning.
+    /// Voxels whose groups never count as separate: objects that stand still from the beginning.
     pub(crate) kept: HashSet<Place, BuildHasherDefault<KeyHasher>>,
 }
 
 impl Changes {
-    /// Note voxels of a layer that changed, given those of it that were occupied before.
+    /// Note that the voxels of `layer` have changed their state. `before`: bits of those that were
+    /// occupied before.
     pub(crate) fn note(&mut self, layer: Layer, before: u64) {
         if self.settled_with.is_none() {
             return; // the next removal looks at everything
@@ -50,7 +54,7 @@ impl Changes {
         }
     }
 
-    /// State that goes on to the same bits.
+    /// The state to save. A map restored from it gives the same results, bit by bit.
     pub(super) fn saved(&self) -> SavedChanges {
         let mut kept: Vec<Place> = self.kept.iter().copied().collect();
         kept.sort_unstable(); // equal states give equal bytes
@@ -64,7 +68,7 @@ impl Changes {
         }
     }
 
-    /// Changes from a saved state of a map with so many blocks.
+    /// Changes from a saved state of a map with `blocks` blocks.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no map has.
@@ -78,14 +82,14 @@ impl Changes {
         Ok(Self { gained, lost, settled_with, anchor, search_memory, neighbours: None, kept })
     }
 
-    /// Forget the history: the next removal looks at every component.
+    /// Discard the history of changes, so that the next removal searches the whole map.
     pub(crate) fn restart(&mut self) {
         let (kept, anchor) = (std::mem::take(&mut self.kept), self.anchor);
         *self = Self { kept, anchor, ..Self::default() };
     }
 }
 
-/// Changes as bytes hold them.
+/// [`Changes`] in a saved state.
 #[derive(Serialize, Deserialize)]
 pub(super) struct SavedChanges {
     gained: Vec<Layer>,

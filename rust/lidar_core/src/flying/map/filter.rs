@@ -1,11 +1,11 @@
-//! The exponential filter, and the bounds whose crossing a block records.
+//! The exponential filter of voxel values, and the bounds between occupied states.
 //!
 //! Source: Vrba et al., eqs 7 and 12.
 
 use super::block_shape::assign;
 use super::blocks::Block;
 
-/// The two bounds whose crossing the bits of a block record.
+/// Lower bounds of the states tentatively and confidently occupied.
 #[derive(Clone, Copy)]
 pub(crate) struct Levels {
     pub(crate) tentative: f32,
@@ -13,8 +13,8 @@ pub(crate) struct Levels {
 }
 
 impl Levels {
-    /// Store a value; true if groups of occupied voxels may be others or weaker then: unless an
-    /// occupied voxel became, or stayed, confidently occupied.
+    /// Store a value in a block. Returns true if groups of occupied voxels may have changed or
+    /// become weaker: a state has changed, and not that of an occupied voxel to a higher one.
     #[inline]
     pub(crate) fn store(self, block: &mut Block, offset: usize, value: f32) -> bool {
         let old = block.value(offset);
@@ -27,7 +27,8 @@ impl Levels {
         !(old >= self.tentative && value > old)
     }
 
-    /// True if one value is below a bound and the other is not. NaN, never observed, is below all.
+    /// True if exactly one of the two values is at or above some bound. NaN (never observed) is
+    /// below all bounds.
     #[inline]
     pub(crate) fn crosses(self, old: f32, new: f32) -> bool {
         ((old >= self.tentative) != (new >= self.tentative))
@@ -35,10 +36,10 @@ impl Levels {
     }
 }
 
-/// Result of the exponential filter: `keep` is 2^-n for n updates towards `target`.
+/// Result of the exponential filter. `keep` is 2^-n for n updates of `value` towards `target`.
 ///
-/// A permanent voxel (infinite `value`, sec. III-E) never changes: a weight large enough to
-/// make 2^-n zero would otherwise give 0 * inf = NaN.
+/// A permanent voxel (infinite `value`, sec. III-E) never changes. Without this rule, a weight so
+/// large that 2^-n is zero would give 0 * inf = NaN.
 ///
 /// # Source
 /// Vrba et al., eq. 12.
@@ -49,7 +50,8 @@ pub fn filtered(value: f32, target: f32, keep: f64) -> f32 {
     if value.is_infinite() { value } else { next }
 }
 
-/// 2^-n for n >= 0, to 3e-13, with the same bits on every platform (no libm, no fused steps).
+/// 2^-n for n >= 0, with a relative error of 3e-13, and with the same bits on every platform (no
+/// libm, no fused steps).
 #[must_use]
 #[inline]
 pub fn two_to_minus(n: f64) -> f64 {

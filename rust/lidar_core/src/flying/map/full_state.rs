@@ -1,4 +1,4 @@
-//! The whole state of a voxel map: values, and the history of changes, which a saved map leaves out.
+//! The whole state of a voxel map: values, and the history of changes, which a map file leaves out.
 
 use super::blocks::Block;
 use super::changes::{Changes, SavedChanges};
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 const KIND: &str = "voxel map";
 
-/// State of a map as bytes are written from it; blocks in the order in which they were made.
+/// State of a map, for writing. The blocks are in the order in which they were made.
 #[derive(Serialize)]
 pub(crate) struct MapState<'a> {
     parameters: &'a MapParameters,
@@ -20,7 +20,7 @@ pub(crate) struct MapState<'a> {
     changes: SavedChanges,
 }
 
-/// [`MapState`] as it is read back.
+/// [`MapState`], for reading.
 #[derive(Deserialize)]
 pub(crate) struct SavedMap {
     parameters: MapParameters,
@@ -29,7 +29,7 @@ pub(crate) struct SavedMap {
 }
 
 impl VoxelMap {
-    /// The whole state as bytes, parameters included.
+    /// The whole state as bytes, including the parameters, for [`VoxelMap::from_state`].
     ///
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
@@ -37,7 +37,7 @@ impl VoxelMap {
         sealed(KIND, &(), &self.whole_state())
     }
 
-    /// Map from a saved state; it continues with the same bits as the saved one.
+    /// The map of a saved state. Its later results are equal to those of the saved map, bit by bit.
     ///
     /// # Errors
     /// Errors of [`VoxelMap::new`]; [`Error::Format`] for bytes that [`VoxelMap::to_state`] did not
@@ -62,7 +62,7 @@ impl VoxelMap {
     }
 }
 
-/// State of a [`LocalMap`] as bytes are written from it.
+/// State of a [`LocalMap`], for writing.
 #[derive(Serialize)]
 pub(crate) struct LocalState<'a> {
     map: MapState<'a>,
@@ -70,7 +70,7 @@ pub(crate) struct LocalState<'a> {
     is_anchored: bool,
 }
 
-/// [`LocalState`] as it is read back.
+/// [`LocalState`], for reading.
 #[derive(Deserialize)]
 pub(crate) struct SavedLocalMap {
     map: SavedMap,
@@ -88,7 +88,7 @@ impl LocalMap {
         }
     }
 
-    /// Restore a map from its saved parts.
+    /// The local map of a saved state.
     ///
     /// # Errors
     /// As [`VoxelMap::from_state`].

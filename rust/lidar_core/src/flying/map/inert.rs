@@ -1,44 +1,46 @@
-//! Voxels of a block that no ray changes.
+//! Inert voxels of a block: voxels that no ray changes.
 //!
-//! A ray pulls a voxel towards `g_free`. One that holds exactly this value stays there to the bit: in
-//! 64 bits, keep * g + (1 - keep) * g differs from g by far less than half a step of 32 bits. An
-//! infinite value is permanent. Both are inert; a voxel that was never observed is not.
+//! A ray pulls a voxel towards `g_free`. A voxel with exactly this value keeps it to the bit: in 64
+//! bits, keep * g + (1 - keep) * g differs from g by far less than half a step of 32 bits. An
+//! infinite value is permanent. Voxels with either value are inert; a voxel that was never observed
+//! is not.
 
 use super::block_shape::{EDGE, Row};
 
-/// Voxels along the edge of a cell, as a power of two.
+/// Number of voxels along the edge of a cell, as base-2 logarithm.
 pub(crate) const CELL_BITS: u32 = 1;
-/// Cells along the edge of a block.
+/// Number of cells along the edge of a block.
 pub(crate) const CELLS: u32 = EDGE as u32 >> CELL_BITS;
 
-/// Cells of 2 x 2 x 2 voxels in a block: a bit for each, along x first, then y, then z.
+/// Cells of 2 x 2 x 2 voxels in a block: one bit per cell, in the order of x, then y, then z.
 pub(crate) type CellBits = u64;
 
-/// Pairs of voxels along x that are known to be inert.
+/// Pairs of neighbouring voxels along x that are known to be inert.
 ///
-/// A bit that is missing costs time; one that is wrong would change results. So whoever writes a value
-/// clears it, and only who has looked at the values sets it.
+/// A missing bit costs time; a wrong bit would change results. So writing a value clears the bit,
+/// and only an inspection of the values sets it.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Inert {
-    /// A bit for every row: for its first pair of voxels, the second and so on.
+    /// One bit per row: first for the first pair of voxels of the row, then for the second, and so
+    /// on.
     pairs: [u64; CELLS as usize],
 }
 
 impl Inert {
-    /// A voxel is about to be written.
+    /// Clear the bit of the voxel `offset`, which is about to be written.
     #[inline]
     pub(crate) fn forget(&mut self, offset: usize) {
         let (row, at) = (offset / EDGE as usize, offset % EDGE as usize);
         self.pairs[at >> CELL_BITS] &= !(1 << row);
     }
 
-    /// The voxels of a row are about to be written.
+    /// Clear the bits of a row, which is about to be written.
     #[inline]
     pub(crate) fn forget_row(&mut self, row: usize) {
         self.pairs.iter_mut().for_each(|pairs| *pairs &= !(1 << row));
     }
 
-    /// Look at the values of a row; rays pull it towards `g_free`.
+    /// Set the bits of a row from its values. `g_free`: value towards which rays pull.
     #[inline(always)]
     pub(crate) fn note(&mut self, row: usize, values: &Row, g_free: f32) {
         // Of bits: -0.0 would become 0.0.
@@ -55,7 +57,7 @@ impl Inert {
         self.pairs.iter().fold(1, |all, pairs| all & pairs >> row) & 1 == 1
     }
 
-    /// Cells that may hold a voxel that is not inert.
+    /// Cells that may contain a voxel that is not inert.
     pub(crate) fn live_cells(&self) -> CellBits {
         let mut inert = 0;
         for (x, pairs) in self.pairs.iter().enumerate() {

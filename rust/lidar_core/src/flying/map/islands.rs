@@ -1,4 +1,4 @@
-//! Searches for groups of occupied voxels that hold too few confident ones.
+//! Search for groups of occupied voxels with too few confidently occupied ones.
 //!
 //! Voxels are taken a layer of a block at a time, as the bits of a word.
 
@@ -10,35 +10,36 @@ use crate::util::key_hasher::KeyHasher;
 use std::collections::HashSet;
 use std::hash::BuildHasherDefault;
 
-/// Results of the searches for the voxels of a block.
+/// Results of the searches for the voxels of one block.
 #[derive(Clone, Copy, Default)]
 struct SearchResults {
-    /// Some search of this removal has met them.
+    /// Voxels that a search of this removal has met.
     met: Bits,
-    /// Their group holds enough confident voxels, or held them at the last removal.
+    /// Voxels whose group has enough confident voxels, or had them at the last removal
+    /// ("anchored").
     anchored: Bits,
 }
 
-/// Results of searches per slot of the map's pool, and working memory. Between removals no voxel is
-/// met.
+/// Results of the searches by slot of the block, and working memory. Between removals, no voxel
+/// counts as met.
 #[derive(Clone, Default)]
 pub(crate) struct SearchMemory {
     results: Vec<SearchResults>,
-    /// Slots of which voxels are met.
+    /// Slots of the blocks that contain met voxels.
     touched: Vec<u32>,
-    /// Members of the group that is searched.
+    /// Voxels of the group that is being searched.
     members: Vec<Layer>,
-    /// Members of separate groups.
+    /// Voxels of the separate groups that were found.
     pub(crate) separate: Vec<Layer>,
 }
 
 impl SearchMemory {
-    /// Voxels whose group held enough confident ones at the last removal, by slot.
+    /// For each slot, the voxels whose group had enough confident ones at the last removal.
     pub(super) fn anchored(&self) -> Vec<Bits> {
         self.results.iter().map(|one| one.anchored).collect()
     }
 
-    /// Memory after a removal.
+    /// Search memory as after a removal with these anchored voxels.
     pub(super) fn restored(anchored: Vec<Bits>) -> Self {
         let with_anchors = |anchored| SearchResults { anchored, ..SearchResults::default() };
         Self { results: anchored.into_iter().map(with_anchors).collect(), ..Self::default() }
@@ -54,13 +55,13 @@ impl SearchMemory {
     }
 }
 
-/// Blocks in the cache: 16 x 16 x 8.
+/// Number of blocks in the cache: 16 x 16 x 8.
 const CACHED_BLOCKS: usize = 1 << 11;
 
 /// Slot of a block in the map's pool, and the block.
 type BlockInSlot<'a> = (u32, &'a Block);
 
-/// Cache of blocks with occupied voxels: a search goes from neighbour to neighbour.
+/// Cache of blocks with occupied voxels. It pays because a search goes from neighbour to neighbour.
 struct BlockCache<'a> {
     blocks: &'a Blocks,
     known: [(Place, Option<BlockInSlot<'a>>); CACHED_BLOCKS],
@@ -85,14 +86,14 @@ impl<'a> BlockCache<'a> {
     }
 }
 
-/// Breadth-first searches of one removal; what one search learns, the others use.
+/// Breadth-first searches of one removal. Each search uses the results of the earlier ones.
 pub(crate) struct Search<'a> {
     blocks: BlockCache<'a>,
     neighbours: &'a Neighbours,
     kept: &'a HashSet<Place, BuildHasherDefault<KeyHasher>>,
     min_confident: usize,
     memory: SearchMemory,
-    /// True once anchors of the last removal count.
+    /// True if anchored voxels of the last removal count as anchored.
     trusts_last: bool,
     anchor: Option<Voxel>,
 }
@@ -118,18 +119,19 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Count the anchors of the last removal from now on: all groups that lost voxels since
-    /// then have been looked at.
+    /// From now on, count the anchored voxels of the last removal. All groups that have lost voxels
+    /// since then must have been searched before.
     pub(super) fn trust_last(&mut self) {
         self.trusts_last = true;
     }
 
-    /// A voxel of some group with enough confident ones.
+    /// A voxel of some group with enough confident ones. None if no search has found one.
     pub(crate) fn anchor(&self) -> Option<Voxel> {
         self.anchor
     }
 
-    /// The memory for the next removal, with the members of separate groups.
+    /// Finish the removal. Returns the memory for the next one, which contains the voxels of
+    /// separate groups.
     pub(crate) fn finish(mut self) -> SearchMemory {
         let SearchMemory { results, touched, .. } = &mut self.memory;
         for slot in touched.drain(..) {
@@ -139,8 +141,8 @@ impl<'a> Search<'a> {
         self.memory
     }
 
-    /// Look at the groups of voxels that changed; where one is no longer occupied, at the groups
-    /// around it, which it may have held together.
+    /// Search the groups of voxels that have changed. For a voxel that is no longer occupied,
+    /// search the groups around it, which it may have connected.
     pub(super) fn look_around(&mut self, changed: &[Layer]) {
         for &layer in changed {
             let found = self.blocks.find(layer.place);
@@ -161,7 +163,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Search the groups of those voxels of an occupied layer that no search has met.
+    /// Search the groups of those voxels of an occupied layer that no search has met yet.
     fn each_unmet(&mut self, found: BlockInSlot<'a>, layer: Layer) {
         for offset in layer.offsets() {
             if !has(&self.memory.results[found.0 as usize].met, offset) {
@@ -170,8 +172,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Visit the layers with [`open`](Self::open) voxels around a layer, until one visit says true;
-    /// whether one did.
+    /// Call `visit` for the layers with [`open`](Self::open) voxels in the neighbourhood of a
+    /// layer, until one call returns true. Returns whether a call returned true.
     #[inline]
     fn each_around(
         &mut self,
@@ -191,7 +193,8 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Search the group of `start` until it is anchored, or known whole and separate.
+    /// Search the group of `start` until it is anchored (has enough confident voxels), or is
+    /// completely known and separate.
     fn component(&mut self, found: BlockInSlot<'a>, start: Voxel) {
         let mut members = std::mem::take(&mut self.memory.members);
         members.clear();
@@ -224,14 +227,15 @@ impl<'a> Search<'a> {
         !self.kept.is_empty() && layer.offsets().any(kept)
     }
 
-    /// Occupied voxels of a layer that no search has met, or whose group is known to be anchored.
+    /// Bits of the occupied voxels of a layer that no search has met, or whose group is known to be
+    /// anchored.
     #[inline]
     fn open(&self, (slot, block): BlockInSlot<'_>, z: usize) -> u64 {
         // Anchored voxels are open although they were met: to reach one ends a search.
         block.tentative[z] & (!self.memory.results[slot as usize].met[z] | self.anchored(slot, z))
     }
 
-    /// Voxels of a layer whose group is known to be anchored.
+    /// Bits of the voxels of a layer whose group is known to be anchored.
     #[inline]
     fn anchored(&self, slot: u32, z: usize) -> u64 {
         let SearchResults { met, anchored } = &self.memory.results[slot as usize];
@@ -239,8 +243,8 @@ impl<'a> Search<'a> {
         if self.trusts_last { anchored[z] } else { anchored[z] & met[z] }
     }
 
-    /// Add those of some open voxels that are new, and what is linked to them in their layer. True if
-    /// one of them is anchored.
+    /// Add the new ones of some open voxels to the group, and the voxels connected with them in
+    /// their layer. Returns true if one of the open voxels is anchored.
     #[inline]
     fn meet(
         &mut self,

@@ -1,4 +1,4 @@
-//! Voxels of one layer of a block as the bits of a word, and their neighbours.
+//! Voxels of one layer of a block, as the bits of a word, and search for their neighbours.
 
 use super::block_shape::{EDGE, EDGE_BITS};
 use super::blocks::{Place, offset_of};
@@ -7,13 +7,13 @@ use crate::error::require;
 use crate::geometry::lattice::Voxel;
 use serde::{Deserialize, Serialize};
 
-/// Voxels of one layer of z of a block.
+/// Some of the 64 voxels of one z layer of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Layer {
     pub(crate) place: Place,
-    /// Which of the block's layers, 0 to 7.
+    /// Which of the block's layers along z, 0 to 7.
     pub(crate) z: i32,
-    /// A byte per row of x.
+    /// One bit per voxel: a byte per row along x, its number is y.
     pub(crate) bits: u64,
 }
 
@@ -24,13 +24,13 @@ impl Layer {
         Self { place: Place::of(voxel), z: offset as i32 >> 6, bits: 1 << (offset & 63) }
     }
 
-    /// True if both are the same layer of the same block, whatever their voxels.
+    /// True if both are of the same layer of the same block, whichever voxels they contain.
     #[inline]
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.place == other.place && self.z == other.z
     }
 
-    /// Places of its voxels in their block.
+    /// Offsets of the voxels in their block, in ascending order.
     pub(crate) fn offsets(self) -> impl Iterator<Item = usize> {
         let (mut bits, first) = (self.bits, 64 * self.z as usize);
         std::iter::from_fn(move || {
@@ -40,7 +40,7 @@ impl Layer {
         })
     }
 
-    /// First and last voxel along x, and along y.
+    /// First and last voxel along x, then along y, within the block.
     fn spans(&self) -> [[i32; 2]; 2] {
         // All rows are ORed into one byte: its outer bits are the ends along x.
         let halves = self.bits | self.bits >> 32;
@@ -52,20 +52,21 @@ impl Layer {
     }
 }
 
-/// Neighbours of voxels: those whose centre is not too far away.
+/// Neighbourhood of a voxel: all voxels whose centre is within a given distance.
 #[derive(Clone, Debug)]
 pub(crate) struct Neighbours {
     /// Largest distance of a neighbour along one axis, in voxels.
     reach: i32,
     /// Reach rounded up to whole blocks, in voxels.
     margin: i32,
-    /// For every distance along z: by the position of a voxel along y and x, relative to a corner
-    /// `margin` below that of a block, its neighbours in a layer of that block.
+    /// Bits of a voxel's neighbours in a layer of a block. There is one entry for every distance
+    /// along z and for every position of the voxel along y and x, relative to a corner `margin`
+    /// below the block.
     masks: Vec<u64>,
 }
 
 impl Neighbours {
-    /// Neighbours whose centre is at most `reach` voxels away; exactly this distance counts.
+    /// Neighbourhood of all voxels whose centre is at most `reach` voxel edges away.
     ///
     /// # Errors
     /// [`Error::Parameter`] unless 0 <= reach <= 64.
@@ -92,7 +93,7 @@ impl Neighbours {
         Ok(Self { reach, margin, masks })
     }
 
-    /// Voxels and all their neighbours, each layer once, in ascending order.
+    /// The given voxels and all their neighbours, each layer once, in ascending order.
     pub(crate) fn dilated(&self, layers: &[Layer]) -> Vec<Layer> {
         let mut dilated = Vec::new();
         for layer in layers {
@@ -114,8 +115,9 @@ impl Neighbours {
         dilated
     }
 
-    /// Visit the blocks in which neighbours of a layer may lie, given how many blocks they are away,
-    /// until one visit says true; whether one did.
+    /// Call `visit` for the blocks that may contain neighbours of a layer, until one call returns
+    /// true. The argument is the distance of the block from the layer's own block, in blocks.
+    /// Returns whether a call returned true.
     #[inline]
     pub(crate) fn any_block(&self, layer: &Layer, mut visit: impl FnMut([i32; 3]) -> bool) -> bool {
         let [x, y] = layer.spans();
@@ -125,14 +127,15 @@ impl Neighbours {
         blocks([layer.z; 2]).any(|dz| blocks(y).any(|dy| blocks(x).any(|dx| visit([dx, dy, dz]))))
     }
 
-    /// Layers of the block `dz` blocks above that of `layer` in which neighbours may lie.
+    /// Layers that may contain neighbours of `layer`, in the block `dz` blocks above its own.
     #[inline]
     pub(crate) fn layers(&self, layer: &Layer, dz: i32) -> std::ops::RangeInclusive<i32> {
         let z = layer.z - (dz << EDGE_BITS);
         (z - self.reach).max(0)..=(z + self.reach).min(EDGE - 1)
     }
 
-    /// Neighbours of a layer in layer `z` of the block `step` blocks away from its own.
+    /// Bits of the neighbours of `layer` in layer `z` of the block that is `step` blocks away from
+    /// its own.
     #[inline]
     pub(crate) fn of(&self, layer: &Layer, step: [i32; 3], z: i32) -> u64 {
         let [dx, dy, dz] = step.map(|blocks| blocks << EDGE_BITS);
@@ -149,7 +152,7 @@ impl Neighbours {
     }
 }
 
-/// Bits of a layer: for every row those at most so far from `x`.
+/// Bits of a layer: in every row, the voxels within the row's reach of position `x`.
 fn mask(x: i32, reaches: &[i32; EDGE as usize]) -> u64 {
     let row = |&reach: &i32| {
         let (low, high) = ((x - reach).clamp(0, EDGE), (x + reach + 1).clamp(0, EDGE));

@@ -1,4 +1,4 @@
-//! A voxel map in a local frame, and the place of that frame in the world.
+//! A voxel map in a local frame, and the origin of that frame in the world.
 
 use super::parameters::MapParameters;
 use super::voxel_map::VoxelMap;
@@ -6,19 +6,20 @@ use crate::Error;
 use crate::error::require;
 use crate::geometry::transform::Transform;
 
-/// Places further from the world's origin cannot be told apart to a millimetre [m].
+/// Largest coordinate in the world that is accepted [m]. Beyond it, numbers do not resolve a
+/// millimetre.
 const FARTHEST: f64 = 1e12;
 
-/// A map whose frame lies near the robot, so that large coordinates of the world are possible.
+/// A map whose frame is near the robot, so that world coordinates may be large.
 pub(crate) struct LocalMap {
     pub(crate) map: VoxelMap,
     pub(crate) map_from_world: Transform,
-    /// True once the place of the frame is known.
+    /// True if the origin of the frame is known.
     pub(crate) is_anchored: bool,
 }
 
 impl LocalMap {
-    /// The empty map of an unknown place.
+    /// An empty map whose origin in the world is not known yet.
     ///
     /// # Errors
     /// As [`VoxelMap::new`].
@@ -30,8 +31,8 @@ impl LocalMap {
         })
     }
 
-    /// An empty map whose frame lies at `point` [m, world], on a corner of the world's voxels; nothing
-    /// changes if the map has its place already.
+    /// Set the origin of an empty map to a corner of the world's voxels near `point` [m, world].
+    /// Nothing changes if the origin is already known.
     ///
     /// # Errors
     /// [`Error::PointOutOfRange`], and those of [`VoxelMap::new`]; the map is unchanged then.
@@ -52,10 +53,10 @@ impl LocalMap {
         Ok(())
     }
 
-    /// Take over another map; its own parameters stay in force.
+    /// Replace the map by another one. The configured parameters stay in force.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if its voxels differ in size from the configured ones.
+    /// [`Error::Parameter`] if its voxels do not have the configured size.
     pub(crate) fn replace(
         &mut self,
         parameters: &MapParameters,
@@ -70,7 +71,7 @@ impl LocalMap {
         Ok(())
     }
 
-    /// Make the voxels of `points` [m, world] occupied, or free, for good (sec. III-E).
+    /// Make the voxels of `points` [m, world] permanently occupied or free (sec. III-E).
     ///
     /// # Errors
     /// As [`VoxelMap::set_free`]; the map is unchanged then.

@@ -1,4 +1,4 @@
-//! The voxel map: states, storage, removal of separate background, files.
+//! The voxel map: states, storage, removal of separate groups of voxels, files.
 
 pub(crate) mod block_shape;
 pub(crate) mod blocks;

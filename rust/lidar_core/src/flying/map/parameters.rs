@@ -1,4 +1,4 @@
-//! Parameters of the voxel map.
+//! Parameters of the voxel map, and of the removal of separate voxels.
 
 use super::block_shape::VOLUME;
 use super::layers::Neighbours;
@@ -7,80 +7,83 @@ use crate::error::{require, require_positive};
 use crate::geometry::transform::minus;
 use serde::{Deserialize, Serialize};
 
-/// Length unit of the ray weight n_int (eq. 22), whose unit the paper does not state.
+/// Unit of the ray length in the weight n_int (eq. 22). The paper does not state it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RayUnit {
-    /// Sum of lengths over the voxel edge.
+    /// Voxel edges.
     Edges,
-    /// Sum of lengths in metres: the paper's text, literally.
+    /// Metres: the literal reading of the paper's text.
     Metres,
-    /// Sum of lengths over the voxel diagonal.
+    /// Voxel diagonals.
     Diagonals,
 }
 
-/// Rays of a scan that are cast.
+/// Which rays of a scan are cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Rays {
-    /// All of them: exact.
+    /// All rays (exact).
     All,
-    /// The first of those that end in the same voxel, with their number as its weight.
+    /// Of the rays that end in the same voxel only the first, weighted with their number.
     OnePerEnd,
 }
 
-/// Voxels that rays pass without a look at them.
+/// Which voxels rays skip, without a look at each voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Skip {
     /// None: every ray visits every voxel that it crosses.
     Nothing,
-    /// Rays pass directions and distances in which all voxels hold `g_free` to the bit, or are
-    /// permanent: no ray changes them. Values, states and files equal those of [`Skip::Nothing`] to
-    /// the bit. Only a scan that [`Skip::Nothing`] rejects, because it touches too many voxels, may
-    /// be accepted.
+    /// Voxels in directions and at distances where all voxels are either exactly at `g_free` or
+    /// permanent: no ray changes these. Values, states and files are equal to those of
+    /// [`Skip::Nothing`], bit by bit. One exception: a scan that [`Skip::Nothing`] rejects, because
+    /// it touches too many voxels, may be accepted.
     Saturated,
 }
 
-/// Parameters of a voxel map; values of G have no unit.
+/// Parameters of a voxel map. Values of G have no unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapParameters {
     /// Edge of a voxel [m].
     pub voxel_size: f64,
-    /// World coordinates of the point that all coordinates given to the map are relative to [m]:
-    /// kept and saved for the caller, so that `f32` suffices far from the world's origin.
+    /// Origin of the map's frame in the world [m]. Coordinates given to the map are relative to it,
+    /// so that `f32` suffices far from the world's origin. The map only stores it for the caller.
     pub origin: [f64; 3],
-    /// G that background points pull a voxel to.
+    /// Value of G towards which background points pull a voxel.
     pub g_occ: f32,
-    /// G that unknown and flying points pull a voxel to.
+    /// Value of G towards which unknown points pull a voxel, and to which flying points set it.
     pub g_unk: f32,
-    /// G that rays pull a voxel to.
+    /// Value of G towards which rays pull a voxel.
     pub g_free: f32,
-    /// G of a voxel that has never been observed.
+    /// Value of G of a voxel that was never observed.
     pub initial: f32,
-    /// Lower bounds of the states uncertain, tentative and confidently occupied (eq. 7).
+    /// Smallest values of the states uncertain, tentatively occupied and confidently occupied (eq.
+    /// 7).
     pub thresholds: [f32; 3],
-    /// Further bounds that `state` counts (eq. 6).
+    /// Further thresholds that `state` counts (eq. 6).
     pub extra_thresholds: Vec<f32>,
-    /// Rays clear no further than this, d_max of eq. 20 [m].
+    /// Largest distance up to which rays clear voxels, d_max of eq. 20 [m].
     pub max_range: f64,
-    /// Rays that hit something end this much earlier [m].
+    /// Distance before their points at which rays with a return end [m].
     pub end_margin: f64,
-    /// Rays that are cast.
+    /// Which rays of a scan are cast.
     pub rays: Rays,
-    /// Voxels that rays pass. They affect only the time, so files do not store this.
+    /// Which voxels rays skip. This changes only the time, so files do not store it.
     pub skip: Skip,
-    /// A value that rays have pulled to within 64 steps of `f32` from `g_free` becomes `g_free`. Otherwise
-    /// rounding holds it there for ever, a step short or, where few rays pass, dozens.
+    /// If true, a value that rays have pulled to within 64 steps of `f32` from `g_free` becomes
+    /// `g_free`. Otherwise rounding would hold it there for ever: one step short of it or, where
+    /// few rays pass, dozens of steps.
     pub settles: bool,
-    /// Unit of the ray weight.
+    /// Unit of the ray length in the ray weight.
     pub ray_unit: RayUnit,
-    /// Factor on the ray weight.
+    /// Factor of the ray weight.
     pub ray_gain: f64,
-    /// Corners of a fixed operating volume [m]; nothing outside is mapped.
+    /// Corners of the operating volume [m, frame of the map]. Nothing outside is mapped. None: no
+    /// limits.
     pub bounds: Option<[[f64; 3]; 2]>,
-    /// Budget of stored voxels.
+    /// Largest number of stored voxels.
     pub max_voxels: u64,
 }
 
-/// Table II; the unit of the ray weight is the voxel's edge.
+/// Values of Table II. The unit of the ray length is the voxel edge.
 impl Default for MapParameters {
     fn default() -> Self {
         Self {
@@ -106,7 +109,7 @@ impl Default for MapParameters {
 }
 
 impl MapParameters {
-    /// Table II; the unit of the ray weight is the metre, as in the paper's text.
+    /// Values of Table II. The unit of the ray length is the metre, as in the paper's text.
     #[must_use]
     pub fn paper() -> Self {
         Self { ray_unit: RayUnit::Metres, settles: false, ..Self::default() }
@@ -114,14 +117,14 @@ impl MapParameters {
 }
 
 impl MapParameters {
-    /// Parameters for coordinates relative to `origin` [m, world].
+    /// The same parameters for a frame with its origin at `origin` [m, world].
     #[must_use]
     pub fn relative_to(&self, origin: [f64; 3]) -> Self {
         let bounds = self.bounds.map(|corners| corners.map(|corner| minus(corner, origin)));
         Self { origin, bounds, ..self.clone() }
     }
 
-    /// True if the operating volume holds a point of the map's frame.
+    /// True if a point [m, frame of the map] is inside the operating volume.
     pub(crate) fn holds(&self, point: [f64; 3]) -> bool {
         self.bounds.is_none_or(|[low, high]| {
             (0..3).all(|axis| (low[axis]..=high[axis]).contains(&point[axis]))
@@ -162,19 +165,20 @@ impl MapParameters {
     }
 }
 
-/// When a group of occupied voxels is separate.
+/// When a group of occupied voxels is separate, and what a removal does.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Separation {
-    /// Largest distance between the centres of neighbours in a group, d_sep [m].
+    /// Largest distance between the centres of neighbouring voxels in a group, d_sep [m].
     pub max_gap: f64,
-    /// A group with fewer confidently occupied voxels is removed, n_conf,min.
+    /// Number of confidently occupied voxels below which a group is removed, n_conf,min.
     pub min_confident: usize,
-    /// Observed voxels within `max_gap` of a removed one are pulled towards free too; those of a
-    /// permanent one when its group has changed, not by every removal.
+    /// If true, observed voxels within `max_gap` of a removed voxel are also pulled towards free.
+    /// Around a permanent voxel this happens only after its group has changed, not at every
+    /// removal.
     pub dilate: bool,
 }
 
-/// Table II; d_sep is not in it and comes from the authors' code.
+/// Values of Table II. d_sep is not in the table; it comes from the authors' code.
 impl Default for Separation {
     fn default() -> Self {
         Self { max_gap: 0.8, min_confident: 24, dilate: false }
@@ -182,12 +186,12 @@ impl Default for Separation {
 }
 
 impl Separation {
-    /// Neighbours of a voxel in a group.
+    /// Neighbourhood of a voxel in a group, for voxels of this size [m].
     pub(super) fn neighbours(&self, voxel_size: f64) -> Result<Neighbours, Error> {
         Neighbours::within(self.max_gap / voxel_size)
     }
 
-    /// Check the gap for voxels of this size [m].
+    /// Check the parameters for voxels of this size [m].
     ///
     /// # Errors
     /// [`Error::Parameter`] if `max_gap` is not a distance of 0 to 64 voxels.

@@ -1,4 +1,4 @@
-//! Saving and loading a voxel map: versioned, checksummed, atomic.
+//! Saving and loading a voxel map. Files have a version and a checksum, and are written atomically.
 //!
 //! Layout (little endian): magic `LCVM`, version u32, parameters, number of blocks u64, blocks in
 //! ascending order of place (3 x i32, 512 x f32), in version 2 the robot itself
@@ -18,18 +18,19 @@ use std::path::Path;
 
 const MAGIC: &[u8; 4] = b"LCVM";
 const VERSION: u32 = 1;
-/// Version of files with a section for the robot itself.
+/// Version of files that contain a section for the robot itself.
 const VERSION_WITH_BODY: u32 = 2;
-/// Set in the byte of the ray unit where one ray is cast per end voxel.
+/// Flag in the byte of the ray unit: one ray is cast per end voxel.
 const ONE_PER_END: u8 = 4;
-/// Set there where values near `g_free` become `g_free`; files of earlier versions do not have it.
+/// Flag in the byte of the ray unit: values near `g_free` become `g_free`. Files of earlier
+/// versions never have it.
 const SETTLES: u8 = 8;
 const BLOCK_BYTES: usize = 12 + 4 * VOLUME;
-/// Largest file that is read [bytes].
+/// Size of the largest file that is read [bytes].
 const MAX_BYTES: u64 = 1 << 34;
 
 impl VoxelMap {
-    /// Write the map to `path`: the file is either the old or the new one, never a torn one.
+    /// Write the map to `path`. The file is always either the old one or the complete new one.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Format`] if `path` is a pipe or a device.
@@ -106,7 +107,7 @@ impl VoxelMap {
         bytes
     }
 
-    /// Write the map block by block: a copy of the whole would need as much memory again.
+    /// Write the map block by block, since a copy of the whole map would need as much memory again.
     fn write_to(&self, out: &mut impl Write, bodies: &[SavedBody]) -> std::io::Result<()> {
         let mut sum = 0;
         let mut put = |part: &[u8]| {
@@ -136,7 +137,7 @@ impl VoxelMap {
         out.write_all(&sum.to_le_bytes())
     }
 
-    /// The reverse of [`VoxelMap::to_bytes`].
+    /// Read a map from the bytes of [`VoxelMap::to_bytes`].
     ///
     /// # Errors
     /// As [`VoxelMap::load`].
@@ -144,7 +145,7 @@ impl VoxelMap {
         Self::from_bytes_with(bytes).map(|(map, _)| map)
     }
 
-    /// The reverse of [`VoxelMap::to_bytes_with`].
+    /// Read a map and the voxels of the robot itself from the bytes of [`VoxelMap::to_bytes_with`].
     pub(super) fn from_bytes_with(bytes: &[u8]) -> Result<(Self, Vec<SavedBody>), Error> {
         let (version, mut reader) = read_head(bytes)?;
         let parameters = read_parameters(&mut reader)?;
@@ -168,7 +169,8 @@ impl VoxelMap {
     }
 }
 
-/// Version of a file, and a reader of what follows it, up to the checksum, which is right.
+/// Check the checksum. Returns the version of a file and a reader for the bytes between version and
+/// checksum.
 fn read_head(bytes: &[u8]) -> Result<(u32, Reader<'_>), Error> {
     let mut reader = Reader { bytes, at: 0 };
     if &reader.take::<4>()? != MAGIC {
@@ -194,7 +196,7 @@ fn read_head(bytes: &[u8]) -> Result<(u32, Reader<'_>), Error> {
     Ok((version, reader))
 }
 
-/// Corners of the operating volume, if the file states one.
+/// Corners of the operating volume [m]. None if the file has none.
 fn read_bounds(reader: &mut Reader<'_>) -> Result<Option<[[f64; 3]; 2]>, Error> {
     if reader.take::<1>()? == [0] {
         return Ok(None);
@@ -300,7 +302,7 @@ fn read_block(reader: &mut Reader<'_>, map: &mut VoxelMap) -> Result<(), Error> 
     Ok(())
 }
 
-/// Refuse pipes and devices: the first block their readers, the second may never end.
+/// Refuse pipes and devices: a pipe blocks its reader, and a device may never end.
 fn check_regular(path: &Path) -> Result<(), Error> {
     let kind = fs::metadata(path)?.file_type();
     if kind.is_file() || kind.is_dir() {

@@ -1,16 +1,16 @@
-//! Numbers from bytes, one after the other, with errors that name the place.
+//! Reader of numbers from bytes, whose errors name the offset.
 
 use crate::Error;
 
-/// Takes numbers from bytes, one after the other.
+/// Reads numbers from bytes, one after another.
 pub(super) struct Reader<'a> {
     pub(super) bytes: &'a [u8],
-    /// The next byte.
+    /// Offset of the next byte.
     pub(super) at: usize,
 }
 
 impl Reader<'_> {
-    /// Bytes that are left.
+    /// Number of bytes that are left.
     pub(super) fn left(&self) -> usize {
         self.bytes.len() - self.at
     }
@@ -43,7 +43,7 @@ impl Reader<'_> {
     }
 }
 
-/// Error for bytes that break their format at `offset`.
+/// Error for bytes that are not in the expected format at `offset`.
 pub(super) fn format_error(offset: usize, what: &str) -> Error {
     Error::Format { what: what.into(), offset: offset as u64 }
 }

@@ -1,33 +1,35 @@
-//! The robot itself, as maps are saved with it: per sensor, the voxels around it that it fills.
+//! The robot itself, as it is saved with a map: for each sensor, the voxels around it that the
+//! robot fills.
 //!
-//! Layout (little endian), after the blocks of the map: edge of a voxel f64 \[m\] and voxels along an
-//! edge of the cube around the sensor u32, both so that another grid is noticed; number of sensors u32; per
-//! sensor, in ascending order of names: name (length u32, UTF-8), whether turns have decided it u8,
-//! voxels (number u32, each u32, ascending).
+//! Layout (little endian), after the blocks of the map: edge of a voxel f64 \[m\] and number of
+//! voxels along an edge of the cube around the sensor u32, so that another grid is noticed; number
+//! of sensors u32. For each sensor, in ascending order of names: name (length u32, UTF-8), whether
+//! turns have confirmed it u8, voxels (number u32, each u32, ascending).
 
 use super::reader::{Reader, format_error};
 use crate::Error;
 use crate::util::budget::{MAX_SENSORS, vec_with_capacity};
 use serde::{Deserialize, Serialize};
 
-/// Edge of a voxel of the robot [m].
+/// Edge of a voxel of the robot itself [m].
 pub(crate) const SIZE: f64 = 0.2;
-/// Voxels along an edge of the cube around the sensor: 6.4 m to each side.
+/// Number of voxels along an edge of the cube around the sensor. The cube extends 6.4 m to each
+/// side.
 pub(crate) const EDGE: usize = 64;
 
-/// Voxels of the robot itself that one sensor found.
+/// Voxels around one sensor that the robot itself fills.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SavedBody {
     /// Name of the sensor.
     pub sensor: String,
-    /// True if turns have confirmed that it is the robot, and not an object that moves along with
-    /// it.
+    /// Whether turns of the robot have confirmed that the voxels are the robot, and not an object
+    /// that moves along with it.
     pub is_decided: bool,
-    /// Voxels of the cube around the sensor, ascending: (x * edge + y) * edge + z.
+    /// Numbers of the voxels in the cube around the sensor, ascending: (x * edge + y) * edge + z.
     pub voxels: Vec<u32>,
 }
 
-/// Append the voxels of the robot itself, per sensor.
+/// Append the voxels of the robot itself, for each sensor, to `bytes`.
 pub(super) fn write_bodies(bodies: &[SavedBody], bytes: &mut Vec<u8>) {
     let (size, edge) = (SIZE, EDGE as u32);
     bytes.extend(size.to_le_bytes());
@@ -42,7 +44,7 @@ pub(super) fn write_bodies(bodies: &[SavedBody], bytes: &mut Vec<u8>) {
     }
 }
 
-/// Read what [`write_bodies`] wrote, to the end of the bytes.
+/// Read the voxels that [`write_bodies`] wrote, to the end of the bytes.
 ///
 /// # Errors
 /// [`Error::Format`] with the byte offset, [`Error::Limit`].

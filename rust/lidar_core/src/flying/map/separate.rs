@@ -1,9 +1,10 @@
-//! Removal of occupied voxels that are separate from confidently occupied ones.
+//! Removal of groups of occupied voxels that are separate from the background (hold too few
+//! confident voxels).
 //!
-//! Source: Vrba et al., sec. III-D, eq. 23. Incremental: a component is looked at only if one of
-//! its voxels changed its state, or one beside it ceased to be occupied; the look ends as soon
-//! as enough confident voxels are found, or a voxel of a group that had enough at the last removal.
-//! Cost follows the changes, not the size of the map.
+//! Source: Vrba et al., sec. III-D, eq. 23. The removal is incremental: a group is searched only if
+//! one of its voxels has changed its state, or if a neighbour is no longer occupied. A search ends
+//! as soon as it finds enough confident voxels, or a voxel of a group that had enough at the last
+//! removal. So the cost follows the changes, not the size of the map.
 
 use super::blocks::{Block, Place};
 use super::changes::Changes;
@@ -16,8 +17,8 @@ use crate::Error;
 use crate::geometry::lattice::Voxel;
 
 impl VoxelMap {
-    /// Pull every voxel of a group of at least tentatively occupied voxels that holds fewer
-    /// than `min_confident` confident ones once towards free. Returns the voxels changed.
+    /// Find groups of occupied voxels with fewer than `min_confident` confident ones, and pull each
+    /// of their voxels once towards free. Returns the number of voxels that were pulled.
     ///
     /// # Errors
     /// [`Error::Parameter`] if `max_gap` is not a distance of 0 to 64 voxels.
@@ -29,9 +30,9 @@ impl VoxelMap {
         Ok(self.pull_to_free(separate))
     }
 
-    /// Like [`VoxelMap::remove_separate`], but removes nothing before some group holds enough
-    /// confident voxels: a young background would be pulled down faster than a sparse sensor can
-    /// build it up.
+    /// Like [`VoxelMap::remove_separate`], but removes nothing until some group has enough
+    /// confident voxels. Otherwise a new background would be pulled down faster than a sparse
+    /// sensor can build it up.
     ///
     /// # Errors
     /// As [`VoxelMap::remove_separate`].
@@ -48,8 +49,8 @@ impl VoxelMap {
         Ok(0)
     }
 
-    /// Members of separate groups, of those groups that changed; with their neighbours if these are
-    /// pulled too.
+    /// Voxels of separate groups, among the groups that have changed, and their neighbours if
+    /// `separation.dilate` is set.
     fn separate_voxels(&mut self, separation: Separation) -> Result<Vec<Layer>, Error> {
         // Longer than other functions: one search, whose steps share its memory.
         let looks_at_all = self.changes.settled_with != Some(separation);
@@ -95,7 +96,7 @@ impl VoxelMap {
         Ok(separate)
     }
 
-    /// Pull observed voxels that are not permanent once towards free; their number.
+    /// Pull observed voxels that are not permanent once towards free. Returns their number.
     fn pull_to_free(&mut self, separate: Vec<Layer>) -> usize {
         let (g_free, keep) = (self.parameters().g_free, two_to_minus(1.0));
         let (levels, tentative) = (self.levels(), self.tentative_from());
@@ -119,8 +120,9 @@ impl VoxelMap {
         count
     }
 
-    /// Make observed voxels occupied and their groups part of the background, however small: what
-    /// stands still from the beginning is no flying object. Rays may clear them later.
+    /// Make observed voxels occupied, and their groups part of the background, however small the
+    /// groups are: what stands still from the beginning is no flying object. Rays may clear the
+    /// voxels later.
     pub(crate) fn keep(&mut self, voxels: &[Voxel]) {
         let (g_occ, confident) = (self.parameters().g_occ, self.confident_from());
         for &voxel in voxels {
@@ -133,13 +135,13 @@ impl VoxelMap {
     }
 
     /// True if a group of occupied voxels had enough confident ones at the last removal, or when
-    /// the map forgot its place: without such a group, "separate" has no meaning.
+    /// the map forgot the place of the group. Without such a group, "separate" has no meaning.
     #[must_use]
     pub fn has_background(&self) -> bool {
         self.changes.anchor.is_some()
     }
 
-    /// Every voxel that is at least tentatively occupied, in a fixed order.
+    /// Every voxel that is tentatively or confidently occupied, in ascending order.
     #[must_use]
     pub fn occupied_voxels(&self) -> Vec<Voxel> {
         let voxels = |layer: Layer| layer.offsets().map(move |offset| layer.place.voxel(offset));

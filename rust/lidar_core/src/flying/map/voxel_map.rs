@@ -1,4 +1,5 @@
-//! Occupancy map without fixed bounds: exponential filter G(v) with several states.
+//! Occupancy map without fixed bounds. Voxels hold an exponentially filtered value G(v), from which
+//! their state follows.
 //!
 //! Source: Vrba et al., sec. III-A, eqs 6-12; permanent voxels: sec. III-E.
 
@@ -12,7 +13,8 @@ use crate::Error;
 use crate::geometry::lattice::{Lattice, Voxel, wide};
 use std::collections::HashSet;
 
-/// The map: values of G(v), four states by default.
+/// Voxel map with a value G(v) per voxel and, by default, four states from free to confidently
+/// occupied.
 pub struct VoxelMap {
     parameters: MapParameters,
     lattice: Lattice,
@@ -49,33 +51,34 @@ impl VoxelMap {
         &self.parameters
     }
 
-    /// Point <-> voxel.
+    /// Conversion between points and voxels.
     #[must_use]
     pub fn lattice(&self) -> &Lattice {
         &self.lattice
     }
 
-    /// Number of voxels in all blocks, which the budget counts; rows that no scan has visited take
-    /// no memory.
+    /// Number of voxels in all blocks. This is what the budget `max_voxels` limits. Rows that no
+    /// scan has visited count, but take no memory.
     #[must_use]
     pub fn stored_voxels(&self) -> usize {
         self.blocks.len() * VOLUME
     }
 
-    /// Size of the stored voxels and their index [bytes].
+    /// Memory of the stored voxels and of their index [bytes].
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
         let index = size_of::<(Place, u32)>() + 2 * size_of::<usize>();
         self.blocks.iter().map(|block| block.bytes() + index).sum()
     }
 
-    /// Number of voxels that a point or a ray has touched.
+    /// Number of voxels that were met by a point or a ray.
     #[must_use]
     pub fn observed_voxels(&self) -> usize {
         self.blocks.iter().map(Block::observed).sum()
     }
 
-    /// G(v) at every point; the initial value where nothing has been observed or can be.
+    /// G(v) of the voxel at every point [m, frame of the map]. The initial value if the voxel was
+    /// never observed, or if the point is too far away.
     #[must_use]
     pub fn values_at(&self, points: &[[f32; 3]]) -> Vec<f32> {
         let mut cursor = Cursor::new(&self.blocks);
@@ -86,14 +89,14 @@ impl VoxelMap {
         points.iter().map(value).collect()
     }
 
-    /// State at every point: the number of thresholds at or below G(v) (eqs 6-7), so by default
-    /// 0 free, 1 uncertain, 2 tentatively occupied, 3 confidently occupied.
+    /// State at every point [m, frame of the map]: the number of thresholds at or below G(v) (eqs
+    /// 6-7). By default: 0 free, 1 uncertain, 2 tentatively occupied, 3 confidently occupied.
     #[must_use]
     pub fn states_at(&self, points: &[[f32; 3]]) -> Vec<u8> {
         self.values_at(points).into_iter().map(|value| self.state(value)).collect()
     }
 
-    /// State of a value.
+    /// State of a voxel with this value of G: the number of thresholds at or below it.
     #[must_use]
     pub fn state(&self, value: f32) -> u8 {
         let p = &self.parameters;
@@ -101,28 +104,28 @@ impl VoxelMap {
             as u8
     }
 
-    /// A stored value, or the initial one where nothing has been observed.
+    /// The stored value, or the initial value if the voxel was never observed (NaN).
     #[inline]
     pub(crate) fn known(&self, stored: f32) -> f32 {
         if stored.is_nan() { self.parameters.initial } else { stored }
     }
 
-    /// Lower bound of the uncertain state: everything below is free.
+    /// Smallest value of the uncertain state. Everything below is free.
     pub(crate) fn uncertain_from(&self) -> f32 {
         self.parameters.thresholds[0]
     }
 
-    /// Lower bound of the tentative state.
+    /// Smallest value of the state tentatively occupied.
     pub(crate) fn tentative_from(&self) -> f32 {
         self.parameters.thresholds[1]
     }
 
-    /// Lower bound of the confident state.
+    /// Smallest value of the state confidently occupied.
     pub(crate) fn confident_from(&self) -> f32 {
         self.parameters.thresholds[2]
     }
 
-    /// True if the operating volume holds `voxel`.
+    /// True if `voxel` is inside the operating volume.
     #[inline]
     pub(crate) fn admits(&self, voxel: Voxel) -> bool {
         self.limits.is_none_or(|[low, high]| {
@@ -130,7 +133,7 @@ impl VoxelMap {
         })
     }
 
-    /// Set which voxels rays may pass; files do not store this.
+    /// Set which voxels rays may skip. Files do not store this.
     pub fn set_skip(&mut self, skip: Skip) {
         self.parameters.skip = skip;
     }
@@ -140,7 +143,7 @@ impl VoxelMap {
         self.limits.is_some()
     }
 
-    /// True if the operating volume holds some voxel of the block at `place`.
+    /// True if some voxel of the block at `place` is inside the operating volume.
     pub(crate) fn admits_some_of(&self, place: Place) -> bool {
         self.limits.is_none_or(|[low, high]| {
             let (first, last) = (place.voxel(0), place.voxel(VOLUME - 1));
@@ -148,8 +151,8 @@ impl VoxelMap {
         })
     }
 
-    /// Put back a block that was taken out, of which the voxels `changed` have another state now;
-    /// `before` were at least tentatively occupied.
+    /// Put back a block that was taken out. `changed`: voxels whose state has changed; `before`:
+    /// voxels that were tentatively or confidently occupied before.
     pub(crate) fn put_back(&mut self, slot: u32, block: Box<Block>, changed: &Bits, before: &Bits) {
         let place = block.place;
         let layers = (0..).zip(changed.iter().zip(before));
@@ -159,7 +162,8 @@ impl VoxelMap {
         self.blocks.put(slot, block);
     }
 
-    /// Make the voxels of `points` occupied for good (G = +infinity, sec. III-E).
+    /// Make the voxels of `points` [m, frame of the map] occupied permanently (G = +infinity, sec.
+    /// III-E).
     ///
     /// # Errors
     /// As [`VoxelMap::set_free`].
@@ -167,7 +171,8 @@ impl VoxelMap {
         self.set_all(points, f32::INFINITY)
     }
 
-    /// Make the voxels of `points` free for good (G = -infinity, sec. III-E).
+    /// Make the voxels of `points` [m, frame of the map] free permanently (G = -infinity, sec.
+    /// III-E).
     ///
     /// # Errors
     /// [`Error::PointOutOfRange`] or [`Error::Limit`]; the map is unchanged then.
@@ -175,7 +180,8 @@ impl VoxelMap {
         self.set_all(points, f32::NEG_INFINITY)
     }
 
-    /// Move every voxel of `points` by `weight` updates towards `target` (eq. 12).
+    /// Pull every voxel of `points` [m, frame of the map] towards `target`, by `weight` updates
+    /// (eq. 12).
     ///
     /// # Errors
     /// As [`VoxelMap::set_free`].
@@ -211,7 +217,7 @@ impl VoxelMap {
         Ok(())
     }
 
-    /// Replace the value of a voxel whose block exists, and note a change of its state.
+    /// Replace the value of a voxel, if its block exists, and note a change of its state.
     pub(crate) fn rewrite(&mut self, voxel: Voxel, new: impl Fn(f32) -> f32) {
         let levels = self.levels();
         let Some(slot) = self.blocks.slot(Place::of(voxel)) else { return };
@@ -229,7 +235,8 @@ impl VoxelMap {
         Levels { tentative: self.tentative_from(), confident: self.confident_from() }
     }
 
-    /// Forget voxels further than `distance` [m] from `center` (per axis, whole blocks).
+    /// Forget the blocks that are further than `distance` [m] from `center` [m, frame of the map]
+    /// along some axis. All voxels within `distance` stay.
     pub fn forget(&mut self, center: [f64; 3], distance: f64) {
         let lattice = self.lattice;
         // No voxel of a block is more than 8 edges from any other: what lies within `distance` stays.
@@ -249,11 +256,11 @@ impl VoxelMap {
         }
     }
 
-    /// Make room for `missing` blocks beside those at `places`, which stay: forget what is farthest
-    /// from these. Returns the number of observed voxels that were forgotten.
+    /// Make room for `missing` blocks. Blocks at `places` stay, and those farthest from these
+    /// places are forgotten first. Returns the number of observed voxels that were forgotten.
     ///
     /// # Errors
-    /// [`Error::Limit`] if that is not enough; the map is unchanged then.
+    /// [`Error::Limit`] if there is still no room; the map is unchanged then.
     pub(crate) fn make_room(&mut self, missing: usize, places: &[Place]) -> Result<usize, Error> {
         let (low, high) =
             places.iter().fold(([i32::MAX; 3], [i32::MIN; 3]), |(low, high), place| {
@@ -277,7 +284,7 @@ impl VoxelMap {
         Ok(forgotten)
     }
 
-    /// Forget everything.
+    /// Forget all voxels.
     pub fn clear(&mut self) {
         self.blocks = Blocks::new(self.parameters.max_voxels);
         self.changes = Changes::default();
