@@ -1,4 +1,4 @@
-//! Clusters classified as flying -> detections with covariance and confidence.
+//! Detections from flying clusters, with covariance and confidence.
 
 use super::center::Center;
 use crate::flying::analysis::PoseSpread;
@@ -13,62 +13,64 @@ use serde::{Deserialize, Serialize};
 /// A flying object in one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// Centre of the object, or the centroid of its points (eq. 19) [m].
+    /// Estimated centre of the object, or the centroid of its points (eq. 19) [m].
     pub position: [f64; 3],
-    /// Covariance of the object's centre [m^2].
+    /// Covariance of the position [m^2].
     pub covariance: [[f64; 3]; 3],
     /// Radius of the sphere around it [m].
     pub radius: f64,
-    /// The radius if rays pass it as near to each other as its points are [m].
+    /// Radius if the rays beside the object were as close to each other as its points [m].
     pub least_radius: f64,
-    /// Edges of the box around its points [m].
+    /// Sides of the bounding box of its points [m].
     pub extent: [f64; 3],
     /// Mean time of its points after the stamp of the scan [s].
     pub delay: f64,
-    /// Points in the scan.
+    /// Number of its points in the scan.
     pub n_points: usize,
-    /// Confidence, 0 to 1: share of free voxels among those around it that rays can see, lower for few points;
-    /// 0 if only a track indicates flight.
+    /// Confidence, 0 to 1: the share of free voxels among those around it that rays can see. It is
+    /// lower for few points, and 0 if only a track shows that the object flies.
     pub confidence: f64,
-    /// True if a hole in the scan joins it to a surface: it may be a part of that.
+    /// Whether a hole in the scan connects it with a surface, of which it may be a part.
     pub is_joined: bool,
-    /// True if more returns of surfaces lie around it than it has itself, where the sky had to be found.
+    /// Whether it has more returns of surfaces around it than returns of its own. Determined only
+    /// if the sky is estimated from the scans.
     pub is_among_surfaces: bool,
-    /// Share of the rays inside the ellipse of its points that hit; not a number where the rays that
-    /// passed are not known.
+    /// Fill: share of the rays inside the ellipse around its points that hit. NaN if unknown.
     pub filled_share: f64,
-    /// True if rays pass below it; None if unknown.
+    /// Whether rays pass below it. None if unknown.
     pub is_free_below: Option<bool>,
-    /// True if it has moved over space that was never seen, or something in front of it hides what is below it: it
-    /// may stand on something.
+    /// Whether it has moved over space that was never seen, or something in front of it hides the
+    /// space below it. It may then stand on something.
     pub is_over_unseen: bool,
-    /// True if it ends at the edge of something nearer that the moving sensor looks past: it may be a part of what
-    /// stands behind that.
+    /// Whether it ends at the edge of something nearer that the moving sensor looks past. It may
+    /// then be a part of something behind that.
     pub is_uncovered: bool,
 }
 
-/// A known flying object that is not to be reported.
+/// A known flying object that is not to be reported as a detection.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Teammate {
     /// Identifier of the teammate.
     pub id: i64,
-    /// Position that the teammate reports, world frame [m].
+    /// Position that the teammate reports [m, world].
     pub position: [f64; 3],
-    /// Detections this near are taken for it [m].
+    /// Detections within this distance of the position are taken for the teammate [m].
     pub radius: f64,
 }
 
-/// A single point of a sensor without noise still has a covariance of full rank [m^2].
+/// Smallest variance of a position [m^2]. With it, a single point of a sensor without noise has a
+/// covariance of full rank.
 const LEAST_VARIANCE: f64 = 1e-6;
-/// Points of which a target of the smallest kind gives at least this many are certain enough.
+/// Number of points, scaled to a target of the smallest kind, from which on the confidence is not
+/// reduced.
 const SURE_POINTS: f64 = 3.0;
 
 impl Detection {
-    /// Detection of a cluster by its centroid (eq. 19), in the frame of its points.
+    /// Detection of a cluster at its centroid (eq. 19), in the frame of its points.
     ///
-    /// Its covariance has three sources: the spread of the points over their number, the range
-    /// noise, and along the line of sight that only the near side is seen (half the lateral
-    /// extent, as a standard deviation of a quarter of it).
+    /// The covariance has three parts: the spread of the points divided by their number, the range
+    /// noise, and, along the line of sight, the error because only the near side is seen (half the
+    /// lateral extent, with a standard deviation of a quarter of it).
     pub(crate) fn of(
         scan: &Prepared,
         cluster: &Cluster<'_>,
@@ -98,7 +100,7 @@ impl Detection {
         }
     }
 
-    /// Detection moved to an estimated centre.
+    /// The detection, moved to an estimated centre.
     pub(crate) fn at(self, center: &Center) -> Self {
         Self {
             position: center.position.into(),
@@ -111,8 +113,8 @@ impl Detection {
         }
     }
 
-    /// Size and filling; a radius is that of a centre, which knows what the rays beside it did not
-    /// meet.
+    /// Size and fill of the object. They are known from an estimated centre, which takes account of
+    /// the rays that passed.
     pub(crate) fn shape(&self) -> TargetShape {
         let Self { n_points, radius, least_radius, filled_share, is_free_below, .. } = *self;
         let Self { is_over_unseen, is_uncovered, .. } = *self;
@@ -127,7 +129,7 @@ impl Detection {
         }
     }
 
-    /// Detection in another frame.
+    /// The detection in another frame. `target_from_source`: pose of its present frame in that one.
     pub(crate) fn moved(&self, target_from_source: &Transform) -> Self {
         Self {
             position: target_from_source.apply(self.position),
@@ -136,7 +138,7 @@ impl Detection {
         }
     }
 
-    /// Add the uncertainty of the sensor's pose (eqs 41-42, for the position).
+    /// Add the uncertainty of the sensor's pose to the covariance (eqs 41-42, for the position).
     pub(crate) fn add_pose_covariance(&mut self, spread: &PoseSpread) {
         let more = spread.at(self.position);
         for (line, more) in self.covariance.iter_mut().zip(&more) {

@@ -1,4 +1,4 @@
-//! Flying objects of a scan: clusters and their classes -> detections and teammates.
+//! Flying objects of a scan: classified clusters become detections and teammates.
 
 use super::center::Center;
 use super::detection::{Detection, Teammate};
@@ -17,11 +17,12 @@ use crate::flying::scan::prepared::Prepared;
 use crate::flying::sky::source::SkySource;
 use crate::geometry::transform::{Transform, dot, minus, norm};
 
-/// Free space that only the sky supports is less certain than what returns have shown: a target
-/// with nothing but sky around it has this share of the confidence.
+/// Factor of the confidence of a target with nothing but sky around it. Free space that only the
+/// sky supports is less certain than free space that returns have shown.
 const ONLY_SKY: f64 = 0.7;
-/// A sensor that has moved this far across the line of sight since its last scan looks past what is nearer [m]: poses
-/// of a sensor that stands are wrong by centimetres from scan to scan.
+/// Distance that a sensor must have moved across the line of sight since its last scan, to count as
+/// looking past nearer things [m]. The poses of a sensor at rest have errors of centimetres from
+/// scan to scan.
 const LOOKS_PAST: f64 = 0.1;
 
 /// Inputs of the detection of flying objects in a scan.
@@ -34,17 +35,17 @@ pub(crate) struct ScanToDetect<'a> {
     pub(crate) parameters: &'a FlyingParameters,
 }
 
-/// Detections and teammates of a scan, in the frame of the map.
+/// Detections and teammates in one scan, in the frame of the map.
 #[derive(Default)]
 pub(crate) struct ScanDetections {
     pub(crate) detections: Vec<Detection>,
     pub(crate) teammates: Vec<(i64, Detection)>,
-    /// Rows of points on teammates.
+    /// Rows of points that are on teammates.
     pub(crate) hidden: Vec<u32>,
 }
 
-/// Detections and teammates of a scan, in the frame of the map, given clusters by their number
-/// with their classes.
+/// Detections and teammates of a scan, in the frame of the map. `classifications`: numbers of
+/// clusters, with their classes.
 pub(crate) fn detect<'c>(
     input: &ScanToDetect<'_>,
     clusters: &Clusters,
@@ -91,7 +92,8 @@ pub(crate) fn detect<'c>(
     found
 }
 
-/// The detection at its centre, without what rays tell that the scan does not have.
+/// The detection moved to its estimated centre. Values that need rays which the scan does not have
+/// are replaced by estimates, or are unknown.
 fn centered(
     detection: Detection,
     center: &Center,
@@ -116,15 +118,16 @@ fn centered(
     detection
 }
 
-/// True if the sensor has moved across the line of sight to a cluster since its last scan, so that edges of what is
-/// nearer have moved in front of it.
+/// True if the sensor has moved across the line of sight to a cluster since its last scan, so that
+/// the edges of nearer things have moved in front of the cluster.
 fn looks_past(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let sight = minus(cluster.centroid, scan.pose.translation);
     let along = dot(scan.moved, sight) / norm(sight).max(f64::MIN_POSITIVE);
     dot(scan.moved, scan.moved) - along * along > LOOKS_PAST * LOOKS_PAST
 }
 
-/// For every flying cluster the centre behind its points, if centres are asked for.
+/// For every flying cluster, the centre of the target behind its points. Empty if centres are not
+/// asked for.
 fn centers<'a>(
     input: &ScanToDetect<'_>,
     clusters: impl Iterator<Item = (Cluster<'a>, &'a Classification)>,
@@ -137,8 +140,9 @@ fn centers<'a>(
     input.view.centers_of(&rows)
 }
 
-/// Whether each row of a scan is of a flying cluster; empty where no hole has to be asked for: rays
-/// without return are given, or the air is full of droplets, which take returns away everywhere.
+/// For each row of a scan, whether it belongs to a flying cluster. Empty if no search for holes is
+/// needed: rays without return are given, or the air is full of droplets, which take returns away
+/// everywhere.
 fn flying_rows<'a>(
     scan: &Prepared,
     clusters: impl Iterator<Item = (Cluster<'a>, &'a Classification)>,
@@ -156,7 +160,8 @@ fn flying_rows<'a>(
     is_flying
 }
 
-/// Factor on the confidence: less than 1 where free space around a target is known from the sky only.
+/// Factor of the confidence, at most 1: smaller if only the sky shows that the space around the
+/// target is free.
 fn trust(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
     let target = minus(cluster.centroid, scan.pose.translation);
     let found = scan.sky_observation.as_ref().filter(|_| scan.rebuilt > 0);

@@ -1,4 +1,5 @@
-//! How much of its outline a cluster fills where the rays that pass are not known.
+//! Fill of a cluster (share of its outline that returns rays), if it is not known which rays passed
+//! beside it.
 
 use super::center::of_expected;
 use super::hole::View;
@@ -6,11 +7,11 @@ use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 
-/// Returns so much nearer than a cluster are of something else [m].
+/// Returns are of something else in front of a cluster if they are nearer by more than this [m].
 const IN_FRONT: f64 = 0.3;
 
-/// Share of the rays inside a cluster's outline that hit it, where only the mean density of the rays is known, not
-/// which of them passed. Not a number where no ray is expected.
+/// Share of the rays inside the outline of a cluster that hit it, if only the mean density of the
+/// rays is known. NaN if no ray is expected.
 pub(super) fn share_of_expected(scan: &Prepared, cluster: &Cluster<'_>) -> f64 {
     let found = (View::of(scan, cluster), scan.sky_observation.as_ref());
     let (Some(view), Some(sky)) = found else { return f64::NAN };

@@ -1,4 +1,5 @@
-//! Detections for the tracker, and flying points from its tracks.
+//! Hand-over of a scan and its detections to the tracker, and flying points that follow from its
+//! tracks.
 
 use super::detection::Detection;
 use super::detections::{ScanDetections, ScanToDetect, detect};
@@ -15,30 +16,31 @@ use crate::geometry::transform::{minus, norm};
 use crate::tracking::kind::TrackKind;
 use std::borrow::Cow;
 
-/// The centroid of a cluster may lie outside its box by rounding [m].
+/// Rounding error by which the centroid of a cluster may be outside its bounding box [m].
 const ROUNDING: f64 = 1e-3;
 
-/// A row of every cluster that a confirmed track follows, and those of tracks of ground movers.
+/// For every cluster that a confirmed track follows, one row of the scan; and those of tracks on
+/// the ground.
 pub(crate) struct Followed {
     pub(crate) rows: Vec<u32>,
     pub(crate) on_ground: Vec<u32>,
 }
 
-/// What tells that clusters of too few points for a detection are in free space.
+/// What shows that clusters with too few points for a detection are in free space.
 pub(crate) struct Hints<'a> {
     pub(crate) classifier: &'a ScanClassifier,
     pub(crate) before_detect: &'a TrackBeforeDetect,
 }
 
-/// Occupied space, without what tracks have claimed in it.
+/// Occupied space of the map, except where clusters were claimed by tracks.
 struct BesideClaimed<'a> {
     map: &'a VoxelMap,
-    /// Lower and upper corners of boxes around clusters [m].
+    /// Lower and upper corners of the boxes around the claimed clusters [m].
     boxes: Vec<[[f64; 3]; 2]>,
 }
 
 impl BesideClaimed<'_> {
-    /// True if a place is within `distance` [m] of a box.
+    /// True if `place` is within `distance` [m] of a box of a claimed cluster.
     fn is_claimed(&self, place: [f64; 3], distance: f64) -> bool {
         self.boxes.iter().any(|[low, high]| {
             let away =
@@ -54,7 +56,8 @@ impl Occupancy for BesideClaimed<'_> {
     }
 }
 
-/// Give the scan, its detections and its hints to the tracker.
+/// Give the scan, its detections and its hints to the tracker. Returns rows of the clusters that
+/// confirmed tracks follow.
 ///
 /// # Errors
 /// As [`PointCloudTracker::new_point_cloud`] and [`PointCloudTracker::new_detections`].
@@ -92,7 +95,7 @@ pub(crate) fn update_tracks(
     Ok(followed)
 }
 
-/// Points of a scan that tracks may follow; the others are NaN.
+/// Points of a scan that tracks may follow. The other points are NaN.
 fn points_of_targets<'s>(
     scan: &'s Prepared,
     classifier: &ScanClassifier,
@@ -115,7 +118,7 @@ fn points_of_targets<'s>(
     points
 }
 
-/// Give the tracker the detections of a scan, column by column.
+/// Give the detections of a scan to the tracker.
 fn give_detections(
     tracker: &mut PointCloudTracker,
     found: &ScanDetections,
@@ -145,7 +148,8 @@ fn give_detections(
     tracker.new_detections(&detections, map).map(drop)
 }
 
-/// Have the tracker watch the clusters `standing`, which are in free space and have become background.
+/// Let the tracker watch the clusters `standing`, which are in free space and have become
+/// background at the end of the burn-in.
 pub(crate) fn watch(
     tracker: &mut PointCloudTracker,
     input: &ScanToDetect<'_>,
@@ -175,9 +179,10 @@ pub(crate) fn watch(
     });
 }
 
-/// Make the unknown clusters that confirmed tracks follow, given a row of each, flying objects and add
-/// them to the detections: what flew into a place of which little is known still flies. Outside the
-/// operating volume nothing does, though tracks that left it go on for a while.
+/// Make the unknown clusters that confirmed tracks follow flying objects, and add them to the
+/// detections: a target that flew into space of which little is known still flies. `rows`: one row
+/// of each cluster. Clusters outside the operating volume are left out, though their tracks go on
+/// for a while.
 pub(crate) fn add_followed(
     input: &ScanToDetect<'_>,
     map: &VoxelMap,

@@ -1,39 +1,38 @@
-//! Holes in a scan: directions beside a cluster from which nothing returned, up to a surface.
+//! Holes in a scan: directions beside a cluster from which nothing returns, up to a surface.
 //!
-//! What seems to fly may hang on something that swallows light: the body of a person whose dark legs
-//! return nothing, a bright part of a dark car. The rays past a real target return from behind it, up to
-//! its edges. If they do not, and the hole that they leave ends at a surface at the range of the
-//! cluster, the hole is probably the missing part.
+//! A cluster that seems to fly may be part of something that swallows light: the body of a person whose dark legs
+//! return nothing, or a bright part of a dark car. Rays past a real target return from behind it, up to its edges. If
+//! they do not, and the hole ends at a surface at the range of the cluster, the hole is probably the missing part.
 
 use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// Returns this much nearer or further away are those of something else [m].
+/// Returns that are nearer or further away than the cluster by more than this belong to something else [m].
 const DEPTH: f64 = 1.0;
-/// Longest hole [m]: a leg, the side of a car.
+/// Length of the longest hole [m]: a leg, or the side of a car.
 const LONGEST: f64 = 1.5;
-/// Surfaces nearer to a cluster are parts of it [m].
+/// Distance from the cluster within which surfaces are parts of it [m].
 const SHORTEST: f64 = 0.2;
-/// Usual returns are counted this far around the edge of a cluster [m].
+/// Distance from the edge of a cluster up to which returns are counted to find the usual density [m].
 const AROUND: f64 = 2.5;
-/// Narrowest hole [m]; surfaces may lie this far beside its end.
+/// Width of the narrowest hole [m]. `ASIDE`: distance beside the end of a hole within which its surface may be [m].
 const NARROWEST: f64 = 0.3;
 const ASIDE: f64 = 0.4;
-/// Usual returns at the level of a hole are counted this far on both sides of it [m].
+/// Distance to both sides of a hole up to which returns are counted at its level [m].
 const BESIDE: f64 = 1.0;
-/// A hole is this share of the way to the surface, in its middle: rows of a sensor are not straight.
+/// Share of the distance to the surface, in its middle, that must be dark. Rows of a sensor are not straight.
 const MIDDLE: f64 = 0.6;
-/// Share of the usual returns that a hole still gives, and how many times more likely it must be than
-/// no hole.
+/// Share of the usual returns that a hole still gives. `ODDS`: likelihood ratio of a hole to no hole that is
+/// required.
 const LEAK: f64 = 0.15;
 const ODDS: f64 = 20.0;
-/// Returns further aside than this angle are not looked at: square of the cosine of 37 degrees.
+/// Square of the cosine of the largest angle, 37 degrees, up to which returns aside are looked at.
 const AHEAD_SQUARED: f64 = 0.64;
 
-/// True if a hole joins a cluster to a surface at its range. `is_flying` tells of every row of the
-/// scan whether it is of something that seems to fly: that is no surface.
+/// True if a hole connects a cluster with a surface at its range. `is_flying`: for every row of the scan, whether it
+/// belongs to something that seems to fly, which is no surface.
 pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[bool]) -> bool {
     // Longer than other functions: four sides are asked alike; the closures share the edges of the
     // cluster.
@@ -79,36 +78,35 @@ pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[boo
     })
 }
 
-/// A side of a cluster, in the plane across the line of sight.
+/// One of the four sides of a cluster, in the plane across the line of sight.
 struct ClusterSide {
-    /// Axis that points away from the cluster, and its sign.
+    /// The axis that points away from the cluster, and its sign.
     axis: usize,
     sign: f64,
-    /// Where the cluster ends [m].
+    /// Position of the cluster's edge along this axis [m].
     edge: f64,
-    /// Middle of the cluster across that axis, and half its width [m].
+    /// Middle of the cluster across this axis, and half its width [m].
     middle: f64,
     half: f64,
 }
 
 impl ClusterSide {
-    /// The place at a distance beyond the edge [m].
+    /// The place in the plane at a distance beyond the edge [m].
     fn place(&self, along: f64) -> [f64; 2] {
         let mut place = [self.middle; 2];
         place[self.axis] = self.sign * (self.edge + along);
         place
     }
 
-    /// Distance of a place beyond the edge, and from the middle [m].
+    /// Distance of a place beyond the edge, and its distance from the middle [m].
     fn seen(&self, place: [f64; 2]) -> [f64; 2] {
         let across = 1 - self.axis;
         [self.sign * place[self.axis] - self.edge, (place[across] - self.middle).abs()]
     }
 }
 
-/// True if a hole begins at the edge of a cluster and ends at a surface. `beside` gives the distance
-/// of a place beyond that edge, and from the middle of the cluster across it; the hole is `half` as
-/// wide as twice that.
+/// True if a hole begins at the edge of a cluster and ends at a surface. `beside` gives the distance of a place
+/// beyond that edge, and from the middle of the cluster across it. `half`: half the width of the hole [m].
 fn has_hole(
     seen: &[Seen],
     half: f64,
@@ -154,13 +152,13 @@ fn has_hole(
     false
 }
 
-/// Returns beside a cluster in the order of their distance from its edge, counted up to one.
+/// Counts of the returns beside a cluster, in the order of their distance from its edge, up to some distance.
 struct Counted<'a> {
     rest: std::iter::Peekable<std::slice::Iter<'a, (f64, f64, &'a Seen)>>,
     half: f64,
-    /// Returns at the level of a hole, in it and on both sides.
+    /// Number of returns at the level of the hole, in it and on both sides.
     level: f64,
-    /// Returns inside of the hole at another range.
+    /// Number of returns inside the hole at another range than the cluster.
     lit: f64,
 }
 
@@ -177,23 +175,23 @@ impl<'a> Counted<'a> {
     }
 }
 
-/// True if `count` returns are more likely those of a hole than of nothing, where `usual` ones come
-/// without it: both are Poisson distributed.
+/// True if `count` returns are much more likely with a hole than without one. `usual`: expected number without a
+/// hole. Both counts are Poisson distributed.
 fn is_dark(count: f64, usual: f64) -> bool {
     (1.0 - LEAK) * usual + count * libm::log(LEAK) > libm::log(ODDS)
 }
 
 /// A return that is seen near a cluster.
 struct Seen {
-    /// Right of the cluster's middle and above it, in the plane across the line of sight [m].
+    /// Position to the right of the cluster's middle and above it, in the plane across the line of sight [m].
     place: [f64; 2],
-    /// True if it is nearer or further away than the cluster.
+    /// Whether it is nearer or further away than the cluster, and so belongs to something else.
     is_else: bool,
-    /// True if it is at the range of the cluster and does not seem to fly.
+    /// Whether it is at the range of the cluster and does not seem to fly.
     is_surface: bool,
 }
 
-/// The view from the sensor to a cluster.
+/// The view from the sensor to a cluster: range [m] and axes.
 pub(super) struct View {
     origin: [f64; 3],
     pub(super) range: f64,
@@ -219,20 +217,20 @@ impl View {
         Some(Self { origin, range, ahead, right, up: cross(right, ahead) })
     }
 
-    /// Direction of a place in the plane through the cluster.
+    /// Vector from the sensor to a place in the plane through the cluster [m].
     pub(super) fn direction(&self, [right, up]: [f64; 2]) -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             self.range * self.ahead[axis] + right * self.right[axis] + up * self.up[axis]
         })
     }
 
-    /// Way from the sensor to a point [m].
+    /// Vector from the sensor to a point [m].
     pub(super) fn way(&self, point: [f64; 3]) -> [f64; 3] {
         minus(point, self.origin)
     }
 
-    /// Where a point is seen in the plane through the cluster across the line of sight [m], and how
-    /// much further away than the cluster it is [m].
+    /// Position of a point as seen in the plane through the cluster across the line of sight [m], and the difference
+    /// of its range to that of the cluster [m]. None if it is not ahead.
     pub(super) fn seen(&self, point: [f64; 3]) -> Option<([f64; 2], f64)> {
         let offset = minus(point, self.origin);
         let (ahead, squared) = (dot(offset, self.ahead), dot(offset, offset));
@@ -253,12 +251,12 @@ mod tests {
     use crate::flying::classify::clusters::Clusters;
     use crate::geometry::transform::Transform;
 
-    /// Height of the sensor above the ground, distances of the object and of the wall behind it [m].
+    /// Height of the ground relative to the sensor; distances of the object and the wall behind it [m].
     const GROUND: f64 = -1.5;
     const OBJECT: f64 = 10.0;
     const WALL: f64 = 16.0;
 
-    /// What rays see of a person whose legs return nothing, of the body alone, or of two bodies.
+    /// Objects in the test scenes: a person whose legs return nothing, only the body, or two bodies.
     #[derive(Clone, Copy, PartialEq)]
     enum Shown {
         DarkLegs,
@@ -266,7 +264,7 @@ mod tests {
         TwoBodies,
     }
 
-    /// Returns in front of the sensor, their clusters' labels, and whether they are of the sky.
+    /// A scan of a scene: the returns in front of the sensor, and the labels of their clusters.
     fn scene(shown: Shown, row_step_deg: f64, has_wall: bool) -> (Prepared, Vec<i32>) {
         let (mut points, mut labels) = (Vec::new(), Vec::new());
         let rows = (24.0 / row_step_deg) as i32;
@@ -303,7 +301,7 @@ mod tests {
         (scan, labels)
     }
 
-    /// Whether the first cluster is joined, where clusters `flying` seem to fly.
+    /// Whether the first cluster is joined to a surface, if the clusters `flying` seem to fly.
     fn joined(scan: &Prepared, labels: &[i32], flying: &[i32]) -> bool {
         let mut clusters = Clusters::default();
         clusters.fill(&scan.points, labels);
@@ -349,7 +347,7 @@ mod tests {
         assert!(!joined(&cut, &labels, &[0, 1]));
     }
 
-    /// The definition, one hole at a time.
+    /// Reference implementation of the search, one hole at a time.
     fn has_hole_plainly(seen: &[Seen], half: f64) -> bool {
         let count = |holds: &dyn Fn(f64, f64, &Seen) -> bool| {
             let is_in = |one: &&Seen| {

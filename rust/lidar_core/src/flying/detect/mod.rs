@@ -1,4 +1,4 @@
-//! Detections from the clusters that fly: centre, covariance, visibility, hand-over to the tracker.
+//! Detections from flying clusters: centre, covariance, visibility, hand-over to the tracker.
 
 pub mod center;
 pub mod detection;

@@ -1,8 +1,8 @@
-//! Parts of large targets.
+//! Union of clusters that are parts of one large target.
 //!
-//! Where rays graze a wing, their ends lie further apart than the gap inside a cluster, and the tips of the
-//! wing are clusters of their own: from one row of rays to the next they lie half a metre further away. One
-//! detection is of them all.
+//! Where rays graze a wing, their ends are further apart than the gap inside a cluster, so the tips
+//! of the wing are clusters of their own: from one row of rays to the next they are half a metre
+//! further away. All parts together are one detection.
 
 use crate::flying::classify::classifier::Classification;
 use crate::flying::classify::clusters::{Cluster, Clusters};
@@ -11,21 +11,23 @@ use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// Parts of a large target are also seen beside each other, at this angle [rad], and one of them is at most so
-/// much further away [m].
+/// Largest angle [rad] at which parts of a large target are seen beside each other, if one of them
+/// is at most `BEHIND` [m] further away.
 const BESIDE: f64 = 0.02;
 const BEHIND: f64 = 1.0;
 
-/// Classified clusters; the clusters of one large target are united.
+/// Classified clusters of a scan, with the clusters of one large target united.
 pub(crate) struct UnitedClusters<'c> {
-    /// Made only where a large target has parts.
+    /// The united clusters. None if no large target has several parts.
     united: Option<Clusters>,
     items: Vec<(usize, &'c Classification)>,
 }
 
 impl<'c> UnitedClusters<'c> {
-    /// Of the clusters of `points`, seen from `origin`, with these numbers; those of another kind than flying
-    /// stay as they are. What is united is no longer than `longest` [m]; None unites nothing.
+    /// Unite the flying clusters of `points` that are parts of one large target, as seen from
+    /// `origin`; clusters of another class stay as they are. `classifications`: numbers of
+    /// clusters, with their classes. No united cluster is longer than `longest` [m]. None: nothing
+    /// is united.
     pub(crate) fn of(
         points: &[[f32; 3]],
         origin: [f64; 3],
@@ -58,7 +60,7 @@ impl<'c> UnitedClusters<'c> {
         Self { united: Some(united), items }
     }
 
-    /// Each with its class.
+    /// Each cluster with its class. `clusters`: those from which this was made.
     pub(crate) fn iter<'a>(
         &'a self,
         clusters: &'a Clusters,
@@ -73,7 +75,8 @@ impl<'c> UnitedClusters<'c> {
     }
 }
 
-/// Each part of a large target among `flying` clusters, with the cluster it belongs to, largest first.
+/// Each part of a large target among the `flying` clusters, and the cluster to which it belongs, as
+/// pairs of cluster numbers.
 fn hosts(
     points: &[[f32; 3]],
     origin: [f64; 3],
@@ -116,7 +119,7 @@ fn side(cluster: &Cluster<'_>) -> f64 {
     cluster.extent().into_iter().fold(0.0, f64::max)
 }
 
-/// Distance from box to box [m].
+/// Distance between the bounding boxes of two clusters [m].
 fn gap(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
     let away = |axis: usize| {
         (one.low[axis] - other.high[axis]).max(other.low[axis] - one.high[axis]).max(0.0)
@@ -124,7 +127,8 @@ fn gap(one: &Cluster<'_>, other: &Cluster<'_>) -> f64 {
     norm([0, 1, 2].map(away))
 }
 
-/// Whether points of two clusters are seen beside each other from `origin`, one not far behind the other.
+/// Whether points of two clusters are seen beside each other from `origin`, at nearly the same
+/// range.
 fn are_beside(
     points: &[[f32; 3]],
     origin: [f64; 3],
@@ -156,8 +160,8 @@ fn are_beside(
     })
 }
 
-/// Directions to the faces, edges and corners of a cube, one of every opposite pair: none is further than 28
-/// degrees from one of them.
+/// Directions to the faces, edges and corners of a cube, one of each opposite pair. Every direction
+/// is within 28 degrees of one of these lines.
 const WAYS: [[i8; 3]; 13] = [
     [1, 0, 0],
     [0, 1, 0],
@@ -174,8 +178,8 @@ const WAYS: [[i8; 3]; 13] = [
     [1, -1, -1],
 ];
 
-/// How far some points reach along each of [`WAYS`]. A box along the axes would be longer or shorter as the
-/// target turns.
+/// Extent of some points along each of [`WAYS`] [m]. A box along the axes would change its length
+/// as the target turns.
 #[derive(Clone, Copy)]
 struct TargetSpan {
     low: [f64; WAYS.len()],
@@ -198,7 +202,7 @@ impl TargetSpan {
         span
     }
 
-    /// The cluster of the points of both.
+    /// Extent of the points of both.
     fn united(&self, other: &Self) -> Self {
         Self {
             low: std::array::from_fn(|at| self.low[at].min(other.low[at])),
@@ -206,13 +210,14 @@ impl TargetSpan {
         }
     }
 
-    /// The longest of its sides [m]. A line between two of [`WAYS`] is longer than that, by 13 % at most.
+    /// Largest extent [m]. The distance of two points is larger than it by at most 13 %.
     fn length(&self) -> f64 {
         self.low.iter().zip(&self.high).map(|(low, high)| high - low).fold(0.0, f64::max)
     }
 }
 
-/// The whole that a cluster belongs to, by way of other parts; itself if it is none.
+/// The cluster to which a part belongs in the end, through other parts. A cluster that is no part
+/// belongs to itself.
 fn top_of(host: &[(usize, usize)], mut index: usize) -> usize {
     while let Some(&(_, whole)) = host.iter().find(|(part, _)| *part == index) {
         index = whole;
@@ -224,8 +229,8 @@ fn top_of(host: &[(usize, usize)], mut index: usize) -> usize {
 mod tests {
     use super::*;
 
-    /// Numbers of points of what is detected of a wing of `width` [m] and tips `apart` [m] from its
-    /// ends; of one of them, if that is all.
+    /// Numbers of points of the detections of a wing of `width` [m], whose tips are `apart` [m]
+    /// from its ends. `is_one`: whether the first detection alone is returned.
     fn detected(width: f32, apart: f32, is_one: bool) -> Vec<usize> {
         let wing = (0..11).map(|step| [5.0, 0.1 * width * step as f32, 2.0]);
         let tip = (0..3).map(|step| [5.0, width + apart + 0.05 * step as f32, 2.0]);

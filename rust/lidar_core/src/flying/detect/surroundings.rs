@@ -1,5 +1,5 @@
-//! Surroundings of a cluster that seems to fly: nothing, or surfaces that it may belong to; and
-//! whether the space below it was seen.
+//! Surroundings of a cluster that seems to fly: surfaces to which it may belong, and whether the
+//! space below it was seen.
 
 use super::hole::View;
 use crate::flying::classify::clusters::Cluster;
@@ -7,37 +7,46 @@ use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::minus;
 
-/// Parts of a surface of which most returns are lost lie this near to the rest of it [m].
+/// Distance within which parts of a surface that returns few rays are near the rest of it [m].
 const NEAR: f64 = 1.5;
-/// Rays are expected this far below a cluster, and this far beside it [m].
+/// Size of the region below a cluster in which rays are expected: this far below it, and `BESIDE`
+/// to both sides [m].
 const BELOW: f64 = 0.4;
 const BESIDE: f64 = 0.1;
-/// So many rays are cast there at least, and this share of them returns at most, where they are lost.
+/// Rays below a cluster are lost if at least this number is cast there, and at most the share
+/// `LOST` of them returns.
 const FEWEST_CAST: f64 = 4.0;
 const LOST: f64 = 0.15;
-/// Rays are cast so far below that, too, at one of the tangents of these angles: else the field of view ends, and
-/// its last cells of 2 degrees are only partly in it. 3 and 5 degrees: rows may lie 2 degrees apart.
+/// Tangents of two angles below a cluster. At one of them rays must be cast too, or else the field
+/// of view ends below the cluster; its last cells of 2 degrees are only partly inside. There are
+/// two angles (3 and 5 degrees) because rows may be 2 degrees apart.
 const FURTHER_DOWN: [f64; 2] = [0.0524, 0.0875];
 
-/// Rows of a sparse sensor meet a target this far apart at most; returns at this range from its own are of it [m].
+/// Largest distance between two rows of a sparse sensor on one target [m]. `SAME_RANGE`: returns
+/// whose range differs by less belong to the target [m].
 const NEXT_ROW: f64 = 0.5;
 const SAME_RANGE: f64 = 0.5;
-/// Rays pass below it that return this much further away, and so far below its end [m].
+/// Rays pass below a cluster if they return at least this much further away, and `JUST_BELOW` below
+/// its end [m].
 const BEHIND: f64 = 1.0;
 const JUST_BELOW: f64 = 0.1;
-/// One ray may pass between the legs of a person.
+/// Smallest number of rays that must pass below a cluster. A single ray may pass between the legs
+/// of a person.
 const FEWEST_PASSING: usize = 2;
 
-/// What hides the space below a cluster is so much nearer than it [m].
+/// Something in front of a cluster is nearer by at least this [m].
 const IN_FRONT: f64 = 1.0;
-/// It is seen up to so far below the cluster [m]: at 10 m, that are two rows of a sensor with rows 2 degrees apart.
+/// Depth below the cluster in which something in front of it is looked for [m]. At 10 m it contains
+/// two rows of a sensor with rows 2 degrees apart.
 const SEEN_BELOW: f64 = 0.8;
-/// It is upright: some of its returns lie so far above each other [m], and further than in front of each other. The
-/// ground that a cluster stands on is not, even if it rises towards the cluster.
+/// Something is upright if some of its returns are above each other by at least this [m], and by
+/// more than they are in front of each other. The ground in front of a cluster is not upright, even
+/// if it rises towards the cluster.
 const UPRIGHT: f64 = 0.05;
 
-/// True if more returns of surfaces lie around a cluster than it has itself. `is_flying` tells of every
-/// row of the scan whether it is of something that seems to fly: that is no surface.
+/// True if a cluster has more returns of surfaces around it than returns of its own. `is_flying`:
+/// for every row of the scan, whether it belongs to something that seems to fly, which is no
+/// surface.
 pub(crate) fn is_among_surfaces(
     scan: &Prepared,
     cluster: &Cluster<'_>,
@@ -53,16 +62,17 @@ pub(crate) fn is_among_surfaces(
     around.take(cluster.members.len() + 1).count() > cluster.members.len()
 }
 
-/// True if rays are cast below a cluster, with the rest of it at its range, and hardly any of them returns, nearer or
-/// further away: a wet or dark ground swallows them, or fog. Then nothing tells whether the cluster stands on something. False where
-/// the field of view ends below it, and where the sky needs not be found.
+/// True if rays are cast below a cluster, or below what continues it downwards, and hardly any of
+/// them returns: a wet or dark ground, or fog, takes them. Then nothing shows whether the cluster
+/// stands on something. False if the field of view ends below it, or if the sky is not estimated.
 pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let sky = scan.sky_observation.as_ref();
     sky.is_some_and(|sky| are_lost_below(scan, cluster, |direction| sky.density_at(direction)))
 }
 
-/// True if something goes on below a cluster, at its range, and rays pass below the end of that: the next row of a
-/// sparse sensor has met the same target. What stands on the ground goes on to where the ground is.
+/// True if something continues the cluster downwards at its range, and rays pass below the end of
+/// that: the next row of a sparse sensor has met the same target. Something that stands on the
+/// ground continues down to the ground.
 pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
     let below: Vec<ReturnBelow> = edge.below(scan).collect();
@@ -73,7 +83,8 @@ pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool
     end < edge.low && below.iter().filter(passes).count() >= FEWEST_PASSING
 }
 
-/// True if something upright in front of a cluster hides what is below it: a screen, the side of a table or a car.
+/// True if something upright in front of a cluster hides the space below it: a screen, the side of
+/// a table or a car.
 pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
     let below: Vec<ReturnBelow> =
@@ -91,7 +102,8 @@ pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     in_front().any(is_upright)
 }
 
-/// True if rays are lost below a cluster, where `density` rays per steradian are cast in a direction.
+/// True if rays are lost below a cluster. `density`: rays per steradian that are cast in a
+/// direction.
 fn are_lost_below(
     scan: &Prepared,
     cluster: &Cluster<'_>,
@@ -113,22 +125,22 @@ fn are_lost_below(
     (returns as f64) < LOST * cast
 }
 
-/// The lower edge of a cluster in the view from the sensor: places in the plane through it [m].
+/// The lower edge of a cluster, in the plane through the cluster across the line of sight [m].
 struct LowerEdge {
     view: View,
-    /// Ends of what is below it, somewhat wider than the cluster.
+    /// Left and right end of the region below the cluster, somewhat wider than the cluster [m].
     left: f64,
     right: f64,
     low: f64,
 }
 
-/// A return below a cluster.
+/// A return that is seen below a cluster.
 struct ReturnBelow {
-    /// Height in the plane through the cluster [m].
+    /// Height in the plane through the cluster across the line of sight [m].
     up: f64,
-    /// How much further away than the cluster it is [m].
+    /// Difference of its range to that of the cluster, positive if it is further away [m].
     further: f64,
-    /// Way from the sensor [m].
+    /// Vector from the sensor to the return [m].
     way: [f64; 3],
 }
 
@@ -143,8 +155,8 @@ impl LowerEdge {
         Some(Self { view, left: left - BESIDE, right: right + BESIDE, low })
     }
 
-    /// The lowest of the returns `below` that go on from the cluster at its range, row by row; its own lower end if
-    /// none does.
+    /// Height of the lowest of the returns `below` that continue the cluster downwards at its
+    /// range, row by row. Height of its own lower end if there are none.
     fn end_of_rest(&self, below: &[ReturnBelow]) -> f64 {
         let is_beside = |one: &&ReturnBelow| one.further.abs() < SAME_RANGE;
         let mut heights: Vec<f64> = below.iter().filter(is_beside).map(|one| one.up).collect();
@@ -153,7 +165,7 @@ impl LowerEdge {
         heights.into_iter().fold(self.low, next)
     }
 
-    /// Returns in line with the cluster and below it.
+    /// The returns of the scan below the cluster, between its left and right end.
     fn below<'a>(&'a self, scan: &'a Prepared) -> impl Iterator<Item = ReturnBelow> + 'a {
         scan.points.iter().filter_map(|&point| {
             let ([aside, up], further) = self.view.seen(wide(point))?;
@@ -168,7 +180,8 @@ mod tests {
     use super::*;
     use crate::flying::classify::clusters::Clusters;
 
-    /// Three returns of a target at a distance from a wall of ten, all or none of which fly.
+    /// Result for a target of three returns at a distance from a wall of ten. `wall_flies`: whether
+    /// the wall seems to fly.
     fn among(distance: f32, wall_flies: bool) -> bool {
         let target = (0..3).map(|step| [10.0, 0.1 * step as f32, 2.0]);
         let wall = (0..10).map(|step| [10.0 + distance, 0.1 * step as f32, 2.0]);
@@ -188,7 +201,8 @@ mod tests {
         assert!(!among(1.2, true), "what flies is no surface");
     }
 
-    /// A target of 5 x 5 returns, 10 m away, above rays that end on the ground in front of it or not.
+    /// Result for a target of 5 x 5 returns, 10 m away. `ground_returns`: whether rays below it end
+    /// on the ground.
     fn lost_below(ground_returns: bool, cast: impl Fn([f64; 3]) -> f64) -> bool {
         let target =
             (0..25).map(|row| [10.0, 0.1 * (row % 5) as f32, 1.0 + 0.1 * (row / 5) as f32]);
@@ -202,7 +216,8 @@ mod tests {
         are_lost_below(&scan, &clusters.get(0), cast)
     }
 
-    /// Whether rays pass below the rest of a row of returns 10 m away, at heights of rows below it and their ranges.
+    /// Result for a row of returns 10 m away. `rows`: heights of the rows below it, and their
+    /// ranges [m].
     fn free_below_rest(rows: &[(f32, f32)]) -> bool {
         let row = |up: f32, range: f32| {
             (0..5).map(move |step| [range, 0.02 * step as f32 * range, 0.1 * up * range])
@@ -227,8 +242,8 @@ mod tests {
         assert!(!free_below_rest(&[(-0.7, 10.1), (-1.05, 16.0)]));
     }
 
-    /// Whether something hides the space below a target 6 m away, `height` above the sensor, given heights above the
-    /// sensor and distances of returns below it in the scan.
+    /// Result for a target 6 m away, `height` [m] above the sensor. `returns`: heights above the
+    /// sensor and distances of the returns below it [m].
     fn hidden_below(height: f32, returns: &[(f32, f32)]) -> bool {
         let row =
             |up: f32, away: f32| (0..5).map(move |step| [away, 0.02 * step as f32 * away, up]);

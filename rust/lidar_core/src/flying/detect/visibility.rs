@@ -1,4 +1,5 @@
-//! Visibility in one scan, for the tracker: is a target in the field of view and not hidden?
+//! Visibility of targets in one scan, for the tracker: whether a target is in the field of view and
+//! not hidden.
 
 use super::center::{Center, PassingRays, RaySource, TargetHit, TargetRay, TargetRegion};
 use crate::flying::analysis::PoseSpread;
@@ -13,23 +14,23 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Room for rounding where rays are excluded early, relative: directions are unit vectors
-/// only to so many digits.
+/// Relative margin for the early exclusion of rays: directions are unit vectors only up to
+/// rounding.
 const ROOM: f64 = 1e-6;
-/// Rays that are looked at side by side.
+/// Number of rays that are tested side by side.
 const LANES: usize = 32;
-/// Rows that are looked at before it is asked whether they are enough.
+/// Number of rows that are tested before it is checked whether enough rays were found.
 const ROWS_AT_A_TIME: usize = 4096;
 const ROWS_PER_CHUNK: usize = 16_384; // fixed: chunk borders must not move with the thread count
 
-/// The rays of one scan.
+/// The rays of one scan, for questions about targets.
 pub(crate) struct ScanView<'a> {
     scan: &'a Prepared,
-    /// Radius of the smallest target that must be seen [m].
+    /// Radius of the smallest target that must be visible [m].
     target_radius: f64,
-    /// Noise of ranges [m].
+    /// Standard deviation of ranges [m].
     range_std: f64,
-    /// Noise of the pose, if it is known.
+    /// Uncertainty of the pose. None if it is unknown.
     spread: Option<PoseSpread>,
     pool: Option<&'a ThreadPool>,
 }
@@ -45,8 +46,8 @@ impl<'a> ScanView<'a> {
         Self { scan, target_radius, range_std, spread, pool }
     }
 
-    /// Centres of targets, given the rows of their points, none of them empty; the pose counts as
-    /// exact.
+    /// Centre of every target, given the rows of its points, of which there must be at least one.
+    /// The pose counts as exact.
     pub(crate) fn centers_of(&self, targets: &[&[u32]]) -> Vec<Center> {
         self.observations(targets)
             .iter()
@@ -54,7 +55,7 @@ impl<'a> ScanView<'a> {
             .collect()
     }
 
-    /// Noise of the pose, if it is known.
+    /// Uncertainty of the pose. None if it is unknown.
     pub(crate) fn spread(&self) -> Option<&PoseSpread> {
         self.spread.as_ref()
     }
@@ -69,7 +70,8 @@ impl<'a> ScanView<'a> {
             && length >= along - radius
     }
 
-    /// Way and length of the ray `row`, not normalised; None where it tells nothing.
+    /// Vector along the ray `row` (not normalised), and its squared length up to the return or to
+    /// the known free reach. None if the row has no information.
     #[inline(always)]
     fn way(&self, row: usize) -> Option<([f64; 3], f64)> {
         if self.scan.no_return[row] {
@@ -84,12 +86,12 @@ impl<'a> ScanView<'a> {
         (squared > 0.0).then_some((way, squared))
     }
 
-    /// Length over which a ray without return is known to meet nothing [m].
+    /// Length up to which a ray without return is known to meet nothing [m].
     fn reach(&self, row: usize) -> f64 {
         self.scan.reach.as_ref().map_or(f64::INFINITY, |reach| f64::from(reach[row]))
     }
 
-    /// Unit direction and length of the ray `row`; None where it tells nothing.
+    /// Unit direction and length [m] of the ray `row`. None if the row has no information.
     fn ray(&self, row: usize) -> Option<([f64; 3], f64)> {
         if self.scan.no_return[row] {
             let way = wide(self.scan.directions.as_ref()?[row]);
@@ -159,7 +161,7 @@ impl RaySource for ScanView<'_> {
 }
 
 impl ScanView<'_> {
-    /// For every region, the rays of some rows that come near it.
+    /// For every region, the rays of the given rows that come near it.
     fn around_in(&self, rows: Range<usize>, regions: &[TargetRegion]) -> Vec<PassingRays> {
         let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
         let is_own = |row: usize| self.scan.maybe_own.get(row).copied().unwrap_or(false);
@@ -192,8 +194,8 @@ impl ScanView<'_> {
         around
     }
 
-    /// Rows, of no more than a chunk, whose rays come near any of some balls: all of them, and a few
-    /// more.
+    /// Rows (at most one chunk) whose rays come near one of the balls. A few other rows may be
+    /// among them.
     fn rows_near(
         &self,
         rows: Range<usize>,
@@ -222,14 +224,14 @@ impl ScanView<'_> {
     }
 }
 
-/// Finds rays that come near any of some balls, on the vector unit of the machine.
+/// Search for rays that come near one of some balls, on the vector unit of the machine.
 struct FindNearRays<'a> {
     view: &'a ScanView<'a>,
     rows: Range<usize>,
     balls: &'a [TestedBall],
 }
 
-/// A bit for every row of a chunk.
+/// One bit for every row of a chunk.
 type RowBits = [u32; ROWS_PER_CHUNK / LANES];
 
 impl WithSimd for FindNearRays<'_> {
@@ -249,14 +251,14 @@ impl WithSimd for FindNearRays<'_> {
     }
 }
 
-/// Start points and directions of rays; NaN for rays without information.
+/// Start points and directions of rays. The direction is NaN for rays without information.
 struct RayLanes {
     origins: [[f64; LANES]; 3],
     ways: [[f64; LANES]; 3],
 }
 
 impl RayLanes {
-    /// Not 0 for rays whose lines come near a ball in front of them, as [`TestedBall::end`] has it.
+    /// Not 0 for rays whose lines come near a ball in front of them, as in [`TestedBall::end`].
     #[inline(always)]
     fn near(&self, balls: &[TestedBall]) -> [u64; LANES] {
         let mut near = [0; LANES];
@@ -273,7 +275,7 @@ impl RayLanes {
     }
 }
 
-/// Ball that rays are tested against.
+/// A ball against which rays are tested.
 #[derive(Clone, Copy)]
 struct TestedBall {
     middle: [f64; 3],
@@ -281,8 +283,8 @@ struct TestedBall {
 }
 
 impl TestedBall {
-    /// `squared` is the length of `way` squared, infinite if the ray met nothing; None for rays
-    /// that stay away from the ball or end in it.
+    /// Where a ray ends. `way`: vector along the ray; `squared`: the squared length of the ray,
+    /// infinite if it met nothing. None for rays that do not meet the ball, or end in it.
     fn end(&self, origin: [f64; 3], way: [f64; 3], squared: f64) -> Option<End> {
         let span = minus(self.middle, origin);
         let (along, apart) = (dot(span, way), dot(span, span) - self.radius * self.radius);
@@ -301,7 +303,7 @@ impl TestedBall {
     }
 }
 
-/// Position of a ray's end relative to a ball that the ray meets.
+/// Position of the end of a ray relative to a ball that its line meets.
 enum End {
     InFront,
     Behind,

@@ -1,10 +1,10 @@
-//! How much of its outline a target fills: little, if it is loose, as dust is.
+//! Fill: share of a target's outline that returns rays. It is small for loose targets such as dust.
 
 use std::f64::consts::PI;
 
-/// Share of the rays inside the ellipse of two standard deviations of the hits that are hits, both in
-/// a plane across the line of sight [m]. A disc fills its ellipse, and so does a bar; rays of
-/// `ray_gap` [m] apart tell nothing smaller.
+/// Share of the rays inside the ellipse of two standard deviations around the hits that are hits.
+/// `hits` and `passing` are in a plane across the line of sight [m]. A disc or a bar fills its
+/// ellipse. `ray_gap`: distance between neighbouring rays [m]; it limits what the rays resolve.
 pub(super) fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> f64 {
     let ellipse = SpreadEllipse::of(hits, ray_gap);
     let count = |rays: &[[f64; 2]]| rays.iter().filter(|&&ray| ellipse.holds(ray)).count() as f64;
@@ -12,8 +12,9 @@ pub(super) fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64
     if hit + missed > 0.0 { hit / (hit + missed) } else { 1.0 }
 }
 
-/// Share of the rays expected inside the ellipse of the hits, `density` per square metre, that are hits. Those that
-/// end in front of it, at `nearer` places, do not count. Not a number where most of them do, or none is expected.
+/// Share of the rays expected inside the ellipse around the hits that are hits. `density`: expected
+/// rays per square metre. `nearer`: places of rays that end in front of the target; these do not
+/// count. NaN if most rays end in front, or none is expected.
 pub(in crate::flying::detect) fn of_expected(
     hits: &[[f64; 2]],
     nearer: impl Iterator<Item = [f64; 2]>,
@@ -29,7 +30,8 @@ pub(in crate::flying::detect) fn of_expected(
     if stopped > 0.5 * expected { f64::NAN } else { (hit / (expected - stopped)).min(1.0) }
 }
 
-/// Ellipse around places in a plane. A disc of places fills it, and so does a bar.
+/// Ellipse of two standard deviations around places in a plane. A disc of places fills it, and so
+/// does a bar.
 struct SpreadEllipse {
     mean: [f64; 2],
     /// Covariance of the places [m^2].
@@ -39,7 +41,8 @@ struct SpreadEllipse {
 }
 
 impl SpreadEllipse {
-    /// That of some places [m], of rays that are `ray_gap` [m] apart: these tell nothing smaller.
+    /// Ellipse around some places [m]. `ray_gap`: distance between neighbouring rays [m], which
+    /// limits the smallest ellipse.
     fn of(places: &[[f64; 2]], ray_gap: f64) -> Self {
         let count = places.len() as f64;
         let mean: [f64; 2] =
@@ -57,14 +60,14 @@ impl SpreadEllipse {
         self.xx * self.yy - self.xy * self.xy
     }
 
-    /// True if it holds a place.
+    /// True if `place` is inside the ellipse.
     fn holds(&self, place: [f64; 2]) -> bool {
         let Self { mean, xx, xy, yy } = self;
         let [x, y] = [place[0] - mean[0], place[1] - mean[1]];
         yy * x * x - 2.0 * xy * x * y + xx * y * y <= 4.0 * self.determinant()
     }
 
-    /// Its area [m^2].
+    /// Area of the ellipse [m^2].
     fn area(&self) -> f64 {
         4.0 * PI * self.determinant().max(0.0).sqrt()
     }

@@ -1,4 +1,4 @@
-//! An open frame: rotors, arms and a body, through which rays pass.
+//! Model of an open frame: rotors, arms and a body, through which rays pass.
 
 use super::filled::filled_share;
 use super::sphere::Start;
@@ -8,68 +8,74 @@ use crate::estimation::kalman::symmetrised;
 use crate::flying::large_targets::shape_weight;
 use std::f64::consts::PI;
 
-/// Solid shares of an open frame and of a closed body; what follows is given for these two, and
-/// goes on a line between them. Measured on simulated multicopters and boxes of 0.15 to 0.60 m
-/// radius at 5 to 20 m.
+/// Solid shares of an open frame and of a closed body. The following pairs of values belong to
+/// these two; between them they are interpolated linearly. They were measured on simulated
+/// multicopters and boxes of 0.15 to 0.60 m radius at 5 to 20 m.
 const SHARES: [f64; 2] = [0.3, 0.6];
-/// So many gaps between rays lie between the outermost points and the rim.
+/// Number of gaps between rays from the outermost points to the rim of the target: open frame,
+/// closed body.
 const RIM_GAPS: [f64; 2] = [1.5, 0.75];
-/// From so many points on, their own spacing bounds the gaps between rays: where it is not known which rays passed,
-/// nothing else does.
+/// Number of points from which on their own spacing bounds the gap between rays. If it is not known
+/// which rays passed, nothing else bounds it.
 const SPACED: f64 = 3.0;
-/// The centre of a closed body lies behind the centroid by this share of the radius; a ball would
-/// have 0.68.
+/// Distance of a closed body's centre behind the centroid, as a share of the radius. For a ball it
+/// would be 0.68.
 const CLOSED_SHIFT: f64 = 0.40;
-/// The same shift of an open frame: seen from where its whole disc shows, and from its own height, where near
-/// rims hide the far ones.
+/// Distance of an open frame's centre behind the centroid, as a share of the radius: if the whole
+/// disc is visible, and if the frame is seen from its own height, where near rims hide the far
+/// ones.
 const OPEN_SHIFTS: [f64; 2] = [0.12, 0.25];
-/// Sine of the elevation from which on, above or below, the whole disc shows.
+/// Sine of the elevation, above or below, from which on the whole disc of a frame is visible.
 const WHOLE_DISC: f64 = 0.25;
-/// Standard deviation of the shift of the centre, as a share of the radius, for one point: the points are draws
-/// from the depth of the target. No more than the second number: some may be on one side of it.
+/// Standard deviation of the distance between centroid and centre along the sight, as a share of
+/// the radius: for one point, and the largest value. Points are samples from the depth of the
+/// target, and some may be on one side of it.
 const SHIFT_STD: [f64; 2] = [0.5, 0.2];
-/// Seen from its own height, a frame's centre lies above the centroid by this share: skids hang below it.
+/// Height of a frame's centre above the centroid if it is seen from its own height, as a share of
+/// the radius: skids hang below it.
 const LIFT: f64 = 0.06;
-/// Part of the standard deviation across the line of sight that no number of points removes [m].
+/// Standard deviation of the centre across the line of sight that remains with any number of points
+/// [m].
 const ASIDE_STD: f64 = 0.02;
-/// Standard deviations of the centre of a large target across and along the line of sight, as shares of half
-/// its size.
+/// Standard deviations of a large target's centre across and along the line of sight, as shares of
+/// half its size.
 const LARGE_STD: [f64; 2] = [0.03, 0.1];
-/// A ball's centre lies behind the centroid of its near side by this share of its radius.
+/// Distance of a ball's centre behind the centroid of its near side, as a share of the radius.
 const BALL_SHIFT: f64 = 0.66;
-/// Rays above a target that lie this far apart in height are of several rows [m].
+/// Rays above a target belong to several rows if their heights differ by more than this [m].
 const ROWS_APART: f64 = 0.1;
-/// So many rays above it, and none below: rarely by chance.
+/// Number of rays above a target that make it improbable that none is below by chance.
 const FEWEST_ABOVE: usize = 4;
-/// Rays below a target pass it by this share of the gap between rays. Those of its own lowest row do not:
-/// a row is a cone, and so a curve in the plane of the target.
+/// Share of the gap between rays that a ray must be below a target to count as below. Rays of the
+/// target's own lowest row are nearer: a row is a cone, and so a curve in the plane of the target.
 const BELOW_GAPS: f64 = 0.5;
-/// Rays that pass less than this below it tell nothing [m]: the next part of what stands on the ground may be just
-/// below the lower edge of the field of view, as shoulders are below a head.
+/// Rays that pass less than this below a target show nothing [m]. The next part of something that
+/// stands on the ground may be just below the lower edge of the field of view, as shoulders are
+/// below a head.
 const BELOW: f64 = 0.1;
-/// Only rays below the middle of its width, this share of it, count: rays beside what stands on the ground pass to
-/// the ground behind it.
+/// Share of a target's width, around its middle, below which rays count. Rays beside something that
+/// stands on the ground reach the ground behind it.
 const MIDDLE: f64 = 0.5;
-/// Smallest radius to start with [m].
+/// Smallest radius with which the fit of a ball starts [m].
 const LEAST_RADIUS: f64 = 0.05;
 
-/// Estimate of the centre from the spread of the points alone.
+/// Estimate of the centre of an open frame or closed body, from the spread of the points alone.
 pub(super) struct OpenFrame {
     pub(crate) position: Vector3<f64>,
     pub(crate) covariance: Matrix3<f64>,
-    /// Half the width across the line of sight, as far as the rays that passed tell it [m].
+    /// Half the width across the line of sight, as far as the passing rays bound it [m].
     pub(crate) radius: f64,
-    /// The same, as far as the spacing of the points tells it, too [m].
+    /// Half the width, as far as the spacing of the points bounds it too [m].
     pub(super) least_radius: f64,
-    /// Share of the rays inside the outline that hit: 1 for a solid target.
+    /// Share of the rays inside the outline that hit the target. It is 1 for a solid target.
     pub(super) solid_share: f64,
-    /// Share of the rays inside the ellipse of its points that hit.
+    /// Share of the rays inside the ellipse around the points that hit the target.
     pub(super) filled_share: f64,
-    /// Whether rays pass below it; None if nothing tells.
+    /// Whether rays pass below the target. None if nothing shows it.
     pub(super) is_free_below: Option<bool>,
     centroid: Vector3<f64>,
     sight: Vector3<f64>,
-    /// Half the width of the points themselves [m].
+    /// Half the width of the points [m].
     reach: f64,
 }
 
@@ -125,7 +131,7 @@ impl OpenFrame {
         }
     }
 
-    /// Start values of the fit of a ball.
+    /// Start values for the fit of a ball.
     pub(crate) fn start(&self) -> Start {
         let radius = self.reach.max(LEAST_RADIUS);
         Start { center: self.centroid + self.sight * (BALL_SHIFT * radius), radius }
@@ -146,7 +152,7 @@ impl OpenFrame {
     }
 }
 
-/// Unit vectors: two across the line of sight, the first horizontal, and the sight itself.
+/// Unit vectors: two across the line of sight (the first is horizontal), and along it.
 fn axes_towards(span: Vector3<f64>) -> [Vector3<f64>; 3] {
     let forward = Vector3::x();
     let sight = span.try_normalize(f64::MIN_POSITIVE).unwrap_or(forward);
@@ -155,9 +161,9 @@ fn axes_towards(span: Vector3<f64>) -> [Vector3<f64>; 3] {
     [aside, sight.cross(&aside), sight]
 }
 
-/// Middle of the box around some places, upright and turned to the line of sight, of which `aside` is the
-/// horizontal side across it. Seen from below, the near end of a wing is higher than the far one: the middle of
-/// what is seen across the line of sight would not be that of the wing.
+/// Middle of the upright box around some places, turned to the line of sight. `aside`: the
+/// horizontal side across the line of sight. Seen from below, the near end of a wing is higher in
+/// the view than the far one, so the middle in the view would not be the middle of the wing.
 fn box_middle(
     places: impl Iterator<Item = Vector3<f64>> + Clone,
     aside: Vector3<f64>,
@@ -170,18 +176,18 @@ fn box_middle(
     [aside, aside.cross(&up), up].map(middle).iter().sum()
 }
 
-/// The least and the largest of some values.
+/// The smallest and the largest of some values.
 fn ends(values: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     [values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max)]
 }
 
-/// Extent of the target as seen from the sensor.
+/// Size and shares of a target, as seen from the sensor.
 struct SeenExtent {
-    /// Distance of the points from their middle [m].
+    /// Largest distance of the points from their middle, across the line of sight [m].
     reach: f64,
     /// Distance between neighbouring rays at the target [m].
     ray_gap: f64,
-    /// The same, or the spacing of the points themselves if that is less [m].
+    /// The distance between neighbouring rays, or the spacing of the points if that is less [m].
     least_gap: f64,
     solid_share: f64,
     filled_share: f64,
@@ -236,9 +242,10 @@ impl SeenExtent {
     }
 }
 
-/// Whether rays pass below the hits, both in a plane across the line of sight [m], the second axis
-/// upwards. Of what stands on the ground, and of what the lower edge of the field of view cuts off,
-/// none do. None if few rays pass above, too: they are too far apart to tell. None also if rays pass only just below.
+/// Whether rays pass below the hits. `hits` and `passing` are in a plane across the line of sight
+/// [m], with the second axis up. No rays pass below something that stands on the ground, or that
+/// the lower edge of the field of view cuts off. None if few rays pass above too, since the rays
+/// are then too far apart to tell, or if rays pass only just below.
 fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
     let bounds = |axis: usize| ends(hits.iter().map(|hit| hit[axis]));
     let ([left, right], [low, high]) = (bounds(0), bounds(1));
@@ -258,7 +265,8 @@ fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Optio
 mod tests {
     use super::is_free_below;
 
-    /// Rows of rays 0.02 m apart, from `low` on, each lower at its ends as a cone in a plane is.
+    /// Rows of rays 0.02 m apart, from `low` upwards. Each is lower at its ends, as a cone is in a
+    /// plane.
     fn rows(low: f64) -> Vec<[f64; 2]> {
         let place = |at: i32| f64::from(at) * 0.02;
         let row = |up: i32| {

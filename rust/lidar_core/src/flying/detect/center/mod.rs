@@ -1,10 +1,10 @@
-//! Centre of a target, of which a scan shows only the near side.
+//! Estimation of the centre of a target, of which a scan shows only the near side.
 //!
-//! The centroid of its points (eq. 19) lies nearer to the sensor by up to the target's radius, as
-//! the paper says itself (sec. V-A). Here two models of the target are held against the points
-//! and against the rays that passed beside them, and weighed by how well they agree: a solid ball,
-//! whose centre and radius the points and the passing rays determine, and an open frame as of a
-//! multicopter, whose centre lies behind the centroid by a share of its width.
+//! The centroid of the points (eq. 19) is nearer to the sensor than the centre, by up to the
+//! target's radius, as the paper itself says (sec. V-A). Here two models of the target are compared
+//! with the points and the passing rays, and weighed by how well they agree: a solid ball, whose
+//! centre and radius follow from both, and an open frame like that of a multicopter, whose centre
+//! is behind the centroid by a share of its width.
 
 mod filled;
 mod frame;
@@ -28,47 +28,50 @@ use frame::OpenFrame;
 use nalgebra::{Matrix3, Vector3};
 use sphere::Sphere;
 
-/// Centre of a target's circumscribed sphere, estimated from one scan.
+/// Centre of the sphere around a target, estimated from one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Center {
-    /// Position [m].
+    /// Position of the centre [m], in the frame of the points.
     pub position: Vector3<f64>,
-    /// Covariance of the centre [m^2].
+    /// Covariance of the position [m^2].
     pub covariance: Matrix3<f64>,
     /// Radius of the sphere [m].
     pub radius: f64,
-    /// Radius under the assumption that rays pass as near to each other as its points are [m]: at
-    /// most `radius`, and less if the rays that passed are unknown.
+    /// Radius if the rays beside the target were as close to each other as its points [m]. It is at
+    /// most `radius`, and smaller if it is not known which rays passed.
     pub least_radius: f64,
-    /// Share of the rays inside the ellipse of its points that hit, 0 to 1: small for loose objects
-    /// such as leaves.
+    /// Fill: share of the rays inside the ellipse around the points that hit, 0 to 1. It is small
+    /// for loose objects such as leaves.
     pub filled_share: f64,
-    /// True if rays pass below it; None if unknown.
+    /// Whether rays pass below the target. None if unknown.
     pub is_free_below: Option<bool>,
     /// Whether something nearer may hide a part of the target.
     pub is_cut: bool,
-    /// Whether it ends at the edge of something nearer, to a side or above.
+    /// Whether the target ends at the edge of something nearer, to a side or above.
     pub is_at_edge: bool,
 }
 
-/// Squared residuals per degree of freedom at which ball and frame are equally likely.
+/// Squared residuals per degree of freedom at which the ball and the frame are equally probable.
 const EVEN_RATIO: f64 = 2.0;
-/// How fast the ball loses beyond it.
+/// Steepness with which the probability of the ball falls beyond [`EVEN_RATIO`].
 const RATIO_STEEPNESS: f64 = 3.0;
-/// A few points fit any ball: so many imagined degrees of freedom, at the even ratio.
+/// Number of imagined degrees of freedom with residuals at the even ratio. Without them, a few
+/// points would fit any ball.
 const IMAGINED_FREEDOM: f64 = 2.0;
-/// A ball is at most so many times as large as the outline that its points and the gaps between rays leave.
-/// Beyond that its weight falls with this power of the ratio: more rays would have met it. Where it is not
-/// known which rays passed, a row of points fits large balls above it and below it as well as a small one.
+/// Largest ratio of the ball's radius to that of the outline, from its points and the gaps between
+/// rays. Beyond it the weight of the ball falls with a power of the ratio, since more rays would
+/// have met a larger ball. If it is not known which rays passed, a row of points fits large balls
+/// above and below it as well as a small one.
 const LARGEST_BALL: f64 = 1.5;
 const SIZE_POWER: i32 = 8;
-/// Solid share from which on a target may be a ball, and from which on its rays do not speak
-/// against it.
+/// Solid share from which on a target may be a ball, and from which on its rays do not contradict a
+/// ball at all.
 const BALL_SHARE: [f64; 2] = [0.4, 0.55];
 
-/// The centre of a target, from its points [m], where they were seen from, and the directions of
-/// rays that passed beside it, in a frame whose z axis points up. Directions need not have unit
-/// length; rays more than 0.4 m beside the points do not count.
+/// Estimate the centre of a target from its points [m], the place from which they were seen, and
+/// the directions of rays that passed beside it, in a frame whose z axis points up. Directions need
+/// not have unit length. Rays more than 0.4 m beside the points are ignored. `range_std`: standard
+/// deviation of ranges [m].
 ///
 /// # Errors
 /// [`Error::Value`] for the first entry that is not finite, or a direction without length;
@@ -121,9 +124,9 @@ fn check_finite(
 }
 
 impl Center {
-    /// Estimate the centre of what was hit; `range_std` is the noise of ranges [m].
+    /// Estimate the centre of the target. `range_std`: standard deviation of ranges [m].
     ///
-    /// The order of hits and of passing rays does not matter.
+    /// The result does not depend on the order of hits and passing rays.
     pub(crate) fn of(observation: &TargetObservation, range_std: f64) -> Self {
         let frame = OpenFrame::of(observation, range_std);
         let fitted = Sphere::fit(observation, &frame.start(), range_std);
@@ -148,7 +151,7 @@ impl Center {
     }
 }
 
-/// Probability of the ball against the frame, 0 to 1.
+/// Probability that the target is a ball and not an open frame, 0 to 1.
 fn ball_weight(ball: &Sphere, frame: &OpenFrame, n_hits: usize) -> f64 {
     let freedom = n_hits.saturating_sub(sphere::PARAMETERS) as f64;
     let imagined = EVEN_RATIO * IMAGINED_FREEDOM;

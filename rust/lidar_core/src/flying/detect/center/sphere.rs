@@ -1,34 +1,36 @@
-//! The ball that points lie on and that passing rays miss.
+//! Fit of a ball: points are on its surface, and passing rays miss it.
 
 use super::target_observation::{TargetHit, TargetObservation, TargetRay};
 use super::{Matrix3, Vector3};
 use nalgebra::{SMatrix, SVector};
 
-/// Centre and radius.
+/// Number of parameters of the fit: centre and radius.
 pub(crate) const PARAMETERS: usize = 4;
 const MAX_STEPS: usize = 20;
-/// A step that gains less, as a share of the cost, is the last.
+/// Smallest gain of a step, as a share of the cost. A smaller one ends the fit.
 const LEAST_GAIN: f64 = 1e-9;
-/// Prior of the radius [m]: mean, standard deviation and limits.
+/// Prior of the radius [m]: mean, standard deviation and limits, in this and the next constants.
 const RADIUS_MEAN: f64 = 0.3;
 const RADIUS_STD: f64 = 0.25;
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
-/// Standard deviation of the centre about the start of the fit [m]: a few points say nothing about
+/// Standard deviation of the centre around the start of the fit [m]. A few points say nothing about
 /// some directions.
 const PLACE_STD: f64 = 0.5;
-/// A ray that passes is let into the ball by this standard deviation [m].
+/// Standard deviation of the depth at which a passing ray may enter the ball [m].
 const PASSING_STD: f64 = 0.01;
-/// Cosine of the angle of incidence below which a range says no more about the surface.
+/// Smallest cosine of the angle of incidence that is used. At grazing incidence a range says no
+/// more about the surface.
 const LEAST_COSINE: f64 = 0.3;
-/// No target is a perfect ball: standard deviation of the centre as a share of the radius.
+/// Standard deviation of the centre as a share of the radius, since no target is a perfect ball.
 const SHAPE_STD: f64 = 0.01;
-/// Bias along the sight that noise leaves, as a share of the standard deviation of a range.
+/// Error of the centre along the line of sight that noise leaves, as a share of the standard
+/// deviation of a range.
 const NOISE_BIAS: f64 = 0.3;
 
 type Vector4 = SVector<f64, PARAMETERS>;
 type Matrix4 = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// Start values of a fit.
+/// Start values of a fit: centre and radius [m].
 pub(crate) struct Start {
     pub(crate) center: Vector3<f64>,
     pub(crate) radius: f64,
@@ -39,23 +41,23 @@ pub(super) struct Sphere {
     pub(crate) center: Vector3<f64>,
     pub(crate) radius: f64,
     pub(crate) covariance: Matrix3<f64>,
-    /// Sum over the points, in units of their noise.
+    /// Sum of the squared residuals of the points, in units of their noise.
     pub(super) squared_residuals: f64,
 }
 
-/// Sums of a linearised least-squares problem.
+/// Normal equations of the linearised least-squares problem, and its cost.
 #[derive(Clone, Copy)]
 struct Normal {
     matrix: Matrix4,
     vector: Vector4,
     cost: f64,
-    /// Share of the points in the cost.
+    /// The part of the cost that comes from the points.
     points: f64,
 }
 
 impl Sphere {
-    /// Levenberg-Marquardt over distances of points from the surface, intrusions of passing rays,
-    /// and what is known of radii; None if the equations cannot be solved.
+    /// Fit by Levenberg-Marquardt: distances of points from the surface, depths of passing rays
+    /// inside the ball, and the prior of the radius. None if the equations cannot be solved.
     pub(crate) fn fit(
         observation: &TargetObservation,
         start: &Start,
@@ -123,7 +125,8 @@ impl Normal {
         sums
     }
 
-    /// The noise of a range counts towards the surface by the cosine of the incidence.
+    /// Add a point to the equations. Its range noise counts towards the surface by the cosine of
+    /// the angle of incidence.
     fn add_hit(&mut self, hit: &TargetHit, center: &Vector3<f64>, radius: f64, range_std: f64) {
         let offset = hit.point - center;
         let distance = offset.norm().max(1e-9);

@@ -4,16 +4,17 @@ use super::Vector3;
 use std::cmp::Ordering;
 use std::f64::consts::TAU;
 
-/// Rays are looked at as far beside the points as this [m].
+/// Distance beside the points up to which rays are looked at [m].
 pub(crate) const MARGIN: f64 = 0.4;
-/// Rays at most this far beside the points are compared with a ball [m].
+/// Distance beside the points up to which rays are compared with a ball [m].
 const NEAR: f64 = 0.15;
-/// So many rays that end in front may hide a part of the target: one alone is a speck of dust.
+/// Number of rays ending in front of a target that show that a part of it may be hidden. A single
+/// one may be a speck of dust.
 const ENOUGH_BLOCKED: usize = 2;
-/// Sectors around a target in which the nearest ray beside it is looked for.
+/// Number of sectors around a target. In each, the nearest ray beside the target is looked for.
 const SECTORS: usize = 8;
 
-/// A ray from a sensor.
+/// A ray of a sensor: start point [m] and direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TargetRay {
     pub(crate) origin: Vector3<f64>,
@@ -21,56 +22,59 @@ pub(crate) struct TargetRay {
     pub(crate) direction: Vector3<f64>,
 }
 
-/// A ray that hit the target.
+/// A ray that hit the target, and its end point [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TargetHit {
     pub(crate) ray: TargetRay,
     pub(crate) point: Vector3<f64>,
 }
 
-/// Observation of one target in one scan.
+/// What one scan shows of a target.
 #[derive(Clone, Debug)]
 pub(crate) struct TargetObservation {
-    /// At least one.
+    /// Rays that hit the target; at least one.
     pub(crate) hits: Vec<TargetHit>,
-    /// Rays that went past the target, on either side and through its gaps.
+    /// Rays that passed the target, beside it or through its gaps.
     pub(crate) passing: Vec<TargetRay>,
-    /// True if rays beside the points ended nearer, so that a part of the target may be hidden.
+    /// Whether rays beside the points ended nearer to the sensor, so that a part of the target may
+    /// be hidden.
     pub(crate) is_cut: bool,
-    /// True if the nearest ray beside it, to a side or above, ends in front of it: it ends at the edge of that.
+    /// Whether the target ends at the edge of something nearer: the nearest ray beside it, to a
+    /// side or above, ends in front of it.
     pub(crate) is_at_edge: bool,
-    /// Number of `passing` rays, the first ones, that are near the points.
+    /// Number of `passing` rays near the points. These are the first ones.
     n_near: usize,
 }
 
-/// Search region for rays that pass a target.
+/// Region around a target in which passing rays are looked for.
 #[derive(Clone, Debug)]
 pub(crate) struct TargetRegion {
     /// Middle of the box around its points [m].
     pub(crate) middle: Vector3<f64>,
-    /// Radius of a ball around the points [m].
+    /// Radius of a ball around the middle that contains the points [m].
     pub(crate) radius: f64,
 }
 
-/// Rays that pass near a region, and those that end before it.
+/// Rays that pass near a region, and rays that end before it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PassingRays {
     /// Rays that passed the target and went on behind it.
     pub(crate) passing: Vec<TargetRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
-    /// Rays that end in front of the region and surely not on the robot itself.
+    /// Rays that end in front of the region, and surely not on the robot itself.
     pub(crate) hiding: Vec<TargetRay>,
 }
 
-/// Rays of a scan, by target and by region.
+/// Source of the rays of a scan: by row, and by region.
 pub(crate) trait RaySource {
-    /// The hit of a row that has a point.
+    /// The ray of a row with a point.
     fn hit(&self, row: usize) -> TargetHit;
     /// For every region, the rays that come within [`MARGIN`] of it.
     fn around(&self, regions: &[TargetRegion]) -> Vec<PassingRays>;
 
-    /// Observations of targets, given the rows of their points, none of them empty.
+    /// What the scan shows of each target, given the rows of its points, of which there must be at
+    /// least one.
     fn observations(&self, targets: &[&[u32]]) -> Vec<TargetObservation> {
         let hits: Vec<Vec<TargetHit>> = targets
             .iter()
@@ -86,7 +90,7 @@ pub(crate) trait RaySource {
 }
 
 impl TargetRay {
-    /// Offset of `point` from the nearest place on the line of the ray.
+    /// Offset of `point` from the nearest point on the line of the ray [m].
     pub(crate) fn aside(&self, point: &Vector3<f64>) -> Vector3<f64> {
         let span = point - self.origin;
         span - self.direction * span.dot(&self.direction)
@@ -111,12 +115,12 @@ impl TargetRegion {
         Self { middle: 0.5 * (low + high), radius: 0.5 * (high - low).norm() }
     }
 
-    /// Largest distance from the middle at which a ray is looked at [m].
+    /// Largest distance from the middle up to which rays are looked at [m].
     pub(crate) fn reach(&self) -> f64 {
         self.radius + MARGIN
     }
 
-    /// Sectors around the middle, with how far the points reach in each.
+    /// Sectors around the middle, with the distance up to which points reach in each.
     fn sectors_of(&self, hits: &[TargetHit]) -> Sectors<'_> {
         let sight = (self.middle - hits[0].ray.origin).normalize();
         let across = Vector3::z().cross(&sight).try_normalize(1e-6).unwrap_or(Vector3::x());
@@ -132,19 +136,19 @@ impl TargetRegion {
     }
 }
 
-/// Sectors around a place, across the line of sight.
+/// Sectors around the middle of a target, in the plane across the line of sight.
 struct Sectors<'a> {
     middle: &'a Vector3<f64>,
-    /// Unit vectors across the line of sight: to the left, and upwards.
+    /// Unit vectors across the line of sight: horizontal, and upwards.
     axes: [Vector3<f64>; 2],
     /// Distance of the outermost point of the target in each sector [m].
     reach: [f64; SECTORS],
-    /// Height of its lowest point above the middle [m].
+    /// Height of the lowest point of the target above the middle [m].
     lowest: f64,
 }
 
 impl Sectors<'_> {
-    /// Sector in which a ray passes the middle, its distance from it, and its height above it [m].
+    /// Sector in which a ray passes the middle, distance from the middle, and height above it [m].
     fn of(&self, ray: &TargetRay) -> (usize, f64, f64) {
         let place = -ray.aside(self.middle);
         let [left, up] = self.axes.map(|axis| axis.dot(&place));
@@ -152,8 +156,9 @@ impl Sectors<'_> {
         (((turn * SECTORS as f64) as usize).min(SECTORS - 1), libm::hypot(left, up), up)
     }
 
-    /// Rays beyond the points in each sector: the distance of the nearest [m], and their number. Rays below the lowest
-    /// point do not count: the ground in front of a low target, or a wall below it, hides nothing of it.
+    /// For each sector, the distance of the nearest ray beyond the points [m], and the number of
+    /// such rays. Rays below the lowest point do not count: the ground in front of a low target, or
+    /// a wall below it, hides nothing of it.
     fn beyond(&self, rays: &[TargetRay]) -> [(f64, usize); SECTORS] {
         let mut beyond = [(f64::INFINITY, 0); SECTORS];
         for (sector, away, up) in rays.iter().map(|ray| self.of(ray)) {
@@ -165,7 +170,8 @@ impl Sectors<'_> {
         beyond
     }
 
-    /// True if in a sector the nearest ray ends in front, and not only that one.
+    /// True if, in some sector, the ray nearest to the target ends in front of it, and at least one
+    /// other does too.
     fn is_any_hidden(&self, passing: &[TargetRay], hiding: &[TargetRay]) -> bool {
         let (passing, hiding) = (self.beyond(passing), self.beyond(hiding));
         hiding
@@ -176,7 +182,7 @@ impl Sectors<'_> {
 }
 
 impl TargetObservation {
-    /// An observation whose hits and rays are sorted: results do not depend on their order.
+    /// An observation with sorted hits and rays, so that results do not depend on their order.
     pub(crate) fn new(mut hits: Vec<TargetHit>, around: PassingRays) -> Self {
         let PassingRays { mut passing, n_blocked, hiding } = around;
         let region = TargetRegion::of(&hits);
@@ -198,7 +204,7 @@ impl TargetObservation {
         &self.passing[..self.n_near]
     }
 
-    /// Mean of where its rays start [m].
+    /// Mean of the start points of the rays that hit the target [m].
     pub(crate) fn origin(&self) -> Vector3<f64> {
         self.hits.iter().map(|hit| hit.ray.origin).sum::<Vector3<f64>>() / self.hits.len() as f64
     }

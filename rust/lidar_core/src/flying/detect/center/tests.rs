@@ -1,4 +1,4 @@
-//! Balls and frames seen by a regular fan of rays.
+//! Tests of the centres of balls and frames that a regular fan of rays meets.
 
 use crate::Error;
 use crate::flying::detect::center::*;
@@ -7,7 +7,8 @@ const STD: f64 = 0.03;
 /// Angle between neighbouring rays [rad].
 const STEP: f64 = 0.0062;
 
-/// Rays from the origin around the x axis, each with the range at which `range` meets it.
+/// Rays from the origin around the x axis. The function gives the range at which a ray returns, if
+/// it does.
 struct Fan<F>(F);
 
 impl<F: Fn(Vector3<f64>) -> Option<f64>> Fan<F> {
@@ -137,8 +138,8 @@ fn one_point_without_any_other_ray_is_a_place() -> Result<(), Error> {
     factor.map(|_| ()).ok_or(Error::NotPositiveDefinite { matrix: "covariance" })
 }
 
-/// Whether a ball 8 m away is at an edge if the rays for which `is_hidden` is true, given where they cross the plane
-/// through its centre [m], end in front of it.
+/// Whether a ball 8 m away counts as being at an edge. `is_hidden`: whether a ray that crosses the
+/// plane through its centre at a place [m] ends in front of it.
 fn is_at_edge(is_hidden: impl Fn(f64, f64) -> bool) -> bool {
     let observation = Fan(ball(Vector3::new(8.0, 0.0, 0.0), 0.2)).observation();
     let hides = |ray: &TargetRay| {
