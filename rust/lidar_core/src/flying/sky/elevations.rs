@@ -1,47 +1,53 @@
-//! Elevations of the returns of a scan, to test whether a stated sensor can have given them.
+//! Elevations of the returns of a scan, to test whether a stated sensor can have given the scan.
 
 use super::emission::RayPattern;
 use crate::geometry::transform::norm;
 use std::f64::consts::{PI, TAU};
 
-/// Elevations of the returns of a scan, to test whether a known ray pattern fits.
+/// Directions of the returns of a scan, to test whether a known ray pattern fits.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Elevations {
-    /// Elevation of the returns that are far enough to be sharp [rad].
+    /// Elevations of the returns that are far enough away to be sharp [rad].
     values: Vec<f64>,
     azimuths: Vec<f64>,
-    /// Largest distance of every return from its row [rad].
+    /// Largest possible distance of every return from its row [rad].
     reaches: Vec<f64>,
 }
 
-/// Nearer returns are smeared by the way of the sensor during a scan [m].
+/// Smallest range of the returns that are used [m]. The motion of the sensor during a scan smears
+/// nearer ones.
 const SHARP_RANGE: f64 = 3.0;
-/// Fewer returns tell nothing.
+/// Smallest number of returns for a test.
 const ENOUGH_RETURNS: usize = 500;
-/// Returns beyond the field of view by this much contradict it [rad]: 2 degrees.
+/// Angle beyond the field of view from which on returns contradict a sensor [rad]: 2 degrees.
 const BEYOND: f64 = 2.0 * PI / 180.0;
-/// Returns that may lie beyond it: reflections, rows that the motion of the sensor moves.
+/// Share of the returns that may be beyond the field of view: reflections, or rows that the motion
+/// of the sensor moves.
 const STRAY_SHARE: f64 = 0.05;
-/// Returns this far from every row contradict the rows [rad]: 0.3 degrees.
+/// Distance from every row from which on a return contradicts the rows [rad]: 0.3 degrees.
 const OFF_ROW: f64 = 0.3 * PI / 180.0;
-/// Height by which beams may begin above or below the origin of the points [m]: 0.04 m in an Ouster.
+/// Largest height by which beams may begin above or below the origin of the points [m]. It is 0.04
+/// m in an Ouster.
 const BEAM_ORIGIN: f64 = 0.05;
-/// Rows nearer than this to each other cannot be told from returns between them [rad].
+/// Smallest median distance of rows that can be tested [rad]. Between closer rows no return is off
+/// the rows.
 const LEAST_GAP: f64 = 0.8 * PI / 180.0;
-/// Shares of returns off the rows that contradict these: where returns show rows, and where they show
-/// none, and all lie in a part of the turn, as those of sensors that do not turn. Recordings of Velodyne
-/// and Hesai sensors have none off their own rows, and 0.32 or more off the rows of another one.
+/// Share of returns off the rows that contradicts them, if the returns show rows;
+/// `OFF_SHARE_WITHOUT_ROWS`: if they show none and all are in a part of the turn, as with sensors
+/// that do not turn. Recordings of Velodyne and Hesai sensors have none off their own rows, and
+/// 0.32 or more off the rows of another one.
 const OFF_SHARE: f64 = 0.25;
 const OFF_SHARE_WITHOUT_ROWS: f64 = 0.5;
-/// Largest part of the turn that a sensor which does not turn is taken to see [rad].
+/// Largest angle of azimuth that a sensor which does not turn is assumed to see [rad].
 const PART_OF_TURN: f64 = PI;
-/// Share of the rows between those that return something, below which they are of another sensor, and
-/// the least number of gaps between them: sky between the ground and what is above it is one gap. A few
-/// returns far above or below the others do not count.
+/// Share of used rows, between the lowest and highest with returns, below which the rows are of
+/// another sensor; `FEWEST_GAPS`: smallest number of gaps between used rows. Sky between the ground
+/// and something above it is one gap. `OUTER_SHARE`: share of the lowest and of the highest returns
+/// that is ignored.
 const USED_SHARE: f64 = 0.6;
 const FEWEST_GAPS: usize = 4;
 const OUTER_SHARE: f64 = 0.05;
-/// Width of a bin in which rows show [rad]: 0.1 degrees.
+/// Width of a bin of elevation in which rows show [rad]: 0.1 degrees.
 const BIN: f64 = PI / 1800.0;
 
 impl Elevations {
@@ -59,12 +65,12 @@ impl Elevations {
         all
     }
 
-    /// True if there are enough returns to recognise a sensor.
+    /// True if there are enough returns to test a sensor.
     pub(super) fn tell_enough(&self) -> bool {
         self.values.len() >= ENOUGH_RETURNS
     }
 
-    /// True if the returns show rows: nine of ten lie in a fifth of the bins between the lowest and
+    /// True if the returns show rows: nine of ten are in a fifth of the bins between the lowest and
     /// the highest.
     pub(super) fn are_rows(&self) -> bool {
         let mut bins = vec![0usize; (PI / BIN) as usize + 2];
@@ -83,7 +89,8 @@ impl Elevations {
         self.values.len() >= ENOUGH_RETURNS && 10 * held >= 9 * self.values.len()
     }
 
-    /// Share of the returns that `rays` cannot have given; None if there are too few returns.
+    /// Share of the returns that are outside the field of view of `rays`. None if there are too few
+    /// returns.
     pub(super) fn against(&self, rays: &RayPattern) -> Option<f64> {
         if self.values.len() < ENOUGH_RETURNS {
             return None;
@@ -92,7 +99,7 @@ impl Elevations {
         Some(strays as f64 / self.values.len() as f64)
     }
 
-    /// True if `rays` cannot have given the scan; false if it has too few returns to decide.
+    /// True if `rays` cannot have given the scan. False also if it has too few returns to decide.
     pub(super) fn contradict(&self, rays: &RayPattern) -> bool {
         let Some(share) = self.against(rays) else { return false };
         let RayPattern::Rows { elevations, .. } = rays else { return share > STRAY_SHARE };
@@ -120,7 +127,7 @@ impl Elevations {
             || self.azimuths[index].abs() > azimuth + BEYOND
     }
 
-    /// Share of the returns between the rows; 0 for rows too near to each other to tell.
+    /// Share of the returns between the rows. 0 if the rows are too close to each other to tell.
     fn off_rows(&self, rows: &[f64]) -> f64 {
         let mut gaps: Vec<f64> = rows.windows(2).map(|pair| pair[1] - pair[0]).collect();
         gaps.sort_unstable_by(f64::total_cmp);
@@ -136,7 +143,7 @@ impl Elevations {
         off as f64 / self.values.len() as f64
     }
 
-    /// True if many rows return nothing between those that do.
+    /// True if many rows between the lowest and the highest with returns have none.
     fn skip_rows(&self, rows: &[f64]) -> bool {
         let mut returns: Vec<(f64, f64)> =
             self.values.iter().copied().zip(self.reaches.iter().copied()).collect();
@@ -158,8 +165,7 @@ impl Elevations {
         gaps >= FEWEST_GAPS && (count as f64) < USED_SHARE * between.len() as f64
     }
 
-    /// True if all returns lie in one part of the turn: the largest gap between their azimuths is the
-    /// rest of it.
+    /// True if all returns are in one part of the turn, at most [`PART_OF_TURN`] wide.
     fn lie_in_a_part(&self) -> bool {
         let mut azimuths = self.azimuths.clone();
         azimuths.sort_unstable_by(f64::total_cmp);

@@ -1,73 +1,77 @@
-//! Ray pattern of a sensor: rays per solid angle and scan, by direction in the sensor's frame.
+//! Ray pattern of a sensor: number of rays per solid angle and scan, by direction in the frame of
+//! the sensor.
 //!
-//! Directions without any return may lie outside the field of view, but sensors are symmetric: one that
-//! turns casts as many rays at every azimuth, and one with a fixed field of view as many on the left
-//! as on the right, above as below. So the part of the field of view that returns tells of the rest.
+//! Directions without any return may be outside the field of view. But sensors are symmetric: one
+//! that turns casts equally many rays at every azimuth, and one with a fixed field of view equally
+//! many to the left and right, and up and down. So the part of the field of view with returns shows
+//! the rest.
 
 use super::grid::{BANDS, CELLS, GRID, SECTORS, band_of, limits_of};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// A sensor with returns in more sectors than this turns: 210 degrees, more than any fixed one sees.
+/// A sensor with returns in more sectors than this turns: 210 degrees, more than any fixed sensor
+/// sees.
 const TURNING_SECTORS: usize = 21;
-/// The density at an elevation is that of the sector with this rank: the fullest ones may hold the
-/// end and the beginning of a turn.
+/// Rank of the sector whose density counts at an elevation. The fullest sectors may contain both
+/// the end and the beginning of a turn.
 const RANK: usize = 3;
-/// Directions inside a fixed field of view that never returned get this share of those that did.
+/// Share of the density of directions with returns that directions without any get, inside a fixed
+/// field of view.
 const TYPICAL: f64 = 0.25;
 
-/// Fewer of the rays do not end on droplets in air that is full of them.
+/// Smallest share of rays that end on droplets in air that is full of them.
 const LEAST_DROPS: f64 = 0.02;
 
-/// Known ray pattern of a sensor.
+/// Known ray pattern of a sensor, in the frame of the sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum RayPattern {
-    /// Rows that turn.
+    /// Rows of a sensor that turns.
     Rows {
         /// Elevations [rad], ascending.
         elevations: Vec<f64>,
-        /// Rays per turn of each row.
+        /// Number of rays per turn in each row.
         columns: usize,
     },
-    /// A field of view that is filled by and by, without rows.
+    /// A field of view that fills in the course of time, without rows.
     FieldOfView {
         /// Lowest and highest elevation [rad].
         elevation: [f64; 2],
         /// Largest azimuth to either side [rad]; pi for a sensor that turns.
         azimuth: f64,
-        /// Rays per scan.
+        /// Number of rays per scan.
         rays: usize,
     },
 }
 
-/// Counts of returns by direction, and what follows from them.
+/// Counts of returns by direction, and the ray density that follows from them.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Emission {
-    /// Returns per cell in all scans, and those of droplets among them.
+    /// Number of returns per cell in all scans; `drops`: number of droplets among them.
     counts: Vec<u64>,
     drops: Vec<u64>,
     scans: u32,
-    /// Sine of the elevation of the lowest return.
+    /// Sine of the elevation of the lowest return, or of the lowest known ray.
     lowest: f64,
     density: Density,
-    /// The density is known and not learnt.
+    /// Whether the density is known, so that it is not learnt.
     is_known: bool,
 }
 
-/// Rays per steradian and scan.
+/// Number of rays per steradian and scan, in the frame of the sensor.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 enum Density {
     /// Nothing is known yet.
     #[default]
     Unknown,
-    /// Density by band of elevation, for turning sensors.
+    /// Density by band of elevation, for sensors that turn.
     Turning(Vec<f64>),
     /// Density by cell, for sensors with a fixed field of view.
     Fixed(Vec<f64>),
 }
 
 impl Emission {
-    /// Emission of a known sensor, or one to be learnt.
+    /// Ray pattern of a known sensor, or one to be learnt (None).
     pub(super) fn of(rays: Option<&RayPattern>) -> Self {
         Self {
             counts: vec![0; CELLS],
@@ -79,7 +83,7 @@ impl Emission {
         }
     }
 
-    /// True if its parts have their lengths.
+    /// True if all lists have the right lengths. Checks a saved state.
     pub(super) fn is_whole(&self) -> bool {
         self.counts.len() == CELLS
             && self.drops.len() == CELLS
@@ -90,8 +94,8 @@ impl Emission {
             }
     }
 
-    /// Add the returns of a scan, per cell, those of droplets among them, and the sine of the elevation
-    /// of the lowest one.
+    /// Add a scan: returns per cell, droplets per cell among them, and the sine of the elevation of
+    /// the lowest return.
     pub(super) fn learn(&mut self, [returns, drops]: [&[u32]; 2], lowest: f64) {
         if self.is_known {
             return;
@@ -109,8 +113,8 @@ impl Emission {
         };
     }
 
-    /// Share of the rays that end on droplets, seen where surfaces return the others; none in clear
-    /// air.
+    /// Share of the rays that end on droplets, from directions in which surfaces return the others.
+    /// None in clear air.
     fn share_of_drops(&self) -> Option<f64> {
         let cells = || self.counts.iter().zip(&self.drops);
         if cells().all(|(_, &drops)| drops == 0) {
@@ -122,14 +126,15 @@ impl Emission {
         Some((drops as f64 / (all.max(1)) as f64).max(LEAST_DROPS))
     }
 
-    /// Rays per cell in all scans. Fog is the same everywhere: where nothing but droplets return, there
-    /// are as many rays to every droplet as elsewhere.
+    /// Number of rays per cell in all scans. Fog is the same everywhere, so where nothing but
+    /// droplets return, there are as many rays for every droplet as elsewhere. `share`: share of
+    /// the rays that end on droplets.
     fn rays(&self, share: f64) -> Vec<u64> {
         let rays = |(&all, &drops): (&u64, &u64)| all.max((drops as f64 / share) as u64);
         self.counts.iter().zip(&self.drops).map(rays).collect()
     }
 
-    /// Rays per steradian and scan towards a unit direction in the sensor's frame.
+    /// Number of rays per steradian and scan towards a unit vector in the frame of the sensor.
     pub(super) fn towards(&self, direction: [f64; 3]) -> f64 {
         match &self.density {
             Density::Unknown => 0.0,
@@ -140,16 +145,16 @@ impl Emission {
 }
 
 impl Emission {
-    /// Whether rays may go in a unit direction in the sensor's frame, as far as that is known more
-    /// sharply than by cell: those of a sensor that turns are not below its lowest return. What stands
-    /// at the lower edge of its field of view would else seem to be in the air.
+    /// Whether rays may go towards a unit vector in the frame of the sensor, more precisely than by
+    /// cell: a sensor that turns has no rays below its lowest return. Otherwise things at the lower
+    /// edge of its field of view would seem to be in the air.
     pub(super) fn reaches(&self, direction: [f64; 3]) -> bool {
         !matches!(self.density, Density::Turning(_)) || direction[2] >= self.lowest
     }
 }
 
 impl RayPattern {
-    /// Sine of the lowest elevation.
+    /// Sine of the lowest elevation of the rays.
     fn lowest(&self) -> f64 {
         let lowest = match self {
             Self::Rows { elevations, .. } => elevations.first().copied(),
@@ -201,12 +206,12 @@ impl Density {
     }
 }
 
-/// Solid angle of a zone [sr], to both sides of azimuth 0.
+/// Solid angle between two elevations, up to an azimuth to both sides of azimuth 0 [sr].
 fn zone(low: f64, high: f64, azimuth: f64) -> f64 {
     2.0 * azimuth * (libm::sin(high) - libm::sin(low))
 }
 
-/// The density of a band, whose sectors hold returns and solid angles.
+/// Density of a band. `sectors`: number of returns and solid angle [sr] of each sector.
 fn of_band(sectors: &[(f64, f64); SECTORS], scans: u32) -> f64 {
     let seen = sectors.iter().filter(|(_, solid_angle)| *solid_angle > 0.0);
     let mut densities: Vec<f64> =
@@ -215,8 +220,8 @@ fn of_band(sectors: &[(f64, f64); SECTORS], scans: u32) -> f64 {
     densities.get(RANK).or(densities.last()).copied().unwrap_or(0.0)
 }
 
-/// Densities of the cells of a fixed field of view: the largest of the four that mirror each other,
-/// and something between the outermost of every band.
+/// Densities of the cells of a fixed field of view: the largest of the four cells that mirror each
+/// other, and at least a typical density between the outermost cells of every band.
 fn of_mirrored_cells(counts: &[u64], scans: u32) -> Vec<f64> {
     let density = |cell: usize| counts[cell] as f64 / GRID.solid_angles[cell] / f64::from(scans);
     let mirrored = |cell: usize| {

@@ -1,27 +1,26 @@
-//! The height of flat ground, found in the returns.
+//! Search for the height of flat ground in the returns.
 //!
-//! The lowest returns are not always those of the ground: a wet or polished floor mirrors what
-//! stands on it, and the returns of the mirrored rays lie below. A flat floor is told by many
-//! returns at one height, from near and far, while walls and their mirror images have returns at
-//! all heights.
+//! The lowest returns are not always on the ground: a wet or polished floor mirrors what stands on
+//! it, and the returns of mirrored rays are below it. A flat floor has many returns at one height,
+//! from near and far. Walls and their mirror images have returns at all heights.
 
-/// Height of a layer [m], in which returns are counted.
+/// Height of a layer in which returns are counted [m].
 const LAYER: f64 = 0.1;
-/// The floor lies this far below the sensor at least [m]: the rows beside the horizon look like
-/// layers, too.
+/// Smallest depth of the floor below the sensor [m]. The rows beside the horizon look like layers,
+/// too.
 const LEAST_DEPTH: f64 = 0.5;
-/// The floor lies at most this far below the sensor [m].
+/// Largest depth of the floor below the sensor [m].
 const MOST_DEPTH: f64 = 100.0;
-/// Two layers with less than this share of all returns are no floor.
+/// Smallest share of all returns in the two layers of a floor.
 const LEAST_SHARE: f64 = 0.1;
-/// Next to the floor there are at most this many times fewer returns.
+/// Smallest ratio of the returns on the floor to those in the layers next to it.
 const CONTRAST: u32 = 3;
-/// Fewer returns may be of one thing.
+/// Smallest number of returns on a floor. Fewer may be of one thing.
 const ENOUGH: u32 = 50;
-/// Least ratio of the distances of the floor's far and near parts.
+/// Smallest ratio of the distances of the floor's far and near parts.
 const RATIO: f64 = 1.8;
 
-/// Finds the floor; keeps its memory for the next scan.
+/// Search for the floor. It keeps its memory for the next scan.
 #[derive(Default)]
 pub(super) struct FloorFinder {
     counts: Vec<u32>,
@@ -29,7 +28,8 @@ pub(super) struct FloorFinder {
 }
 
 impl FloorFinder {
-    /// Height of the lowest floor in samples of range and height above the sensor [m].
+    /// Height of the lowest floor relative to the sensor [m]. `samples`: range and height relative
+    /// to the sensor of returns [m]. None if there is no floor.
     pub(super) fn find(&mut self, samples: &[[f64; 2]]) -> Option<f64> {
         self.counts.clear();
         self.counts.resize((MOST_DEPTH / LAYER) as usize, 0);
@@ -63,7 +63,7 @@ impl FloorFinder {
 mod tests {
     use super::*;
 
-    /// Returns at evenly spread heights, as those of walls, all at one range.
+    /// Returns at evenly spread heights, all at one range, as those of a wall [m].
     fn wall(range: f64, low: f64, high: f64, count: usize) -> impl Iterator<Item = [f64; 2]> {
         (0..count).map(move |index| [range, low + (high - low) * index as f64 / count as f64])
     }

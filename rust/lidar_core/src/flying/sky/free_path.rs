@@ -1,10 +1,11 @@
-//! Free length of a ray through the map, up to the first voxel that returns have shown.
+//! Free length of a ray through the map, up to the first voxel that returns have shown to be
+//! occupied.
 
 use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::floor;
 
-/// Rays from one point through the map, which end before voxels that returns have shown.
+/// Rays from one point through the map, which end before occupied voxels.
 pub(super) struct FreePath<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
@@ -16,7 +17,8 @@ impl<'a> FreePath<'a> {
         Self { map, cursor: Cursor::new(&map.blocks), origin }
     }
 
-    /// Length free of voxels that are at least tentatively occupied, up to `reach` [m].
+    /// Length along a direction without tentatively or confidently occupied voxels, at most `reach`
+    /// [m].
     pub(super) fn length(&mut self, direction: [f64; 3], reach: f64) -> f64 {
         let size = self.map.lattice().voxel_size();
         let steps = (2.0 * reach / size) as usize;

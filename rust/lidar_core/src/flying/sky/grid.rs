@@ -1,54 +1,57 @@
-//! Directions in cells of 2 degrees: a cube of 6 faces, each cut at equal angles.
+//! Grid of directions with cells of 2 degrees: the six faces of a cube, each divided at equal
+//! angles.
 //!
-//! All cells have nearly the same solid angle, none has a pole, and the grid is its own mirror image
-//! in every plane of the axes.
+//! All cells have nearly the same solid angle, and none has a pole. The grid is its own mirror
+//! image in every plane of the axes.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 use std::sync::LazyLock;
 
-/// Cells along an edge of a face.
+/// Number of cells along an edge of a face.
 pub(crate) const EDGE: usize = 45;
-/// Cells in all.
+/// Number of cells of the grid.
 pub(crate) const CELLS: usize = 6 * EDGE * EDGE;
-/// Bands of elevation, 2 degrees each.
+/// Number of bands of elevation, 2 degrees each.
 pub(crate) const BANDS: usize = 90;
-/// Sectors of azimuth, 10 degrees each.
+/// Number of sectors of azimuth, 10 degrees each.
 pub(crate) const SECTORS: usize = 36;
-/// Columns of azimuth, 2 degrees each.
+/// Number of columns of azimuth, 2 degrees each.
 pub(crate) const COLUMNS: usize = 180;
-/// Parts of a cell along each edge: rays of sky go through their middles.
+/// Number of parts of a cell along each edge. Rays into the sky go through the middles of the
+/// parts.
 pub(crate) const PARTS: usize = 3;
 
-/// A direction within this angle of a cell's centre lies in the cell or in a neighbour [rad]: 2.4
-/// degrees, which reaches the cells at the corners.
+/// Angle from the centre of a cell within which a direction is in the cell or in a neighbour [rad]:
+/// 2.4 degrees, which reaches the cells at the corners.
 const REACH: f64 = 2.4 * PI / 180.0;
-/// Directions around a centre that are tried for neighbours.
+/// Number of directions around a centre with which neighbours are found.
 const TRIED: usize = 24;
-/// Middles of cells lie on the borders of bands and sectors. They count for the upper one, whatever
-/// the rounding, and so do directions this near to a border, in bands or sectors.
+/// Directions this close below a border, in bands or sectors, count for the upper one. The middles
+/// of some cells are on borders, so rounding must not decide.
 const ON_BORDER: f64 = 1e-9;
-/// Places of a coordinate in a table, so that no arc tangent is needed per point.
+/// Number of entries in the table of cells by coordinate. With it, no arc tangent is needed per
+/// point.
 const TABLE: usize = 1024;
 
-/// Fixed geometry of every cell, shared by all sensors.
+/// Fixed geometry of the cells, shared by all sensors.
 pub(crate) static GRID: LazyLock<Grid> = LazyLock::new(Grid::new);
 
-/// The cells.
+/// Geometry of all cells, by cell.
 pub(crate) struct Grid {
     /// Directions of the centres of the cells, as unit vectors.
     pub(crate) centers: Vec<[f64; 3]>,
-    /// Solid angles [sr].
+    /// Solid angles of the cells [sr].
     pub(crate) solid_angles: Vec<f64>,
-    /// Band of elevation and sector of azimuth of every centre.
+    /// Band of elevation and sector of azimuth of every cell's centre.
     pub(crate) bands: Vec<(u8, u8)>,
-    /// Azimuth of every centre [rad].
+    /// Azimuth of every cell's centre [rad].
     pub(crate) azimuths: Vec<f64>,
-    /// Column of azimuth of every centre.
+    /// Column of azimuth of every cell's centre.
     pub(crate) columns: Vec<u8>,
-    /// Middles of the parts of every cell, row by row: unit vectors.
+    /// Unit vectors to the middles of the parts of every cell, row by row.
     pub(crate) parts: Vec<[f32; 3]>,
     neighbours: Vec<u16>,
-    /// End of the neighbours of each cell.
+    /// End of each cell's entries in `neighbours`.
     ends: Vec<u32>,
     /// Coordinates on a face at which cells begin.
     bounds: [f64; EDGE + 1],
@@ -117,7 +120,7 @@ impl Grid {
         index
     }
 
-    /// A cell and those beside it.
+    /// A cell and its neighbours.
     #[inline]
     pub(crate) fn beside(&self, cell: usize) -> &[u16] {
         let start = cell.checked_sub(1).map_or(0, |before| self.ends[before] as usize);
@@ -138,13 +141,13 @@ impl Grid {
     }
 }
 
-/// Column of an azimuth [rad].
+/// Column of azimuth, for an azimuth [rad].
 fn column_of(azimuth: f64) -> u8 {
     let column = ((azimuth / TAU + 0.5) * COLUMNS as f64 + ON_BORDER) as usize;
     (column % COLUMNS) as u8
 }
 
-/// Unit direction of a place in a cell, given as shares of its edges.
+/// Unit vector to a place in a cell, which is given as shares of the cell's edges.
 pub(crate) fn part_of(cell: usize, [u, v]: [f64; 2]) -> [f64; 3] {
     let (face, inside) = (cell / (EDGE * EDGE), cell % (EDGE * EDGE));
     let (axis, sign) = (face / 2, if face.is_multiple_of(2) { 1.0 } else { -1.0 });
@@ -163,12 +166,13 @@ fn middle_of_part(index: usize) -> [f32; 3] {
     part_of(cell, [share(part / PARTS), share(part % PARTS)]).map(|value| value as f32)
 }
 
-/// Angle at a number of cells from the edge of a face [rad].
+/// Angle from the middle of a face, at a number of cells from its edge [rad].
 fn angle(cells: f64) -> f64 {
     cells * (FRAC_PI_2 / EDGE as f64) - FRAC_PI_4
 }
 
-/// du dv (1 + tan^2 u) (1 + tan^2 v) / (1 + tan^2 u + tan^2 v)^(3/2) at the centre.
+/// Solid angle of a cell [sr]: du dv (1 + tan^2 u) (1 + tan^2 v) / (1 + tan^2 u + tan^2 v)^(3/2) at
+/// its centre.
 fn solid_angle(cell: usize) -> f64 {
     let inside = cell % (EDGE * EDGE);
     let [u, v] = [inside / EDGE, inside % EDGE].map(|index| libm::tan(angle(index as f64 + 0.5)));
@@ -183,18 +187,18 @@ fn band_and_sector(direction: [f64; 3]) -> (u8, u8) {
     (band_of(direction[2]) as u8, sector as u8)
 }
 
-/// Band of elevation of a unit direction, given its height.
+/// Band of elevation of a unit vector with the vertical component `z`.
 pub(crate) fn band_of(z: f64) -> usize {
     let elevation = libm::asin(z.clamp(-1.0, 1.0));
     (((elevation + FRAC_PI_2) / PI * BANDS as f64 + ON_BORDER) as usize).min(BANDS - 1)
 }
 
-/// Elevations between which a band lies [rad].
+/// Lowest and highest elevation of a band [rad].
 pub(crate) fn limits_of(band: usize) -> [f64; 2] {
     [band, band + 1].map(|index| index as f64 / BANDS as f64 * PI - FRAC_PI_2)
 }
 
-/// Two unit vectors across a unit vector.
+/// Two unit vectors across a unit vector, and across each other.
 fn across(direction: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     use crate::geometry::transform::{cross, norm};
     let helper = if direction[2].abs() < 0.9 { [0.0, 0.0, 1.0] } else { [1.0, 0.0, 0.0] };

@@ -1,14 +1,15 @@
-//! Open sky, found in the returns alone: directions in which rays are cast and nothing comes back.
+//! Open sky, found from the returns alone: directions in which rays are cast and nothing comes
+//! back.
 //!
 //! Drivers leave out rays without return, or mark them without their directions. Where a sensor
 //! casts its rays is learnt from its returns (`emission`). A direction with enough rays and no
-//! return is empty: either there is nothing within range, or what is there swallows light. So the
-//! rays of empty directions clear only as far as nothing else is likely: not beyond surfaces beside
-//! them, not down to the ground, not beyond the distance from which surfaces return at all, and not
-//! into what returns have shown, unless the direction stayed empty for two seconds.
+//! return is empty: either nothing is within range, or what is there swallows light. So the rays of
+//! empty directions clear only as far as nothing else is likely: not beyond surfaces beside them,
+//! not down to the ground, not beyond the distance from which surfaces return at all, and not into
+//! what returns have shown, unless the direction stayed empty for two seconds.
 //!
-//! Directions are those of the frame of the map, seen from the sensor. The decision and its reasons
-//! are in `docs/adr/0008-sky.md`.
+//! Directions are in the axes of the map, seen from the sensor. The decision and its reasons are in
+//! `docs/adr/0008-sky.md`.
 
 mod elevations;
 mod emission;
@@ -30,64 +31,66 @@ use crate::util::full_state::impossible;
 use observation::RecentReturns;
 use serde::{Deserialize, Serialize};
 
-/// Scans in which a known sensor is held against the returns.
+/// Number of scans in which a stated sensor is compared with the returns.
 const CHECKED_SCANS: u32 = 5;
-/// Scans after which it is known where rays are cast, or time since the first scan [ns].
+/// Number of scans after which the ray directions are known; `ENOUGH_NS`: the same as time since
+/// the first scan [ns].
 const ENOUGH_SCANS: u32 = 3;
 const ENOUGH_NS: i64 = 300_000_000;
-/// Every so many scans the emission is learnt from, after the first [`LEARNING_SCANS`].
+/// After the first [`LEARNING_SCANS`] scans, the ray pattern is learnt from one scan in this many.
 const LEARNING_STEP: u32 = 8;
 const LEARNING_SCANS: u32 = 64;
-/// The sky is another one from a place this far away [m]: what is seen in a direction has changed.
+/// Distance of the sensor from the place of the last observation beyond which the sky is observed
+/// anew [m].
 const SAME_PLACE: f64 = 0.5;
-/// A direction that is not sky.
+/// Time for a direction that is not sky.
 const NEVER: i64 = i64::MAX;
 
-/// Source of the directions of rays without return.
+/// How the directions of rays without return are known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Beams {
-    /// Rays without return are given, or not known.
+    /// Rays without return are given with the scan, or not known.
     #[default]
     Given,
     /// Rays without return are found from the returns.
     Learnt,
-    /// Rays without return are found from the returns and the rays of a known sensor.
+    /// Rays without return are found from the returns and the known ray pattern of the sensor.
     Known(RayPattern),
 }
 
-/// The directions of one sensor.
+/// What is known about the directions of one sensor, over several scans.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Sky {
     emission: Emission,
-    /// The rays that the configuration states.
+    /// The ray pattern that the configuration states. None: it is learnt.
     #[serde(skip)]
     known: Option<RayPattern>,
-    /// True if the returns lie in rows.
+    /// Whether the returns are in rows.
     has_rows: bool,
-    /// Rays that were cast into every cell since its last return.
+    /// Number of rays that were cast into every cell since its last return.
     evidence: Vec<f32>,
-    /// Range of what was last seen in every cell [m], and when, if it was a surface [ns].
+    /// Range of what was last seen in every cell [m]; `surface_ns`: when, if it was a surface [ns].
     surface: Vec<f32>,
     surface_ns: Vec<i64>,
     /// Since when every cell is sky [ns], or [`NEVER`].
     since_ns: Vec<i64>,
     /// Near returns of the last scans, while the air is full of droplets.
     recent: RecentReturns,
-    /// The place that `since_ns` was seen from.
+    /// Position of the sensor from which `since_ns` was observed [m, frame of the map].
     place: [f64; 3],
-    /// Height of the lowest returns, relative to the sensor [m].
+    /// Height of the lowest returns relative to the sensor [m].
     lowest: f64,
-    /// Returns of a usual scan.
+    /// Number of returns in a usual scan.
     usual: f64,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
     scans: u32,
-    /// Scans with enough returns to tell the sensor by.
+    /// Number of scans that had enough returns to test the sensor.
     checked: u32,
 }
 
 impl Sky {
-    /// The sky of a sensor whose rays without return have to be found; None if they are given.
+    /// The sky of a sensor whose rays without return must be found. None if they are given.
     pub(crate) fn of(beams: &Beams) -> Option<Self> {
         let known = match beams {
             Beams::Given => return None,
@@ -113,7 +116,7 @@ impl Sky {
         })
     }
 
-    /// Take over a saved state of a sensor with the same configuration.
+    /// Restore the saved state of a sensor with the same configuration.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no sensor has.
@@ -130,10 +133,11 @@ impl Sky {
         Ok(())
     }
 
-    /// Refuse a scan that the stated sensor cannot have given; `others` are known by name.
+    /// Refuse a scan that the stated sensor cannot have given. `others`: known sensors with their
+    /// names.
     ///
     /// # Errors
-    /// [`Error::Parameter`], which names those that fit.
+    /// [`Error::Parameter`], which names the known sensors that fit.
     pub(crate) fn check(
         &self,
         points: &[[f32; 3]],
@@ -159,14 +163,14 @@ impl Sky {
         })
     }
 
-    /// True if the directions of rays are known for a scan of this time. A few scans may miss a part
-    /// of the field of view, unless they are far apart: slow sensors look longer.
+    /// True if the directions of rays are known for a scan at `stamp_ns`. A few scans may miss a
+    /// part of the field of view, unless they are far apart: slow sensors look longer.
     pub(crate) fn is_known_at(&self, stamp_ns: i64) -> bool {
         let seconds = self.first_ns.map_or(0, |first| stamp_ns.saturating_sub(first));
         self.known.is_some() || self.scans >= ENOUGH_SCANS || seconds >= ENOUGH_NS
     }
 
-    /// True if the rays lie in rows.
+    /// True if the rays of the sensor are in rows.
     pub(crate) fn has_rows(&self) -> bool {
         match &self.known {
             Some(rays) => matches!(rays, RayPattern::Rows { .. }),
@@ -174,7 +178,7 @@ impl Sky {
         }
     }
 
-    /// Remember what an accepted scan showed.
+    /// Store what an accepted scan has shown.
     pub(crate) fn take(&mut self, observation: &mut SkyObservation, points: &[[f32; 3]]) {
         if !observation.leave(self) {
             return;
@@ -192,7 +196,7 @@ impl Sky {
         self.scans = self.scans.saturating_add(1);
     }
 
-    /// Forget all that depends on where the sensor is.
+    /// Discard all that depends on the position of the sensor.
     pub(crate) fn forget_places(&mut self) {
         self.evidence.fill(0.0);
         self.surface.fill(f32::INFINITY);
@@ -202,7 +206,7 @@ impl Sky {
         self.last_ns = None;
     }
 
-    /// True if what was seen from the last place is still seen from `place`.
+    /// True if what was observed from the last place is still valid at `place`.
     fn sees_the_same_from(&self, place: [f64; 3]) -> bool {
         norm(minus(place, self.place)) <= SAME_PLACE
     }

@@ -1,12 +1,12 @@
-//! Source of the rays without return.
+//! Where the knowledge about rays without return comes from.
 
 /// Source of the rays without return of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SkySource {
-    /// Rays without return are unknown, or not known yet: open sky stays unknown in the map.
+    /// Rays without return are not known, or not known yet. Open sky stays unknown in the map.
     #[default]
     Unknown,
-    /// The caller gave the rays without return.
+    /// The caller has given the rays without return.
     Given,
     /// Rays without return were found from the returns of a sensor with rows.
     Pattern,
@@ -15,7 +15,7 @@ pub enum SkySource {
 }
 
 impl SkySource {
-    /// One word for people and files.
+    /// The source as one word, for people and files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -1,12 +1,11 @@
-//! Droplets and flakes in the air: near returns of a volume, not of surfaces.
+//! Droplets and flakes in the air: near returns that fill a volume and are not on surfaces.
 //!
-//! Fog, rain and snow return a few rays from anywhere on their first metres, in all directions, at
-//! ranges that are as random as the directions. So a return is one of a droplet if the returns beside
-//! it, in direction and range, are no more than chance explains: as dense as those in front of it, since
-//! droplets become fewer with range. They count as such only if the air is full of them.
+//! Fog, rain and snow return a few rays from their first metres, in all directions, at random ranges. So a return
+//! counts as a droplet if the returns beside it, in direction and range, are no more than chance explains: as dense
+//! as those in front of it, since droplets become fewer with range. This applies only if the air is full of droplets.
 //!
-//! Droplets are elsewhere in every scan, while what is real stays near its place for some scans. So
-//! where the returns of one scan are too few to tell, those of the last half second are asked.
+//! Droplets are elsewhere in every scan, while real things stay near their place for some scans. If the returns of
+//! one scan are too few to tell, those of the last half second are used.
 
 use super::super::grid::{CELLS, GRID, SECTORS};
 use crate::flying::map::blocks::Cursor;
@@ -17,39 +16,40 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::LazyLock;
 
-/// Droplets return from nearer than this [m].
+/// Largest range at which droplets return rays [m].
 const FARTHEST: f64 = 10.0;
-/// Depth of a bin of range [m], and their number.
+/// Depth of a bin of range [m]. `BINS`: number of bins up to [`FARTHEST`].
 const BIN: f64 = 0.25;
 const BINS: usize = 40;
-/// Bins to either side that are beside a return, and those before these, which show what chance gives.
+/// Number of bins to either side that count as beside a return. `BEFORE`: number of bins in front of these, whose
+/// returns show what chance gives.
 const BESIDE: usize = 1;
 const BEFORE: usize = 7;
-/// Returns beside one that chance gives less often than the second are of a surface; so are those that
-/// chance gives less often than the first, if one of a surface is beside them. At least so many.
+/// Probabilities that chance gives the returns beside one. Below the second, the return is on a surface; below the
+/// first, it is if one beside it is. At least `LEAST_BESIDE` returns must be beside it.
 const CHANCES: [f64; 2] = [0.05, 1e-3];
 const LEAST_BESIDE: u32 = 2;
-/// Scans whose returns are asked together, and the time that they take at most [ns].
+/// Number of scans whose returns are used together; they may be at most `WINDOW_NS` old [ns].
 const WINDOW: usize = 5;
 const WINDOW_NS: i64 = 500_000_000;
-/// One near return in so many may be nearer than what the sensor sees.
+/// One near return in this many may be nearer than the blind range of the sensor.
 const BLIND_SHARE: usize = 100;
-/// Counts above which limits are those of the last one, in proportion.
+/// Number of counts in the table [`LIMITS`]. For larger counts, the limit grows in proportion.
 const TABLE: usize = 256;
-/// The air is full if this share of all returns are of droplets, in this share of the sectors that
-/// return anything.
+/// The air is full if at least this share of all returns are of droplets, in at least the share `FULL_SECTORS` of the
+/// sectors with returns.
 const FULL_SHARE: f64 = 0.03;
 const FULL_SECTORS: f64 = 0.75;
-/// Droplets do not stay: at least the share `LEAST_FREE` of those further than this [m] lies where the map has
-/// seen free space.
+/// Range from which on droplets are compared with the map [m]. Droplets do not stay, so at least the share
+/// `LEAST_FREE` of them must be in free space of the map.
 const JUDGED_FROM: f64 = 2.0;
 const LEAST_FREE: f64 = 0.5;
-/// Returns that are judged to see whether the air is full, at most.
+/// Largest number of returns that are inspected to decide whether the air is full.
 const SAMPLES: usize = 1024;
-/// Droplets in fewer cells tell nothing: returns of one place alone show no air.
+/// Smallest number of cells with droplets in air that is full: returns of one place alone show nothing about the air.
 const FEWEST: usize = 20;
 
-/// Fewest returns beside one that make it one of a surface, by the number of those before it.
+/// Smallest numbers of returns beside a return for both [`CHANCES`]. Index: number of returns in front of it.
 static LIMITS: LazyLock<[[u32; 2]; TABLE]> = LazyLock::new(|| {
     std::array::from_fn(|before| {
         let mean = (before * (2 * BESIDE + 1)) as f64 / BEFORE as f64;
@@ -57,7 +57,7 @@ static LIMITS: LazyLock<[[u32; 2]; TABLE]> = LazyLock::new(|| {
     })
 });
 
-/// Probable cause of a return, by the returns beside it.
+/// Probable cause of a return, from the number of returns beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Seems {
     Droplet,
@@ -65,60 +65,60 @@ enum Seems {
     Surface,
 }
 
-/// Cells and bins of the near returns of the last scans in air that was full of droplets.
+/// Near returns of the last scans in air that was full of droplets, by cell of direction and bin of range.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(in super::super) struct RecentReturns {
     scans: Vec<(i64, Vec<u32>)>,
 }
 
 impl RecentReturns {
-    /// Forget the places of returns.
+    /// Remove all returns.
     pub(in super::super) fn clear(&mut self) {
         self.scans.clear();
     }
 
-    /// True if all of them have a place.
+    /// True if all indices are in range. Checks a saved state.
     pub(in super::super) fn is_whole(&self) -> bool {
         self.scans.iter().flat_map(|(_, places)| places).all(|&at| (at as usize) < CELLS * BINS)
     }
 }
 
-/// Near returns of one scan.
+/// Near returns of one scan, and which of them are droplets.
 #[derive(Default)]
 pub(super) struct Haze {
-    /// Returns by cell of direction and bin of range.
+    /// Number of returns for each cell of direction and bin of range.
     counts: Vec<u8>,
-    /// Row and bin of every near return.
+    /// Row of every near return, and its index in `counts`.
     near: Vec<(u32, u32)>,
-    /// The same counts of the last scans and this one; empty if no scan before tells.
+    /// The counts of the last scans and this one together. Empty if there is no recent scan.
     window: Vec<u16>,
-    /// Bins with returns of surfaces.
+    /// Cells and bins that contain a return of a surface.
     is_solid: Vec<bool>,
-    /// Whether each row is a droplet; empty in clear air.
+    /// For each row of the scan, whether it is a droplet. Empty in clear air.
     is_droplet: Vec<bool>,
-    /// Droplets per sector.
+    /// Number of droplets in each sector.
     sectors: Vec<u32>,
-    /// Cells with droplets.
+    /// Cells that contain droplets.
     filled: Vec<u32>,
-    /// Cells with returns at any range, and near returns by bin in all cells.
+    /// Number of cells with returns at any range; `of_bins`: near returns of all cells by bin.
     cells_seen: usize,
     of_bins: Vec<usize>,
-    /// The first bin that the sensor returns anything from: it is blind in nearer ones.
+    /// First bin from which the sensor returns anything. It is blind in nearer ones.
     first: usize,
 }
 
-/// A scan in which droplets are looked for.
+/// Scan in which droplets are looked for, with what is known about it.
 #[derive(Clone, Copy)]
 pub(super) struct Air<'a> {
     pub(super) points: &'a [[f32; 3]],
     pub(super) map_from_lidar: &'a Transform,
     pub(super) stamp_ns: i64,
-    /// Height above the sensor below which nothing is a droplet [m].
+    /// Height relative to the sensor below which nothing counts as a droplet [m].
     pub(super) ground: f64,
-    /// The map before the scan.
+    /// The map before this scan changes it.
     pub(super) map: &'a VoxelMap,
     pub(super) recent: &'a RecentReturns,
-    /// Returns of the scan, and sectors and cells with any.
+    /// Number of returns of the scan; numbers of sectors and cells with returns.
     pub(super) returns: usize,
     pub(super) sectors_seen: usize,
     pub(super) cells_seen: usize,
@@ -135,7 +135,7 @@ impl Haze {
         self.of_bins.resize(BINS, 0);
     }
 
-    /// Note a return of a cell.
+    /// Add a return of the row `row`, in `cell`, at `range` [m].
     #[inline]
     pub(super) fn add(&mut self, row: usize, cell: usize, range: f64) {
         if range < FARTHEST {
@@ -147,12 +147,12 @@ impl Haze {
         }
     }
 
-    /// Whether each row of a scan is a droplet; empty in clear air.
+    /// For each row of the scan, whether it is a droplet. Empty in clear air.
     pub(super) fn is_droplet(&self) -> &[bool] {
         &self.is_droplet
     }
 
-    /// Find the droplets of a scan; true if the air is full of them.
+    /// Find the droplets of a scan. Returns true if the air is full of them.
     pub(super) fn find(&mut self, air: &Air<'_>) -> bool {
         let step = (self.near.len() / SAMPLES).max(1);
         let mut cursor = Cursor::new(&air.map.blocks);
@@ -193,7 +193,7 @@ impl Haze {
         is_full
     }
 
-    /// Keep the near returns for the scans to come, if the air is full of droplets.
+    /// Store the near returns for the next scans if the air is full of droplets, else remove all stored ones.
     pub(super) fn leave(&self, recent: &mut RecentReturns, stamp_ns: i64) {
         if self.is_droplet.is_empty() {
             recent.clear();
@@ -206,7 +206,7 @@ impl Haze {
         }
     }
 
-    /// Count the returns of the last scans and of this one.
+    /// Add the returns of the last scans to those of this one.
     fn look_back(&mut self, air: &Air<'_>) {
         let is_recent = |stamp: i64| air.stamp_ns.saturating_sub(stamp) <= WINDOW_NS;
         let mut before = air.recent.scans.iter().filter(|(stamp, _)| is_recent(*stamp)).peekable();
@@ -220,7 +220,7 @@ impl Haze {
         }
     }
 
-    /// Mark the rows of droplets.
+    /// Mark the rows that are droplets.
     fn mark(&mut self, air: &Air<'_>) {
         self.is_solid.clear();
         self.is_solid.resize(CELLS * BINS, false);
@@ -247,7 +247,7 @@ impl Haze {
             .any(|&other| self.is_solid[usize::from(other) * BINS..][beside(bin)].contains(&true))
     }
 
-    /// The bin up to which one near return in a hundred lies.
+    /// First bin that the sensor sees: one near return in a hundred is in this or a nearer bin.
     fn first_bin(&self) -> usize {
         let mut sum = 0;
         let is_reached = |count: &usize| {
@@ -257,7 +257,7 @@ impl Haze {
         self.of_bins.iter().position(is_reached).unwrap_or(0)
     }
 
-    /// Probable cause of a return in the bin `at`.
+    /// Probable cause of a return with the index `at` in the counts.
     fn seems(&self, at: usize) -> Seems {
         let (others, nearer) = around(&self.counts, at, self.first);
         let nearer = nearer.unwrap_or_else(|| self.usual_before(at));
@@ -269,8 +269,8 @@ impl Haze {
         }
     }
 
-    /// True if returns of the last scans show that a return in the bin `at` is of a surface. One more
-    /// return before it than there was: a count of none is no density of none.
+    /// True if the returns of the last scans show that a return with the index `at` is on a surface. One return more
+    /// is assumed in front of it than was counted, since a count of zero does not mean a density of zero.
     fn stays(&self, at: usize) -> bool {
         if self.window.is_empty() {
             return false;
@@ -279,8 +279,8 @@ impl Haze {
         f64::from(others) >= limits(nearer + 1)[1]
     }
 
-    /// Returns that would be before a bin that has none before it, if all directions were alike: they
-    /// are so near that only the robot itself can be there.
+    /// Expected number of returns in front of a bin that has no bins before it, if all directions were alike. Such a
+    /// bin is so near that only the robot itself can be there.
     fn usual_before(&self, at: usize) -> usize {
         let (cell, bin) = (at / BINS, at % BINS);
         let beside = beside(bin);
@@ -289,8 +289,8 @@ impl Haze {
     }
 }
 
-/// Returns beside one in the bin `at`, and those before these from the bin `first` on, in proportion to
-/// the whole depth; none if it is too near for any.
+/// Number of returns beside the one with the index `at`, and number in front of these from the bin `first` on, scaled
+/// to the whole depth. None if no bin is in front of them.
 fn around<T: Copy + Into<u32>>(counts: &[T], at: usize, first: usize) -> (u32, Option<usize>) {
     let (cell, bin) = (at / BINS, at % BINS);
     let beside = beside(bin);
@@ -306,19 +306,19 @@ fn around<T: Copy + Into<u32>>(counts: &[T], at: usize, first: usize) -> (u32, O
     (count.saturating_sub(1), (depth > 0).then(|| nearer as usize * BEFORE / depth))
 }
 
-/// Fewest returns beside one that make it one of a surface for both chances, by the number of those
-/// before it.
+/// Smallest numbers of returns beside a return for both values of [`CHANCES`], given the number of returns in front
+/// of it.
 fn limits(nearer: usize) -> [f64; 2] {
     let beyond = (nearer as f64 / (TABLE - 1) as f64).max(1.0);
     LIMITS[nearer.min(TABLE - 1)].map(|limit| f64::from(limit) * beyond)
 }
 
-/// Bins beside a bin, and that bin.
+/// The bins that count as beside a bin, and the bin itself.
 fn beside(bin: usize) -> Range<usize> {
     bin.saturating_sub(BESIDE)..(bin + BESIDE + 1).min(BINS)
 }
 
-/// Least count that is met with less than a chance where `mean` are expected (Poisson).
+/// Smallest count that has less probability than `chance` if `mean` are expected (Poisson).
 fn limit(mean: f64, chance: f64) -> u32 {
     let mut term = libm::exp(-mean);
     let (mut below, mut count) = (term, 1);
@@ -337,7 +337,7 @@ mod tests {
     use crate::flying::map::parameters::tests::parameters;
     use crate::flying::sky::grid::PARTS;
 
-    /// Numbers in [0, 1), always the same.
+    /// Pseudo-random numbers in [0, 1), always the same.
     fn numbers() -> impl FnMut() -> f64 {
         let mut state = 12_345_u64;
         move || {
@@ -346,8 +346,8 @@ mod tests {
         }
     }
 
-    /// Rays everywhere above the horizon, of which a share end in the air, at up to 6 m; a wall of 30
-    /// degrees at 4 m, the number of its returns, and those of a ball at 5 m.
+    /// A scan with rays everywhere above the horizon, of which a share ends in the air at up to 6 m; with a wall of
+    /// 30 degrees at 4 m and a ball at 5 m. Also the numbers of returns of the wall and of the ball.
     fn scan(share: f64) -> (Vec<[f32; 3]>, usize, usize) {
         let (mut random, mut points, mut solid) = (numbers(), Vec::new(), Vec::new());
         let mut n_wall = 0;
@@ -371,7 +371,7 @@ mod tests {
         (points, n_drops, n_wall)
     }
 
-    /// A map that has seen nothing but free space within 6 m.
+    /// A map in which everything within 6 m is free space.
     fn free_map() -> Result<VoxelMap, Error> {
         let mut map = VoxelMap::new(parameters())?;
         let middle = |index: usize| (index as f32 - 25.0) * 0.25 + 0.1;

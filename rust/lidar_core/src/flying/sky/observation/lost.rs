@@ -1,21 +1,24 @@
-//! Parts of a scan whose data were lost, such as packets of a network.
+//! Parts of a scan whose data were lost, for example because packets of a network were lost.
 
 use super::super::Sky;
 use super::super::grid::{CELLS, COLUMNS, GRID};
 use super::SkyObservation;
 use crate::geometry::transform::Transform;
 
-/// Columns beside each other, and cells in them, that return nothing any more: targets are smaller.
+/// Smallest number of neighbouring columns, and of cells in them (`FEWEST_CELLS`), that return
+/// nothing any more. Targets are smaller.
 const FEWEST_COLUMNS: usize = 3;
 const FEWEST_CELLS: usize = 6;
-/// A cell returned lately if fewer rays than this went into it since its last return.
+/// A cell has returned lately if fewer than this number of rays went into it since its last return.
 const LATELY: f32 = 1.0;
-/// A scan with lost data counts as so many rays: four of them in a row show that nothing is there.
+/// Number of rays for which a scan with lost data counts. With this value, four such scans in a row
+/// show that nothing is there.
 const LOST_RAYS: f32 = 0.25;
 
 impl SkyObservation {
-    /// Find the columns of azimuth of a sensor with rows of which nothing came, beside each other, where much returned
-    /// lately. What was cast there is not known, so it is no evidence of sky.
+    /// Find neighbouring columns of azimuth without any return, of a sensor with rows, in which
+    /// much returned lately. It is not known which rays were cast there, so they are no evidence of
+    /// sky.
     pub(super) fn find_lost(&mut self, sky: &Sky, map_from_lidar: &Transform) {
         self.is_lost.clear();
         self.is_lost.resize(CELLS, false);
@@ -56,7 +59,8 @@ impl SkyObservation {
     }
 }
 
-/// Columns in runs, from `start` on, without returns, where enough cells `returned` lately.
+/// Which columns are lost: runs of columns without `returns`, in which enough cells `returned`
+/// lately. `start`: a column with returns.
 fn lost_columns(
     returns: &[bool; COLUMNS],
     start: usize,

@@ -1,4 +1,4 @@
-//! Observation of the sky by one scan, given its sensor: which directions are sky, and how far.
+//! Observation of the sky by one scan: which directions are sky, and up to which distance they are free.
 
 mod haze;
 mod lost;
@@ -16,52 +16,53 @@ use crate::geometry::transform::{Transform, dot, norm};
 pub(super) use haze::RecentReturns;
 use haze::{Air, Haze};
 
-/// Time constant of the weights of older rays [s].
+/// Time constant with which the weight of older rays falls [s].
 const EVIDENCE_TIME: f64 = 1.0;
-/// More rays tell no more.
+/// Largest number of rays that count as evidence in a cell.
 const MOST_RAYS: f32 = 50.0;
-/// Returns nearer than this are none: drivers that move their zeros with the sensor give vectors of
-/// up to 3 cm [m].
+/// Smallest range of a return [m]. Drivers that move rays without return, given as zeros, with the sensor give
+/// vectors of up to 3 cm.
 const LEAST_RANGE: f64 = 0.1;
-/// Rays of sky end this much before a surface beside them [m].
+/// Distance in front of a surface beside them at which rays into the sky end [m].
 const BEFORE_SURFACE: f64 = 0.5;
-/// Things that reach down to this height above the lowest returns are on the ground [m].
+/// Height above the lowest returns up to which things count as standing on the ground [m].
 pub(crate) const ON_GROUND: f64 = 0.35;
-/// The ground is this flat [m], and its far part this many times further away than its near one.
+/// Largest difference of heights within the ground [m]. `GROUND_RATIO`: smallest ratio of the distances of its far and
+/// near parts.
 const FLAT: f64 = 0.2;
 const GROUND_RATIO: f64 = 1.8;
-/// Fewer samples may be of one thing.
+/// Smallest number of samples of the ground. Fewer may be of one thing.
 const ENOUGH_LOW: usize = 50;
-/// Directions within this angle are around a target: cosine of 12 degrees.
+/// Directions within 12 degrees count as around a target. This is the cosine of the angle.
 const AROUND_COSINE: f64 = 0.978;
-/// Rays of sky go as far as this share of the distance that one return in fifty exceeds: in fog
-/// and dust surfaces fade, and beyond that distance no return tells nothing.
+/// Length of rays into the sky, as a share of the distance that one return in fifty exceeds. In fog and dust surfaces
+/// fade, and beyond that distance a missing return shows nothing.
 const VISIBLE_SHARE: f64 = 0.8;
-/// With fewer returns than this share of a usual scan the sensor is covered, or its data cut.
+/// Share of the returns of a usual scan below which the sensor counts as covered, or its data as cut.
 const COVERED_SHARE: f64 = 0.5;
-/// Weight of the newest scan in what is usual, and of one that shows far less: a cover stays longer
-/// than it takes to get used to it.
+/// Weight of the newest scan in the usual number of returns; `NEWEST_COVERED`: its weight if it shows far fewer. The
+/// small weight keeps the average from adapting to a cover.
 const NEWEST: f64 = 0.1;
 const NEWEST_COVERED: f64 = 0.002;
-/// Points of which ranges and heights are ranked.
+/// Number of points whose ranges and heights are ranked.
 const SAMPLES: usize = 4096;
 
-/// Input of the observation of the sky by a scan.
+/// A scan, as input of the observation of the sky.
 #[derive(Clone, Copy)]
 pub(crate) struct ScanToObserve<'a> {
     pub(crate) points: &'a [[f32; 3]],
-    /// Rows without a return.
+    /// For each row, whether it has no return. None: not known.
     pub(crate) no_return: Option<&'a [bool]>,
     pub(crate) map_from_lidar: &'a Transform,
     pub(crate) stamp_ns: i64,
-    /// Whether the robot hides a direction in the frame of the sensor.
+    /// Whether the robot itself hides a direction, given in the frame of the sensor.
     pub(crate) is_masked: &'a dyn Fn([f64; 3]) -> bool,
-    /// The map before the scan.
+    /// The map before this scan changes it.
     pub(crate) map: &'a VoxelMap,
 }
 
 impl ScanToObserve<'_> {
-    /// Place in the frame of the sensor and range of the return in a row [m].
+    /// Position in the frame of the sensor, and range [m], of the return in a row. None if the row has no return.
     #[inline]
     fn return_at(&self, row: usize) -> Option<([f64; 3], f64)> {
         let point = wide(self.points[row]);
@@ -71,7 +72,7 @@ impl ScanToObserve<'_> {
     }
 }
 
-/// Row, range [m] and cell, in the frame of the map, of every return.
+/// Every return of a scan: its row, its range [m], and its cell of direction in the frame of the map.
 fn returns_of<'a>(scan: &'a ScanToObserve<'_>) -> impl Iterator<Item = (usize, f64, usize)> + 'a {
     let of_row = |row| {
         let (point, range) = scan.return_at(row)?;
@@ -80,51 +81,50 @@ fn returns_of<'a>(scan: &'a ScanToObserve<'_>) -> impl Iterator<Item = (usize, f
     (0..scan.points.len()).filter_map(of_row)
 }
 
-/// Observation of the sky by one scan; its changes of [`Sky`] are kept apart until the scan is
-/// accepted.
+/// Observation of the sky by one scan. It changes [`Sky`] only when the scan is accepted.
 #[derive(Default)]
 pub(crate) struct SkyObservation {
-    /// Directions of rays that met nothing, frame of the map, and how far they clear [m].
+    /// Directions of rays without return in the frame of the map; `reach`: length that each clears [m].
     pub(crate) directions: Vec<[f32; 3]>,
     pub(crate) reach: Vec<f32>,
-    /// Share of the rays of the sensor that go into the sky.
+    /// Share of the sensor's rays that go into the sky.
     pub(crate) share: f64,
-    /// Rays that a scan of this sensor has; 0 while it is not known.
+    /// Number of rays in a scan of this sensor. 0 while it is not known.
     pub(crate) rays: f64,
-    /// Whether the scan holds any return.
+    /// Whether the scan has any return.
     has_returns: bool,
-    /// Returns per cell, as the sensor sees them and in the frame of the map.
+    /// Number of returns per cell, with directions in the frame of the sensor; `hits`: in the frame of the map.
     of_sensor: Vec<u32>,
     hits: Vec<u32>,
-    /// Droplets per cell, as the sensor sees them; they are no hits.
+    /// Number of droplets per cell, in both frames. They do not count as hits.
     drops: Vec<u32>,
     haze: Haze,
     /// Range of the nearest return in every cell [m].
     nearest: Vec<f32>,
-    /// Rays expected in every cell.
+    /// Number of rays that are expected in every cell.
     expected: Vec<f32>,
-    /// Cells into which nothing may have been cast, since data were lost.
+    /// Cells into which possibly no ray was cast, because data were lost.
     is_lost: Vec<bool>,
-    /// Ranges beyond which no ray of a cell clears [m], and memory for widening them.
+    /// Largest length that a ray of each cell clears [m]; `wider`: memory for widening these limits.
     limit: Vec<f32>,
     wider: Vec<f32>,
     is_sky: Vec<bool>,
-    /// How far the sky of a cell is known to be free [m].
+    /// Distance up to which the sky of each cell is known to be free [m].
     sky_reach: Vec<f32>,
-    /// Whether the rays lie in rows.
+    /// Whether the rays of the sensor are in rows.
     has_rows: bool,
     /// Sine of the elevation of the lowest return in the frame of the sensor.
     lowest_of_sensor: f64,
-    /// Range and height above the sensor of some returns [m].
+    /// Range and height relative to the sensor of some returns [m].
     samples: Vec<[f64; 2]>,
-    /// Values that are ranked.
+    /// Memory for values that are ranked.
     ranks: Vec<f64>,
     /// Cells without returns into which enough rays were cast.
     is_empty: Vec<bool>,
-    /// Cells of a thing, while it is looked at.
+    /// Cells of the thing or hole that is being inspected.
     thing: Vec<u16>,
     is_taken: Vec<bool>,
-    /// Cells of what is as small as a target and has nothing beside it, of a sensor with rows.
+    /// Cells of things that are as small as a target and have nothing beside them, for a sensor with rows.
     is_alone: Vec<bool>,
     // The next values of `Sky`.
     evidence: Vec<f32>,
@@ -133,11 +133,11 @@ pub(crate) struct SkyObservation {
     since_ns: Vec<i64>,
     place: [f64; 3],
     lowest: f64,
-    /// Whether the lowest returns are those of the ground.
+    /// Whether the lowest returns are on the ground.
     has_ground: bool,
-    /// Samples at the height of the lowest returns.
+    /// Number of samples at the height of the lowest returns.
     n_low: usize,
-    /// Height of flat ground above the sensor, if it is seen [m].
+    /// Height of flat ground relative to the sensor [m]. None if no flat ground is seen.
     floor: Option<f64>,
     finder: FloorFinder,
     usual: f64,
@@ -145,7 +145,7 @@ pub(crate) struct SkyObservation {
 }
 
 impl SkyObservation {
-    /// Evaluate a scan: directions, reach and share of the sky.
+    /// Evaluate a scan: directions, lengths and share of the rays into the sky.
     pub(crate) fn fill(&mut self, sky: &Sky, scan: &ScanToObserve<'_>) {
         let ground = sky.last_ns.map_or(f64::NEG_INFINITY, |_| sky.lowest + ON_GROUND);
         self.count(scan, ground, &sky.recent);
@@ -184,8 +184,8 @@ impl SkyObservation {
         }
     }
 
-    /// Of the directions around a target that are known to be free beyond it, the share that only
-    /// the sky supports; `target` is relative to the sensor, frame of the map [m].
+    /// Among the directions around a target that are known to be free beyond it: the share that only the sky
+    /// supports. `target`: position relative to the sensor, in the axes of the map [m].
     pub(crate) fn share_around(&self, target: [f64; 3]) -> f64 {
         let range = norm(target);
         let is_near = |cell: &usize| dot(GRID.centers[*cell], target) > AROUND_COSINE * range;
@@ -199,19 +199,19 @@ impl SkyObservation {
         sky as f64 / all.max(1) as f64
     }
 
-    /// How far the sky in a direction is free [m]; 0 where it is none. Holes in surfaces, and what is
-    /// beside surfaces, are free up to these only.
+    /// Distance up to which the sky in a direction is free [m]; 0 if it is not sky. Holes in surfaces, and directions
+    /// beside surfaces, are free only up to the surfaces.
     pub(crate) fn reach_at(&self, direction: [f64; 3]) -> f64 {
         f64::from(self.sky_reach[GRID.cell(direction)])
     }
 
-    /// Rays per steradian that a scan casts in a direction, on average.
+    /// Mean number of rays per steradian that a scan casts in a direction.
     pub(crate) fn density_at(&self, direction: [f64; 3]) -> f64 {
         let cell = GRID.cell(direction);
         f64::from(self.expected[cell]) / GRID.solid_angles[cell]
     }
 
-    /// Rays per steradian that a scan casts in its field of view, on average; 0 while it is not known.
+    /// Mean number of rays per steradian in the field of view of a scan. 0 while it is not known.
     pub(crate) fn mean_density(&self) -> f64 {
         let cast = self.expected.iter().zip(&GRID.solid_angles).filter(|(rays, _)| **rays > 0.0);
         let (rays, angle) = cast
@@ -219,44 +219,45 @@ impl SkyObservation {
         if angle > 0.0 { rays / angle } else { 0.0 }
     }
 
-    /// Whether the rays lie in rows, so that there are none in between.
+    /// Whether the rays are in rows, so that there are none between the rows.
     pub(crate) fn has_rows(&self) -> bool {
         self.has_rows
     }
 
-    /// Height below which things are on the ground, relative to the sensor [m].
+    /// Height relative to the sensor below which things count as standing on the ground [m].
     pub(crate) fn ground(&self) -> f64 {
         if self.has_ground { self.low() } else { f64::NEG_INFINITY }
     }
 
-    /// Height up to which returns are among the lowest, relative to the sensor [m]; none if these
-    /// are few, such as those of a target below the sensor.
+    /// Height relative to the sensor up to which returns are among the lowest [m]. Minus infinity if there are few,
+    /// such as those of a target below the sensor.
     pub(crate) fn low(&self) -> f64 {
         if self.n_low >= ENOUGH_LOW { self.lowest + ON_GROUND } else { f64::NEG_INFINITY }
     }
 
-    /// Height of flat ground, relative to the sensor [m]. What is mirrored in it lies below.
+    /// Height of flat ground relative to the sensor [m]; mirror images in it are below. None if no flat ground is
+    /// seen.
     pub(crate) fn floor(&self) -> Option<f64> {
         self.floor
     }
 
-    /// Whether the scan holds any return.
+    /// Whether the scan has any return.
     pub(crate) fn has_returns(&self) -> bool {
         self.has_returns
     }
 
-    /// Whether each row of the scan is a droplet or flake in the air; empty in clear air.
+    /// For each row of the scan, whether it is a droplet or flake in the air. Empty in clear air.
     pub(crate) fn is_droplet(&self) -> &[bool] {
         self.haze.is_droplet()
     }
 
-    /// Returns per cell, as the sensor sees them, and those of droplets among them; sine of the
+    /// Number of returns per cell in the frame of the sensor, number of droplets among them, and sine of the
     /// elevation of the lowest return.
     pub(super) fn seen_by_sensor(&self) -> ([&[u32]; 2], f64) {
         ([&self.of_sensor, &self.drops], self.lowest_of_sensor)
     }
 
-    /// Move the observation into `sky`; false if the scan holds no return.
+    /// Move the observation into `sky`. Returns false if the scan has no return.
     pub(super) fn leave(&mut self, sky: &mut Sky) -> bool {
         if !self.has_returns {
             return false;
@@ -313,7 +314,7 @@ impl SkyObservation {
         self.count_for_sensor(scan);
     }
 
-    /// Count the returns by direction in the frame of the sensor, and take samples.
+    /// Count the returns by direction in the frame of the sensor, and take samples of ranges and heights.
     fn count_for_sensor(&mut self, scan: &ScanToObserve<'_>) {
         self.samples.clear();
         self.lowest_of_sensor = f64::INFINITY;
@@ -332,7 +333,7 @@ impl SkyObservation {
         }
     }
 
-    /// Rays that the sensor casts into every cell, and those since its last return.
+    /// Compute how many rays the sensor casts into every cell, and how many since its last return.
     fn expect(&mut self, sky: &Sky, map_from_lidar: &Transform) {
         let lidar_from_map = map_from_lidar.inverse();
         let is_known = sky.is_known_at(self.stamp_ns);
@@ -351,8 +352,8 @@ impl SkyObservation {
         }
     }
 
-    /// Whether the lowest returns come from near and far, as those of the ground do: what a field of
-    /// view cuts off lies the deeper, the further away it is.
+    /// Whether the lowest returns come from near and far, as returns of the ground do. The lower edge of a field of
+    /// view is lower, the further away it is.
     fn sees_ground(&mut self, low: f64) -> bool {
         let on_ground = |[range, height]: [f64; 2]| ((height - low).abs() < FLAT).then_some(range);
         let near = self.ranked(0.1, on_ground);
@@ -361,7 +362,7 @@ impl SkyObservation {
         20 * self.n_low >= self.samples.len() && far >= GROUND_RATIO * near
     }
 
-    /// The value that has a share of all values below it; 0 without any.
+    /// Among the values of the samples, the one with the given share of values below it. 0 without values.
     fn ranked(&mut self, share: f64, value: impl Fn([f64; 2]) -> Option<f64>) -> f64 {
         self.ranks.clear();
         self.ranks.extend(self.samples.iter().filter_map(|&sample| value(sample)));
@@ -369,7 +370,7 @@ impl SkyObservation {
     }
 }
 
-/// The value that has a share of all values below it; 0 without any.
+/// The value with the given share of all values below it. 0 without values.
 pub(super) fn ranked(values: &mut [f64], share: f64) -> f64 {
     let rank = (share * values.len() as f64) as usize;
     let rank = rank.min(values.len().saturating_sub(1));

@@ -1,4 +1,4 @@
-//! Which cells are sky, and how far the rays into them clear.
+//! Which cells of direction are sky, and up to which distance the rays into them clear.
 
 use super::super::free_path::FreePath;
 use super::super::grid::{CELLS, GRID, PARTS};
@@ -7,28 +7,31 @@ use super::{BEFORE_SURFACE, ScanToObserve, SkyObservation};
 use crate::geometry::lattice::wide;
 use std::f64::consts::PI;
 
-/// So many rays into a cell and its neighbours, and no return: were there a surface that returns
-/// most of its light, one scan in a thousand would look like this (e^-7).
+/// Number of rays into a cell and its neighbours, without a return, from which on it is empty. With
+/// a surface that returns most of its light, one scan in a thousand would look like this (e^-7).
 const ENOUGH_RAYS: f32 = 7.0;
-/// They end this much above the lowest returns [m]: ground that gives none is no lower than that.
+/// Height above the lowest returns at which rays into the sky end [m]. Ground without returns is
+/// not higher than that.
 const ABOVE_GROUND: f64 = 1.0;
-/// Returns in a cell and around it between which a sensor leaves gaps.
+/// Numbers of returns in a cell and its neighbours (from this to below `MOST_AROUND`) with which a
+/// sensor leaves gaps.
 const LEAST_AROUND: u32 = 7;
 const MOST_AROUND: u32 = 400;
-/// A ray may lie this much below the middle of its cell [rad]: 1.4 degrees.
+/// Largest angle by which a ray may be below the middle of its cell [rad]: 1.4 degrees.
 const CELL_TILT: f64 = 1.4 * PI / 180.0;
-/// Rays of sky that are shorter than this tell nothing [m].
+/// Shortest ray into the sky that is used [m].
 const LEAST_REACH: f64 = 2.0;
-/// A direction that was empty for so long clears what returns have shown [ns].
+/// Time for which a direction must have been empty before its rays also clear voxels that returns
+/// have shown [ns].
 const TRUSTED_NS: i64 = 2_000_000_000;
-/// After a longer pause between scans the sky is seen anew [ns].
+/// Longest pause between scans after which the time of a sky goes on [ns].
 const LONGEST_PAUSE_NS: i64 = 1_000_000_000;
-/// Time between scans of the usual sensor, with some jitter [ns].
+/// Time between the scans of a usual sensor, less some jitter [ns].
 const USUAL_STEP_NS: i64 = 90_000_000;
 
 impl SkyObservation {
-    /// Find the sky, and the rays into it: of each cell every third part, others in the next scan;
-    /// the more of them the longer the last scan is ago.
+    /// Find the sky and the rays into it. Every scan uses a third of each cell's rays, each time
+    /// another one; more of them after a longer pause.
     pub(super) fn cast(&mut self, sky: &Sky, scan: &ScanToObserve<'_>, visible: f64) {
         // Longer than other functions: one pass over the cells, since the share of sky and the rays
         // come from the same numbers.
@@ -80,8 +83,8 @@ impl SkyObservation {
         (self.share, self.rays) = (if all > 0.0 { into_sky / all } else { 0.0 }, all);
     }
 
-    /// Note a cell of sky, which was sky since `known_ns` already if that is not [`NEVER`]; true if it
-    /// was for long.
+    /// Mark a cell as sky. `known_ns`: time since when it is sky, or [`NEVER`]. Returns true if it
+    /// has been sky for long.
     fn note_sky(&mut self, cell: usize, reach: f64, known_ns: i64) -> bool {
         let since = if known_ns == NEVER { self.stamp_ns } else { known_ns };
         (self.since_ns[cell], self.is_sky[cell]) = (since, true);
@@ -96,11 +99,13 @@ impl SkyObservation {
             && beside().any(|other| self.expected[other] > 0.0)
     }
 
-    /// Free length between the rays of a sparse sensor, in a cell that is no sky [m]: anything nearer
-    /// than all returns around would have been hit. 0 for dense sensors, which leave no gaps.
+    /// Length that is free between the rays of a sparse sensor, in a cell that is not sky [m]:
+    /// something nearer than all returns around would have been hit. 0 for dense sensors, which
+    /// leave no gaps.
     ///
-    /// Rows never move, so what lies between them around a target is never seen: a target that limited the cells
-    /// around it would never be in free space. Patterns that do not repeat need no such help.
+    /// Rows never move, so the gaps between them around a target are never seen. If the target
+    /// limited the cells around it, it would never be in free space. Patterns that do not repeat do
+    /// not need this.
     fn reach_before(&self, cell: usize) -> f64 {
         let beside = || GRID.beside(cell).iter().map(|&other| usize::from(other));
         let rays: u32 = beside().map(|other| self.hits[other]).sum();
@@ -113,13 +118,14 @@ impl SkyObservation {
         (f64::from(nearest) - BEFORE_SURFACE).min(self.reach_above_ground(cell))
     }
 
-    /// Length that the rays of an empty cell clear [m].
+    /// Length that the rays of an empty cell clear [m]. `visible`: distance up to which surfaces
+    /// return at all [m].
     fn reach_of(&self, cell: usize, visible: f64) -> f64 {
         let before_surface = f64::from(self.limit[cell]) - BEFORE_SURFACE;
         visible.min(before_surface).min(self.reach_above_ground(cell))
     }
 
-    /// Length over which the rays of a cell stay above the ground [m].
+    /// Length up to which the rays of a cell stay above the ground [m].
     fn reach_above_ground(&self, cell: usize) -> f64 {
         let tilt = libm::asin(GRID.centers[cell][2].clamp(-1.0, 1.0)) - CELL_TILT;
         let fall = -libm::sin(tilt.max(-PI / 2.0));

@@ -1,27 +1,30 @@
-//! Surfaces that are known, which limit the rays beside them, and holes in them.
+//! Known surfaces, which limit the rays beside them, and holes in surfaces.
 
 use super::super::Sky;
 use super::super::grid::{CELLS, GRID};
 use super::{SkyObservation, ranked};
 use crate::geometry::transform::{minus, norm};
 
-/// A surface is remembered so long after its last return [ns].
+/// Time for which a surface is remembered after its last return [ns].
 const SURFACE_NS: i64 = 500_000_000;
-/// Time for which a surface is remembered if the scans of its sensor are further apart [ns].
+/// Longest time for which a surface is remembered, if the scans of its sensor are further apart
+/// [ns].
 const LONGEST_SURFACE_NS: i64 = 2_000_000_000;
-/// Surfaces may go on beside what is seen of them for so many cells: 6 degrees.
+/// Number of cells by which surfaces may continue beside what is seen of them: 6 degrees.
 const SURFACE_CELLS: usize = 3;
-/// Cells beside each other whose ranges differ by less belong to one thing [m].
+/// Neighbouring cells whose ranges differ by less than this belong to one thing [m].
 const SAME_RANGE: f32 = 1.0;
-/// Things with a larger diagonal of their box are surfaces; smaller ones may be targets [m].
+/// Things are surfaces if the diagonal of their box is longer than this [m]. Smaller ones may be
+/// targets.
 const SURFACE_SIZE: f64 = 2.0;
-/// What has anything else as near as this is a part of it, such as a leaf of a tree [m].
+/// A thing with something else within this distance is a part of it, such as a leaf of a tree [m].
 const BESIDE: f64 = 1.5;
-/// Holes in surfaces have fewer cells than this: 40 degrees by 40.
+/// Holes in surfaces have fewer cells than this: 40 by 40 degrees.
 const MOST_OF_HOLE: usize = 400;
 
 impl SkyObservation {
-    /// Note the ranges of what was seen, unless it is as small as a target.
+    /// Remember the ranges of what this scan has seen. Things as small as a target do not count as
+    /// surfaces.
     pub(super) fn remember_surfaces(&mut self, sky: &Sky) {
         self.surface.clone_from(&sky.surface);
         self.surface_ns.clone_from(&sky.surface_ns);
@@ -45,7 +48,8 @@ impl SkyObservation {
         }
     }
 
-    /// True if nothing but the thing that was gathered last is in or around its box, relative to the sensor.
+    /// True if nothing but the thing that was gathered last is inside its box or near it. The box
+    /// is relative to the sensor [m].
     fn is_alone_in(&self, low: [f64; 3], high: [f64; 3]) -> bool {
         let off = |place: f64, axis: usize| (low[axis] - place).max(place - high[axis]).max(0.0);
         let is_beside = |cell: usize| {
@@ -56,7 +60,8 @@ impl SkyObservation {
         !(0..CELLS).any(|cell| is_beside(cell) && !self.thing.contains(&(cell as u16)))
     }
 
-    /// Gather the cells of the thing seen in the cell `first`; its box, relative to the sensor [m].
+    /// Gather the cells of the thing seen in the cell `first`. Returns its box, relative to the
+    /// sensor [m].
     fn take_thing(&mut self, first: usize) -> [[f64; 3]; 2] {
         self.thing.clear();
         self.thing.push(first as u16);
@@ -82,7 +87,7 @@ impl SkyObservation {
         [low, high]
     }
 
-    /// Let surfaces that are known limit the cells around them.
+    /// Set the limits of rays: known surfaces limit the cells around them.
     pub(super) fn widen(&mut self, sky: &Sky) {
         // A slow sensor has not looked again after the usual time.
         let step = sky.last_ns.map_or(0, |last| self.stamp_ns.saturating_sub(last));
@@ -104,8 +109,9 @@ impl SkyObservation {
         }
     }
 
-    /// Empty directions that surfaces enclose on all sides, within the field of view, are a hole in
-    /// these: something dark or wet, or glass. They are limited as if they were part of them.
+    /// Find holes: empty directions that surfaces enclose on all sides, within the field of view.
+    /// They are something dark or wet, or glass, and are limited as if they were part of the
+    /// surfaces.
     pub(super) fn limit_holes(&mut self) {
         let empty: Vec<bool> = (0..CELLS).map(|cell| self.seems_empty(cell)).collect();
         self.is_empty = empty;
@@ -122,8 +128,8 @@ impl SkyObservation {
         }
     }
 
-    /// Gather the empty cells around `first`; the middle range of what encloses them, if all of it
-    /// has been seen [m].
+    /// Gather the empty cells around `first`. Returns the median range of the surfaces that enclose
+    /// them [m]. None if they are not a hole.
     fn take_hole(&mut self, first: usize) -> Option<f32> {
         self.thing.clear();
         self.thing.push(first as u16);

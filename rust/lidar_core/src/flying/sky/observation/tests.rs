@@ -6,7 +6,8 @@ use super::*;
 use crate::Error;
 use crate::flying::map::parameters::tests::parameters;
 
-/// Returns on a ring wall from -0.3 to `top` in height, all around, with a gap of 60 degrees.
+/// Returns of a ring-shaped wall all around, from -0.3 m to `top` [m] in height, with a gap of 60
+/// degrees.
 fn wall(range: f64, top: f64) -> Vec<[f32; 3]> {
     let mut points = Vec::new();
     for cell in 0..CELLS {
@@ -174,8 +175,9 @@ fn rays_stay_above_the_lowest_returns() -> Result<(), Error> {
     Ok(())
 }
 
-/// Returns of 21 rows, 2 degrees apart and each shifted by `shift` of its number and the azimuth, on a sphere of 15 m,
-/// but 5 m away where `is_near` is true of the azimuth and elevation in degrees.
+/// Returns of 21 rows, 2 degrees apart, on a sphere of 15 m. `shift`: angle by which a row is
+/// shifted, from its number and the azimuth. `is_near`: whether a return is at 5 m, from azimuth
+/// and elevation [degrees].
 fn rows(shift: fn(i32, i32) -> f64, is_near: fn(f64, f64) -> bool) -> Vec<[f32; 3]> {
     let mut points = Vec::new();
     for row in -10..=10 {
