@@ -1,4 +1,5 @@
-//! Clusters of one scan -> background, flying or unknown. Source: Vrba et al., sec. III-B.
+//! Classification of the clusters of a scan as background, flying or unknown. Source: Vrba et al.,
+//! sec. III-B.
 
 use super::clusters::{Cluster, Clusters};
 use super::flood::{self, Flood, check_steps, neighbours, search_radius};
@@ -23,25 +24,27 @@ use rayon::prelude::*;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Classification {
     pub(crate) class: PointClass,
-    /// Uncertain voxels that a flying cluster's searches explored, where they are to be free.
+    /// Uncertain voxels that the searches of a flying cluster have explored. Empty unless pockets
+    /// are to be made free.
     pub(crate) explored: Vec<Voxel>,
-    /// Share of free voxels in the shell around a flying cluster.
+    /// Share of free voxels among the neighbours of a flying cluster's voxels that can be seen.
     pub(crate) clearance: f64,
-    /// A track has predicted it beside structure.
+    /// Whether it flies because a track predicts it near structure.
     pub(crate) is_expected: bool,
-    /// It has moved into free space, and what is below it was never seen: it may stand on something.
+    /// Whether it has moved into free space over space that was never seen: it may stand on
+    /// something.
     pub(crate) is_over_unseen: bool,
 }
 
 impl Classification {
-    /// One that says nothing but the class.
+    /// A classification with only a class, without evidence.
     pub(super) fn of(class: PointClass) -> Self {
         Self { class, ..Self::default() }
     }
 }
 
-/// Class of every cluster of a labelled cloud in the frame of the map, seen from `origin`:
-/// background, flying or unknown. The map stays as it is.
+/// Class of every cluster of a labelled cloud: background, flying or unknown. `points` and `origin`
+/// (position of the sensor) are in the frame of the map [m]. The map is not changed.
 ///
 /// # Errors
 /// [`Error::Length`], [`Error::Parameter`], [`Error::Memory`], [`Error::Interrupted`].
@@ -75,7 +78,7 @@ pub fn classify_clusters(
     Ok(classifications.into_iter().map(|classification| classification.class).collect())
 }
 
-/// Classifies the clusters of one scan after another, in the same memory.
+/// Classifies the clusters of one scan after another, and keeps its memory.
 #[derive(Default)]
 pub(crate) struct Classifier {
     background: Vec<bool>,
@@ -84,12 +87,12 @@ pub(crate) struct Classifier {
 }
 
 impl Classifier {
-    /// Diagonal of the group of clusters that one of the last call belongs to [m].
+    /// Diagonal of the group of cluster `index` in the last call [m].
     pub(super) fn group_extent(&self, index: usize) -> f64 {
         self.grouper.extent(index)
     }
 
-    /// Classification of every cluster, on the map as it is.
+    /// Classify every cluster on the present map. The results replace `classifications`.
     pub(crate) fn classify(
         &mut self,
         rules: &ClusterRules<'_>,
@@ -119,13 +122,14 @@ impl Classifier {
     }
 }
 
-/// True if a box is at least `height` high [m] and its ground diagonal at most two fifths of its height.
+/// True if a box is at least `height` [m] high, and its horizontal diagonal at most two fifths of
+/// its height.
 fn is_upright([x, y, z]: [f64; 3], height: f64) -> bool {
     z >= height && libm::hypot(x, y) <= 0.4 * z
 }
 
 /// Put the result of `work` for every index below `count` into `found`, on the threads of the pool.
-/// Every thread has a value of its own.
+/// Every thread has a value made by `own`.
 ///
 /// # Errors
 /// [`Error::Interrupted`].
@@ -154,7 +158,8 @@ fn each<T: Default + Send, S>(
     watch.check()
 }
 
-/// Take over the result of rule B on a later map; clusters that are background by rule A stay so.
+/// Replace classifications by those of rule B on a later map. Clusters that are background by rule
+/// A stay so.
 pub(crate) fn reclassify(classifications: &mut [Classification], later: &mut [Classification]) {
     for (classification, later) in classifications
         .iter_mut()
@@ -170,11 +175,11 @@ pub(crate) fn reclassify(classifications: &mut [Classification], later: &mut [Cl
     }
 }
 
-/// Working memory that the classification of one cluster leaves to the next.
+/// Working memory for the classification of one cluster, used again for the next one.
 #[derive(Default)]
 struct Scratch {
     flood: flood::Memory,
-    /// Points of a cluster, the voxels that hold them, and those around these.
+    /// Points of a cluster, its voxels, and the neighbours of these.
     points: Vec<[f64; 3]>,
     voxels: Vec<Voxel>,
     shell: Vec<Voxel>,
@@ -191,18 +196,18 @@ impl Scratch {
     }
 }
 
-/// Rules A to C for the clusters of one scan, with the map, points and limits that they use.
+/// Rules A to C for the clusters of one scan, with the map, points and parameters that they use.
 #[derive(Clone, Copy)]
 pub(crate) struct ClusterRules<'a> {
     pub(crate) map: &'a VoxelMap,
     pub(crate) points: &'a [[f32; 3]],
-    /// Position of the sensor.
+    /// Position of the sensor [m, frame of the map].
     pub(crate) origin: [f64; 3],
     pub(crate) parameters: &'a ClassifyParameters,
 }
 
 impl ClusterRules<'_> {
-    /// Rule A, or too large to be a target.
+    /// True if a cluster is background by rule A, or too large to be a target.
     fn is_background(&self, cluster: &Cluster<'_>) -> bool {
         let too_large =
             self.parameters.background_extent.is_some_and(|extent| cluster.diagonal() > extent);
@@ -211,7 +216,8 @@ impl ClusterRules<'_> {
             || cluster.members.iter().any(|&row| near.is_close(wide(self.points[row as usize])))
     }
 
-    /// Rules B and C, after the gates on size, number and distance.
+    /// Class of a cluster by rules B and C, after the limits on size, number of points and
+    /// distance.
     fn flying_or_unknown(
         &self,
         scratch: &mut Scratch,
@@ -228,7 +234,8 @@ impl ClusterRules<'_> {
         self.in_free_space(scratch, cluster, radius).unwrap_or_else(unknown)
     }
 
-    /// True if free voxels surround a cluster, as they do a flying object, however few points it has.
+    /// True if free voxels surround a cluster as they surround a flying object, however few points
+    /// it has.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a distance that cannot be searched.
@@ -239,7 +246,7 @@ impl ClusterRules<'_> {
         Ok(!self.is_gated(cluster, cluster.diagonal()) && found().is_some())
     }
 
-    /// True if a cluster has another size than a flying object, or is too far away.
+    /// True if a cluster does not have the size and shape of a flying object, or is too far away.
     pub(crate) fn is_gated(&self, cluster: &Cluster<'_>, group_extent: f64) -> bool {
         let p = self.parameters;
         p.max_extent.is_some_and(|extent| group_extent > extent)
@@ -247,7 +254,7 @@ impl ClusterRules<'_> {
             || p.max_distance.is_some_and(|far| norm(minus(cluster.centroid, self.origin)) > far)
     }
 
-    /// Rule B: the classification as flying, or None.
+    /// Rule B: the classification of a cluster as flying. None if it does not fly by this rule.
     fn in_free_space(
         &self,
         scratch: &mut Scratch,
@@ -285,8 +292,8 @@ impl ClusterRules<'_> {
         })
     }
 
-    /// The classification as flying of a cluster of the right size with free voxels around it, wherever ways
-    /// out of these lead.
+    /// The classification of a cluster as flying if it has the right size and free voxels around
+    /// it, wherever paths of uncertain voxels lead. None otherwise.
     pub(crate) fn in_free_shell(&self, cluster: &Cluster<'_>) -> Option<Classification> {
         let p = self.parameters;
         if cluster.members.len() < p.min_points || self.is_gated(cluster, cluster.diagonal()) {
@@ -306,8 +313,8 @@ impl ClusterRules<'_> {
         })
     }
 
-    /// If there is no way out from `starts`, the uncertain voxels that were explored, where these are
-    /// to be free.
+    /// Uncertain voxels that the searches from `starts` have explored (empty unless pockets are to
+    /// be made free). None if there is a way out.
     fn explored(
         &self,
         mut flood: Flood<'_>,
@@ -319,8 +326,9 @@ impl ClusterRules<'_> {
         is_enclosed.then(|| if is_wanted { flood.take_explored() } else { Vec::new() })
     }
 
-    /// Share of free voxels among those neighbours of a cluster's voxels that can be seen: no ray passes its
-    /// own shadow, where nothing is known to be free however free it is.
+    /// Share of free voxels among those neighbours of a cluster's voxels that can be seen.
+    /// Uncertain voxels in the cluster's own shadow do not count: no ray can show that they are
+    /// free.
     fn seen_clearance(
         &self,
         voxels: &[Voxel],
@@ -337,7 +345,8 @@ impl ClusterRules<'_> {
         self.clearance(voxels, shell, &mut can_be_seen)
     }
 
-    /// Share of free voxels among the neighbours of a cluster's voxels that count.
+    /// Share of free voxels among those neighbours of a cluster's voxels for which `counts` is
+    /// true.
     fn clearance(
         &self,
         voxels: &[Voxel],

@@ -1,4 +1,4 @@
-//! Clusters of a labelled cloud and their shape.
+//! Clusters of a labelled cloud, and their shapes.
 
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
@@ -6,16 +6,16 @@ use crate::geometry::transform::{minus, norm};
 /// Clusters of a labelled cloud, in the order of their labels.
 #[derive(Default)]
 pub(crate) struct Clusters {
-    /// Rows of their points, cluster by cluster.
+    /// Rows of the points of all clusters, cluster by cluster.
     rows: Vec<u32>,
-    /// End of the rows of each cluster.
+    /// End of each cluster in `rows`.
     ends: Vec<u32>,
     shapes: Vec<Shape>,
-    /// The cluster of points that are background whatever is linked to them.
+    /// Number of the cluster of points that are background, whatever is linked to them.
     joined: Option<usize>,
 }
 
-/// The box around a cluster, and its centroid [m].
+/// Lowest and highest corner of the box around a cluster, and its centroid [m].
 #[derive(Clone, Copy)]
 struct Shape {
     low: [f32; 3],
@@ -24,14 +24,15 @@ struct Shape {
 }
 
 impl Clusters {
-    /// Take those of another cloud; points that are not finite belong to none.
+    /// Set the clusters from the labels of a cloud. Points that are not finite belong to no
+    /// cluster.
     pub(crate) fn fill(&mut self, points: &[[f32; 3]], labels: &[i32]) {
         self.joined = None;
         self.fill_with(points, labels, || 0..labels.len() as u32);
     }
 
-    /// Take those of another cloud, of which only some `rows` are of interest; the others belong to the
-    /// cluster `joined`, which is background.
+    /// Set the clusters from the labels of a cloud, of which only some `rows` matter. The others
+    /// belong to the cluster `joined`, which is background; it has no members.
     pub(crate) fn fill_some(
         &mut self,
         points: &[[f32; 3]],
@@ -79,7 +80,7 @@ impl Clusters {
         self.shapes.len()
     }
 
-    /// True for the cluster of points that are background whatever is linked to them.
+    /// True for the cluster of points that are background, whatever is linked to them.
     pub(crate) fn is_joined(&self, index: usize) -> bool {
         self.joined == Some(index)
     }
@@ -96,7 +97,7 @@ impl Clusters {
     }
 }
 
-/// A cluster: rows of its points, and what is known of its shape.
+/// A cluster: rows of its points, its box, and its centroid [m].
 #[derive(Clone, Copy)]
 pub(crate) struct Cluster<'a> {
     pub(crate) members: &'a [u32],
@@ -106,12 +107,12 @@ pub(crate) struct Cluster<'a> {
 }
 
 impl Cluster<'_> {
-    /// Edges of its box [m].
+    /// Sides of its bounding box [m].
     pub(crate) fn extent(&self) -> [f64; 3] {
         minus(self.high, self.low)
     }
 
-    /// Diagonal of its box [m].
+    /// Diagonal of its bounding box [m].
     pub(crate) fn diagonal(&self) -> f64 {
         norm(self.extent())
     }
@@ -138,7 +139,7 @@ impl Shape {
     }
 }
 
-/// Row and cluster of a point that belongs to one.
+/// Row of a point and number of its cluster. None if it is in no cluster.
 fn label_of((row, (point, &label)): (u32, (&[f32; 3], &i32))) -> Option<(u32, usize)> {
     let label = usize::try_from(label).ok()?;
     point.iter().all(|value| value.is_finite()).then_some((row, label))

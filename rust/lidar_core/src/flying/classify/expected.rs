@@ -1,7 +1,7 @@
 //! Targets that tracks predict near structure.
 //!
-//! What is close to an occupied voxel is background by rule A, whatever it is. Where a confirmed track
-//! predicts its target, a cluster of its own that is where nothing stands is that target.
+//! By rule A, everything close to an occupied voxel is background. But if a confirmed track
+//! predicts its target there, a separate cluster in unoccupied voxels is that target.
 
 use super::clusters::Cluster;
 use crate::flying::map::blocks::Cursor;
@@ -10,28 +10,30 @@ use crate::flying::track::{ExpectedTarget, Occupancy};
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{minus, norm};
 
-/// Points this far outside the box of a target may be its own: it brakes before a wall [m].
+/// Distance outside the box of a target within which points may be its own [m]: it brakes before a
+/// wall.
 const MARGIN: f64 = 0.25;
-/// No target is taken for smaller than this [m].
+/// Smallest size that is assumed for a target [m].
 const SMALLEST: f64 = 0.3;
-/// Share of the points of a target that lie where nothing stands, and of one that begins to move.
+/// Smallest share of a target's points in observed voxels that are not occupied; `STARTED`: the
+/// same for a target that begins to move.
 const MOSTLY: f64 = 0.5;
 const STARTED: f64 = 0.25;
-/// A cluster is at most so many times as large as its target.
+/// Largest ratio of a cluster's sides to the size of its target.
 const LARGEST: f64 = 1.6;
 
-/// A scan in which targets are looked for.
+/// A scan, with the targets that are looked for in it.
 #[derive(Clone, Copy)]
 pub(crate) struct ExpectedIn<'a> {
-    /// Expected targets near structure; other targets need no help.
+    /// Expected targets near structure. Others are found without this.
     targets: &'a [ExpectedTarget],
     pub(crate) points: &'a [[f32; 3]],
-    /// Time of every point after the stamp [s].
+    /// Time of every point after the stamp [s]. None: all are of the stamp.
     pub(crate) delays: Option<&'a [f32]>,
     map: &'a VoxelMap,
 }
 
-/// The targets that are near structure, as far as rule A looks.
+/// Those of the targets that are near structure, within the distance of rule A.
 pub(crate) fn near_structure(
     mut targets: Vec<ExpectedTarget>,
     map: &VoxelMap,
@@ -54,8 +56,8 @@ impl<'a> ExpectedIn<'a> {
         Self { targets, points, delays, map }
     }
 
-    /// Rows of the points that may be of a target: near where it is predicted, and where nothing
-    /// stands, or where it has stood itself.
+    /// Rows of the points that may belong to a target: near its predicted position, and in
+    /// unoccupied voxels or where the target has stood itself.
     pub(crate) fn rows(self) -> Vec<usize> {
         let mut cursor = Cursor::new(&self.map.blocks);
         let is_chosen = |&row: &usize| {
@@ -70,8 +72,8 @@ impl<'a> ExpectedIn<'a> {
         (0..self.points.len()).filter(is_chosen).collect()
     }
 
-    /// The cluster of every target that has one: of those that may be it and that
-    /// `is_allowed` knows as such, the one with the most points.
+    /// Number of the cluster of every target that has one: the cluster with most points among those
+    /// that may be the target and for which `is_allowed` is true.
     pub(crate) fn clusters<'c>(
         self,
         clusters: impl Iterator<Item = (usize, Cluster<'c>)> + Clone,
@@ -107,7 +109,8 @@ impl<'a> ExpectedIn<'a> {
             > least * cluster.members.len() as f64
     }
 
-    /// True if a place is within the box of a target at the time of a row, and so much around it.
+    /// True if `place` is inside the box of a target at the time of a row, enlarged by `margin`
+    /// [m].
     fn holds(self, target: &ExpectedTarget, place: [f64; 3], row: usize, margin: f64) -> bool {
         let delay = self.delays.map_or(0.0, |delays| f64::from(delays[row]));
         (0..3).all(|axis| {
@@ -116,14 +119,15 @@ impl<'a> ExpectedIn<'a> {
         })
     }
 
-    /// True if the voxel of a place was observed, and nothing stands in it.
+    /// True if the voxel of `place` was observed and is not occupied.
     fn is_clear(self, cursor: &mut Cursor<'_>, place: [f64; 3]) -> bool {
         floor(self.map.lattice().scaled(place))
             .is_some_and(|voxel| !cursor.stored(voxel).is_nan() && !cursor.is_tentative(voxel))
     }
 }
 
-/// True if a place is where a target has stood, or may have gone to: what the map holds there is that target.
+/// True if `place` is where a target has stood, or may have gone to. The occupied voxels there are
+/// then the target itself.
 fn is_own_place(target: &ExpectedTarget, place: [f64; 3]) -> bool {
     let away = minus(place, target.position);
     target.has_stood && (0..3).all(|axis| away[axis].abs() <= target.half[axis])

@@ -1,4 +1,4 @@
-//! Points that rule A makes background, whatever cluster they belong to.
+//! Points that are background by rule A, whatever cluster they belong to ("explained" by the map).
 
 use crate::flying::map::block_shape::EDGE;
 use crate::flying::map::blocks::{Cursor, Place, offset_of};
@@ -10,27 +10,27 @@ use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Points that are looked up at a time.
+/// Number of points that are looked up at a time.
 const LANES: usize = 16;
-/// Points that a thread takes at a time.
+/// Number of points that a thread takes at a time.
 const POINTS_AT_A_TIME: usize = 4096;
-/// Room for rounding, in voxels.
+/// Margin for rounding errors [voxels].
 const MARGIN: f64 = 1e-3;
 
 /// Points that the map explains: an occupied voxel is near, so the cluster of each is background.
 ///
-/// A cluster with such a point is background, and nothing else of it is asked for. So all explained points
-/// may be one cluster: the others keep their clusters, in the same order, and their classes.
+/// Nothing else is needed of such clusters. So all explained points can be one cluster. The other
+/// clusters, their order and their classes do not change.
 #[derive(Default)]
 pub(crate) struct Explained {
     is_explained: Vec<bool>,
 }
 
 impl Explained {
-    /// Find the explained points of a scan on the map before it, without the rows
-    /// `expected`, which may be of targets. None if clusters must be found as a whole:
-    /// some points of a cluster decide by their number, by their voxels or on a later map, voxels are
-    /// too large for rule A, or the map explains less than half of the points.
+    /// For each point of a scan, whether the map before the scan explains it. Rows `expected`,
+    /// which may be of targets, count as not explained. None if clusters must be found as a whole:
+    /// if the number or the voxels of a cluster's points, or a later map, decide its class, if
+    /// voxels are too large for rule A, or if the map explains less than half of the points.
     pub(crate) fn find(
         &mut self,
         points: &[[f32; 3]],
@@ -65,16 +65,16 @@ impl Explained {
     }
 }
 
-/// Number of voxels along an axis, at most 1, in which an occupied one is always close to a point; None
-/// if not even that of the point itself is.
+/// Number of voxels along an axis, 0 or 1, within which an occupied voxel is always close to a
+/// point in the sense of rule A. None if not even the point's own voxel always is.
 fn voxels_in_reach(voxel_size: f64, close_distance: f64) -> Option<i32> {
     // To the centre of a voxel that is so many away: half a diagonal more.
     let is_close = |steps: f64| (steps + 0.5) * 3f64.sqrt() + MARGIN < close_distance / voxel_size;
     if is_close(1.0) { Some(1) } else { is_close(0.0).then_some(0) }
 }
 
-/// Looks up points, many at a time on the vector unit of the machine. Returns the number of those
-/// that have coordinates, and of those that are explained.
+/// Look-up of points, many at a time on the vector unit of the machine. Returns the number of
+/// finite points, and of explained points.
 struct Find<'a> {
     map: &'a VoxelMap,
     reach: i32,
@@ -115,7 +115,7 @@ impl WithSimd for Find<'_> {
     }
 }
 
-/// True if the map explains a point as [`Explained::find`] does.
+/// True if the map explains a point [m, frame of the map], in the sense of [`Explained::find`].
 pub(crate) fn is_explained(map: &VoxelMap, close_distance: f64, point: [f64; 3]) -> bool {
     let Some(reach) = voxels_in_reach(map.lattice().voxel_size(), close_distance) else {
         return false;
@@ -125,7 +125,7 @@ pub(crate) fn is_explained(map: &VoxelMap, close_distance: f64, point: [f64; 3])
         .is_some_and(|home| cursor.is_tentative(home) || reach > 0 && any_beside(&mut cursor, home))
 }
 
-/// True if a voxel among the neighbours of `home` is tentatively occupied.
+/// True if `home` or one of its 26 neighbours is tentatively occupied.
 fn any_beside(cursor: &mut Cursor<'_>, home: Voxel) -> bool {
     const LAST: i32 = EDGE - 1;
     let inside = home[0] & LAST;
@@ -184,7 +184,8 @@ mod tests {
         Ok(())
     }
 
-    /// Class of every point, with those joined from the start for which `is_joined` says so.
+    /// Class of every point, and a number of points. `is_joined`: which points are joined from the
+    /// start.
     fn classes(
         points: &[[f32; 3]],
         map: &VoxelMap,

@@ -1,4 +1,4 @@
-//! Algorithm 1: is a cluster surrounded by free voxels?
+//! Algorithm 1: whether free voxels surround a cluster.
 
 use super::shadow::Shadow;
 use crate::Error;
@@ -9,12 +9,12 @@ use crate::geometry::lattice::{Voxel, wide};
 use crate::util::cancel::{self, Watch};
 
 impl VoxelMap {
-    /// True if one cluster of points is surrounded by free voxels (Algorithm 1): no path of
-    /// uncertain voxels leads from any of its points to a tentatively occupied voxel, or
-    /// `search_distance` [m] away (L1). An empty cluster is not floating.
+    /// True if free voxels surround a cluster of points [m, frame of the map] (Algorithm 1): no
+    /// path of uncertain voxels leads from one of its points to a tentatively occupied voxel, or to
+    /// a distance of `search_distance` [m] (L1). False without points.
     ///
     /// # Errors
-    /// [`Error::PointOutOfRange`] for a point that cannot be indexed, [`Error::Parameter`],
+    /// [`Error::PointOutOfRange`] for a point without a voxel, [`Error::Parameter`],
     /// [`Error::Interrupted`].
     pub fn is_floating(&self, points: &[[f32; 3]], search_distance: f64) -> Result<bool, Error> {
         let radius = search_radius(search_distance, self.lattice().voxel_size())?;
@@ -30,17 +30,17 @@ impl VoxelMap {
     }
 }
 
-/// Largest L1 distance that a search may still expand, in voxels; it has found a way out one
-/// step further (A1:21, `>= d_search`).
+/// Number of steps (L1 distance in voxels) at which a search has found a way out, from
+/// `search_distance` [m] (A1:21, `>= d_search`).
 pub(crate) fn search_radius(search_distance: f64, voxel_size: f64) -> Result<i32, Error> {
     let steps = check_steps("search_distance", search_distance, voxel_size)?;
     Ok((steps - 1e-9).ceil() as i32)
 }
 
-/// Longest search [voxels].
+/// Largest search distance [voxels].
 const MOST_STEPS: f64 = 128.0;
 
-/// Check a search distance in voxels; the cost of a search grows with its cube.
+/// Convert a search distance [m] to voxels and check it. The cost of a search grows with its cube.
 pub(crate) fn check_steps(
     name: &'static str,
     distance: f64,
@@ -52,12 +52,12 @@ pub(crate) fn check_steps(
     Ok(steps)
 }
 
-/// Algorithm 1: search over uncertain voxels, nodes marked when pushed. Whether there is a way out
-/// does not depend on the order: outward first finds it sooner than breadth first.
+/// Search of Algorithm 1 over uncertain voxels. Nodes are marked when they are pushed. The order
+/// does not change whether there is a way out; outward first finds it sooner than breadth first.
 pub(crate) struct Flood<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
-    /// Steps that end the search.
+    /// Number of steps at which a path is a way out.
     radius: i32,
     open_border: bool,
     expand_own: bool,
@@ -65,13 +65,13 @@ pub(crate) struct Flood<'a> {
     watch: Watch,
 }
 
-/// Memory that searches use again.
+/// Working memory of searches.
 #[derive(Default)]
 pub(crate) struct Memory {
-    /// Number of the search that last met a voxel of the cube around the start.
+    /// For each voxel of the cube around the start, the number of the last search that has met it.
     met: Vec<u16>,
     search: u16,
-    /// Voxels that this search has met and not looked at.
+    /// Voxels that this search has met but not yet inspected.
     pending: Vec<Voxel>,
     explored: Vec<Voxel>,
 }
@@ -91,7 +91,7 @@ impl<'a> Flood<'a> {
         Self { map, cursor, radius, open_border, expand_own, memory, watch }
     }
 
-    /// The search with another distance [m], at most as large as its cost allows.
+    /// A search with another distance [m]. It is limited by the cost of the search.
     pub(crate) fn wider(
         map: &'a VoxelMap,
         distance: f64,
@@ -103,8 +103,8 @@ impl<'a> Flood<'a> {
         Self::new(map, (steps - 1e-9).ceil() as i32, open_border, expand_own, memory)
     }
 
-    /// True if no search from any of `starts` finds a way out. Meaningless if the call was asked to
-    /// stop meanwhile.
+    /// True if no search from one of `starts` finds a way out. Voxels in `shadow` are not followed.
+    /// The result must not be used if the call was asked to stop.
     pub(crate) fn is_enclosed(&mut self, starts: &[Voxel], shadow: Option<&Shadow<'_>>) -> bool {
         self.memory.explored.clear();
         let mut leads_out =
@@ -112,7 +112,7 @@ impl<'a> Flood<'a> {
         !starts.is_empty() && !starts.iter().any(&mut leads_out)
     }
 
-    /// Uncertain voxels that the searches explored.
+    /// Take the uncertain voxels that the searches have explored.
     pub(crate) fn take_explored(&mut self) -> Vec<Voxel> {
         distinct(std::mem::take(&mut self.memory.explored))
     }
@@ -160,7 +160,8 @@ impl<'a> Flood<'a> {
         }
     }
 
-    /// Queue a voxel unless this search has met it. Voxels are at most `radius` steps away.
+    /// Queue a voxel unless this search has met it. It must be at most `radius` steps away from
+    /// `start`.
     fn push(&mut self, voxel: Voxel, start: Voxel) {
         let Memory { met, search, pending, .. } = &mut *self.memory;
         let edge = 2 * self.radius + 1;
@@ -182,7 +183,7 @@ pub(crate) fn neighbours([x, y, z]: Voxel) -> [Voxel; 6] {
     [[x - 1, y, z], [x + 1, y, z], [x, y - 1, z], [x, y + 1, z], [x, y, z - 1], [x, y, z + 1]]
 }
 
-/// Neighbours of a voxel, those further from `start` after the others.
+/// Neighbours of a voxel; those further away from `start` come last.
 fn outward_last(voxel: Voxel, start: Voxel) -> [Voxel; 6] {
     let mut ordered = neighbours(voxel);
     for axis in 0..3 {

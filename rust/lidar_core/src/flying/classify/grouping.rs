@@ -1,8 +1,8 @@
 //! Groups of clusters: fragments of one larger object are classified together.
 //!
-//! Crowns of trees, rows of a distant pole and walls seen at a grazing angle fall apart into
-//! clusters of a target's size. Clusters close together count as one object, and a cluster close to
-//! background of the same scan is background too, before the map contains it.
+//! Crowns of trees, rows of a distant pole, and walls seen at a grazing angle fall into clusters of
+//! a target's size. Clusters close to each other count as one object. A cluster close to background
+//! of the same scan is background too, before the map contains it.
 
 use super::clusters::{Cluster, Clusters};
 use crate::Error;
@@ -10,7 +10,7 @@ use crate::geometry::cluster::{Clustering, Labeller};
 use crate::geometry::lattice::{Lattice, Voxel, floor, wide};
 use crate::geometry::transform::{minus, norm};
 
-/// Group that a cluster belongs to.
+/// The group of a cluster.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Group {
     /// Diagonal of the box around all its clusters that are not background [m].
@@ -19,7 +19,7 @@ pub(crate) struct Group {
     pub(crate) with_background: bool,
 }
 
-/// Groups the clusters of one scan after another, in the same memory.
+/// Groups the clusters of one scan after another, and keeps its memory.
 #[derive(Default)]
 pub(crate) struct Grouper {
     groups: Vec<Group>,
@@ -28,17 +28,17 @@ pub(crate) struct Grouper {
     parts: Vec<Part>,
 }
 
-/// The box around a group, and whether background is part of it.
+/// Lowest and highest corner of the box around a group [m], and whether it contains background.
 type Part = ([f64; 3], [f64; 3], bool);
 
 impl Grouper {
-    /// Diagonal of the group that a cluster of the last call belonged to [m].
+    /// Diagonal of the group of cluster `index` in the last call [m].
     pub(crate) fn extent(&self, index: usize) -> f64 {
         self.groups[index].extent
     }
 
-    /// Group of every cluster: clusters linked by gaps of at most `distance` [m]; without a distance
-    /// every cluster is its own group.
+    /// Group of every cluster. Clusters are linked by gaps of at most `distance` [m]. Without a
+    /// distance, every cluster is its own group.
     pub(crate) fn groups(
         &mut self,
         points: &[[f32; 3]],
@@ -76,11 +76,11 @@ impl Grouper {
     }
 }
 
-/// All points that are not background, and the background points near them.
+/// Points of all clusters that are not background, and background points near them.
 #[derive(Default)]
 struct Nearby {
     points: Vec<[f32; 3]>,
-    /// The cluster of every point.
+    /// Number of the cluster of every point.
     owners: Vec<u32>,
     cells: Vec<Voxel>,
     around: Dilated,
@@ -120,7 +120,8 @@ impl Nearby {
     }
 }
 
-/// Cells and their 26 neighbours, as a bitmap that may answer yes wrongly, never no.
+/// Cells with their 26 neighbours, as a bitmap of hashes. It may contain other cells, too, but
+/// misses none.
 #[derive(Default)]
 struct Dilated {
     bits: Vec<u64>,
@@ -129,7 +130,7 @@ struct Dilated {
 impl Dilated {
     const SIZE_BITS: u32 = 18;
 
-    /// Hold these cells, which are sorted.
+    /// Contain exactly these cells. Sorts them.
     fn restart(&mut self, cells: &mut Vec<Voxel>) {
         cells.sort_unstable();
         cells.dedup();

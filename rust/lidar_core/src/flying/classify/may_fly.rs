@@ -1,4 +1,5 @@
-//! Properties of a cluster, alone or beside the ground, that exclude flight.
+//! Properties of a cluster that exclude flight: its position relative to the robot, the ground and
+//! mirror images.
 
 use super::clusters::Cluster;
 use super::occupied_nearby::OccupiedNearby;
@@ -8,17 +9,18 @@ use crate::flying::sky::ON_GROUND;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
 
-/// Things that are no higher than this and lie as low as the lowest returns are patches of ground
+/// Height up to which things count as patches of ground, if they are as low as the lowest returns
 /// [m].
 const FLAT: f64 = 0.1;
-/// Points this near to a small cluster may be of the same target, and up to the second distance none
-/// may be beside it [m].
+/// Points within this distance of a small cluster may belong to the same target. Between this and
+/// the second distance there may be no points beside it [m].
 const OWN_RADIUS: f64 = 0.75;
 const ALONE_RADIUS: f64 = 2.0;
-/// Mirror images are this far from what they show, at most [m]: the floor is not quite flat.
+/// Largest distance of a mirror image from the mirrored position of what it shows [m]. The floor is
+/// not quite flat.
 const MIRROR_ERROR: f64 = 0.75;
 
-/// True if no point is beside a place, other than those that may be of the same target.
+/// True if no point is beside `place` [m], except points that may belong to the same target.
 pub(super) fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
     let is_beside = |point: &[f32; 3]| {
         let distance = norm(minus(wide(*point), place));
@@ -27,8 +29,8 @@ pub(super) fn is_alone(points: &[[f32; 3]], place: [f64; 3]) -> bool {
     !points.iter().any(is_beside)
 }
 
-/// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if there
-/// is no background yet to tell it from.
+/// False if a cluster may be a part of the robot, stands on the ground or is a reflection, or if
+/// the map has no background yet.
 pub(crate) fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let is_own = |row: &&u32| scan.maybe_own.get(**row as usize).copied().unwrap_or(false);
     let may_be_own = || 2 * cluster.members.iter().filter(is_own).count() > cluster.members.len();
@@ -41,8 +43,8 @@ pub(crate) fn may_fly(map: &VoxelMap, scan: &Prepared, cluster: &Cluster<'_>) ->
         && !is_mirrored(map, scan, cluster.centroid)
 }
 
-/// True if a place lies below flat ground and its mirror image above is occupied: points there
-/// are reflections.
+/// True if a place is below flat ground, and its mirror image above is occupied: points there are
+/// reflections.
 fn is_mirrored(map: &VoxelMap, scan: &Prepared, [x, y, z]: [f64; 3]) -> bool {
     scan.floor.filter(|floor| z < floor - ON_GROUND).is_some_and(|floor| {
         OccupiedNearby::new(map, MIRROR_ERROR).is_close([x, y, 2.0 * floor - z])

@@ -1,4 +1,5 @@
-//! Classes of the points of a scan: rules A, B and C, and additions of best mode.
+//! Classification of the points of a scan: rules A, B and C of the paper, and additions of the best
+//! mode.
 
 pub mod classifier;
 pub(crate) mod clusters;

@@ -1,4 +1,4 @@
-//! Rule A: is anything occupied close by?
+//! Rule A: whether an occupied voxel is close to a point.
 
 use crate::flying::map::blocks::{Block, Cursor, Place, offset_of};
 use crate::flying::map::voxel_map::VoxelMap;
@@ -6,11 +6,12 @@ use crate::flying::track::Occupancy;
 use crate::geometry::lattice::{Voxel, floor};
 use crate::geometry::transform::minus;
 
-/// Rule A for single points: is a tentatively occupied voxel's centre closer than `distance`?
+/// Rule A for single points: whether the centre of a tentatively occupied voxel is closer than a
+/// distance.
 pub(crate) struct OccupiedNearby<'a> {
     cursor: Cursor<'a>,
     map: &'a VoxelMap,
-    /// Squared distances below this are close [m^2].
+    /// Square of the distance below which a voxel is close [m^2].
     limit: f64,
     half: i32,
 }
@@ -22,7 +23,7 @@ impl<'a> OccupiedNearby<'a> {
         Self { cursor: Cursor::new(&map.blocks), map, limit: distance * distance, half }
     }
 
-    /// Like `new`, but exactly `distance` is close too.
+    /// Like `new`, but voxels at exactly `distance` [m] are close too.
     fn up_to(map: &'a VoxelMap, distance: f64) -> Self {
         let near = Self::new(map, distance);
         Self { limit: near.limit.next_up(), ..near }
@@ -63,7 +64,7 @@ impl<'a> OccupiedNearby<'a> {
     }
 }
 
-/// Tentative bits of the row of x that holds `voxel`.
+/// Tentatively occupied voxels in the row of `voxel` along x: one bit each.
 fn row_bits(block: &Block, voxel: Voxel) -> u8 {
     let offset = offset_of(voxel);
     (block.tentative[offset >> 6] >> (offset & 0b11_1000)) as u8
@@ -75,7 +76,7 @@ impl Occupancy for VoxelMap {
     }
 }
 
-/// True if the map holds `voxel` as free; used by the pipeline's checks of a pose.
+/// True if the map contains `voxel` as free. Used to check poses.
 pub(crate) fn is_observed_free(map: &VoxelMap, cursor: &mut Cursor<'_>, voxel: Voxel) -> bool {
     cursor
         .block(Place::of(voxel))

@@ -1,52 +1,53 @@
-//! Parameters of the classification.
+//! Parameters of the classification of clusters.
 
-/// Parameters of the classification of clusters.
+/// Parameters of the classification of clusters as background, flying or unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassifyParameters {
-    /// Rule A: closer than this to an occupied voxel is background, d_close [m].
+    /// Rule A: points closer than this to an occupied voxel are background, d_close [m].
     pub close_distance: f64,
-    /// Rule B: a path of uncertain voxels this long (L1) ends the search, d_search [m].
+    /// Rule B: length (L1) at which a path of uncertain voxels is a way out, d_search [m].
     pub search_distance: f64,
-    /// The diagonal of a cluster's box is added to its search distance.
+    /// If true, the diagonal of a cluster's box is added to its search distance.
     pub search_adds_extent: bool,
-    /// Rule B is evaluated on the map after this scan's update, not before.
+    /// If true, rule B is evaluated on the map after the update with this scan, else before it.
     pub after_update: bool,
-    /// True if a search that leaves a fixed operating volume counts as a way out, false if the
-    /// border counts as a wall.
+    /// If true, a path that leaves the operating volume counts as a way out. If false, its border
+    /// counts as a wall.
     pub open_border: bool,
-    /// Uncertain voxels in a cluster's own shadow do not connect it.
+    /// If true, uncertain voxels in a cluster's own shadow do not connect it with its surroundings.
     pub own_shadow: bool,
-    /// The search also continues from free voxels of a cluster, so that a cluster beside unobserved
-    /// space is connected. A wall seen at a grazing angle lies in voxels that the rays along it
-    /// have freed.
+    /// If true, the search also continues from a cluster's own voxels that are free, so that a
+    /// cluster beside unobserved space is connected with it. This concerns walls seen at a grazing
+    /// angle: the rays along them have made their voxels free.
     pub expand_own: bool,
-    /// Largest extent of a flying object [m].
+    /// Largest extent of a flying object [m]. None: no limit.
     pub max_extent: Option<f64>,
-    /// Larger clusters are background [m].
+    /// Diagonal beyond which clusters are background [m]. None: no limit.
     pub background_extent: Option<f64>,
-    /// Least number of points of a flying object.
+    /// Smallest number of points of a flying object.
     pub min_points: usize,
-    /// Largest distance of a flying object from the sensor [m].
+    /// Largest distance of a flying object from the sensor [m]. None: no limit.
     pub max_distance: Option<f64>,
-    /// Clusters with gaps up to this are classified together: by their common extent, and as
-    /// background if background of this scan is among them [m].
+    /// Largest gap between clusters that are classified together [m]: their common extent counts,
+    /// and all are background if background of this scan is among them. None: each cluster is
+    /// classified alone.
     pub group_distance: Option<f64>,
-    /// A flying object has at least this share of free voxels among the neighbours of its own.
+    /// Smallest share of free voxels among the neighbours of a flying object's voxels.
     pub min_clearance: f64,
-    /// Height of clusters that stand on something if they are much higher than wide, such as signs
-    /// and people [m].
+    /// Height from which on clusters that are much higher than wide, such as signs and people,
+    /// count as standing on something [m]. None: no limit.
     pub upright_height: Option<f64>,
-    /// Unknown clusters on a confirmed track are flying objects, even if their surroundings are
-    /// mostly unknown.
+    /// If true, unknown clusters on a confirmed track are flying objects, even if most of their
+    /// surroundings are unknown.
     pub follow_tracks: bool,
-    /// Enclosed uncertain voxels around a flying cluster are made free.
+    /// If true, enclosed uncertain voxels around a flying cluster are made free.
     pub fill_pockets: bool,
-    /// Points that are background by rule A anyway are one cluster, without a search for their links,
-    /// where no result depends on it.
+    /// If true, points that are background by rule A anyway form one cluster, without a search for
+    /// their links, wherever no result depends on it.
     pub skips_explained: bool,
 }
 
-/// Best mode.
+/// Parameters of the best mode (not of the paper).
 impl Default for ClassifyParameters {
     fn default() -> Self {
         Self {
@@ -72,7 +73,7 @@ impl Default for ClassifyParameters {
 }
 
 impl ClassifyParameters {
-    /// Rules A, B and C as published, without gates.
+    /// Rules A, B and C as published, without limits on size and distance.
     #[must_use]
     pub fn paper() -> Self {
         Self {

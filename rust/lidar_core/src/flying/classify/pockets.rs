@@ -6,7 +6,7 @@ use crate::flying::map::voxel_map::VoxelMap;
 use crate::flying::point_class::PointClass;
 use crate::geometry::lattice::{floor, wide};
 
-/// Make the uncertain voxels around flying clusters free, except those that hold `points`.
+/// Make the uncertain voxels around flying clusters free, except those that contain `points`.
 pub(crate) fn free_pockets(
     map: &mut VoxelMap,
     classifications: &[Classification],

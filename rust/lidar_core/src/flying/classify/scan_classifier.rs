@@ -1,4 +1,4 @@
-//! A scan in clusters, and their classes.
+//! Clusters of a scan, and their classes.
 //!
 //! Longer than other files, so that the fields of the classifier stay private to it.
 
@@ -22,22 +22,22 @@ use crate::util::cancel;
 use crate::util::stopwatch::Clock;
 use rayon::ThreadPool;
 
-/// Gaps of so many times the angle between rays are inside a cluster, up to the second value [rad].
+/// Ratio of the largest gap inside a cluster to the angle between rays. `WIDEST_GAP`: largest such gap [rad].
 const GAP: f64 = 3.0;
 const WIDEST_GAP: f64 = 0.06;
 
-/// Inputs of the classification of a scan.
+/// A scan, as input of the classification.
 #[derive(Clone, Copy)]
 pub(crate) struct ScanToClassify<'a> {
     pub(crate) scan: &'a Prepared,
     /// The map before this scan.
     pub(crate) local: &'a LocalMap,
-    /// Larger clusters are background [m].
+    /// Diagonal beyond which clusters are background [m]. None: no limit.
     pub(crate) background_extent: Option<f64>,
     pub(crate) parameters: &'a FlyingParameters,
     /// Targets that tracks predict near structure.
     pub(crate) expected: &'a [ExpectedTarget],
-    /// Rows beside what moved in the air, ascending: the map may explain them wrongly.
+    /// Rows of points beside what moved in the air, ascending. The map may wrongly show that these are background.
     pub(crate) in_air: &'a [usize],
     pub(crate) pool: Option<&'a ThreadPool>,
 }
@@ -49,30 +49,29 @@ impl<'a> ScanToClassify<'a> {
     }
 }
 
-/// Stage that finds the clusters of a scan and their classes. Its results stay until the next scan,
-/// which uses their memory again.
+/// Finds the clusters of a scan and their classes. The results stay until the next scan, which uses their memory.
 #[derive(Default)]
 pub(crate) struct ScanClassifier {
     labeller: JoinedLabeller,
     explained: Explained,
-    /// The middle of every point's voxel, where these are clustered.
+    /// The centre of every point's voxel [m], if the centres are clustered instead of the points.
     middles: Vec<[f32; 3]>,
     classifier: Classifier,
     clusters: Clusters,
     /// Class of each cluster.
     classifications: Vec<Classification>,
-    /// Class of each cluster on a later map.
+    /// Class of each cluster on the map after the scan.
     later: Vec<Classification>,
-    /// Rows of points that may be of targets that tracks predict near structure, ascending.
+    /// Rows of points that may belong to targets that tracks predict near structure, ascending.
     expected: Vec<usize>,
-    /// Clusters that fly since tracks predict them.
+    /// Numbers of the clusters that count as flying only because a track predicts them.
     claimed: Vec<usize>,
     /// Class of every row.
     class: Vec<PointClass>,
 }
 
 impl ScanClassifier {
-    /// Find the clusters of a scan and, on the map, their classes. Returns the milliseconds of both.
+    /// Find the clusters of a scan and their classes on the map before it. Returns the times that both took [ms].
     ///
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work, [`Error::Interrupted`].
@@ -101,7 +100,7 @@ impl ScanClassifier {
         Ok([cluster_ms, clock.lap()])
     }
 
-    /// Make what tracks predict near structure flying: it is background by the rules.
+    /// Make clusters flying that tracks predict near structure. By the rules they are background.
     fn claim(&mut self, input: &ScanToClassify<'_>) {
         let Self { clusters, classifications, claimed, expected, .. } = self;
         claimed.clear();
@@ -136,12 +135,13 @@ impl ScanClassifier {
         }
     }
 
-    /// Clusters that fly since tracks predict them, although structure is near.
+    /// Numbers of the clusters that count as flying because a track predicts them, although structure is near.
     pub(crate) fn claimed(&self) -> &[usize] {
         &self.claimed
     }
 
-    /// Rows of the points of each cluster of unknown class that, with all beside it, has the size of a target.
+    /// For each thing of unknown class and the size of a target (together with everything beside it), the rows of its
+    /// points.
     pub(crate) fn unknown_things(&self, input: &ScanToClassify<'_>) -> Vec<&[u32]> {
         let (scan, parameters) = (input.scan, &input.parameters.classify);
         let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
@@ -156,11 +156,11 @@ impl ScanClassifier {
         (0..self.classifications.len()).filter(is_thing).map(members).collect()
     }
 
-    /// Classify again the clusters of which most points, in the ascending `rows`, are of what moves in the
-    /// air, with nothing close below. Of background nothing but its own points of earlier scans explains
-    /// these: they are unknown. What is unknown since a way leads from it into space that was never
-    /// observed, such as that behind a table, flies if free space is around it. So does what moves above such
-    /// space, given by the ascending rows `over_unseen`; it may stand on something.
+    /// Classify again the clusters whose points mostly belong to something that moves in the air (`rows`, ascending),
+    /// with nothing close below. If they were background, only their own points of earlier scans are the reason, so
+    /// they become unknown. If they were unknown because a path leads into space that was never observed, such as the
+    /// space behind a table, they become flying if free space is around them. The same holds for what moves above
+    /// such space (`over_unseen`, ascending); it may stand on something.
     pub(crate) fn lift(&mut self, input: &ScanToClassify<'_>, rows: &[u32], over_unseen: &[u32]) {
         // Longer than other functions: all conditions for one cluster.
         if rows.is_empty() && over_unseen.is_empty() {
@@ -206,7 +206,7 @@ impl ScanClassifier {
         }
     }
 
-    /// True if a background point lies within `distance` [m] of the box around a cluster.
+    /// True if a background point is within `distance` [m] of the box around a cluster.
     fn is_beside_background(
         &self,
         points: &[[f32; 3]],
@@ -222,7 +222,7 @@ impl ScanClassifier {
         })
     }
 
-    /// Evaluate rule B again, on the map after the scan.
+    /// Evaluate rule B again on the map after the scan, and update the classes.
     ///
     /// # Errors
     /// As [`ScanClassifier::classify`].
@@ -234,13 +234,13 @@ impl ScanClassifier {
         Ok(())
     }
 
-    /// Points of a scan that is not classified are unknown, or invalid.
+    /// Set the class of all points to unknown, or invalid, for a scan that is not classified.
     pub(crate) fn leave_unknown(&mut self, scan: &Prepared) {
         self.class.clear();
         self.class.extend(scan.points.iter().map(class_without_cluster));
     }
 
-    /// Class of a row that is added to the scan.
+    /// Add the class of a row that was appended to the scan.
     pub(crate) fn add_row(&mut self, class: PointClass) {
         self.class.push(class);
     }
@@ -250,7 +250,7 @@ impl ScanClassifier {
         self.classifications[index].class = PointClass::Flying;
     }
 
-    /// Set the class of every row: that of its cluster; unknown for points in no cluster.
+    /// Set the class of every row to that of its cluster. Points in no cluster are unknown or invalid.
     pub(crate) fn class_rows(&mut self, scan: &Prepared) {
         let Self { labeller, classifications, class, .. } = self;
         let of_row = |(point, &label): (&[f32; 3], &i32)| match usize::try_from(label) {
@@ -261,7 +261,7 @@ impl ScanClassifier {
         class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
     }
 
-    /// Numbers of the flying clusters of which most points are in some voxels, in ascending order.
+    /// Numbers of the flying clusters whose points are mostly inside the given voxels (sorted), in ascending order.
     pub(crate) fn flying_in(
         &self,
         voxels: &[Voxel],
@@ -298,14 +298,14 @@ impl ScanClassifier {
         &self.classifications
     }
 
-    /// Number of the cluster that holds a row.
+    /// Number of the cluster that contains a row. None if the row is in no cluster.
     pub(crate) fn cluster_of(&self, row: u32) -> Option<usize> {
         usize::try_from(self.labeller.labels()[row as usize]).ok()
     }
 
-    /// True if a point is of a cluster that only its number of points keeps from being a flying
-    /// object: free voxels surround it on the map of `input`, and nothing else is around it. The crown
-    /// of a tree that few rays hit has many such clusters.
+    /// True if a point belongs to a cluster that only its small number of points keeps from being a flying object:
+    /// free voxels surround it on the map of `input`, and no other points are around it. A crown of a tree that few
+    /// rays hit has many such clusters.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a distance that cannot be searched.
@@ -366,15 +366,15 @@ impl ScanClassifier {
     }
 }
 
-/// Angle between rays beyond which the returns of one thing fall apart, where rays without rows
-/// have to be found: there no setting can state it [rad].
+/// Largest angle between returns of one thing [rad], from the angle between the rays, for sensors without rows whose
+/// sky is estimated: for these no setting can give it. 0 for other sensors.
 fn gap_between_rays(scan: &Prepared) -> f64 {
     let observation = scan.sky_observation.as_ref().filter(|_| scan.sky == SkySource::Density);
     let density = observation.map_or(0.0, |observation| observation.mean_density());
     if density > 0.0 { (GAP / density.sqrt()).min(WIDEST_GAP) } else { 0.0 }
 }
 
-/// Class of a point of which only its place is known.
+/// Class of a point in no cluster: unknown, or invalid if it is not finite.
 fn class_without_cluster(point: &[f32; 3]) -> PointClass {
     if point.iter().all(|value| value.is_finite()) {
         PointClass::Unknown

@@ -1,13 +1,13 @@
-//! The shadow that a cluster casts, seen from the sensor: what no ray can observe now.
+//! Shadow of a cluster as seen from the sensor: voxels behind it that no ray can observe now.
 
 use crate::geometry::lattice::{Lattice, Voxel};
 use crate::geometry::transform::{dot, minus, norm};
 
-/// Points of one cluster as rays from the sensor.
+/// Shadow of the points of one cluster, as seen from the sensor.
 ///
-/// A target that is approached head-on hides the same voxels in every scan: some were never
-/// observed, others it flew through itself, and no ray clears them. Algorithm 1 as published
-/// walks through them and never detects it. In best mode such voxels do not connect.
+/// A target that comes straight towards the sensor hides the same voxels in every scan: some were
+/// never observed, and through others it flew itself. No ray clears them. Algorithm 1 as published
+/// walks through these voxels and never detects the target. In best mode they do not connect.
 pub(crate) struct Shadow<'a> {
     origin: [f64; 3],
     lattice: Lattice,
@@ -19,8 +19,8 @@ impl<'a> Shadow<'a> {
         Self { origin, lattice: *lattice, points }
     }
 
-    /// True if `voxel` lies behind the cluster: at least one voxel further away than a point
-    /// that its centre's ray passes closely.
+    /// True if `voxel` is behind the cluster: it is at least one voxel further away than a point
+    /// close to the ray to its centre.
     pub(crate) fn hides(&self, voxel: Voxel) -> bool {
         SightLine::to(voxel, self.origin, &self.lattice)
             .is_some_and(|line| self.points.iter().any(|&point| line.is_blocked_by(point)))
@@ -33,12 +33,12 @@ pub(crate) struct SightLine {
     direction: [f64; 3],
     distance: f64,
     voxel_size: f64,
-    /// A point blocks the line this far beside it [m]: half the diagonal of a voxel.
+    /// Distance beside the line within which a point blocks it [m]: half the diagonal of a voxel.
     margin: f64,
 }
 
 impl SightLine {
-    /// None if the sensor is at the centre of the voxel.
+    /// The line from `origin` [m] to the centre of `voxel`. None if `origin` is at the centre.
     pub(crate) fn to(voxel: Voxel, origin: [f64; 3], lattice: &Lattice) -> Option<Self> {
         let (center, voxel_size) = (minus(lattice.center(voxel), origin), lattice.voxel_size());
         let (distance, margin) = (norm(center), 0.5 * 3f64.sqrt() * voxel_size);
@@ -46,13 +46,14 @@ impl SightLine {
         (distance != 0.0).then_some(Self { origin, direction, distance, voxel_size, margin })
     }
 
-    /// True if the voxel is at least one voxel further away than a point that the line passes closely.
+    /// True if the voxel is at least one voxel further away than `point`, which is close to the
+    /// line.
     pub(crate) fn is_blocked_by(&self, point: [f64; 3]) -> bool {
         let (along, aside) = self.along_and_aside(point);
         along > 0.0 && self.distance - along > self.voxel_size && aside <= self.margin * self.margin
     }
 
-    /// False if no point in the voxel around `center` blocks the line.
+    /// False if no point in the voxel around `center` can block the line.
     pub(crate) fn passes_near(&self, center: [f64; 3]) -> bool {
         // No point of a voxel is further from its centre than half the diagonal; the rest is for rounding.
         let (along, aside) = self.along_and_aside(center);
@@ -61,7 +62,8 @@ impl SightLine {
             && aside <= (2.01 * self.margin) * (2.01 * self.margin)
     }
 
-    /// Way along the line to the place nearest to a point, and the squared distance between both.
+    /// Distance along the line to the place nearest to a point [m], and the squared distance of the
+    /// point from it [m^2].
     fn along_and_aside(&self, point: [f64; 3]) -> (f64, f64) {
         let point = minus(point, self.origin);
         let along = dot(point, self.direction);

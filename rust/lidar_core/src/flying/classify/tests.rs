@@ -8,7 +8,7 @@ use crate::flying::point_class::PointClass;
 use crate::flying::scan::prepared::Prepared;
 use crate::util::stopwatch::Clock;
 
-/// Points of a part of a thing, 0.6 m long, 8 m to the side of the sensor.
+/// Number of points of one part of an object: 0.6 m long, 8 m to the side of the sensor.
 const OF_PART: usize = 16;
 
 fn part(start: f32) -> impl Iterator<Item = [f32; 3]> {
@@ -16,7 +16,8 @@ fn part(start: f32) -> impl Iterator<Item = [f32; 3]> {
     (0..OF_PART).map(move |at| [start + step(at % 4), 8.0, 1.0 + step(at / 4)])
 }
 
-/// Numbers of points of the unknown things among parts that begin at some places, where nothing is known.
+/// Numbers of points of the unknown things in a scan of parts that begin at `starts` [m], in a map
+/// without any information.
 fn unknown_things(starts: &[f32]) -> Result<Vec<usize>, Error> {
     let parameters = FlyingParameters::default();
     let mut scan = Prepared::default();
