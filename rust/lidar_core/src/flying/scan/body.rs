@@ -1,11 +1,11 @@
-//! The robot itself in its LiDAR's scans: returns that stay in place in the sensor's frame while
-//! the sensor moves.
+//! The robot itself in the scans of its LiDAR: returns that stay in place in the sensor's frame while the sensor
+//! moves.
 //!
-//! Returns near the sensor are counted per voxel of its own frame. A voxel that keeps holding
-//! returns wherever the sensor is belongs to the robot, if it is joined to the near zone, does not
-//! go on into the distance (ground, walls along the way), and is not on the ground. While the sensor
-//! moves straight on, something that escorts it closely looks the same, so nothing is decided for
-//! good: a voxel without returns loses its place. After turns of more than 30 degrees it is decided.
+//! Returns near the sensor are counted per voxel of the sensor's frame. A voxel that has returns wherever the sensor
+//! is belongs to the robot, if it is connected with the near zone, does not continue into the distance (ground, walls
+//! along the path), and is not on the ground. While the sensor moves straight on, something that accompanies it
+//! closely looks the same. So no result is final: a voxel without returns is removed again. After a turn of more than
+//! 30 degrees the result counts as decided.
 
 use super::body_voxels::{GAP, VOLUME, WORDS, around, beside, center_of, has, voxel_of};
 use crate::geometry::lattice::wide;
@@ -15,52 +15,52 @@ use std::f64::consts::PI;
 
 /// Returns nearer than this are placeholders of drivers for rays without return [m].
 const LEAST_RANGE: f64 = 0.2;
-/// Every part of the robot is joined to something as near as this [m].
+/// Every part of the robot is connected with something within this distance of the sensor [m].
 const NEAR_ZONE: f64 = 3.0;
-/// Largest extent of a robot: what reaches further is not one [m].
+/// Largest distance of a part of the robot from the sensor [m]. Things that extend further are no robot.
 const FARTHEST: f64 = 5.5;
-/// The sensor sees the world from another place after this way [m], or this turn [rad].
+/// Distance [m] (`NEXT_TURN`: turn [rad]) after which the sensor counts as being at another place.
 const NEXT_PLACE: f64 = 0.2;
 const NEXT_TURN: f64 = 3.0 * PI / 180.0;
-/// Places from which a voxel must have been seen before anything is said, and the way [m] between.
+/// Number of places, and distance moved (`ENOUGH_WAY` [m]), that are needed before anything is concluded.
 const ENOUGH_PLACES: u32 = 5;
 const ENOUGH_WAY: f64 = 1.0;
-/// The robot is looked for again after so many places.
+/// Number of places between two searches for the robot.
 const PLACES_PER_SEARCH: u32 = 5;
-/// Turn from the first pose after which what is found is decided [rad]: 30 degrees.
+/// Turn from the first pose after which the found robot counts as decided [rad]: 30 degrees.
 const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
-/// A voxel of the robot holds returns from this share of the places; one beside it from half of it.
+/// Share of the places with returns from which on a voxel is of the robot. Beside such a voxel, half is enough.
 const HELD_SHARE: f64 = 0.6;
-/// A voxel that was found before stays one with this share: parts of the robot may be hidden.
+/// The same share for known voxels of the robot. It is smaller, since parts of the robot may be hidden.
 const KEPT_SHARE: f64 = 0.2;
-/// Parts that are joined to something as near as this need not be rigid, such as arms and cables of a robot,
-/// or a roof that is smeared with the speed of the sensor: no target comes so near [m].
+/// Parts within this distance of the sensor need not be rigid [m], such as arms and cables of a robot, or a roof that
+/// the speed of the sensor smears. No target comes so near.
 const BESIDE_SENSOR: f64 = 1.5;
-/// Least share of the places that hold a return where one is on a part of the robot or beside it, over
-/// that of the voxel that holds one most often. A robot is rigid; what flies along leaves some voxels
-/// and enters others. Voxels that rarely hold any do not count: those are droplets.
+/// Smallest rigidity of a part: the mean count of a return's voxel, over returns on the part and beside it, divided by
+/// the largest count. A robot is rigid. Something that flies along leaves some voxels and enters others. Voxels with
+/// few returns (`RARE_SHARE`) do not count: those are droplets.
 const RIGID_SHARE: f64 = 0.6;
 const RARE_SHARE: f64 = 0.1;
-/// A robot that was known from an earlier run is still the same if this share of it is kept. After a
-/// short drive it may hold parts of the world that were not yet told apart, so that this is below half.
+/// Share of the voxels of a robot from an earlier run that must still have returns, if it is the same robot. After a
+/// short drive the earlier result may contain parts of the world, so the share is below one half.
 const SAME_SHARE: f64 = 0.3;
-/// Returns this much above the lowest ones are on the ground [m].
+/// Height above the lowest returns up to which returns are on the ground [m].
 const GROUND: f64 = 0.35;
-/// Share of the returns below the ground that is assumed.
+/// One return in this many is assumed to be below the ground.
 const LOWEST: usize = 50;
-/// Scans that tell of a robot that has not moved yet: fewest, and so many that older ones count half.
+/// Fewest scans for conclusions before the sensor has moved. `STILL_SCANS`: number at which all counts are halved.
 const FIRST_SCANS: u32 = 5;
 const STILL_SCANS: u32 = 50;
-/// After so many places the next ones are further apart, by this factor: little is new.
+/// Number of places from which on places are further apart, by the factor `RARER`: they show little that is new.
 const MANY_PLACES: u32 = 100;
 const RARER: f64 = 5.0;
 
-/// Voxels of the robot itself, as one sensor sees it.
+/// Voxels of the robot itself, found in the scans of one sensor, in the sensor's frame.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Body {
-    /// Places from which each voxel held returns.
+    /// For every voxel, the number of places from which it had returns.
     places: Vec<u16>,
-    /// Scans, from the first on, in which it did; none once the sensor has moved.
+    /// For every voxel, the number of scans with returns, from the first scan on. Empty once the sensor has moved.
     scans: Vec<u16>,
     n_places: u32,
     n_scans: u32,
@@ -68,19 +68,19 @@ pub(crate) struct Body {
     last: Option<Transform>,
     first: Option<Transform>,
     is_turned: bool,
-    /// Height of the ground below the sensor [m].
+    /// Height of the ground relative to the sensor [m].
     ground: f64,
-    /// Voxels of the robot, ascending; none while nothing was found.
+    /// Voxels of the robot, ascending. Empty while none was found.
     voxels: Vec<u32>,
-    /// A bit per voxel of the robot, and per voxel beside one; none while nothing was found.
+    /// One bit for every voxel of the robot and its neighbours. Empty while none was found.
     mask: Vec<u64>,
-    /// Voxels that may be of the robot, before the sensor has moved far enough.
+    /// One bit for every voxel that may belong to the robot, before the sensor has moved far enough.
     maybe: Vec<u64>,
-    /// The voxels come from an earlier run, and no motion in this run has confirmed them yet.
+    /// Whether the voxels come from an earlier run, and no motion in this run has confirmed them yet.
     is_recalled: bool,
-    /// Turns of the sensor in an earlier run have shown that the voxels are the robot.
+    /// Whether turns of the sensor in an earlier run have shown that the voxels are the robot.
     was_decided: bool,
-    /// A bit per voxel that the scan has met.
+    /// One bit for every voxel that the present scan has met.
     met: Vec<u64>,
     number: u32,
 }
@@ -109,7 +109,7 @@ impl Default for Body {
 }
 
 impl Body {
-    /// True if its parts have their lengths, as they must where bytes told them.
+    /// True if all lists have the right lengths. Checks a saved state.
     pub(crate) fn is_whole(&self) -> bool {
         let masks = [&self.mask, &self.maybe];
         self.places.len() == VOLUME
@@ -119,19 +119,19 @@ impl Body {
             && self.voxels.iter().all(|&voxel| (voxel as usize) < VOLUME)
     }
 
-    /// True if a point in the sensor's frame is on the robot.
+    /// True if a point in the sensor's frame [m] is on the robot.
     #[inline]
     pub(crate) fn contains(&self, point: [f64; 3]) -> bool {
         !self.mask.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.mask, voxel))
     }
 
-    /// True if a return is on the robot: placeholders of drivers are no returns.
+    /// True if a return at `point` (sensor's frame [m]) is on the robot. Placeholders of drivers are no returns.
     #[inline]
     pub(crate) fn holds(&self, point: [f64; 3]) -> bool {
         self.contains(point) && norm(point) > LEAST_RANGE
     }
 
-    /// True if a point may be on the robot, as long as the sensor has not moved far enough.
+    /// True if a point in the sensor's frame [m] may be on the robot, while the sensor has not moved far enough.
     #[inline]
     pub(crate) fn may_contain(&self, point: [f64; 3]) -> bool {
         !self.maybe.is_empty() && voxel_of(point).is_some_and(|voxel| has(&self.maybe, voxel))
@@ -142,23 +142,23 @@ impl Body {
         !self.mask.is_empty()
     }
 
-    /// True if voxels of the robot may be found, as long as the sensor has not moved far enough.
+    /// True if voxels were found that may be the robot, while the sensor has not moved far enough.
     pub(crate) fn may_be_found(&self) -> bool {
         !self.maybe.is_empty()
     }
 
-    /// True if turns have shown that what was found belongs to the robot.
+    /// True if turns have shown that the found voxels belong to the robot.
     pub(crate) fn is_decided(&self) -> bool {
         (self.is_turned || self.was_decided) && self.is_found()
     }
 
-    /// Voxels of the robot, ascending, and whether turns have decided that they are.
+    /// Voxels of the robot, ascending, and whether turns have confirmed them. None if none was found.
     pub(crate) fn known(&self) -> Option<(&[u32], bool)> {
         self.is_found().then_some((&self.voxels, self.is_decided()))
     }
 
-    /// Take over what an earlier run found: voxels of the cube around the sensor. What this run has
-    /// found itself stays.
+    /// Use the voxels of the cube around the sensor that an earlier run found. If this run has found the robot
+    /// itself, nothing changes.
     pub(crate) fn recall(&mut self, voxels: &[u32], is_decided: bool) {
         if !self.is_found() && voxels.iter().all(|&voxel| (voxel as usize) < VOLUME) {
             self.take_voxels(voxels.to_vec());
@@ -171,8 +171,8 @@ impl Body {
         self.voxels = voxels;
     }
 
-    /// Drop what an earlier run knew if too little of it held returns lately: the sensor sits on
-    /// another robot, or elsewhere on it.
+    /// Discard the voxels of an earlier run if too few of them had returns lately: the sensor is on another robot, or
+    /// elsewhere on it.
     fn check_recalled(&mut self, counts: &[u16], times: u32) {
         let kept = enough(KEPT_SHARE, times).max(1);
         let met = self.voxels.iter().filter(|&&voxel| counts[voxel as usize] >= kept).count();
@@ -182,7 +182,7 @@ impl Body {
         }
     }
 
-    /// Count an accepted scan: points in the sensor's frame, and where the sensor was.
+    /// Count the returns of an accepted scan. The points are in the sensor's frame [m]; `pose` is that of the sensor.
     pub(crate) fn learn(
         &mut self,
         points: &[[f32; 3]],
@@ -221,7 +221,7 @@ impl Body {
         }
     }
 
-    /// Look for the robot in what was seen from several places.
+    /// Search for the robot in the returns from several places.
     fn search_moved(&mut self) {
         let places = std::mem::take(&mut self.places);
         self.check_recalled(&places, self.n_places);
@@ -231,7 +231,7 @@ impl Body {
         (self.scans, self.maybe) = (Vec::new(), Vec::new());
     }
 
-    /// Look for what may be the robot, from the first places: a sensor that drives off at once tells no more yet.
+    /// Search for a possible robot in the returns from the first places. A sensor that drives off shows no more yet.
     fn search_first_places(&mut self) {
         let places = std::mem::take(&mut self.places);
         let found = beside(&self.found(&places, self.n_places));
@@ -243,7 +243,7 @@ impl Body {
         }
     }
 
-    /// Look for what may be the robot, before the sensor has moved.
+    /// Search for what may be the robot, before the sensor has moved.
     fn search_still(&mut self) {
         let scans = std::mem::take(&mut self.scans);
         self.check_recalled(&scans, self.n_scans);
@@ -251,13 +251,13 @@ impl Body {
         self.scans = scans;
     }
 
-    /// The poses of another map cannot be compared with those so far.
+    /// Forget the poses so far. Those of another map cannot be compared with them.
     pub(crate) fn forget_places(&mut self) {
         (self.first, self.last) = (None, None);
         self.maybe = Vec::new();
     }
 
-    /// True if the sensor has moved far enough to tell the robot from the world.
+    /// True if the sensor has moved far enough to distinguish the robot from the world.
     fn may_tell(&self) -> bool {
         self.n_places >= ENOUGH_PLACES && self.way >= ENOUGH_WAY
     }
@@ -285,7 +285,7 @@ impl Body {
         }
     }
 
-    /// Follow the height of the lowest returns, along the vertical of the map.
+    /// Update the height of the ground from the lowest returns, along the vertical of the map.
     fn see_ground(&mut self, points: &[[f32; 3]], pose: &Transform) {
         let down = pose.inverse().rotate([0.0, 0.0, 1.0]);
         let finite = points.iter().filter(|point| point.iter().all(|value| value.is_finite()));
@@ -298,7 +298,7 @@ impl Body {
         }
     }
 
-    /// The voxels of the robot, given how often each held returns, of how many times.
+    /// The voxels of the robot. `counts`: how often each voxel had returns, of `times`.
     fn found(&self, counts: &[u16], times: u32) -> Vec<u32> {
         let (sure, likely) = (enough(HELD_SHARE, times), enough(0.5 * HELD_SHARE, times).max(1));
         let mut state: Vec<u8> = counts
@@ -325,8 +325,8 @@ impl Body {
         found
     }
 
-    /// Gather the voxels joined to `first`; their least distance from the sensor [m] if they may be a part of
-    /// the robot.
+    /// Gather in `part` the voxels connected with `first`. Returns their smallest distance from the sensor [m]. None
+    /// if they cannot be a part of the robot.
     fn take_part(
         &self,
         first: usize,
@@ -356,7 +356,7 @@ impl Body {
     }
 }
 
-/// True if returns on a part and beside it keep to the same voxels.
+/// True if the returns on a part and beside it stay in the same voxels.
 fn is_rigid(part: &[usize], counts: &[u16]) -> bool {
     let voxels: Vec<u32> = part.iter().map(|&voxel| voxel as u32).collect();
     let near = beside(&voxels);
@@ -370,12 +370,12 @@ fn is_rigid(part: &[usize], counts: &[u16]) -> bool {
     squares >= RIGID_SHARE * total * f64::from(most)
 }
 
-/// So many of `times`, in whole numbers.
+/// The smallest whole number that is at least a share of `times`.
 fn enough(share: f64, times: u32) -> u16 {
     (share * f64::from(times)).ceil() as u16
 }
 
-/// Way [m] and turn [rad] between two poses.
+/// Distance [m] and angle [rad] between two poses.
 fn apart(one: &Transform, other: &Transform) -> (f64, f64) {
     let turn = one.inverse().after(other).rotation;
     let cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
@@ -386,7 +386,7 @@ fn apart(one: &Transform, other: &Transform) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    /// A roof of 1 m by 1 m, 1.4 m behind the sensor, over a street with a wall along it.
+    /// A scan of a roof of 1 m by 1 m, 1.4 m behind the sensor, above a street with a wall along it.
     fn scan(pose: &Transform) -> Vec<[f32; 3]> {
         let mut points = Vec::new();
         for index in 0..400 {
@@ -444,7 +444,7 @@ mod tests {
         assert!(!body.contains([0.2, 5.0, 0.5]) && body.contains([-1.8, 0.0, -0.4]));
     }
 
-    /// It circles on half a metre beside the sensor, nearer than parts of the robot may be.
+    /// The object circles with a radius of half a metre beside the sensor, nearer than parts of the robot may be.
     #[test]
     fn what_flies_along_on_a_small_circle_is_no_robot() {
         let mut body = Body::default();

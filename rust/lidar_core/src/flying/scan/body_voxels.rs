@@ -1,15 +1,15 @@
-//! Voxels of the frame of a sensor, in which its robot is looked for.
+//! Voxels around a sensor, in its frame, in which the robot itself is looked for.
 
 use crate::flying::map::saved_body::{EDGE, SIZE};
 
-/// Voxels of the frame.
+/// Number of voxels.
 pub(super) const VOLUME: usize = EDGE * EDGE * EDGE;
-/// Words with a bit per voxel.
+/// Number of words that hold one bit per voxel.
 pub(super) const WORDS: usize = VOLUME / 64;
-/// Parts of the robot may have gaps of a voxel.
+/// Largest distance of connected voxels of a part, along each axis: gaps of one voxel are allowed.
 pub(super) const GAP: i32 = 2;
 
-/// A bit per voxel, and per voxel beside one; nothing without voxels.
+/// Bits of the given voxels and their neighbours. Empty without voxels.
 pub(super) fn beside(voxels: &[u32]) -> Vec<u64> {
     let mut mask = if voxels.is_empty() { Vec::new() } else { vec![0; WORDS] };
     for &voxel in voxels {
@@ -36,7 +36,8 @@ pub(super) fn center_of(voxel: usize) -> [f64; 3] {
     place.map(|index| (index as f64 + 0.5 - 0.5 * EDGE as f64) * SIZE)
 }
 
-/// Every voxel within `reach` of one along every axis, itself included.
+/// Call `visit` for every voxel within `reach` of a voxel along every axis, including the voxel
+/// itself.
 pub(super) fn around(voxel: usize, reach: i32, mut visit: impl FnMut(usize)) {
     let place = [voxel / (EDGE * EDGE), voxel / EDGE % EDGE, voxel % EDGE];
     let span = |axis: usize| {

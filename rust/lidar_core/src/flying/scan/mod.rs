@@ -1,4 +1,4 @@
-//! A raw scan, its sensor, and the points and rays of the scan in the frame of the map.
+//! Raw scans, their sensors, and the points and rays of a scan in the frame of the map.
 
 pub(crate) mod body;
 mod body_voxels;

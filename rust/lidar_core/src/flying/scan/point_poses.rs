@@ -1,17 +1,17 @@
-//! Pose of the sensor at every point of a scan.
+//! Poses of the sensor at the times of the points of a scan.
 
 use super::raw_scan::RawScan;
 use crate::Error;
 use crate::geometry::motion::{PointPoses, ScanPoses};
 use crate::geometry::transform::Transform;
 
-/// Pose of every row in the frame of the map.
+/// Pose of the sensor at the time of every row, in the frame of the map.
 #[derive(Default)]
 pub(crate) struct Poses {
-    /// Poses of the rows, unless all rows share `middle`.
+    /// Poses of the rows. Not used if all rows share `middle`.
     rows: PointPoses,
     differ: bool,
-    /// Half way through the scan.
+    /// Pose of the sensor at the middle time of the scan, in the frame of the map.
     pub(crate) middle: Transform,
 }
 
@@ -39,7 +39,7 @@ impl Poses {
         Ok(())
     }
 
-    /// Poses of all rows, if they differ.
+    /// Pose of every row. None if all rows share one pose.
     pub(super) fn of_rows(&self) -> Option<impl Iterator<Item = &Transform>> {
         self.differ.then(|| (0..self.rows.points()).map(|row| self.rows.at(row)))
     }

@@ -1,4 +1,4 @@
-//! A raw scan -> points, rays and masks in the frame of the map.
+//! Preparation of a raw scan: points, rays and masks in the frame of the map.
 
 use super::point_poses::Poses;
 pub use super::raw_scan::RawScan;
@@ -16,55 +16,55 @@ use crate::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Fewer points are not worth a second thread.
+/// Number of points for which a second thread pays.
 const POINTS_PER_TASK: usize = 8192;
 
-/// A scan in the frame of the map, and memory for the next one. Rows beyond `rows` are rebuilt rays
-/// without return.
+/// A scan in the frame of the map. It keeps its memory for the next scan. Rows from `rows` on are rays without return
+/// that were added.
 #[derive(Default)]
 pub(crate) struct Prepared {
-    /// Rows of the raw scan.
+    /// Number of rows of the raw scan.
     pub(crate) rows: usize,
-    /// Coordinates [m]; NaN where there is nothing to classify.
+    /// Coordinates of the points [m]. NaN where there is nothing to classify.
     pub(crate) points: Vec<[f32; 3]>,
-    /// Start point of every ray [m]; None if all start at `pose`.
+    /// Start point of every ray [m]. None if all rays start at the position of `pose`.
     pub(crate) origins: Option<Vec<[f64; 3]>>,
     pub(crate) directions: Option<Vec<[f32; 3]>>,
     pub(crate) no_return: Vec<bool>,
     pub(crate) no_ray: Option<Vec<bool>>,
-    /// Length that rays without return clear [m].
+    /// Length up to which rays without return clear voxels [m]. None: up to the maximum range.
     pub(crate) reach: Option<Vec<f32>>,
-    /// Time of every point after the stamp [s].
+    /// Time of every point after the stamp [s]. None: all are of the stamp.
     pub(crate) delays: Option<Vec<f32>>,
-    /// Pose in the middle of the scan.
+    /// Pose of the sensor at the middle of the scan, in the frame of the map.
     pub(crate) pose: Transform,
-    /// Way of the sensor since its last scan, frame of the map [m]; 0 if that is not known.
+    /// Motion of the sensor since its last scan, frame of the map [m]. Zero if that is not known.
     pub(crate) moved: [f64; 3],
     pub(crate) rebuilt: usize,
-    /// Class of every row, while none is known.
+    /// Class of every row before classification.
     pub(crate) unknown: Vec<PointClass>,
-    /// Rows whose points may be on the robot; none if no row is.
+    /// For each row, whether its point may be on the robot. Empty if no point may be.
     pub(crate) maybe_own: Vec<bool>,
-    /// Source of the rays without return, and the share of all rays that go into the sky.
+    /// Source of the rays without return; `sky_share`: share of all rays that go into the sky.
     pub(crate) sky: SkySource,
     pub(crate) sky_share: f64,
-    /// Objects that reach below this height are on the ground, frame of the map [m].
+    /// Objects that reach below this height are on the ground [m, frame of the map].
     pub(crate) ground: f64,
-    /// Flat objects that reach below this height are on the ground too, even if the lowest returns
-    /// need not be those of the ground [m].
+    /// Flat objects that reach below this height are on the ground too, even if the lowest returns may not be on the
+    /// ground [m, frame of the map].
     pub(crate) low: f64,
-    /// Height of flat ground, if it is seen, frame of the map [m].
+    /// Height of flat ground [m, frame of the map]. None if no flat ground is seen.
     pub(crate) floor: Option<f64>,
-    /// Sky that the scan shows, if it had to be looked for.
+    /// The sky as the scan shows it. None if the sky is not estimated.
     pub(crate) sky_observation: Option<Box<SkyObservation>>,
     poses: Poses,
 }
 
 impl Prepared {
-    /// Take a scan.
+    /// Prepare a scan.
     ///
     /// # Errors
-    /// [`Error::Length`], [`Error::Value`], [`Error::Limit`] for input that cannot be used.
+    /// [`Error::Length`], [`Error::Value`] or [`Error::Limit`] for input that cannot be used.
     pub(crate) fn take(
         &mut self,
         raw: &RawScan<'_>,
@@ -113,7 +113,7 @@ impl Prepared {
         self.unknown.resize(self.points.len(), PointClass::Unknown);
     }
 
-    /// Find the rays without return that are not given: those into the sky, seen against `map`.
+    /// Add the rays without return that are not given: those into the sky, limited by `map`.
     ///
     /// # Errors
     /// [`Error::Parameter`] if the sensor that the configuration states cannot have given the scan.
@@ -151,14 +151,14 @@ impl Prepared {
         Ok(())
     }
 
-    /// Ignore rows whose returns are of droplets in the air.
+    /// Exclude rows whose returns are of droplets in the air.
     fn take_out(&mut self, is_droplet: &[bool]) {
         for (point, _) in self.points.iter_mut().zip(is_droplet).filter(|(_, is_one)| **is_one) {
             *point = [f32::NAN; 3];
         }
     }
 
-    /// Share of the sensor's rays that gave the points of `rows`, of which several may be of one ray.
+    /// Share of the sensor's rays that gave the points of `rows`. Several points may be of one ray.
     pub(crate) fn share_of_rays(&self, rows: &[u32], returns_per_ray: usize) -> f64 {
         let in_scan = self.rows / returns_per_ray.max(1);
         let mut rays: Vec<usize> = rows.iter().map(|&row| row as usize % in_scan.max(1)).collect();
@@ -171,7 +171,7 @@ impl Prepared {
         rays.len() as f64 / (in_scan as f64).max(known).max(1.0)
     }
 
-    /// Rays into the sky that were found: unit directions in the world, and how far they clear [m].
+    /// Rays into the sky that were found: unit directions in the world, and lengths that they clear [m].
     pub(crate) fn sky_rays(&self, world_from_map: &Transform) -> Vec<([f64; 3], f32)> {
         let Some(observation) = self.sky_observation.as_ref().filter(|_| self.rebuilt > 0) else {
             return Vec::new();
@@ -180,7 +180,7 @@ impl Prepared {
         observation.directions.iter().map(turned).zip(observation.reach.iter().copied()).collect()
     }
 
-    /// Note the rows that may be on the robot, before the sensor has moved far enough.
+    /// Mark the rows that may be on the robot, before the sensor has moved far enough.
     fn take_body(&mut self, raw: &RawScan<'_>, sensor: &Sensor) {
         self.maybe_own.clear();
         if let Some(body) = sensor.body.as_ref().filter(|body| body.may_be_found()) {
@@ -192,7 +192,7 @@ impl Prepared {
         }
     }
 
-    /// Start point of the ray `row` [m].
+    /// Start point of the ray `row` [m, frame of the map].
     #[inline]
     pub(crate) fn origin(&self, row: usize) -> [f64; 3] {
         self.origins.as_ref().map_or(self.pose.translation, |origins| origins[row])
@@ -222,8 +222,7 @@ impl Prepared {
         }
     }
 
-    /// With several returns per ray only the farthest one casts a ray: the way to the nearer ones is
-    /// part of it.
+    /// Of several returns of a ray, only the farthest one casts a ray: the path to the nearer ones is part of it.
     fn take_farthest_returns(&mut self, points: &[[f32; 3]], returns: usize) {
         if returns <= 1 {
             self.no_ray = None;
@@ -271,7 +270,7 @@ impl Prepared {
         }
     }
 
-    /// A point that is known without having been measured.
+    /// Append a point that is known without having been measured.
     pub(crate) fn append_known(&mut self, point: [f32; 3]) {
         let origins = self.origins.get_or_insert_with(|| {
             vec![self.pose.translation; self.points.len()] // so far in one point
@@ -294,7 +293,7 @@ impl Prepared {
         }
     }
 
-    /// Add rays without return, given by directions in the frame of the map.
+    /// Append rays without return, given by directions in the frame of the map and lengths that they clear [m].
     fn append_sky(&mut self, rays: &[[f32; 3]], reach: &[f32]) {
         let all = self.rows + rays.len();
         let none = std::iter::repeat_n([f32::NAN; 3], self.rows);
@@ -343,7 +342,7 @@ fn check(raw: &RawScan<'_>, sensor: &Sensor) -> Result<(), Error> {
     check_times(raw)
 }
 
-/// Times of another clock than `stamp_ns` would put targets anywhere.
+/// Check that point times are of the same clock as `stamp_ns`. Otherwise targets would be displaced arbitrarily.
 fn check_times(raw: &RawScan<'_>) -> Result<(), Error> {
     const LONGEST_SCAN_NS: u64 = 10_000_000_000;
     let Some(times) = raw.point_time_ns else { return Ok(()) };
@@ -361,7 +360,7 @@ fn check_times(raw: &RawScan<'_>) -> Result<(), Error> {
     }
 }
 
-/// Keep `values` in the memory of what was kept before.
+/// Replace the content of `kept` by `values`, in the same memory.
 fn refill<T>(kept: &mut Option<Vec<T>>, values: Option<impl Iterator<Item = T>>) {
     match values {
         Some(values) => {

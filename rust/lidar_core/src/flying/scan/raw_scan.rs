@@ -1,38 +1,40 @@
-//! One scan as the sensor delivered it, before anything is done with it.
+//! One scan as the sensor delivered it, before any processing.
 
 /// One scan as the sensor delivered it, in its own frame.
 #[derive(Clone, Copy, Debug)]
 pub struct RawScan<'a> {
-    /// Which of the robot's LiDARs.
+    /// Name of the LiDAR that gave the scan.
     pub sensor: &'a str,
-    /// Start of the scan [ns].
+    /// Time of the scan [ns]: its start.
     pub stamp_ns: i64,
-    /// True if the rays come in the same order in every scan.
+    /// True if the rays are in the same order in every scan.
     pub organised: bool,
-    /// Coordinates [m]; not finite for rays without information.
+    /// Coordinates of the points, lidar frame [m]. Not finite for rays without information.
     pub points: &'a [[f32; 3]],
-    /// True for rays without return within range.
+    /// True for rays without return within range. None: not known.
     pub no_return: Option<&'a [bool]>,
-    /// Direction of every ray.
+    /// Direction of every ray, lidar frame. None: not known.
     pub directions: Option<&'a [[f32; 3]]>,
-    /// Time of every point [ns].
+    /// Time of every point [ns]. None: all are of `stamp_ns`.
     pub point_time_ns: Option<&'a [i64]>,
-    /// `world_from_lidar`, 4x4 row-major: one, or a stream.
+    /// Poses `world_from_lidar`, 4x4 row-major: one, or a stream.
     pub poses: &'a [[f64; 16]],
-    /// Stamps of the stream [ns].
+    /// Times of the poses of a stream [ns]. None: there is one pose.
     pub pose_stamps_ns: Option<&'a [i64]>,
-    /// Covariance of the pose: translation, then the angles about x, y, z (eq. 38).
+    /// Covariance of the pose: translation [m], then the angles about x, y, z [rad] (eq. 38). None:
+    /// not known.
     pub pose_covariance: Option<[[f64; 6]; 6]>,
 }
 
 impl RawScan<'_> {
-    /// True if a row holds information; drivers leave the times of others at 0.
+    /// True if a row has information. Drivers leave the times of other rows at 0.
     pub(crate) fn is_informative(&self, row: usize) -> bool {
         self.no_return.is_some_and(|flags| flags[row])
             || self.points[row].iter().all(|value| value.is_finite())
     }
 
-    /// Half way between the first and the last time of a row that tells anything [ns].
+    /// Middle between the first and the last time of rows with information [ns]. None without times
+    /// or such rows.
     pub(crate) fn middle_ns(&self) -> Option<i64> {
         let times = self.point_time_ns?;
         let rows = (0..times.len()).filter(|&row| self.is_informative(row));

@@ -1,4 +1,4 @@
-//! Memory of the detector per LiDAR: last stamp, own body, rays.
+//! Memory of the detector for one LiDAR: last stamp, the robot itself, rays.
 
 use super::body::Body;
 use super::raw_scan::RawScan;
@@ -11,42 +11,42 @@ use crate::geometry::transform::{Transform, minus, norm};
 use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 
-/// A direction range in the lidar frame [rad]: azimuth from, to, elevation from, to. A range of
-/// azimuth may cross +-pi: "from" is larger than "to" then.
+/// A range of directions in the lidar frame [rad]: azimuth from, to, elevation from, to. If the azimuth crosses +-pi,
+/// "from" is larger than "to".
 pub type Sector = [f64; 4];
 
-/// Longest time between two scans that tell how the sensor moves [s].
+/// Longest time between two scans from which the motion of the sensor is computed [s].
 const LONGEST_PAUSE: f64 = 1.0;
 
 /// Parameters of one LiDAR.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorParameters {
-    /// Nearer returns are not used [m].
+    /// Smallest range of the returns that are used [m].
     pub min_range: f64,
-    /// Corners of a box around the robot, lidar frame: returns inside are not used [m].
+    /// Corners of a box around the robot, lidar frame [m]. Returns inside are not used. None: no box.
     pub self_box: Option<[[f64; 3]; 2]>,
-    /// Directions towards the robot itself: their rays are not used.
+    /// Directions towards the robot itself. Their rays are not used.
     pub blind_sectors: Vec<Sector>,
-    /// Rows of the cloud whose rays hit the robot.
+    /// For each row of the cloud, whether its ray hits the robot. None: not known.
     pub self_mask: Option<Vec<bool>>,
-    /// Number of first scans in which the directions towards the robot are learnt; 0 learns none.
+    /// Number of first scans from which the directions towards the robot are learnt. 0: they are not learnt.
     pub learn_mask_scans: u32,
-    /// Range within which returns that keep coming from one direction are of the robot [m]. Such
-    /// returns, and rays without return in these directions, are not used.
+    /// Range within which repeated returns from one direction are of the robot [m]. These returns, and rays without
+    /// return in such directions, are not used.
     pub learn_mask_range: f64,
-    /// Masks apply only to rays without return; otherwise to all.
+    /// If true, masks apply only to rays without return, else to all rays.
     pub mask_empty_only: bool,
-    /// Source of the rays without return.
+    /// How the directions of rays without return are known.
     pub beams: Beams,
-    /// Names and rays of known sensors; error messages suggest these names.
+    /// Names and ray patterns of known sensors. Error messages suggest these names.
     pub known_sensors: Vec<(String, RayPattern)>,
-    /// The robot is found by returns that stay in place in the sensor's frame.
+    /// If true, the robot is found from returns that stay in place in the sensor's frame.
     pub find_body: bool,
-    /// Returns per ray: the cloud holds that many equal parts, one per return.
+    /// Number of returns per ray. The cloud contains this number of equal parts, one per return.
     pub returns_per_ray: usize,
 }
 
-/// Best mode: rays without return and the robot itself are found from the returns.
+/// Best mode: rays without return, and the robot itself, are found from the returns.
 impl Default for SensorParameters {
     fn default() -> Self {
         Self {
@@ -66,7 +66,7 @@ impl Default for SensorParameters {
 }
 
 impl SensorParameters {
-    /// Every return is used, however near, and nothing is looked for.
+    /// Every return is used, however near, and neither the robot nor the sky is looked for.
     #[must_use]
     pub fn paper() -> Self {
         Self {
@@ -84,20 +84,20 @@ impl SensorParameters {
 pub(crate) struct Sensor {
     pub(crate) parameters: SensorParameters,
     pub(crate) last_stamp_ns: Option<i64>,
-    /// Pose of the last scan used, in the frame of the map.
+    /// Pose of the sensor at the last scan that was used, in the frame of the map.
     pub(crate) last_pose: Option<Transform>,
-    /// None where rays without return are given.
+    /// State of the search for the sky. None if rays without return are given.
     pub(crate) sky: Option<Sky>,
     pub(crate) body: Option<Box<Body>>,
     learnt_scans: u32,
-    /// The air was full of droplets once.
+    /// Whether the air was ever full of droplets.
     is_in_droplets: bool,
-    /// Scans with a near return, per cell of direction.
+    /// For each cell of direction, the number of scans with a near return.
     near_counts: Vec<u32>,
     directions: Vec<[f32; 3]>,
 }
 
-/// State of one LiDAR as bytes hold it.
+/// [`Sensor`] in a saved state, without its parameters.
 #[derive(Serialize, Deserialize)]
 pub(super) struct SavedSensor {
     last_stamp_ns: Option<i64>,
@@ -125,7 +125,7 @@ impl Sensor {
         }
     }
 
-    /// State that goes on to the same bits; `parameters` are not in it.
+    /// The state to save, without `parameters`. A sensor restored from it gives the same results, bit by bit.
     pub(super) fn saved(&self) -> SavedSensor {
         SavedSensor {
             last_stamp_ns: self.last_stamp_ns,
@@ -139,7 +139,7 @@ impl Sensor {
         }
     }
 
-    /// Take over a saved state of a sensor with the same parameters.
+    /// Restore the saved state of a sensor with the same parameters.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no sensor has.
@@ -168,10 +168,10 @@ impl Sensor {
         self.last_stamp_ns.map(|last| stamp_ns.saturating_sub(last) as f64 * 1e-9)
     }
 
-    /// Check that a scan is newer than all others of this sensor.
+    /// Check that a scan is newer than all earlier ones of this sensor.
     ///
     /// # Errors
-    /// [`Error::Time`] unless `stamp_ns` is newer than every scan of this sensor before.
+    /// [`Error::Time`] if `stamp_ns` is not newer than the last scan of this sensor.
     pub(crate) fn check_stamp(&self, name: &str, stamp_ns: i64) -> Result<(), Error> {
         match self.last_stamp_ns {
             Some(last) if stamp_ns <= last => Err(Error::Time {
@@ -184,7 +184,7 @@ impl Sensor {
         }
     }
 
-    /// True if the return `point` (row `row`) is on the robot itself or too near.
+    /// True if the return `point` [m, lidar frame] of row `row` is on the robot itself, or too near.
     pub(crate) fn is_own(&self, row: usize, point: [f64; 3]) -> bool {
         let p = &self.parameters;
         let range = norm(point);
@@ -202,19 +202,19 @@ impl Sensor {
             || (!p.mask_empty_only && self.is_named(row, point))
     }
 
-    /// True if the ray of row `row` towards `direction` meets the robot itself.
+    /// True if the ray of row `row` in `direction` (lidar frame) hits the robot itself.
     pub(crate) fn is_masked(&self, row: usize, direction: [f64; 3]) -> bool {
         self.is_learnt(direction) || self.is_named(row, direction)
     }
 
-    /// True if the configuration says that this ray meets the robot.
+    /// True if the configuration says that this ray hits the robot.
     fn is_named(&self, row: usize, direction: [f64; 3]) -> bool {
         let p = &self.parameters;
         p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))
             || p.blind_sectors.iter().any(|sector| is_inside(sector, direction))
     }
 
-    /// True if at least a fifth of the learning scans had a near return in this direction.
+    /// True if at least a fifth of the learning scans had a near return in this direction (lidar frame).
     fn is_learnt(&self, direction: [f64; 3]) -> bool {
         self.learnt_scans >= self.parameters.learn_mask_scans
             && !self.near_counts.is_empty()
@@ -224,12 +224,12 @@ impl Sensor {
                 .is_some_and(|&count| 5 * count >= self.parameters.learn_mask_scans.max(1))
     }
 
-    /// Remembered direction of a row, for rays without return of clouds without directions.
+    /// Remembered direction of a row, for clouds without directions. None if the row never had a return.
     pub(crate) fn direction(&self, row: usize) -> Option<[f32; 3]> {
         self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
     }
 
-    /// Find the sky in a scan, if it is to be found; false if it is not, or not known yet.
+    /// Estimate the sky from a scan. Returns false if the sky is not estimated, or not known yet.
     pub(crate) fn observe_sky(
         &self,
         scan: &ScanToObserve<'_>,
@@ -240,7 +240,7 @@ impl Sensor {
         sky.is_known_at(scan.stamp_ns) && observation.has_returns()
     }
 
-    /// Source of the rays without return of a scan, if they are found and not given.
+    /// Source of the rays without return of a scan, if they are found. `Unknown` if they are given.
     pub(crate) fn sky_source(&self, stamp_ns: i64) -> SkySource {
         match &self.sky {
             Some(sky) if !sky.is_known_at(stamp_ns) => SkySource::Unknown,
@@ -250,14 +250,14 @@ impl Sensor {
         }
     }
 
-    /// Take over what an earlier run found of the robot.
+    /// Use what an earlier run found of the robot.
     pub(crate) fn recall(&mut self, saved: &SavedBody) {
         if let Some(body) = &mut self.body {
             body.recall(&saved.voxels, saved.is_decided);
         }
     }
 
-    /// Forget what depends on the frame of a map that is no more.
+    /// Forget everything that depends on the frame of a map that is no longer used.
     pub(crate) fn forget_places(&mut self) {
         if let Some(sky) = &mut self.sky {
             sky.forget_places();
@@ -283,7 +283,7 @@ impl Sensor {
         }
     }
 
-    /// Remember what an accepted scan told about the sensor; `pose` is that of the scan in the map.
+    /// Learn from an accepted scan. `pose`: that of the sensor in the frame of the map.
     pub(crate) fn learn_from(
         &mut self,
         raw: &RawScan<'_>,
@@ -294,8 +294,8 @@ impl Sensor {
         self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
     }
 
-    /// Way from the pose of its last scan to another pose, frame of the map [m]; 0 if that scan is not known or too long
-    /// ago.
+    /// Vector from the pose of the last scan to `pose`, frame of the map [m]. Zero if there was no scan, or if it is
+    /// too long ago.
     pub(super) fn moved(&self, pose: &Transform, stamp_ns: i64) -> [f64; 3] {
         let is_recent = self.since_last(stamp_ns).is_some_and(|seconds| seconds <= LONGEST_PAUSE);
         match self.last_pose.filter(|_| is_recent) {
@@ -349,10 +349,10 @@ impl Sensor {
     }
 }
 
-/// Cells along the edge of a face of the cube of directions: 2 degrees each.
+/// Number of cells along the edge of a face of the cube of directions: 2 degrees each.
 const FACE_CELLS: usize = 48;
 
-/// Cell of a direction, which need not be a unit vector: place on one of the six faces of a cube.
+/// Number of the cell of a direction, which need not be a unit vector, on the six faces of a cube.
 fn cell_of(direction: [f64; 3]) -> usize {
     let mut axis = 0;
     for other in 1..3 {

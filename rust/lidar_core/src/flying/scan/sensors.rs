@@ -1,4 +1,4 @@
-//! Memory of the detector of all its LiDARs.
+//! Memory of the detector for all its LiDARs.
 
 use super::prepared::Prepared;
 use super::raw_scan::RawScan;
@@ -15,22 +15,22 @@ use std::collections::BTreeMap;
 #[derive(Clone, Default)]
 pub(crate) struct Sensors {
     known: BTreeMap<String, Sensor>,
-    /// Robot as an earlier run found it, for sensors that are met again.
+    /// The robot as an earlier run found it, by name of the sensor.
     recalled: BTreeMap<String, SavedBody>,
 }
 
-/// Points of a scan on the robot itself.
+/// Points of a scan that are on the robot itself.
 #[derive(Default)]
 pub(crate) struct OwnBody {
     /// Rows of the points, ascending.
     pub(crate) rows: Vec<u32>,
     /// Share of the rays that end on the robot.
     pub(crate) share: f64,
-    /// True if turns have shown that what was found is the robot itself.
+    /// Whether turns have confirmed that the found voxels are the robot itself.
     pub(crate) is_decided: bool,
 }
 
-/// State of all sensors as bytes hold it.
+/// [`Sensors`] in a saved state.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SavedSensors {
     known: Vec<(String, SavedSensor)>,
@@ -38,10 +38,10 @@ pub(crate) struct SavedSensors {
 }
 
 impl Sensors {
-    /// A sensor that may be new.
+    /// The sensor `name`, which is added if it is new.
     ///
     /// # Errors
-    /// [`Error::Limit`] for more sensors than are remembered.
+    /// [`Error::Limit`] if there would be more sensors than are remembered.
     pub(crate) fn meet(
         &mut self,
         name: &str,
@@ -66,32 +66,32 @@ impl Sensors {
         Ok(&self.known[name])
     }
 
-    /// Remove a sensor whose first scan was refused.
+    /// Remove a sensor, because its first scan was refused.
     pub(crate) fn remove(&mut self, name: &str) {
         self.known.remove(name);
     }
 
-    /// True if the sensor has been met.
+    /// True if the sensor `name` is known.
     pub(crate) fn contains(&self, name: &str) -> bool {
         self.known.contains_key(name)
     }
 
-    /// Number of sensors that have been met.
+    /// Number of known sensors.
     pub(crate) fn len(&self) -> usize {
         self.known.len()
     }
 
-    /// A sensor that has been met.
+    /// The sensor `name`. None if it is not known.
     pub(crate) fn get(&self, name: &str) -> Option<&Sensor> {
         self.known.get(name)
     }
 
-    /// A sensor that has been met, to be changed.
+    /// The sensor `name`, to be changed. None if it is not known.
     pub(crate) fn get_mut(&mut self, name: &str) -> Option<&mut Sensor> {
         self.known.get_mut(name)
     }
 
-    /// Known voxels of the robot, per sensor, those of an earlier run included.
+    /// Known voxels of the robot for each sensor, including those of an earlier run.
     pub(crate) fn bodies(&self) -> Vec<SavedBody> {
         let mut bodies = Vec::new();
         for (name, sensor) in &self.known {
@@ -108,7 +108,8 @@ impl Sensors {
         bodies
     }
 
-    /// Take over what an earlier run knew of the robot, for every sensor that has not found it itself.
+    /// Use what an earlier run found of the robot, for every sensor that has not found the robot
+    /// itself.
     pub(crate) fn recall(&mut self, bodies: Vec<SavedBody>) {
         for body in &bodies {
             if let Some(sensor) = self.known.get_mut(&body.sensor) {
@@ -118,7 +119,7 @@ impl Sensors {
         self.recalled = bodies.into_iter().map(|body| (body.sensor.clone(), body)).collect();
     }
 
-    /// State that goes on to the same bits.
+    /// The state to save. Sensors restored from it give the same results, bit by bit.
     pub(crate) fn saved(&self) -> SavedSensors {
         let known = self.known.iter();
         SavedSensors {
@@ -147,7 +148,7 @@ impl Sensors {
         Ok(sensors)
     }
 
-    /// Forget what depends on the frame of a map that is no more.
+    /// Forget everything that depends on the frame of a map that is no longer used.
     pub(crate) fn forget_places(&mut self) {
         for sensor in self.known.values_mut() {
             sensor.last_pose = None;
@@ -155,14 +156,14 @@ impl Sensors {
         }
     }
 
-    /// Let stamps begin anew.
+    /// Accept any stamp for the next scan of every sensor.
     pub(crate) fn forget_stamps(&mut self) {
         for sensor in self.known.values_mut() {
             sensor.last_stamp_ns = None;
         }
     }
 
-    /// Points of a scan on the robot itself, as far as the robot has been found.
+    /// Points of a scan on the robot itself, as far as the robot was found.
     pub(crate) fn own_body(&self, raw: &RawScan<'_>, scan: &Prepared) -> OwnBody {
         let sensor = self.known.get(raw.sensor);
         let Some((sensor, body)) = sensor.and_then(|one| Some((one, one.body.as_ref()?))) else {
@@ -182,10 +183,10 @@ impl Sensors {
     }
 }
 
-/// Check that `len` sensors are not too many; the last one is `name`.
+/// Check that `len` sensors are not too many. `name`: the last of them, for the error message.
 ///
 /// # Errors
-/// [`Error::Limit`] for more sensors than are remembered.
+/// [`Error::Limit`] if there are more sensors than are remembered.
 fn check_count(len: usize, name: &str) -> Result<(), Error> {
     if len <= MAX_SENSORS {
         return Ok(());
