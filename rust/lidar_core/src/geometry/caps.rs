@@ -1,9 +1,9 @@
-//! Area of a union of caps on the unit sphere, exactly.
+//! Exact area of a union of caps on the unit sphere.
 //!
-//! The border of the union consists of arcs of the caps' rims that no other cap covers. By the
-//! theorem of Gauss and Bonnet, the area to the left of a closed curve is, up to whole spheres, the
-//! sum over its arcs of the triangle between the arc's ends and any fixed point, and of what lies
-//! between the arc and the straight way between its ends. An arc's cap gives both.
+//! The border of the union consists of those arcs of the caps' rims that no other cap covers. By
+//! the theorem of Gauss and Bonnet, the area to the left of a closed curve is a sum over its arcs,
+//! up to whole spheres. Each arc contributes the triangle between its ends and any fixed point, and
+//! the area between the arc and the great circle through its ends. The arc's cap gives both.
 
 use crate::geometry::transform::{cross, dot, minus, norm};
 use rayon::ThreadPool;
@@ -14,23 +14,24 @@ use std::ops::Range;
 
 const SPHERE: f64 = 4.0 * PI;
 
-/// Caps nearer to each other than this are taken as one [rad].
+/// Caps whose centres are closer than this count as one [rad].
 const SAME: f64 = 1e-10;
-/// Shorter gaps in the cover of a rim are ignored [rad].
+/// Shorter gaps in the coverage of a rim are ignored [rad].
 const LEAST_GAP: f64 = 1e-12;
-/// Longest piece of an arc whose ends are joined by a straight way.
+/// Longest piece of an arc [rad] whose ends are connected by a great circle.
 const LONGEST_PIECE: f64 = 2.0;
-/// Caps handed to a thread at a time; fixed, so that sums do not depend on the threads.
+/// Number of caps that are handed to a thread at a time. It is fixed, so that sums do not depend on
+/// the threads.
 const CAPS_PER_CHUNK: usize = 1024;
-/// Any point that is not special.
+/// A fixed point of the sphere, chosen without any special position.
 const POLE: [f64; 3] = [0.6, 0.48, 0.64];
 
-/// A cap: its middle as a unit vector, and its angular radius, 0 to pi [rad].
+/// A cap on the unit sphere: all directions within an angular radius of its centre.
 #[derive(Clone, Copy, Debug)]
 pub struct Cap {
-    /// Middle.
+    /// Centre: a unit vector.
     pub center: [f64; 3],
-    /// Angular radius [rad].
+    /// Angular radius, 0 to pi [rad].
     pub radius: f64,
 }
 
@@ -43,16 +44,17 @@ impl Cap {
     }
 }
 
-/// Unit vectors, sorted into cells of several sizes for searches of any reach.
+/// Unit vectors, sorted into cells of several sizes, so that neighbours at any distance are found
+/// quickly.
 pub struct Directions {
     units: Vec<[f64; 3]>,
-    /// Cells of some size, of twice that, and so on.
+    /// Cells of some size, of twice this size, and so on.
     levels: Vec<Cells>,
 }
 
 impl Directions {
-    /// `units` have length 1; equal ones count once. Caps around them will have radii up to
-    /// `largest` [rad].
+    /// Sort the vectors `units`, which have length 1; equal ones count once. `largest`: largest
+    /// radius of the caps around them [rad].
     #[must_use]
     pub fn new(mut units: Vec<[f64; 3]>, largest: f64) -> Self {
         units.iter_mut().flatten().for_each(|value| *value += 0.0); // -0 becomes 0: their bits differ
@@ -82,10 +84,11 @@ impl Directions {
         self.units.is_empty()
     }
 
-    /// Area of the union of caps of `radius` around all directions and of `others` [sr].
+    /// Area of the union of caps of `radius` [rad] around all directions, and of the caps `others`
+    /// [sr].
     ///
-    /// `radius` is at most pi/2, and at most `largest` of the constructor; no two `others` are
-    /// equal.
+    /// `radius` is at most pi/2 and at most the value `largest` of the constructor. No two of
+    /// `others` may be equal.
     #[must_use]
     pub fn covered(&self, pool: &ThreadPool, radius: f64, others: &[Cap]) -> f64 {
         let part = |chunk: &[[f64; 3]]| -> f64 {
@@ -101,7 +104,8 @@ impl Directions {
         if area < 0.5 * least { SPHERE } else { area } // the sum leaves whole spheres open
     }
 
-    /// Contribution of the uncovered arcs of the rim around a direction to the area.
+    /// Contribution to the area of those arcs of a cap's rim that no other cap covers. The cap is
+    /// around one of the directions.
     fn rim(&self, cap: Cap, others: &[Cap]) -> f64 {
         let frame = RimFrame::of(cap);
         let mut covered = CoveredArcs::default();
@@ -132,7 +136,7 @@ impl Directions {
         frame.contribution(&gaps)
     }
 
-    /// Contribution of the rim of one of the other caps to the area.
+    /// Contribution to the area of the rim of the cap `index` of `others`.
     fn rim_of_other(&self, index: usize, radius: f64, others: &[Cap]) -> f64 {
         let frame = RimFrame::of(others[index]);
         let mut covered = CoveredArcs::default();
@@ -151,7 +155,7 @@ impl Directions {
 struct Cells {
     size: f64,
     indices: Vec<usize>,
-    /// Range of the indices of each cell.
+    /// For each cell, the range of its entries in `indices`.
     ranges: HashMap<[i32; 3], Range<usize>>,
 }
 
@@ -169,7 +173,7 @@ impl Cells {
         Self { size, indices, ranges }
     }
 
-    /// All vectors not further than a cell's size from `unit`, and some more.
+    /// Indices of all vectors within a cell's size of `unit`, and some others.
     fn around(&self, unit: [f64; 3]) -> impl Iterator<Item = usize> {
         let [x, y, z] = cell(unit, self.size);
         (0..27)
@@ -184,7 +188,7 @@ fn cell(unit: [f64; 3], size: f64) -> [i32; 3] {
     unit.map(|value| (value / size).floor() as i32)
 }
 
-/// A cap's rim, with angles along it counted from `x` towards `y`.
+/// The rim of a cap. Angles along it are counted from `x` towards `y`.
 struct RimFrame {
     center: [f64; 3],
     x: [f64; 3],
@@ -204,7 +208,8 @@ impl RimFrame {
         Self { center, x, y: cross(center, x), sine: libm::sin(radius), cosine: libm::cos(radius) }
     }
 
-    /// Add the arc of this rim that `other` covers; `ties`: one equal to this cap covers all of it.
+    /// Add the arc of this rim that `other` covers. `ties`: a cap that equals this one counts as
+    /// covering all of the rim.
     fn add_covered(&self, covered: &mut CoveredArcs, other: Cap, ties: bool) {
         let (x, y) = (dot(self.x, other.center), dot(self.y, other.center));
         let (beside, along) = (libm::hypot(x, y), dot(self.center, other.center));
@@ -219,7 +224,7 @@ impl RimFrame {
         covered.add(libm::atan2(y, x), libm::acos(needed / sine));
     }
 
-    /// Middle and radius of a ball that holds an arc of the rim.
+    /// Centre and radius of a ball that contains an arc of the rim.
     fn ball_around(&self, [start, end]: [f64; 2]) -> ([f64; 3], f64) {
         if end - start > PI {
             return (self.center.map(|value| self.cosine * value), self.sine);
@@ -235,7 +240,7 @@ impl RimFrame {
         })
     }
 
-    /// Area swept from `POLE` along the arcs, up to whole spheres.
+    /// Area swept by the great circles from `POLE` to the arcs, up to whole spheres [sr].
     fn contribution(&self, arcs: &[[f64; 2]]) -> f64 {
         let mut area = 0.0;
         for &[start, end] in arcs {
@@ -254,7 +259,7 @@ impl RimFrame {
     }
 }
 
-/// Signed area of the triangle of unit vectors on the sphere [sr].
+/// Signed area of the spherical triangle of three unit vectors [sr].
 ///
 /// # Source
 /// Van Oosterom & Strackee, "The Solid Angle of a Plane Triangle", 1983.
@@ -262,14 +267,14 @@ fn triangle(a: [f64; 3], [b, c]: [[f64; 3]; 2]) -> f64 {
     2.0 * libm::atan2(dot(a, cross(b, c)), 1.0 + dot(a, b) + dot(b, c) + dot(c, a))
 }
 
-/// Covered arcs of a rim, as angles from 0 to 2 pi.
+/// Covered arcs of a rim, as start and end angles from 0 to 2 pi [rad].
 #[derive(Default)]
 struct CoveredArcs {
     arcs: Vec<[f64; 2]>,
 }
 
 impl CoveredArcs {
-    /// Add the arc of half width `half` (0 to pi) around `middle` (-pi to pi).
+    /// Add the arc of half width `half` (0 to pi) around the angle `middle` (-pi to pi) [rad].
     fn add(&mut self, middle: f64, half: f64) {
         let (start, end) = (middle - half, middle + half);
         self.arcs.push([start.max(0.0), end.min(2.0 * PI)]);
@@ -278,7 +283,7 @@ impl CoveredArcs {
         }
     }
 
-    /// Merge arcs that overlap.
+    /// Sort the arcs and merge those that overlap.
     fn settle(&mut self) {
         self.arcs.retain(|[start, end]| start < end);
         self.arcs.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
@@ -291,7 +296,7 @@ impl CoveredArcs {
         });
     }
 
-    /// Gaps between the covered arcs, which must be settled.
+    /// The gaps between the covered arcs. Call `settle` before.
     fn gaps(&self) -> Vec<[f64; 2]> {
         let starts = std::iter::once(0.0).chain(self.arcs.iter().map(|arc| arc[1]));
         let ends = self.arcs.iter().map(|arc| arc[0]).chain(std::iter::once(2.0 * PI));

@@ -1,4 +1,4 @@
-//! Cubic lattice: point <-> voxel index.
+//! Cubic lattice: conversion between points and voxel indices.
 
 use crate::Error;
 use crate::error::{require, require_positive};
@@ -6,21 +6,25 @@ use crate::error::{require, require_positive};
 /// Index of a voxel along x, y, z.
 pub type Voxel = [i32; 3];
 
-/// Largest |index|: room for any search around a voxel, so that no neighbour's index overflows.
+/// Largest absolute index. It leaves room for any search around a voxel, so that no neighbour's
+/// index overflows.
 const MAX_INDEX: f64 = (i32::MAX - 4096) as f64;
 
 /// Largest edge of a voxel [m].
 const LARGEST: f64 = 1e100;
 
-/// A quotient this close to a whole number, relatively, may have been rounded across it.
+/// Relative distance from a whole number within which rounding may have moved a quotient across the
+/// number.
 const DOUBT: f64 = 4.0 * f64::EPSILON;
 
-/// Cubes of edge `voxel_size` [m]; the corner of voxel (0, 0, 0) lies at `origin` [m].
+/// A lattice of cubes with edge `voxel_size` [m]. The lowest corner of voxel (0, 0, 0) is at
+/// `origin` [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lattice {
     voxel_size: f64,
     origin: [f64; 3],
-    /// 1 / `voxel_size`, where multiplying by it is dividing: for powers of two.
+    /// 1 / `voxel_size` if multiplying by it gives exactly the result of the division: for powers
+    /// of two. Otherwise None.
     exact_inverse: Option<f64>,
 }
 
@@ -51,20 +55,21 @@ impl Lattice {
         self.voxel_size
     }
 
-    /// Corner of voxel (0, 0, 0) [m].
+    /// Lowest corner of voxel (0, 0, 0) [m].
     #[must_use]
     pub fn origin(&self) -> [f64; 3] {
         self.origin
     }
 
-    /// `point` in units of voxels; voxel (i, j, k) spans i..i+1 and so on.
+    /// `point` [m] in units of voxels, relative to the origin. Voxel (i, j, k) extends from (i, j,
+    /// k) to (i+1, j+1, k+1).
     #[must_use]
     #[inline(always)]
     pub fn scaled(&self, point: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| (point[axis] - self.origin[axis]) / self.voxel_size)
     }
 
-    /// Numbers along `axis` as [`Self::scaled`] has them, many at a time.
+    /// Convert coordinates along `axis` [m] to units of voxels in place, like [`Self::scaled`].
     #[inline(always)]
     pub(crate) fn scale(&self, axis: usize, values: &mut [f64]) {
         let origin = self.origin[axis];
@@ -76,8 +81,8 @@ impl Lattice {
         }
     }
 
-    /// The voxel that holds `point`; a point on a face belongs to the voxel above it. Exact: the
-    /// rounding of the division does not move a point across a face.
+    /// The voxel that contains `point` [m]. A point on a face belongs to the voxel above it. The
+    /// result is exact: rounding in the division does not move a point across a face.
     ///
     /// # Errors
     /// [`Error::PointOutOfRange`] if a coordinate is not finite or beyond 2^31 voxels.
@@ -96,8 +101,8 @@ impl Lattice {
         Ok(voxel)
     }
 
-    /// [`Self::voxel_at`] of many points, along every axis; those whose second value is not positive
-    /// are in doubt: only that one knows their voxel.
+    /// Voxels of many points, by axis, and a measure of certainty for each. If this is not
+    /// positive, the voxel may be wrong, and [`Self::voxel_at`] must be called for the point.
     #[inline(always)]
     pub(crate) fn voxels_at<const N: usize>(
         &self,
@@ -127,12 +132,13 @@ impl Lattice {
     }
 }
 
-/// True for a normal number without fraction bits.
+/// True for a normal floating-point number without fraction bits: plus or minus a power of two.
 fn is_power_of_two(value: f64) -> bool {
     value.is_normal() && value.to_bits().trailing_zeros() >= f64::MANTISSA_DIGITS - 1
 }
 
-/// The voxel of a point given in units of voxels; None if it cannot be indexed.
+/// The voxel of a point that is given in units of voxels. None if the point is not finite or too
+/// far away.
 #[must_use]
 #[inline(always)]
 pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
@@ -146,8 +152,8 @@ pub fn floor(scaled: [f64; 3]) -> Option<Voxel> {
     Some(voxel)
 }
 
-/// A whole number of 32 bits, with a sign or without, as the vector unit converts it: after the
-/// addition it has the lowest bits.
+/// Low 32 bits of a whole number, with or without sign, converted as on the vector unit: an
+/// addition moves them to the lowest bits.
 #[inline(always)]
 pub(crate) fn whole(value: f64) -> u32 {
     const TO_LOWEST_BITS: f64 = 1.5 * (1u64 << 52) as f64;
@@ -156,19 +162,19 @@ pub(crate) fn whole(value: f64) -> u32 {
     (value + TO_LOWEST_BITS).to_bits() as u32
 }
 
-/// Lesser number; `b` if one is NaN, like the instruction of the vector unit.
+/// The smaller number. `b` if one is NaN, like the instruction of the vector unit.
 #[inline(always)]
 pub(crate) fn least(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// True if a coordinate in units of voxels can be indexed.
+/// True if a coordinate in units of voxels has a valid voxel index.
 #[inline(always)]
 fn is_index(scaled: f64) -> bool {
     scaled.floor().abs() < MAX_INDEX
 }
 
-/// Points of `f32` as `f64`.
+/// A point with coordinates of `f32`, as `f64`.
 #[must_use]
 #[inline(always)]
 pub fn wide([x, y, z]: [f32; 3]) -> [f64; 3] {

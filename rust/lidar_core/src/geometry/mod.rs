@@ -1,4 +1,5 @@
-//! Lattice, ray walk, clustering, rigid transforms, motion and caps on the sphere.
+//! Geometry: voxel lattice, walk of rays, clustering, rigid transforms, motion, and caps on the
+//! sphere.
 
 pub mod caps;
 pub mod cluster;

@@ -1,4 +1,4 @@
-//! Pose of the sensor at every moment of a scan.
+//! Pose of the sensor at every time of a scan.
 
 use super::transform::Transform;
 use crate::Error;
@@ -6,10 +6,10 @@ use crate::util::key_hasher::KeyHasher;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// A point may lie this much outside the pose stream; the nearest pose is taken then [ns].
+/// Largest time outside the pose stream for which the nearest pose of the stream is used [ns].
 const POSE_SLACK_NS: i64 = 20_000_000;
 
-/// Pose of a scan: one, or a stream of them.
+/// Pose of a scan: one pose, or a stream of poses with times.
 #[derive(Clone, Copy, Debug)]
 pub struct ScanPoses<'a> {
     poses: &'a [[f64; 16]],
@@ -17,7 +17,8 @@ pub struct ScanPoses<'a> {
 }
 
 impl<'a> ScanPoses<'a> {
-    /// Poses of a scan: one for all points, or several with their stamps [ns].
+    /// Use poses `world_from_lidar` (4x4, row-major): one for all points, or several with their
+    /// stamps [ns].
     ///
     /// # Errors
     /// [`Error::Value`] or [`Error::Length`] if poses are not finite, or stamps are missing or not
@@ -62,7 +63,7 @@ impl<'a> ScanPoses<'a> {
         self.poses.len() > 1
     }
 
-    /// Pose at `stamp_ns`; None more than 20 ms outside the stream.
+    /// Pose at `stamp_ns`. None if the stamp is more than 20 ms outside the stream.
     #[must_use]
     pub fn at(&self, stamp_ns: i64) -> Option<Transform> {
         let (first, last) = (*self.stamps_ns.first()?, *self.stamps_ns.last()?);
@@ -96,22 +97,22 @@ impl<'a> ScanPoses<'a> {
     }
 }
 
-/// Pose of every point of a scan, and memory for the next one.
+/// Pose of the sensor for every point of a scan. It keeps its memory for the next scan.
 #[derive(Clone, Debug, Default)]
 pub struct PointPoses {
-    /// Distinct poses: points that share a time share the work.
+    /// The distinct poses. Points with the same time share one pose.
     poses: Vec<Transform>,
-    /// Place of every point's pose among them.
+    /// For each point, the index of its pose in `poses`.
     places: Vec<u32>,
     known: HashMap<i64, u32, BuildHasherDefault<KeyHasher>>,
 }
 
 impl PointPoses {
-    /// Compute the pose of every point. Rows without information may have any time. Error messages
-    /// call the times `name`.
+    /// Compute the pose of every point from its time [ns]. Rows without information may have any
+    /// time. `name`: name of the times in error messages.
     ///
     /// # Errors
-    /// [`Error::Value`] for the first time outside the stream.
+    /// [`Error::Value`] for the first time that is outside the stream.
     pub fn fill(
         &mut self,
         motion: &ScanPoses<'_>,
@@ -140,12 +141,12 @@ impl PointPoses {
         Ok(())
     }
 
-    /// Transform all poses to another frame.
+    /// Replace every pose by the one in another frame.
     pub fn move_to(&mut self, target_from_source: &Transform) {
         self.poses.iter_mut().for_each(|pose| *pose = target_from_source.after(pose));
     }
 
-    /// Pose of a point.
+    /// Pose for the point with this index.
     #[must_use]
     #[inline]
     pub fn at(&self, point: usize) -> &Transform {

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A rigid transform: `target_from_source` takes coordinates of the source to the target.
+/// A rigid transform. `target_from_source` converts coordinates of the frame "source" to the frame
+/// "target".
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transform {
     /// Rows of the rotation matrix.
@@ -35,7 +36,7 @@ impl Transform {
         }
     }
 
-    /// `point` [m] of the source in the target.
+    /// Coordinates in the target frame of `point` [m], which is given in the source frame.
     #[must_use]
     #[inline]
     pub fn apply(&self, point: [f64; 3]) -> [f64; 3] {
@@ -43,14 +44,14 @@ impl Transform {
         std::array::from_fn(|axis| turned[axis] + self.translation[axis])
     }
 
-    /// `direction` of the source in the target.
+    /// Components in the target frame of `direction`, which is given in the source frame.
     #[must_use]
     #[inline]
     pub fn rotate(&self, direction: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|row| dot(self.rotation[row], direction))
     }
 
-    /// The transform that takes the target back to the source.
+    /// The inverse transform, from the target frame to the source frame.
     #[must_use]
     pub fn inverse(&self) -> Self {
         // The transpose: exact, without a division.
@@ -60,7 +61,7 @@ impl Transform {
         Self { translation: back.rotate(self.translation).map(|value| -value), ..back }
     }
 
-    /// `self` after `first`: `a_from_b.after(b_from_c)` is `a_from_c`.
+    /// The transform that applies `first`, then `self`: `a_from_b.after(b_from_c)` is `a_from_c`.
     #[must_use]
     pub fn after(&self, first: &Self) -> Self {
         let column =
@@ -72,7 +73,8 @@ impl Transform {
         }
     }
 
-    /// `R C R'`: a covariance of the source in the target, exactly symmetric.
+    /// Covariance in the axes of the target frame (`R C R'`), exactly symmetric. `covariance` is in
+    /// the axes of the source.
     #[must_use]
     pub fn turn_covariance(&self, covariance: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
         let half: [[f64; 3]; 3] = std::array::from_fn(|row| self.rotate(covariance[row])); // C R'
@@ -83,8 +85,8 @@ impl Transform {
         })
     }
 
-    /// The transform at `fraction` (0..1) between `self` and `other`: translation on a line,
-    /// rotation at a constant rate.
+    /// The transform between `self` (`fraction` 0) and `other` (1). The translation is interpolated
+    /// on a straight line, the rotation at a constant rate.
     #[must_use]
     pub fn interpolate(&self, other: &Self, fraction: f64) -> Self {
         let start = quaternion_from_rotation(&self.rotation);
@@ -127,7 +129,8 @@ pub fn norm(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
 }
 
-/// The vector at length 1, however long or short; None if it is zero or not finite.
+/// Unit vector in the direction of `a`, however long or short `a` is. None if `a` is zero or not
+/// finite.
 #[must_use]
 pub fn direction_of(a: [f64; 3]) -> Option<[f64; 3]> {
     let largest = a.iter().fold(0.0, |largest, value| value.abs().max(largest));

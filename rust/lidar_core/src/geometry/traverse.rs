@@ -1,4 +1,4 @@
-//! Amanatides-Woo walk: the voxels of a segment and the length of the segment in each.
+//! Walk of Amanatides and Woo: the voxels that a segment crosses, and its length in each.
 
 use super::lattice::{Lattice, Voxel};
 use super::transform::{minus, norm};
@@ -6,15 +6,15 @@ use crate::Error;
 use crate::util::budget::MAX_VOXELS_PER_RAY;
 use std::ops::ControlFlow;
 
-/// Visit, in order, every voxel crossed by the segment `start` -> `end` [m], with the length
-/// of the segment inside it [m].
+/// Call `visit` in order for every voxel that the segment from `start` to `end` [m] crosses, with
+/// the length of the segment inside it [m].
 ///
-/// Consecutive voxels share a face. At an edge or corner the lowest axis goes first, so the
-/// result is the same on every platform. `visit` may stop the walk.
+/// Consecutive voxels share a face. At an edge or corner the lowest axis goes first, so the result
+/// is the same on every platform. `visit` may stop the walk.
 ///
 /// # Errors
-/// [`Error::PointOutOfRange`] if an end cannot be indexed, [`Error::Limit`] above
-/// [`MAX_VOXELS_PER_RAY`]; nothing is visited then.
+/// [`Error::PointOutOfRange`] if an end has no voxel, [`Error::Limit`] above [`MAX_VOXELS_PER_RAY`]
+/// voxels. In both cases nothing is visited.
 ///
 /// # Source
 /// Amanatides & Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987.
@@ -44,23 +44,23 @@ pub fn traverse(
     Ok(())
 }
 
-/// Number of voxels that a walk from `first` to `last` visits.
+/// Number of voxels that a walk from voxel `first` to voxel `last` visits.
 #[must_use]
 pub fn voxel_count(first: Voxel, last: Voxel) -> u64 {
     1 + (0..3).map(|axis| u64::from(first[axis].abs_diff(last[axis]))).sum::<u64>()
 }
 
-/// The walk itself.
+/// State of a walk along a segment.
 struct SegmentWalk {
     voxel: Voxel,
     last: Voxel,
     step: [i32; 3],
-    /// Start relative to the lattice's origin, and from start to end [m].
+    /// Start relative to the lattice's origin; `span`: vector from start to end [m].
     from: [f64; 3],
     span: [f64; 3],
     voxel_size: f64,
-    /// Ray parameter (0 at the start, 1 at the end) of the next wall per axis; infinite where the
-    /// walk has arrived.
+    /// Ray parameter (0 at the start, 1 at the end) of the next wall for each axis. Infinite where
+    /// the walk has reached the last voxel along the axis.
     t_next: [f64; 3],
     t_enter: f64,
     length: f64,
@@ -88,9 +88,9 @@ impl SegmentWalk {
         walk
     }
 
-    /// Find the wall through which the walk leaves its voxel along `axis`: computed afresh, not
-    /// summed up, and with one rounding before the division, so that lengths are exact to 1e-9 m
-    /// even 1000 km away and along a wall.
+    /// Compute the parameter of the wall through which the walk leaves its voxel along `axis`. It
+    /// is computed anew and not summed up, with one rounding before the division, so that lengths
+    /// are exact to 1e-9 m even 1000 km away and along a wall.
     fn aim(&mut self, axis: usize) {
         // Infinity is never the least: the walk cannot pass the last voxel along this axis.
         self.t_next[axis] = if self.voxel[axis] == self.last[axis] {
@@ -101,7 +101,7 @@ impl SegmentWalk {
         };
     }
 
-    /// The next voxel and the length inside it [m].
+    /// The next voxel, and the length inside it [m]. None at the end of the walk.
     fn next(&mut self) -> Option<(Voxel, f64)> {
         if self.done {
             return None;

@@ -1,18 +1,20 @@
-//! Limits: every allocation whose size comes from input asks here first.
+//! Limits on sizes. Every allocation whose size comes from the input is checked here first.
 
 use crate::Error;
 
 /// Largest number of points in one scan.
 pub const MAX_POINTS: usize = 4_000_000;
-/// Largest number of LiDARs of one detector: it remembers sky and robot of each, some megabytes.
+/// Largest number of LiDARs of one detector. It stores the sky and the robot for each of them: some
+/// megabytes.
 pub const MAX_SENSORS: usize = 64;
 /// Largest number of voxels that one ray may cross.
 pub const MAX_VOXELS_PER_RAY: usize = 100_000;
 
-/// An empty vector with room for `len` values, or a typed error instead of an abort.
+/// An empty vector with capacity for `len` values. A typed error instead of an abort if there is
+/// not enough memory.
 ///
 /// # Errors
-/// [`Error::Limit`] if `len` exceeds `limit` or the memory cannot be had.
+/// [`Error::Limit`] if `len` exceeds `limit`, or if there is not enough memory.
 pub fn vec_with_capacity<T>(
     what: &'static str,
     len: usize,
@@ -30,35 +32,37 @@ pub fn vec_with_capacity<T>(
     Ok(values)
 }
 
-/// Memory that a call may take beside that of its rows [bytes]. More than the largest block that
-/// allocators keep for themselves, so that what is asked for here goes back to the system.
+/// Memory that a call may need in addition to that of its rows [bytes]. It exceeds the largest
+/// block that allocators keep for themselves, so that the memory requested here goes back to the
+/// system.
 const ROOM: usize = 48 << 20;
-/// Memory that the stages of a scan may take for one of its points, all together [bytes].
+/// Memory that all stages of a scan together may need for one point [bytes].
 const ROOM_OF_POINT: usize = 640;
-/// Rows that together take less than this are as any small allocation: nobody asks for them [bytes].
+/// Size of the rows [bytes] below which their memory is not checked, as for any small allocation.
 const BRIEF: usize = 1 << 20;
 
-/// Ask for the memory that a scan may take, whatever its size: a few rays may make a map grow.
+/// Check that there is memory for a scan of this size, including growth of the map, which a few
+/// rays may cause.
 ///
 /// # Errors
-/// [`Error::Memory`] if it cannot be had.
+/// [`Error::Memory`] if there is not enough memory.
 pub(crate) fn check_scan_memory(points: usize) -> Result<(), Error> {
     ask("a scan", points.saturating_mul(ROOM_OF_POINT))
 }
 
-/// Ask for the memory that a call may take for its rows, `bytes_of_row` for each.
+/// Check that there is memory for a call with `rows` rows of `bytes_of_row` bytes.
 ///
 /// # Errors
-/// [`Error::Memory`] if it cannot be had.
+/// [`Error::Memory`] if there is not enough memory.
 pub fn check_memory(what: &'static str, rows: usize, bytes_of_row: usize) -> Result<(), Error> {
     let bytes = rows.saturating_mul(bytes_of_row);
     if bytes < BRIEF { Ok(()) } else { ask(what, bytes) }
 }
 
-/// Ask for memory, and give it back.
+/// Check that memory is available by allocating and freeing it.
 ///
-/// Most allocations are small and cannot fail by themselves: without memory they end the process.
-/// A call that may need many asks here before it changes anything.
+/// Most allocations are small and cannot report a failure: without memory they end the process. A
+/// call that may need many of them checks here before it changes anything.
 fn ask(what: &'static str, bytes: usize) -> Result<(), Error> {
     let bytes = bytes.saturating_add(ROOM);
     let mut room = Vec::<u8>::new();

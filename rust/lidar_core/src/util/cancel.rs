@@ -1,7 +1,8 @@
-//! A running call may be asked to stop: long loops look whether it was, until the first write.
+//! Cancellation: a running call may be asked to stop. Until the call begins to write, its long
+//! loops check this.
 //!
-//! The flag belongs to the thread that runs the call, not to the arguments of every function.
-//! Loops take a [`Watch`] before they share work out to other threads.
+//! The flag belongs to the thread that runs the call, so functions need no argument for it. Loops
+//! that share work with other threads take a [`Watch`] before.
 
 use crate::Error;
 use std::cell::RefCell;
@@ -19,18 +20,19 @@ pub struct Cancel(Arc<State>);
 #[derive(Default)]
 struct State {
     is_asked: AtomicBool,
-    /// Held while somebody is asked whether to stop, so that no write begins meanwhile.
+    /// Locked while it is decided whether to stop, so that no write begins meanwhile. True: the
+    /// call writes.
     is_writing: Mutex<bool>,
 }
 
 impl Cancel {
-    /// Run `work` on this thread: its long loops stop once this handle was asked to.
+    /// Run `work` on this thread. Its long loops stop after this handle was asked to stop.
     pub fn run<T>(&self, work: impl FnOnce() -> T) -> T {
         within(Some(self.clone()), work)
     }
 
-    /// Ask the call to stop if `wish` is true. Once the call has begun to write, nothing is
-    /// asked: `wish` is not called, and false is returned.
+    /// Ask the call to stop if `wish` returns true. Returns whether it was asked. Once the call has
+    /// begun to write, `wish` is not called, and false is returned.
     pub fn ask_if(&self, wish: impl FnOnce() -> bool) -> bool {
         let is_writing = self.0.is_writing.lock().unwrap_or_else(PoisonError::into_inner);
         let is_asked = !*is_writing && wish();
@@ -41,51 +43,53 @@ impl Cancel {
     }
 }
 
-/// Flag that a long loop looks at. It may be sent to other threads.
+/// Flag that long loops check. It may be sent to other threads.
 #[derive(Clone, Default)]
 pub struct Watch(Option<Cancel>);
 
 impl Watch {
-    /// True if the call was asked to stop. One load; a loop looks at least every 50 ms.
+    /// True if the call was asked to stop. It costs one load; a loop checks it at least every 50
+    /// ms.
     #[inline]
     #[must_use]
     pub fn is_asked(&self) -> bool {
         self.0.as_ref().is_some_and(|cancel| cancel.0.is_asked.load(Ordering::Relaxed))
     }
 
-    /// Give up if the call was asked to stop.
+    /// Return an error if the call was asked to stop.
     ///
     /// # Errors
-    /// [`Error::Interrupted`].
+    /// [`Error::Interrupted`] if it was.
     #[inline]
     pub fn check(&self) -> Result<(), Error> {
         if self.is_asked() { Err(Error::Interrupted) } else { Ok(()) }
     }
 
-    /// Run a part of the call, which another thread may have taken over.
+    /// Run a part of the call, possibly on another thread, so that it is cancelled with the call.
     pub(crate) fn run<T>(&self, work: impl FnOnce() -> T) -> T {
         within(self.0.clone(), work)
     }
 }
 
-/// Watch of the call that runs on this thread; without a call, a watch that never stops.
+/// The watch of the call that runs on this thread. Without such a call, a watch that never stops.
 #[must_use]
 pub fn watch() -> Watch {
     Watch(CURRENT.with_borrow(Clone::clone))
 }
 
-/// Give up if the call on this thread was asked to stop.
+/// Return an error if the call on this thread was asked to stop.
 ///
 /// # Errors
-/// [`Error::Interrupted`].
+/// [`Error::Interrupted`] if it was.
 pub fn check() -> Result<(), Error> {
     watch().check()
 }
 
-/// From here on the call on this thread changes its object, and can no longer be stopped.
+/// Declare that from here on the call on this thread changes its object, and can no longer be
+/// stopped.
 ///
 /// # Errors
-/// [`Error::Interrupted`] if it was asked before.
+/// [`Error::Interrupted`] if it was asked to stop before.
 pub fn begin_to_write() -> Result<(), Error> {
     let Watch(Some(Cancel(state))) = watch() else { return Ok(()) };
     let mut is_writing = state.is_writing.lock().unwrap_or_else(PoisonError::into_inner);
@@ -97,7 +101,7 @@ pub fn begin_to_write() -> Result<(), Error> {
 }
 
 fn within<T>(cancel: Option<Cancel>, work: impl FnOnce() -> T) -> T {
-    /// Puts back what was watched before, also after a panic.
+    /// Restores the previous watch when it is dropped, also after a panic.
     struct Before(Option<Cancel>);
     impl Drop for Before {
         fn drop(&mut self) {

@@ -1,8 +1,9 @@
-//! The whole state of an object as bytes: header, content, checksum.
+//! The whole state of an object as bytes: header, content and checksum.
 //!
 //! Layout (little endian): magic `LCFS`, version u32, length of the kind u8, kind (ASCII),
 //! fingerprint of the parameters u32, content (postcard), CRC-32 of everything before it.
-//! The parameters themselves are not in it: an object is made from them, then restored.
+//! The parameters themselves are not included: an object is made from them, and its state is then
+//! restored.
 
 use crate::Error;
 use serde::Serialize;
@@ -11,12 +12,13 @@ use std::fmt::Debug;
 use std::io::Write;
 
 const MAGIC: &[u8; 4] = b"LCFS";
-/// Raised with every change of a layout. The list of accepted layouts states it, so that what writes
-/// the list also raises the version: `state_layouts.rs` at the root of the crate.
+/// Version of the layouts of saved states. Every change of a layout raises it. The list of accepted
+/// layouts states it, so that the program that writes the list also raises the version:
+/// `state_layouts.rs` at the root of the crate.
 pub(crate) const VERSION: u32 = version_of(include_str!("../state_layouts.txt"));
 const CHECKSUM_BYTES: usize = 4;
 
-/// The number in the first line of a list of layouts, such as "version 8".
+/// The version number in the first line of a list of layouts, such as "version 8".
 pub(crate) const fn version_of(layouts: &str) -> u32 {
     let bytes = layouts.as_bytes();
     let (mut at, mut version) = ("version ".len(), 0);
@@ -27,7 +29,8 @@ pub(crate) const fn version_of(layouts: &str) -> u32 {
     version
 }
 
-/// Bytes that hold `content`, the state of an object of this `kind` with these `parameters`.
+/// Bytes with the state `content` of an object of this `kind` with these `parameters`, for
+/// [`opened`].
 ///
 /// # Errors
 /// [`Error::Limit`] if the bytes do not fit into memory.
@@ -53,7 +56,7 @@ pub(crate) fn sealed(
     })
 }
 
-/// Bytes that grow while there is memory; then writing fails.
+/// Bytes that grow while there is memory. Without memory, writing returns an error.
 pub(crate) struct Growing(pub(crate) Vec<u8>);
 
 impl Write for Growing {
@@ -117,15 +120,17 @@ pub(crate) fn opened<T: DeserializeOwned>(
     }
 }
 
-/// A state that is well formed but cannot be one of the object.
+/// [`Error::Format`] for a saved state that is well formed, but that no object can have. `what`:
+/// what is wrong.
 pub(crate) fn impossible(what: &str) -> Error {
     damaged(0, &format!("no object has such a state: {what}"))
 }
 
-/// The number of the next object, of a saved state.
+/// Check the saved number that the next new object (such as a track) will get, and return it.
 ///
 /// # Errors
-/// [`Error::Format`] for one that no object ever had, and that would leave no room for those to come.
+/// [`Error::Format`] for a number that no object ever had, or that leaves no room for later
+/// numbers.
 pub(crate) fn next_number(saved: i64) -> Result<i64, Error> {
     const MOST: i64 = 1 << 62;
     if (0..=MOST).contains(&saved) {
@@ -139,7 +144,8 @@ fn damaged(offset: usize, what: &str) -> Error {
     Error::Format { what: what.into(), offset: offset as u64 }
 }
 
-/// Tells parameters apart: every field is in their debug text, floats to the last bit.
+/// Number that distinguishes parameters: a checksum of their debug text, which has every field,
+/// with floats to the last bit.
 fn fingerprint(parameters: &impl Debug) -> u32 {
     crc32(format!("{parameters:?}").as_bytes())
 }
@@ -149,7 +155,7 @@ pub(crate) fn crc32(bytes: &[u8]) -> u32 {
     crc32_of_next(0, bytes)
 }
 
-/// CRC-32 of bytes whose first part has `crc`, and `bytes` is the next part.
+/// CRC-32 of two parts together. `crc`: the CRC-32 of the first part; `bytes`: the second part.
 pub(crate) fn crc32_of_next(crc: u32, bytes: &[u8]) -> u32 {
     const TABLE: [u32; 256] = table();
     !bytes
@@ -179,7 +185,7 @@ mod tests {
 
     type Content = (Vec<f64>, Option<u32>);
 
-    /// Found by `make fuzz`: the number after the largest one was a panic.
+    /// Found by `make fuzz`: for the largest number, computing the next one was a panic.
     #[test]
     fn numbers_that_leave_no_room_are_refused() {
         for saved in [0, 7, 1 << 62] {

@@ -1,8 +1,9 @@
-//! The hash of small keys: fast, and the same everywhere.
+//! Hash function for small keys: fast, and the same on every platform.
 
 use std::hash::Hasher;
 
-/// Hasher that multiplies by the golden ratio (Fibonacci hashing): equal on every platform and in every run.
+/// Hasher that multiplies by the golden ratio (Fibonacci hashing). Its results are equal on every
+/// platform and in every run.
 #[derive(Default)]
 pub(crate) struct KeyHasher(u64);
 

@@ -1,8 +1,9 @@
-//! Layout that serde reads for a type: fields in their order, names and types. Only for tests.
+//! The layout that serde reads for a type: fields in their order, with names and types. Only for
+//! tests.
 //!
-//! A type is read from values that are made up on the way: a run chooses at every enumeration a
-//! variant that was not seen yet, and at every option a value until all below it is known. Runs that
-//! a type refuses, because its made-up values do not fit together, tell what they met before.
+//! A type is read from made-up values. In each run, an enumeration takes a variant that was not
+//! seen yet, and an option takes a value until everything inside is known. A type may refuse a run,
+//! because the values do not fit together; such a run still shows what was read before.
 
 use serde::de::value::{Error as Refused, SeqDeserializer};
 use serde::de::{
@@ -12,12 +13,12 @@ use serde::de::{
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// More runs than any type of this crate takes.
+/// Largest number of runs. No type of this crate needs as many.
 const MOST_RUNS: usize = 500;
-/// Elements of a list, and parts of a map: measurements have at least two values.
+/// Number of elements of a list or map. Measurements have at least two values.
 const ELEMENTS: usize = 2;
 
-/// A layout, as far as it is known.
+/// The layout of a type, as far as it is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Layout {
     Unknown,
@@ -35,7 +36,7 @@ impl Layout {
     /// Layout of `T`.
     ///
     /// # Errors
-    /// What the last run was refused with, if no run gets through.
+    /// The reason why the last run was refused, if no run succeeds.
     pub(crate) fn of<T: DeserializeOwned>() -> Result<Self, Refused> {
         let mut found = Self::Unknown;
         for _ in 0..MOST_RUNS {
@@ -48,12 +49,13 @@ impl Layout {
         Err(Refused::custom("more runs than expected"))
     }
 
-    /// Everything in one line, without the names of types, which are in no byte.
+    /// Description in one line, without the names of types, which do not appear in the bytes.
     pub(crate) fn bare(&self) -> String {
         self.told(&mut |_, parts| format!("{{{parts}}}"))
     }
 
-    /// As [`Self::bare`], but types with a name are named, and told in `types`, one a line.
+    /// Like [`Self::bare`], but with the names of types. The types are described in `types`, one
+    /// per line.
     pub(crate) fn named(&self, types: &mut BTreeSet<String>) -> String {
         self.told(&mut |name, parts| {
             types.insert(format!("{name}: {parts}"));
@@ -105,7 +107,7 @@ impl Layout {
         }
     }
 
-    /// `made`, unless something is known already.
+    /// Set the layout to `made` if nothing is known yet.
     fn or(&mut self, made: impl FnOnce() -> Self) -> &mut Self {
         if *self == Self::Unknown {
             *self = made();
@@ -129,7 +131,7 @@ thread_local! {
     static HEARD: RefCell<Option<BTreeMap<&'static str, Layout>>> = const { RefCell::new(None) };
 }
 
-/// Layouts, by kind, of the states that are opened in `during`.
+/// For each kind of state that is opened in `during`, the layout of its type.
 pub(crate) fn heard<E>(
     during: impl FnOnce() -> Result<(), E>,
 ) -> Result<BTreeMap<&'static str, Layout>, E> {
@@ -139,7 +141,7 @@ pub(crate) fn heard<E>(
     ended.map(|()| found)
 }
 
-/// Tell that a state of a `kind` is opened as a `T`.
+/// Report that a state of a `kind` is opened as a `T`.
 pub(crate) fn tell<T: DeserializeOwned>(kind: &'static str) {
     HEARD.with_borrow_mut(|heard| {
         if let Some(heard) = heard {
@@ -148,7 +150,7 @@ pub(crate) fn tell<T: DeserializeOwned>(kind: &'static str) {
     });
 }
 
-/// Reads a value of one place, and writes there what it is.
+/// Deserialiser that provides a value for one place of a layout, and records its type there.
 struct Tracer<'a>(&'a mut Layout);
 
 macro_rules! plain {
@@ -285,12 +287,12 @@ impl<'de> IntoDeserializer<'de, Refused> for Tracer<'_> {
     }
 }
 
-/// What reads these parts one after the other.
+/// Deserialiser of these parts, one after the other.
 fn each<'de>(parts: &mut [(&'static str, Layout)]) -> impl SeqAccess<'de, Error = Refused> {
     SeqDeserializer::new(parts.iter_mut().map(|(_, place)| Tracer(place)))
 }
 
-/// An element that comes so many times more.
+/// Deserialiser of an element that is repeated this number of times.
 struct ElementsAccess<'a>(&'a mut Layout, usize);
 
 impl<'de> SeqAccess<'de> for ElementsAccess<'_> {

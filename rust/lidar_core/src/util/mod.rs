@@ -1,4 +1,5 @@
-//! Helpers for every module: limits, cancelling, thread pools, reusable memory, hashing, time per stage.
+//! Helpers for all modules: limits, cancelling, thread pools, reusable memory, hashing, time of
+//! stages.
 
 pub mod budget;
 pub mod cancel;
@@ -11,8 +12,7 @@ pub(crate) mod stopwatch;
 pub mod threads;
 pub mod vector_unit;
 
-/// A planted bug, which only builds of `make fuzz` have: they must find it. Says nothing on the
-/// console.
+/// A planted bug. Only builds of `make fuzz` contain it, and must find it. It prints nothing.
 #[cfg(canary_1)]
 pub(crate) fn planted(name: &'static str) -> ! {
     std::panic::resume_unwind(Box::new(name))

@@ -1,20 +1,20 @@
-//! Working memory for tasks that run at the same time.
+//! Pool of working memory for tasks that run at the same time.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};
 
-/// Pool of working memory: it holds as many pieces as were ever in use at the same time.
+/// Pool of working memory. It holds as many pieces as were ever in use at the same time.
 #[derive(Default)]
 pub(crate) struct ObjectPool<T>(Mutex<Vec<T>>);
 
-/// A borrowed piece of memory, returned to its pool when dropped.
+/// A borrowed piece of memory. It returns to its pool when it is dropped.
 pub(crate) struct PooledObject<'a, T: Default> {
     pool: &'a ObjectPool<T>,
     piece: T,
 }
 
 impl<T: Default> ObjectPool<T> {
-    /// A piece of memory, with whatever the last task left in it.
+    /// Borrow a piece of memory. It contains whatever the last task left in it.
     pub(crate) fn acquire(&self) -> PooledObject<'_, T> {
         let mut pieces = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         PooledObject { pool: self, piece: pieces.pop().unwrap_or_default() }

@@ -1,8 +1,8 @@
-//! Stop watch for the stages of a pipeline.
+//! Stopwatch for the stages of a pipeline.
 
 use std::time::Instant;
 
-/// Time since the last lap.
+/// Stopwatch that measures the time since the last lap.
 pub(crate) struct Clock(Instant);
 
 impl Clock {
@@ -10,7 +10,7 @@ impl Clock {
         Self(Instant::now())
     }
 
-    /// Milliseconds since the last lap.
+    /// Milliseconds since the last lap, or since the start. Begins a new lap.
     pub(crate) fn lap(&mut self) -> f64 {
         let now = Instant::now();
         let passed = now.duration_since(std::mem::replace(&mut self.0, now));

@@ -6,10 +6,10 @@ use crate::util::vector_unit;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Arc;
 
-/// Largest number of threads a pool may have.
+/// Largest number of threads of a pool.
 pub const MAX_THREADS: usize = 256;
 
-/// A pool of `threads` threads, 1 to [`MAX_THREADS`].
+/// A pool of `threads` threads (1 to [`MAX_THREADS`]).
 ///
 /// # Errors
 /// [`Error::Parameter`] if `threads` is outside that range, [`Error::Io`] if the system refuses.
@@ -26,12 +26,12 @@ fn check_threads(threads: usize) -> Result<(), Error> {
     require((1..=MAX_THREADS).contains(&threads), "threads", "1 to 256", threads)
 }
 
-/// Threads that several stages share. With one, the calling thread does all the work.
+/// Threads that several stages share. If there is only one, the calling thread does all the work.
 #[derive(Clone, Debug, Default)]
 pub struct Workers(Option<Arc<ThreadPool>>);
 
 impl Workers {
-    /// `threads` threads, 1 to [`MAX_THREADS`], on the vector unit that is used.
+    /// `threads` threads (1 to [`MAX_THREADS`]). Also checks the choice of the vector unit.
     ///
     /// # Errors
     /// As [`pool`] and [`vector_unit::used`].
@@ -42,7 +42,7 @@ impl Workers {
         Ok(Self(pool))
     }
 
-    /// The pool, if there are several threads.
+    /// The pool of threads. None if there is only one thread.
     #[must_use]
     pub fn pool(&self) -> Option<&ThreadPool> {
         self.0.as_deref()

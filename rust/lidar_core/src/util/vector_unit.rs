@@ -1,17 +1,18 @@
-//! The vector unit of the CPU that kernels use. All units give the same bits.
+//! Choice of the CPU's vector unit for kernels. All units give the same bits.
 
 use crate::Error;
 use pulp::{Arch, WithSimd};
 use std::sync::OnceLock;
 
-/// Environment variable that names the vector unit to be used, for tests and comparisons.
+/// Environment variable that names the vector unit to use, for tests and comparisons.
 pub const VARIABLE: &str = "LIDAR_CORE_SIMD";
 const NAMES: &str = "scalar, or avx2, avx512, neon where the CPU has it";
 
-/// Unit that is used; the text of the variable if it names none that this CPU has.
+/// The unit that is used. If the variable names a unit that this CPU does not have: the text of the
+/// variable.
 static CHOSEN: OnceLock<Result<Arch, String>> = OnceLock::new();
 
-/// Units of this CPU that kernels are built for, with their names; the best is last.
+/// Units of this CPU for which kernels are built, with their names. The best is last.
 fn units() -> Vec<(&'static str, Arch)> {
     let mut found = vec![("scalar", Arch::Scalar)];
     #[cfg(target_arch = "x86_64")]
@@ -24,17 +25,17 @@ fn units() -> Vec<(&'static str, Arch)> {
     found
 }
 
-/// Names of the vector units of this CPU that kernels are built for, the best last.
+/// Names of the CPU's vector units for which kernels are built. The best is last.
 #[must_use]
 pub fn available() -> Vec<&'static str> {
     units().into_iter().map(|(name, _)| name).collect()
 }
 
-/// Name of the vector unit that kernels use: the best, or the one that [`VARIABLE`] names. The
-/// variable is read once.
+/// Name of the vector unit that kernels use: the best one, or the one that [`VARIABLE`] names. The
+/// variable is read only once.
 ///
 /// # Errors
-/// [`Error::Parameter`] if the variable names none that this CPU has.
+/// [`Error::Parameter`] if the variable names a unit that this CPU does not have.
 pub fn used() -> Result<&'static str, Error> {
     let parameter =
         |got: &String| Error::Parameter { name: VARIABLE, expected: NAMES, got: got.clone() };
@@ -43,7 +44,7 @@ pub fn used() -> Result<&'static str, Error> {
     Ok(units().into_iter().find(|(_, unit)| is_used(unit)).map_or("scalar", |(name, _)| name))
 }
 
-/// Run a kernel on the unit that is used.
+/// Run a kernel on the chosen vector unit.
 #[inline]
 pub(crate) fn dispatch<Kernel: WithSimd>(kernel: Kernel) -> Kernel::Output {
     // Stages refuse a wrong variable when they are made, so nobody sees results of this choice.
@@ -58,7 +59,7 @@ fn chosen() -> &'static Result<Arch, String> {
     })
 }
 
-/// Unit of this CPU with a name; else the name.
+/// The unit of this CPU with this name. Otherwise the name, as an error.
 fn named(name: &str) -> Result<Arch, String> {
     let found = units().into_iter().find(|(known, _)| *known == name);
     found.map(|(_, unit)| unit).ok_or_else(|| name.to_owned())

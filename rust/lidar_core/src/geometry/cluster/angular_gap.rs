@@ -1,4 +1,4 @@
-//! Clustering with gaps that grow with the range, as the gaps between the rays of a LiDAR do.
+//! Clustering with gaps that grow with the range, as the distances between the rays of a LiDAR do.
 
 use super::keys::is_finite;
 use super::octree_link::{Fixed, Linker, Reach, check_extent};
@@ -13,32 +13,34 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Widest angle under which a gap is bridged [rad].
+/// Largest angle under which a gap may be bridged [rad].
 pub const MAX_ANGLE: f64 = 0.5;
-/// Ranges within one band differ by this factor at most: less than 1 / 0.8661, see [`Linker`].
+/// Largest ratio of the ranges in one band. It must be less than 1 / 0.8661: see [`Linker`].
 const BAND: f64 = 1.15;
-/// Largest ratio of ranges in a band where the angle does not count: such bands only share out work.
+/// Largest ratio of ranges in a band in which the angle does not count. Such bands only distribute
+/// the work.
 const NEAR_BAND: f64 = 1.4;
-/// No band is cut that ends nearer than so many times the fixed distance: most of it would be reached
-/// from its neighbour.
+/// Bands are not cut at ranges below this number times the fixed distance: most points of such a band
+/// would also be in reach of the neighbouring band.
 const LEAST_WIDTHS: f64 = 32.0;
-/// Room for rounding.
+/// Relative margin for rounding errors.
 const MARGIN: f64 = 1e-6;
 
-/// Gaps that are bridged if their angle at the sensor is small.
+/// Gaps that are bridged because they are seen under a small angle from the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngularGap {
-    /// The sensor [m].
+    /// Position of the sensor, in the frame of the points [m].
     pub origin: [f64; 3],
-    /// Gaps seen under this angle are inside a cluster too [rad], 0 to [`MAX_ANGLE`].
+    /// Largest angle under which a gap inside a cluster is seen [rad], 0 to [`MAX_ANGLE`]. 0: the
+    /// angle does not count.
     pub max_angle: f64,
 }
 
-/// Like [`label`](super::label), but two points are also linked by a step of at most
+/// Like [`label`](super::label), but two points are also linked if their distance is at most
 /// `max_angle` times the range of the nearer one.
 ///
-/// The result does not depend on the order of the points, except for the numbers, nor on the
-/// threads of `pool`.
+/// Except for the numbers of the clusters, the result does not depend on the order of the points.
+/// It does not depend on the threads of `pool`.
 ///
 /// # Errors
 /// Errors of [`label`](super::label), and [`Error::Parameter`] for an angle out of range or an
@@ -54,7 +56,7 @@ pub fn label_seen(
     Ok(labeller.near.labels.labels)
 }
 
-/// Labels clouds that are seen from a sensor, one after another in the same memory.
+/// Labels clouds that are seen from a sensor, one after another. It keeps its memory.
 #[derive(Default)]
 pub struct SeenLabeller {
     near: Labeller,
@@ -101,7 +103,7 @@ impl SeenLabeller {
         Ok(near.labels.number(roots, clustering))
     }
 
-    /// Labels of the last cloud.
+    /// Labels of the last cloud: number of the cluster of every point, or [`NOISE`](super::NOISE).
     #[must_use]
     pub fn labels(&self) -> &[i32] {
         self.near.labels()
@@ -120,7 +122,7 @@ impl AngularGap {
         )
     }
 
-    /// Square of the range of a point [m^2].
+    /// Square of the range of a point, seen from the sensor [m^2].
     fn square(&self, point: [f64; 3]) -> f64 {
         let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
         // Never infinite, or `cut` would add bands without end.
@@ -128,11 +130,12 @@ impl AngularGap {
     }
 }
 
-/// Reach among points that lie in one band of ranges.
+/// Rule for linking points whose ranges are in one band.
 struct InBand<'a> {
     gap: &'a AngularGap,
-    /// Squares of the fixed distance and of the largest reach that counts [m^2].
+    /// Square of the fixed distance within which points are always linked [m^2].
     fixed: f64,
+    /// Square of the largest distance at which points of the band may be linked [m^2].
     most: f64,
 }
 
@@ -149,23 +152,24 @@ impl Reach for InBand<'_> {
     }
 }
 
-/// Points by their range. In the first bands the angle does not count yet; within each of the
-/// others all reaches are nearly equal.
+/// Points sorted into bands by range. In the first bands the angle does not count. Within each of
+/// the others, the distances at which points are linked are nearly equal.
 #[derive(Default)]
 struct Bands {
-    /// The fixed distance [m].
+    /// The distance within which points are always linked [m].
     fixed: f64,
     /// Upper end of every band [m].
     ends: Vec<f64>,
-    /// The band of every point; [`NO_BAND`] if it is not finite.
+    /// Number of the band of every point. [`NO_BAND`] if the point is not finite.
     band_of: Vec<u16>,
     /// Rows of finite points, by band.
     rows: Vec<u32>,
-    /// End of the rows of every band.
+    /// End of every band's entries in `rows`.
     row_ends: Vec<usize>,
 }
 
-/// More than there can be: each band is wider than the one before.
+/// Band of points that are not finite. There are never as many bands, since each is wider than the
+/// one before.
 const NO_BAND: u16 = u16::MAX;
 
 impl Bands {
@@ -173,7 +177,8 @@ impl Bands {
         self.ends.len()
     }
 
-    /// Sort the points into bands of range, each with a gap of its own.
+    /// Sort the points into bands of range. `fixed`: distance within which points are always linked
+    /// [m].
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -211,7 +216,7 @@ impl Bands {
         cancel::check()
     }
 
-    /// Find the ends of the bands, given the square of the largest range.
+    /// Find the ends of the bands. `furthest`: square of the largest range [m^2].
     fn cut(&mut self, fixed: f64, max_angle: f64, furthest: f64) {
         // From here on the angle counts.
         let counts = (fixed / max_angle).min(f64::MAX) * (1.0 - MARGIN);
@@ -230,7 +235,7 @@ impl Bands {
         self.fixed = fixed;
     }
 
-    /// Largest distance of two linked points of a band [m].
+    /// Largest distance of two linked points in a band [m].
     fn widest(&self, gap: &AngularGap, band: usize) -> f64 {
         self.fixed.max(gap.max_angle * self.ends[band])
     }
@@ -241,7 +246,7 @@ impl Bands {
     }
 }
 
-/// Points of one band, and what they are linked to.
+/// Points of one band, and further points to which they may be linked.
 #[derive(Default)]
 struct BandPoints {
     rows: Vec<u32>,
@@ -250,7 +255,7 @@ struct BandPoints {
 }
 
 impl BandPoints {
-    /// Join what is linked to the points of a band.
+    /// Link the points of a band with each other and with further points. `sets` takes the links.
     fn link(
         &mut self,
         points: &[[f32; 3]],
@@ -281,7 +286,7 @@ impl BandPoints {
         Ok(())
     }
 
-    /// The points of `band`, and those beyond it that are within reach of its furthest ones.
+    /// Collect the points of `band`, and points beyond it that are in reach of its farthest ones.
     fn take(&mut self, points: &[[f32; 3]], gap: &AngularGap, bands: &Bands, band: usize) {
         let Self { rows, points: taken, .. } = self;
         let reached = (bands.ends[band] + bands.widest(gap, band)) * (1.0 + MARGIN);

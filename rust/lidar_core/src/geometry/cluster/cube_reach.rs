@@ -1,18 +1,20 @@
-//! Cubes of 4 x 4 x 4 octants, each a bit of a word: which of two cubes are in reach of each other.
+//! Cubes of 4 x 4 x 4 octants, with one bit per octant: which octants of two cubes are in reach of
+//! each other.
 
-/// Which octants of a cube and of another are in reach of each other: no further than two octants away
-/// along every axis.
+/// Which octants of one cube are in reach of which octants of another: no further than two octants
+/// away along every axis.
 pub(super) struct InReach {
-    /// Octants of the one that have any in the other.
+    /// Octants of the first cube that are in reach of any octant of the other.
     pub(super) ours: u64,
-    /// Octants of the other that have any in the one.
+    /// Octants of the other cube that are in reach of any octant of the first.
     pub(crate) theirs: u64,
-    /// For every octant of the one, those of the other.
+    /// For every octant of the first cube, the octants of the other that are in its reach.
     pub(crate) of: [u64; 64],
 }
 
 impl InReach {
-    /// For the cube `step` away; of an octant's own cube only those behind it.
+    /// Reach between a cube and the one that is `step` cubes away. For `step` 0: of each octant,
+    /// only octants behind it in the order of bits.
     const fn across(step: [i32; 3]) -> Self {
         let mut reach = Self { ours: 0, theirs: 0, of: [0; 64] };
         let is_own = step[0] == 0 && step[1] == 0 && step[2] == 0;
@@ -35,11 +37,12 @@ impl InReach {
     }
 }
 
-/// For a cube itself, and for the next one along x.
+/// Reach within one cube. `NEXT`: between a cube and the next one along x.
 pub(super) static OWN: InReach = InReach::across([0; 3]);
 pub(super) static NEXT: InReach = InReach::across([1, 0, 0]);
-/// For steps of -1, 0 and 1 along x to the four rows of cubes that follow a cube in the order of the
-/// keys: the next one, then those of the next plane.
+/// Reach between a cube and later cubes: first index, the four rows of cubes that follow it in the
+/// order of keys (the next row, then those of the next plane); second index, steps of -1, 0 and 1
+/// along x.
 pub(super) static ROWS: [[InReach; 3]; 4] =
     [row_across([1, 0]), row_across([-1, 1]), row_across([0, 1]), row_across([1, 1])];
 

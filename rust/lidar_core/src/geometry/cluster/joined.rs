@@ -1,7 +1,7 @@
-//! Clustering of clouds in which some points are known to belong together.
+//! Clustering of clouds in which it is known that some points belong together.
 //!
-//! Joined points need no links among each other, and those out of reach of all other points can be
-//! ignored: the number of the other points determines the search.
+//! Such joined points need no links among each other, and those out of reach of all other points can be ignored. So
+//! the number of the other points determines the cost.
 
 use super::angular_gap::{AngularGap, SeenLabeller};
 use super::keys::is_finite;
@@ -15,28 +15,28 @@ use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 use rayon::ThreadPool;
 
-/// Room for rounding in the size of cells.
+/// Relative margin of the cell size for rounding errors.
 const MARGIN: f64 = 1e-6;
-/// Points whose cells are found at a time.
+/// Number of points whose cells are found at a time.
 const LANES: usize = 16;
-/// Clusters of searched points that have no label yet, and those that hold joined points.
+/// Temporary label of clusters without a label yet. `JOINED`: of clusters that contain joined points.
 const UNNAMED: i32 = -2;
 const JOINED: i32 = -3;
 
-/// Labels clouds, one after another in the same memory.
+/// Labels clouds, one after another. It keeps its memory.
 #[derive(Default)]
 pub(crate) struct JoinedLabeller {
     whole: SeenLabeller,
     labels: Vec<i32>,
-    /// Rows that are searched, in ascending order: those that are not joined, and joined ones near them.
+    /// Rows that are searched, ascending: points that are not joined, and joined points near them.
     rows: Vec<u32>,
     points: Vec<[f32; 3]>,
     cells: ReachCells,
-    /// Label of each cluster of the points that are searched.
+    /// Label of each cluster of the searched points.
     named: Vec<i32>,
-    /// Rows that are not joined, and their labels.
+    /// Rows that are not joined, with their labels.
     others: Vec<(u32, i32)>,
-    /// Label of the joined points, if any are.
+    /// Label of the joined points. None if none is joined, or if the last cloud was labelled without joined points.
     joined: Option<i32>,
 }
 
@@ -56,8 +56,8 @@ impl JoinedLabeller {
         self.whole.label(points, gap, clustering, pool).map(drop)
     }
 
-    /// Label one cloud as if all points with `is_joined` were linked to each other. Clusters of any size
-    /// count. [`Self::searched`] has all joined points within `reach` of others [m], and more.
+    /// Label one cloud as if all points with `is_joined` were linked to each other. Clusters of any size count.
+    /// Afterwards [`Self::searched`] includes all joined points within `reach` [m] of others, and more.
     ///
     /// # Errors
     /// As [`label_seen`](super::angular_gap::label_seen).
@@ -93,7 +93,8 @@ impl JoinedLabeller {
         Ok(())
     }
 
-    /// Number the clusters of the searched points by first appearance; joined points have one label.
+    /// Number the clusters of the searched points in the order of their first points. All joined points get one
+    /// label.
     fn number(&mut self, is_joined: &[bool]) {
         // Longer than other functions: the numbers of joined and other points come from one count
         // in the order of the rows.
@@ -142,29 +143,28 @@ impl JoinedLabeller {
         }
     }
 
-    /// Labels of the last cloud.
+    /// Labels of the last cloud: number of the cluster of every point, or noise.
     pub(crate) fn labels(&self) -> &[i32] {
         if self.joined.is_some() { &self.labels } else { self.whole.labels() }
     }
 
-    /// Label of the points of the last cloud that were joined, and the rows that were searched; None if
-    /// all were.
+    /// Label of the joined points of the last cloud, and the rows that were searched. None if all rows were searched.
     pub(crate) fn searched(&self) -> Option<(usize, &[u32])> {
         self.joined.map(|label| (label as usize, self.rows.as_slice()))
     }
 }
 
-/// ReachCells around points, in sizes that grow with the range as reaches do: a bitmap that may answer yes
-/// wrongly, never no.
+/// Set of cells around points, as a bitmap of hashes. The cells grow with the range as reaches do. The set may seem
+/// to contain other cells, too, but misses none.
 #[derive(Default)]
 struct ReachCells {
     origin: [f64; 3],
-    /// ReachCells of the first size, per metre.
+    /// Number of cells of the smallest size per metre.
     per_metre: f64,
-    /// Square of the reach by the square of the range, in cells of the first size.
+    /// Square of the reach divided by the square of the range, with the reach in cells of the smallest size.
     growth: f64,
     bits: Vec<u64>,
-    /// The cell held last.
+    /// The cell that was added last.
     last: Option<(u32, [u32; 3])>,
 }
 
@@ -181,8 +181,8 @@ impl ReachCells {
         self.last = None;
     }
 
-    /// Size of the cells that are as wide as the reach of a point in a range whose square is given, as a
-    /// power of two of the first size.
+    /// Size of the cells that are as wide as the reach of a point, as base-2 logarithm of the ratio to the smallest
+    /// size. `square`: square of the point's range [m^2].
     #[inline(always)]
     fn size(&self, square: f64) -> u32 {
         // With q^2 below 2^(e + 1), q is below 2^((e + 1) / 2).
@@ -192,13 +192,13 @@ impl ReachCells {
         (exponent - 1021) >> 1
     }
 
-    /// ReachCells of the first size per metre, by the cells of another size.
+    /// Number of cells of a size per metre. `size`: as from [`ReachCells::size`].
     #[inline(always)]
     fn per_metre(&self, size: u32) -> f64 {
         self.per_metre * f64::from_bits(u64::from(1023 - size) << 52)
     }
 
-    /// Hold the cells of what may be within reach of a point.
+    /// Add the cells of everything that may be in reach of a point [m].
     fn hold_around(&mut self, point: [f64; 3]) {
         let away: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
         let range = away.iter().map(|value| value * value).sum::<f64>().sqrt();
@@ -234,7 +234,7 @@ impl ReachCells {
     }
 }
 
-/// Finds the rows to search, many at a time on the vector unit of the machine.
+/// Search for the rows to label, many at a time on the vector unit of the machine.
 struct SearchedRows<'a> {
     cells: &'a ReachCells,
     points: &'a [[f32; 3]],
@@ -287,7 +287,7 @@ mod tests {
     use super::*;
     use crate::geometry::cluster::angular_gap::label_seen;
 
-    /// Labels by first appearance.
+    /// The labels, numbered anew in the order of their first points.
     fn renumbered(labels: &[i32]) -> Vec<i32> {
         let mut known = Vec::new();
         let number = |&label: &i32| {
@@ -302,7 +302,7 @@ mod tests {
         labels.iter().map(number).collect()
     }
 
-    /// Points on patches, lines and alone, near and far, some without coordinates.
+    /// Test points on patches and lines and alone, near and far; some are not finite.
     fn cloud(seed: u32, count: u32) -> Vec<[f32; 3]> {
         let share = |index: u32| {
             let mixed = (index ^ seed.rotate_left(11)).wrapping_mul(2_654_435_769).rotate_left(9);

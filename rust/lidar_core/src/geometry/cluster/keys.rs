@@ -1,4 +1,4 @@
-//! Keys of points: the cube and the octant that hold them.
+//! Sort keys of points: the cube and the octant that contain them.
 
 use crate::Error;
 use crate::geometry::lattice::wide;
@@ -6,28 +6,33 @@ use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 use std::ops::{Add, BitAnd, BitOr, Shl, Shr, Sub};
 
-/// Room for rounding: two points at exactly the largest reach never lie more than two octants apart.
+/// Relative margin for rounding, so that two points at exactly the largest reach are never more
+/// than two octants apart.
 const CELL_MARGIN: f64 = 1.0 + 1e-6;
-/// Largest number of cells, which are as wide as the reach, along one axis.
+/// Largest number of cells along one axis. A cell is as wide as the reach.
 const MAX_CELLS: f64 = (1u64 << 31) as f64;
-/// Bits of the place of an octant in its cube: two along every axis.
+/// Number of bits for the place of an octant in its cube: two for each axis.
 pub(super) const OCTANT_BITS: u32 = 6;
 
-/// Octants half as wide as the reach, in cubes of 4 x 4 x 4. Two points of one octant are always
-/// linked (its diagonal is 0.866 of the reach), so octants are what is joined; those of a cube are the
-/// bits of a word.
+/// Grid of octants that are half as wide as the reach, in cubes of 4 x 4 x 4 octants. Two points of
+/// one octant are always linked (its diagonal is 0.866 of the reach), so octants are linked instead
+/// of points. The octants of a cube are the bits of a word.
 pub(crate) struct OctantGrid {
     low: [f64; 3],
-    /// Octants per metre.
+    /// Number of octants per metre.
     octants: f64,
-    /// Bits of the number of a cube along every axis.
+    /// Number of bits of a cube's index along every axis.
     pub(crate) bits: [u32; 3],
-    /// Bits of the number of a point.
+    /// Number of bits of a point's row.
     pub(super) index_bits: u32,
 }
 
 impl OctantGrid {
-    /// None if no point is finite.
+    /// The grid over the finite points [m] for a largest link distance `largest` [m]. None if no
+    /// point is finite.
+    ///
+    /// # Errors
+    /// [`Error::PointOutOfRange`] if the cloud is more than 2^31 cells wide.
     pub(crate) fn of(points: &[[f32; 3]], largest: f64) -> Result<Option<Self>, Error> {
         let [low, high] = dispatch(Extent(points));
         if low[0] > high[0] {
@@ -51,13 +56,14 @@ impl OctantGrid {
         self.bits.iter().sum::<u32>() + OCTANT_BITS
     }
 
-    /// Row of the point of an entry.
+    /// Row of the point to which a sort entry belongs.
     #[inline]
     pub(crate) fn row<K: Key>(&self, entry: K) -> usize {
         (entry.low() & ((1 << self.index_bits) - 1)) as usize
     }
 
-    /// Cube along z, y, x, then the octant in the lowest bits, in the same order.
+    /// Key of a point [m]: the indices of its cube along z, y, x, then its octant in the lowest
+    /// bits, in the same order of axes.
     #[inline]
     pub(crate) fn key<K: Key>(&self, point: [f32; 3]) -> K {
         let point = wide(point);
@@ -73,8 +79,8 @@ impl OctantGrid {
     }
 }
 
-/// A sort key, with the number of its point below it: 64 bits where the extent of the cloud allows,
-/// 128 where it does not.
+/// A sort key with the row of its point below it: 64 bits where the extent of the cloud allows
+/// this, otherwise 128.
 pub(super) trait Key:
     Copy
     + Ord
@@ -86,7 +92,7 @@ pub(super) trait Key:
     + Add<Output = Self>
     + Sub<Output = Self>
 {
-    /// The lowest bits.
+    /// The lowest 64 bits.
     fn low(self) -> u64;
 }
 
@@ -102,10 +108,11 @@ impl Key for u128 {
     }
 }
 
-/// Points whose box is found at a time.
+/// Number of points that are included in the box at a time.
 const LANES: usize = 16;
 
-/// Lowest and highest corner of the box around the finite points; crossed if there are none.
+/// Lowest and highest corner of the box around the finite points. Lowest is above highest if there
+/// are none.
 struct Extent<'a>(&'a [[f32; 3]]);
 
 impl WithSimd for Extent<'_> {

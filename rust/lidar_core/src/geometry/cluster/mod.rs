@@ -1,4 +1,4 @@
-//! Euclidean clustering: points linked by steps of at most a given distance.
+//! Euclidean clustering: points are in one cluster if steps of at most a given distance link them.
 
 pub mod angular_gap;
 mod cube_reach;
@@ -12,13 +12,13 @@ use crate::util::budget::{check_memory, check_points};
 use crate::util::{cancel, vector_unit};
 use octree_link::{Fixed, Linker};
 
-/// Label of points that belong to no cluster.
+/// Label of points that are in no cluster.
 pub const NOISE: i32 = -1;
 
-/// Memory that a point may take: its keys, group and label, each with what is sorted [bytes].
+/// Memory for one point: keys, group and label, each with what is needed to sort it [bytes].
 const ROOM_OF_POINT: usize = 128;
 
-/// Group of points that are not finite.
+/// Group number of points that are not finite.
 pub(super) const NO_GROUP: u32 = u32::MAX;
 
 /// Parameters of Euclidean clustering.
@@ -26,23 +26,24 @@ pub(super) const NO_GROUP: u32 = u32::MAX;
 pub struct Clustering {
     /// Largest gap inside a cluster [m], finite and > 0. Exactly this distance still links.
     pub max_distance: f64,
-    /// Smaller clusters are noise, >= 1.
+    /// Smallest number of points of a cluster, >= 1. Smaller clusters are noise.
     pub min_points: usize,
-    /// Larger clusters are noise.
+    /// Largest number of points of a cluster. Larger ones are noise. None: no limit.
     pub max_points: Option<usize>,
 }
 
-/// Table II.
+/// Values of Table II.
 impl Default for Clustering {
     fn default() -> Self {
         Self { max_distance: 0.25, min_points: 1, max_points: None }
     }
 }
 
-/// Group `points` [m] that are linked by steps of at most `max_distance`.
+/// Label of every point: the number of its cluster. `points` [m] are in one cluster if steps of at
+/// most `max_distance` link them.
 ///
-/// Clusters are numbered by first appearance; [`NOISE`] marks points in clusters of unwanted
-/// size and points that are not finite. Distances are compared as squares in `f64`.
+/// Clusters are numbered in the order of their first points. [`NOISE`] marks points in clusters of
+/// unwanted size, and points that are not finite. Distances are compared as squares in `f64`.
 ///
 /// # Errors
 /// [`Error::Parameter`], [`Error::Limit`] for too many points, [`Error::Memory`],
@@ -56,7 +57,7 @@ pub fn label(points: &[[f32; 3]], clustering: &Clustering) -> Result<Vec<i32>, E
     Ok(labeller.labels.labels)
 }
 
-/// Labels clouds, one after another in the same memory.
+/// Labels clouds, one after another. It keeps its memory.
 #[derive(Default)]
 pub struct Labeller {
     linker: Linker,
@@ -83,7 +84,7 @@ impl Labeller {
         Ok(labels)
     }
 
-    /// Labels of the last cloud.
+    /// Labels of the last cloud: number of the cluster of every point, or [`NOISE`].
     #[must_use]
     pub fn labels(&self) -> &[i32] {
         &self.labels.labels
@@ -96,14 +97,14 @@ pub(crate) fn check(clustering: &Clustering) -> Result<(), Error> {
     require(clustering.min_points >= 1, "min_points", ">= 1", clustering.min_points)
 }
 
-/// Union-find whose root is the smallest member.
+/// Union-find structure. The root of a set is its smallest member.
 #[derive(Default)]
 pub(crate) struct Sets {
     parent: Vec<u32>,
 }
 
 impl Sets {
-    /// Start again with so many members, each alone.
+    /// Start again with `len` members, each in a set of its own.
     pub(crate) fn restart(&mut self, len: usize) {
         self.parent.clear();
         self.parent.extend(0..len as u32);
@@ -123,7 +124,7 @@ impl Sets {
         self.parent[a.max(b) as usize] = a.min(b);
     }
 
-    /// The root of every member.
+    /// The root of every member's set.
     pub(crate) fn roots(&mut self) -> &mut [u32] {
         for member in 0..self.parent.len() {
             self.parent[member] = self.parent[self.parent[member] as usize]; // a root: it is smaller
@@ -132,17 +133,18 @@ impl Sets {
     }
 }
 
-/// Labels by first appearance.
+/// Labels of points, numbered in the order of their first points.
 #[derive(Default)]
 pub(super) struct Labels {
     pub(super) labels: Vec<i32>,
-    /// Size of every group; once the group has a label, the bitwise complement of the label.
+    /// Number of points of every group. Once the group has a label: the bitwise complement of the
+    /// label.
     groups: Vec<i32>,
 }
 
 impl Labels {
-    /// Labels of points, given the group of each, named after one of its points; groups of unwanted
-    /// size are noise.
+    /// Label the points. `group_of`: for each point, its group, named after one of the group's
+    /// points. Groups of unwanted size become noise.
     pub(crate) fn number(&mut self, group_of: &[u32], clustering: &Clustering) -> &[i32] {
         let Self { labels, groups } = self;
         groups.clear();

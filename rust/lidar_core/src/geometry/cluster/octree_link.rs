@@ -1,4 +1,4 @@
-//! Points within reach of each other, joined octant by octant.
+//! Search for points that are in reach of each other, octant by octant.
 
 use super::cube_reach::{InReach, NEXT, OWN, ROWS};
 use super::keys::{Key, OCTANT_BITS, OctantGrid, is_finite};
@@ -11,18 +11,19 @@ use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 const RADIX_BITS: u32 = 11;
-/// Cubes, or points of a crowded octant, between two looks whether the call was asked to stop.
+/// Number of cubes, or of points of a crowded octant, between two checks whether the call was asked
+/// to stop.
 const STEPS_PER_LOOK: usize = 64;
 
-/// Distance up to which two points are linked.
+/// Rule that decides up to which distance two points are linked.
 pub(super) trait Reach {
-    /// Square of the largest distance [m^2].
+    /// Square of the largest distance of linked points [m^2].
     fn most(&self) -> f64;
-    /// True if two points with this squared distance are linked [m^2].
+    /// True if two points `one` and `other` [m] are linked. `square`: their squared distance [m^2].
     fn links(&self, square: f64, one: [f64; 3], other: [f64; 3]) -> bool;
 }
 
-/// One distance for all points.
+/// One largest distance for all points. Holds its square [m^2].
 pub(crate) struct Fixed(f64);
 
 impl Fixed {
@@ -42,7 +43,7 @@ impl Reach for Fixed {
     }
 }
 
-/// Joins what is linked in one cloud after another, in the same memory.
+/// Links the points of clouds, one after another. It keeps its memory.
 #[derive(Default)]
 pub(super) struct Linker {
     short: Groups<u64>,
@@ -51,11 +52,12 @@ pub(super) struct Linker {
 }
 
 impl Linker {
-    /// For every point one of its group, the same for all of them; [`NO_GROUP`] where it is not
-    /// finite. No reach is larger than `largest` [m], and none smaller than 0.8661 of it.
+    /// For every point, the row of one point of its group, the same for the whole group.
+    /// [`NO_GROUP`] if the point is not finite. The distances of `reach` must be between 0.8661
+    /// times `largest` [m] and `largest`.
     ///
     /// # Errors
-    /// [`Error::PointOutOfRange`] if the cloud is too many cells wide, [`Error::Interrupted`].
+    /// [`Error::PointOutOfRange`] if the cloud is too wide for the cells, [`Error::Interrupted`].
     pub(crate) fn linked(
         &mut self,
         points: &[[f32; 3]],
@@ -78,7 +80,7 @@ impl Linker {
     }
 }
 
-/// Check that the points can be indexed with cells for this largest gap [m].
+/// Check that the points have cells for this largest link distance [m].
 ///
 /// # Errors
 /// Those of [`Linker::linked`].
@@ -86,27 +88,27 @@ pub(super) fn check_extent(points: &[[f32; 3]], largest: f64) -> Result<(), Erro
     OctantGrid::of(points, largest).map(drop)
 }
 
-/// Octants of one cube that hold points.
+/// A cube, with its octants that contain points.
 struct Cube<K> {
     key: K,
-    /// Occupied octants of the cube, as bits.
+    /// Octants that contain points, as bits.
     octants: u64,
-    /// Number of the first one.
+    /// Number of the first of these octants, among all occupied octants.
     first: u32,
 }
 
 impl<K> Cube<K> {
-    /// Number of the octant whose place in the cube is `octant`.
+    /// Number of the octant with place `octant` in the cube, among all occupied octants.
     #[inline(always)]
     fn number(&self, octant: u32) -> u32 {
         self.first + (self.octants & ((1 << octant) - 1)).count_ones()
     }
 }
 
-/// Runs of one octant ("groups") and of one cube in the sorted points.
+/// Sorted points, with the runs of each octant ("groups") and of each cube.
 #[derive(Default)]
 struct Groups<K> {
-    /// Finite points by key, and memory to sort them.
+    /// Keys and rows of the finite points, sorted; `spare`: memory for sorting.
     order: Vec<K>,
     spare: Vec<K>,
     /// The points in this order.
@@ -117,7 +119,7 @@ struct Groups<K> {
 }
 
 impl<K: Key> Groups<K> {
-    /// Put into `group_of` one of every point's group.
+    /// Link the points. Writes to `group_of`, for each point, the row of one point of its group.
     fn link(
         &mut self,
         points: &[[f32; 3]],
@@ -143,7 +145,7 @@ impl<K: Key> Groups<K> {
         is_done
     }
 
-    /// Finite points by key: radix sort, lowest digit first.
+    /// Sort the finite points by key: radix sort, lowest digit first.
     fn sort(&mut self, points: &[[f32; 3]], grid: &OctantGrid, watch: &Watch) -> Result<(), Error> {
         let Self { order, spare, .. } = self;
         let entries = points.iter().zip(0..).filter(|(point, _)| is_finite(**point));
@@ -179,7 +181,7 @@ impl<K: Key> Groups<K> {
         Ok(())
     }
 
-    /// Find the runs of the sorted points.
+    /// Find the runs of octants and cubes among the sorted points.
     fn divide(&mut self, points: &[[f32; 3]], grid: &OctantGrid) {
         let Self { order, points: sorted, starts, cubes, .. } = self;
         sorted.clear();
@@ -215,8 +217,8 @@ impl<K: Key> Groups<K> {
     }
 }
 
-/// Joins the groups of every cube with each other and with those of the 13 neighbours behind it: on the
-/// vector unit of the machine, for its instructions on bits.
+/// Links the groups of every cube with each other and with those of the 13 neighbouring cubes
+/// behind it. It runs on the vector unit of the machine for its bit instructions.
 struct CubeLinker<'a, K, R> {
     groups: &'a Groups<K>,
     grid: &'a OctantGrid,
@@ -268,7 +270,7 @@ impl<K: Key, R: Reach> WithSimd for CubeLinker<'_, K, R> {
     }
 }
 
-/// Join octants of two cubes.
+/// Link the octants of two cubes that have points in reach of each other.
 #[inline(always)]
 fn link<K: Key>(
     groups: &Groups<K>,
@@ -305,10 +307,11 @@ fn link<K: Key>(
     }
 }
 
-/// Pairs above which the box of a group is worth its making.
+/// Number of point pairs of two groups above which the box of a group is computed before the
+/// search.
 const MANY_PAIRS: usize = 1024;
 
-/// True if two groups hold a pair of points within reach.
+/// True if any two points of the two groups are in reach of each other.
 #[inline(always)]
 fn touch<K: Key>(
     groups: &Groups<K>,
@@ -346,7 +349,7 @@ fn any_near(ours: &[[f32; 3]], theirs: &[[f32; 3]], reach: &impl Reach, watch: &
     })
 }
 
-/// Lower and upper corner of the box around `points`.
+/// Lowest and highest corner of the box around `points` [m].
 fn bounds(points: &[[f32; 3]]) -> [[f64; 3]; 2] {
     let mut corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
     for &point in points {
