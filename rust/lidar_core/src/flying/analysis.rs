@@ -1,5 +1,5 @@
-//! Limits of the sensor: uncertainty of measured points, probability that the right voxel is
-//! updated, probability that a ray hits a target. Source: Vrba et al., sec. IV.
+//! Limits of a sensor: uncertainty of measured points, probability that the right voxel is updated,
+//! and probability that a ray hits a target. Source: Vrba et al., sec. IV.
 
 use crate::Error;
 use crate::error::require;
@@ -12,18 +12,19 @@ use crate::util::{cancel, threads};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Points handed to a thread at a time.
+/// Number of points that are handed to a thread at a time.
 const POINTS_PER_CHUNK: usize = 1024;
-/// Smallest share of the sphere that a field of view may be.
+/// Smallest field of view, as a share of the sphere.
 const LEAST_VIEW: f64 = 1e-6;
-/// A range less certain than this says nothing [m].
+/// Largest standard deviation of a range that is accepted [m].
 const LARGEST_RANGE_STD: f64 = 100.0;
 
-/// Covariances of measured points in the world, from those of the pose and of the range.
+/// Covariances of measured points in the world [m^2], from those of the pose and of the range.
 ///
-/// `pose_covariance` is that of the translation and of the angles alpha, beta, gamma of
-/// `R = Rz(gamma) Ry(beta) Rx(alpha)`. Where a point is not finite, so is its covariance; one in
-/// the sensor itself has no range error, for want of a direction.
+/// `pose_covariance` is that of the translation [m] and of the angles alpha, beta, gamma [rad] of
+/// `R = Rz(gamma) Ry(beta) Rx(alpha)`; `range_std` [m]. The covariance of a point that is not
+/// finite is not finite either. A point in the sensor itself has no range error, because it has no
+/// direction.
 ///
 /// # Errors
 /// [`Error::Limit`] for too many points, [`Error::Parameter`] for a `range_std` beyond 0 to 100 m.
@@ -67,10 +68,11 @@ pub(crate) fn point_jacobian(pose: &Transform, point_lidar: [f64; 3]) -> [[f64; 
     })
 }
 
-/// Probability that the measured surface lies in the voxel of the measured point, for each of
-/// `points`.
+/// Probability for each of `points` [m] that the measured surface is in the voxel of the measured
+/// point.
 ///
-/// `covariance` is one for all points or one per point. NaN for points that are not finite.
+/// `covariance` [m^2]: one for all points, or one per point. The result is NaN for points that are
+/// not finite.
 ///
 /// # Errors
 /// [`Error::Length`], [`Error::Limit`], [`Error::PointOutOfRange`], [`Error::Parameter`] for an
@@ -120,13 +122,14 @@ fn no_covariance(index: usize, matrix: &[[f64; 3]; 3]) -> Error {
     Error::Value { name: "covariance", expected, index, got: format!("{matrix:?}") }
 }
 
-/// Probability that at least one ray hits a ball whose centre lies anywhere at `distances` [m] with
-/// equal probability, for each of them.
+/// Probability that at least one ray hits a ball. For each of `distances` [m], the centre of the
+/// ball is at this distance in any direction with equal probability.
 ///
-/// A ray meets a ball of `radius` [m] at a distance l if the angle between the ray and the centre
-/// is at most asin(radius / l): the caps around the rays, whose union is measured exactly (to
-/// 1e-9). A sensor inside the ball meets it. `view` are the least and the largest elevation [rad]
-/// of the band of directions in which the centre lies; (-pi/2, pi/2) is the sphere of the paper.
+/// A ray hits a ball of `radius` [m] at a distance l if the angle between the ray and the direction
+/// of the centre is at most asin(radius / l). These directions are caps around the rays, whose
+/// union is measured exactly (to 1e-9). A sensor inside the ball always hits it. `view`: smallest
+/// and largest elevation [rad] of the band of directions in which the centre is; (-pi/2, pi/2) is
+/// the sphere of the paper.
 ///
 /// # Errors
 /// [`Error::Value`] for a direction without length or an invalid distance, [`Error::Parameter`] for
@@ -164,10 +167,10 @@ pub fn detection_probability(
     Ok(distances.iter().map(met).collect())
 }
 
-/// Directions of length 1.
+/// The directions as unit vectors.
 ///
 /// # Errors
-/// [`Error::Value`] for the first that has no length or is not finite.
+/// [`Error::Value`] for the first one that has no length or is not finite.
 fn units(directions: &[[f64; 3]]) -> Result<Vec<[f64; 3]>, Error> {
     let of_row = |(index, direction): (usize, &[f64; 3])| {
         direction_of(*direction).ok_or_else(|| {
@@ -182,10 +185,10 @@ fn cap_radius(radius: f64, distance: f64) -> f64 {
     libm::asin((radius / distance).min(1.0))
 }
 
-/// Share of the sphere that a band of elevations is.
+/// Share of the sphere that is inside a band of elevations [rad].
 ///
 /// # Errors
-/// [`Error::Parameter`] if it is none.
+/// [`Error::Parameter`] if the elevations are no band.
 fn check_view([low, high]: [f64; 2]) -> Result<f64, Error> {
     let share = 0.5 * (libm::sin(high) - libm::sin(low));
     let inside = |angle: f64| (-FRAC_PI_2..=FRAC_PI_2).contains(&angle);
@@ -198,26 +201,26 @@ fn check_view([low, high]: [f64; 2]) -> Result<f64, Error> {
     Ok(share)
 }
 
-/// The caps above and below a band of elevations.
+/// The caps above and below a band of elevations [rad].
 fn outside([low, high]: [f64; 2]) -> Vec<Cap> {
     let above = Cap { center: [0.0, 0.0, 1.0], radius: FRAC_PI_2 - high };
     let below = Cap { center: [0.0, 0.0, -1.0], radius: FRAC_PI_2 + low };
     [above, below].into_iter().filter(|cap| cap.radius > 0.0).collect()
 }
 
-/// An uncertain pose, and what follows for points in the frame of the map.
+/// An uncertain pose, from which the covariances of points in the frame of the map follow.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PoseSpread {
     /// Pose of the sensor in the world.
     pub(crate) world_from_lidar: Transform,
-    /// The world in the frame of the map.
+    /// Transform from the world to the frame of the map.
     pub(crate) map_from_world: Transform,
-    /// Covariance of the pose in the world: translation, then the angles of eq. 38.
+    /// Covariance of the pose in the world: translation [m], then the angles of eq. 38 [rad].
     pub(crate) covariance: [[f64; 6]; 6],
 }
 
 impl PoseSpread {
-    /// Covariance of a point of the map that was measured from this pose (eqs 41-42) [m^2].
+    /// Covariance [m^2] of a point of the map's frame that was measured from this pose (eqs 41-42).
     pub(crate) fn at(&self, point: [f64; 3]) -> [[f64; 3]; 3] {
         let in_world = self.map_from_world.inverse().apply(point);
         let jacobian = pose_jacobian(&self.world_from_lidar, in_world);
@@ -225,9 +228,9 @@ impl PoseSpread {
     }
 }
 
-/// Derivative of a measured point by the pose: translation, then the angles alpha, beta, gamma of
-/// `R = Rz(gamma) Ry(beta) Rx(alpha)` (the first five blocks of eq. 42). `point` is in the frame
-/// that `pose` leads to.
+/// Derivative of a measured point by the pose: by the translation, then by the angles alpha, beta,
+/// gamma of `R = Rz(gamma) Ry(beta) Rx(alpha)` (the first five blocks of eq. 42). `point` is in the
+/// target frame of `pose`.
 pub(crate) fn pose_jacobian(pose: &Transform, point: [f64; 3]) -> [[f64; 6]; 3] {
     // Turning about an axis u of the rotated frame moves an arm r by u x r: Rx turns about the
     // body's x axis, Rz about the world's z axis, Ry about the y axis that Rz has turned.
@@ -244,7 +247,8 @@ pub(crate) fn pose_jacobian(pose: &Transform, point: [f64; 3]) -> [[f64; 6]; 3] 
     })
 }
 
-/// `J C J'` for the columns of the pose (eq. 41), exactly symmetric.
+/// Covariance `J C J'` from a covariance of the pose (eq. 41), exactly symmetric. Further columns
+/// of J are ignored.
 pub(crate) fn propagated<const N: usize>(
     jacobian: &[[f64; N]; 3],
     covariance: &[[f64; 6]; 6],

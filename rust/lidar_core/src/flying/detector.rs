@@ -1,7 +1,7 @@
-//! The pipeline: raw scans in, point classes, detections and tracks out.
+//! The detector: it takes raw scans and returns point classes, detections and tracks.
 //!
-//! Longer than other files, so that the fields of the detector stay private to it: parts in other
-//! files would share its whole state.
+//! Longer than other files, so that the fields of the detector stay private to it: parts in other files would share
+//! its whole state.
 
 use super::background::burn_in::BurnIn;
 use super::background::pose_jump::{HeldScan, PoseCheck};
@@ -49,7 +49,7 @@ pub struct FlyingObjectDetector {
     teammates: Vec<Teammate>,
     scans: u32,
     burn_in: BurnIn,
-    /// True if the last scan that was used left tracks to report.
+    /// Whether tracks are reported, as after the last scan that was used.
     is_reporting: bool,
     // Stages in the order of their calls; memory of a scan is used again by the next one.
     scan: Prepared,
@@ -60,13 +60,13 @@ pub struct FlyingObjectDetector {
     tracker: PointCloudTracker,
     movers: GroundMovers,
     before_detect: TrackBeforeDetect,
-    /// Where a map of all that stands is asked for.
+    /// Collects static points. None unless a static map is asked for.
     static_map: Option<StaticMapper>,
     makes_static_map: bool,
 }
 
 impl FlyingObjectDetector {
-    /// A detector that works with `threads` threads.
+    /// A detector that computes on `threads` threads.
     ///
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work.
@@ -155,7 +155,7 @@ impl FlyingObjectDetector {
         Ok(self.frame(raw, found, Some(stats), gate, timing))
     }
 
-    /// Put the scan into the frame of the map; its stamp for the tracker.
+    /// Transform the scan to the frame of the map. Returns its stamp for the tracker [ns].
     fn prepare(&mut self, raw: &RawScan<'_>) -> Result<i64, Error> {
         let sensor = self.sensors.meet(raw.sensor, &self.parameters)?;
         sensor.check_stamp(raw.sensor, raw.stamp_ns)?;
@@ -171,7 +171,7 @@ impl FlyingObjectDetector {
         Ok(stamp_ns)
     }
 
-    /// The burn-in with this scan, and whether detections of this scan are reported.
+    /// The burn-in with this scan, and whether the detections of this scan are reported.
     fn next_burn_in(&self, raw: &RawScan<'_>) -> (BurnIn, ReportingGate) {
         let FlyingParameters { seed, separation, .. } = &self.parameters;
         let sensor = self.sensors.get(raw.sensor);
@@ -181,8 +181,8 @@ impl FlyingObjectDetector {
         (next, gate)
     }
 
-    /// Find clusters and their classes, and cast the rays: at the same time where there are threads
-    /// for both. The outcome of casting, if it was done.
+    /// Find clusters and their classes, and cast the rays (at the same time, if there are threads for both). Returns
+    /// the result of casting. None if the rays were not cast.
     fn classify_and_cast(
         &mut self,
         noise: &PoseNoise,
@@ -250,14 +250,14 @@ impl FlyingObjectDetector {
         Ok(cast)
     }
 
-    /// Points on the ground below the first position of the sensor, if its height is known.
+    /// Points on the ground below the first position of the sensor. None if the height of the sensor is not known.
     fn take_off_ground(&self) -> Option<[[f32; 3]; 2]> {
         let ground = self.parameters.seed.take_off_ground(self.scan.pose.translation);
         ground.filter(|_| self.scans == 0)
     }
 
-    /// Update the map with the scan, and classify again on it where that is asked for. `cast` is the
-    /// outcome of casting the rays, if that was done before.
+    /// Update the map with the scan, and classify again on the updated map if the parameters say so. `cast`: result
+    /// of casting the rays; None if they were not cast yet.
     fn update_map(
         &mut self,
         noise: &PoseNoise,
@@ -293,8 +293,8 @@ impl FlyingObjectDetector {
         Ok(stats)
     }
 
-    /// Remember what the scan told: nothing refuses it any more. Numbers of the clusters in free space
-    /// that have become background, since they stand.
+    /// Store what an accepted scan has shown. Returns the numbers of the clusters in free space that have become
+    /// background because they stand still.
     fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) -> Vec<usize> {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =
             self;
@@ -320,7 +320,7 @@ impl FlyingObjectDetector {
         classifier.flying_in(&standing, &scan.points, map.lattice())
     }
 
-    /// Detections of the scan, and those that only tracks tell, in the frame of the map.
+    /// Detections of the scan, including those that only tracks show, in the frame of the map.
     fn detect_and_track(
         &mut self,
         noise: PoseNoise,
@@ -386,7 +386,7 @@ impl FlyingObjectDetector {
         Ok(found)
     }
 
-    /// Use nothing of a scan, but remember where it was taken.
+    /// The frame of a scan that is held: nothing of it is used, except that its pose is stored.
     fn hold(&mut self, raw: &RawScan<'_>, gate: ReportingGate, timing: Timing) -> Frame {
         let world_from_lidar = self.local.world_from_map().after(&self.scan.pose);
         self.pose_check.held = Some(HeldScan { sensor: raw.sensor.to_owned(), world_from_lidar });
@@ -412,7 +412,7 @@ impl FlyingObjectDetector {
         frame.with_movers(self.movers.rows())
     }
 
-    /// Confirmed tracks predicted to `stamp_ns`, world frame: compensates latency.
+    /// Reported tracks predicted to `stamp_ns`, world frame. With it, a caller can compensate latency.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
         if !self.is_reporting {
@@ -423,7 +423,7 @@ impl FlyingObjectDetector {
         tracks
     }
 
-    /// Every track, those that are not reported included, predicted to `stamp_ns`, world frame.
+    /// All tracks, also those that are not reported, predicted to `stamp_ns`, world frame.
     #[must_use]
     pub fn hypotheses_at(&self, stamp_ns: i64) -> Vec<Track> {
         let world_from_map = self.local.world_from_map();
@@ -431,25 +431,25 @@ impl FlyingObjectDetector {
         tracks.into_iter().map(|track| track.moved(&world_from_map)).collect()
     }
 
-    /// Known flying objects: labelled in the following frames instead of reported.
+    /// Set the known flying objects. In the following frames they are labelled and not reported as detections.
     pub fn set_teammates(&mut self, teammates: Vec<Teammate>) {
         self.teammates = teammates;
     }
 
-    /// The map; its coordinates are relative to its origin.
+    /// The voxel map. Its coordinates are relative to its origin.
     #[must_use]
     pub fn map(&self) -> &VoxelMap {
         &self.local.map
     }
 
-    /// Rays into the sky that the last scan was given: unit directions in the world, and how far
-    /// they clear [m]. None of them where rays without return are given.
+    /// Rays into the sky in the last scan: unit directions in the world, and lengths that they clear [m]. Empty if
+    /// the caller gives the rays without return.
     #[must_use]
     pub fn sky_rays(&self) -> Vec<([f64; 3], f32)> {
         self.scan.sky_rays(&self.local.world_from_map())
     }
 
-    /// Make the voxels of `points` [m, world] occupied, or free, for good (sec. III-E).
+    /// Make the voxels of `points` [m, world] permanently occupied or free (sec. III-E).
     ///
     /// # Errors
     /// As [`VoxelMap::set_free`].
@@ -457,18 +457,17 @@ impl FlyingObjectDetector {
         self.local.set_known(&self.parameters.map, points, occupied)
     }
 
-    /// Take over a map, such as one of an earlier run; its own parameters stay in force.
+    /// Use a map, such as that of an earlier run. The configured parameters stay in force.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if its voxels differ in size from the configured ones.
+    /// [`Error::Parameter`] if its voxels do not have the configured size.
     pub fn set_map(&mut self, map: VoxelMap) -> Result<(), Error> {
         self.local.replace(&self.parameters.map, map)?;
         self.forget_motion();
         Ok(())
     }
 
-    /// Write the map, and the known body of the robot, to a file that [`VoxelMap::load`] also
-    /// reads.
+    /// Write the map and the known voxels of the robot itself to a file. [`VoxelMap::load`] also reads such files.
     ///
     /// # Errors
     /// As [`VoxelMap::save`].
@@ -476,8 +475,7 @@ impl FlyingObjectDetector {
         self.local.map.save_with(path, &self.sensors.bodies())
     }
 
-    /// Load a map from a file. Sensors that have not found the body of the robot themselves take the
-    /// one of the file.
+    /// Load a map from a file. Sensors that have not found the robot itself use the voxels of the robot in the file.
     ///
     /// # Errors
     /// As [`VoxelMap::load`] and [`FlyingObjectDetector::set_map`]; the detector is unchanged then.
@@ -488,12 +486,12 @@ impl FlyingObjectDetector {
         Ok(())
     }
 
-    /// From the next scan on, collect a map of all static points.
+    /// Collect a map of all static points from the next scan on.
     pub fn make_static_map(&mut self) {
         self.makes_static_map = true;
     }
 
-    /// Static points [m, world], a few centimetres apart; none without [`Self::make_static_map`].
+    /// Static points [m, world], a few centimetres apart. Empty without [`Self::make_static_map`].
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -503,7 +501,7 @@ impl FlyingObjectDetector {
         Ok(map.points(pool)?.into_iter().map(|point| world_from_map.apply(wide(point))).collect())
     }
 
-    /// Write the static voxels to a file that [`VoxelMap::load`] reads.
+    /// Write the voxels of static points to a file that [`VoxelMap::load`] reads.
     ///
     /// # Errors
     /// [`Error::Parameter`] if no scan was processed since [`Self::make_static_map`]; as
@@ -519,7 +517,7 @@ impl FlyingObjectDetector {
         map.cleaned(self.local.map.parameters(), self.workers.pool())?.save(path)
     }
 
-    /// Into the map of all that stands, if that is asked for.
+    /// Add the scan to the static map, if this is asked for.
     fn map_what_stands(&mut self) {
         if self.makes_static_map {
             self.static_map.get_or_insert_default().take(&self.scan);
@@ -538,7 +536,8 @@ impl FlyingObjectDetector {
         self.local.world_from_map()
     }
 
-    /// The whole state between two scans as bytes; the rays of [`Self::sky_rays`] are not in it.
+    /// The whole state between two scans as bytes, for [`Self::from_state`]. The rays of [`Self::sky_rays`] are not
+    /// included.
     ///
     /// # Errors
     /// [`Error::Limit`] if the bytes do not fit into memory.
@@ -563,7 +562,7 @@ impl FlyingObjectDetector {
         sealed(KIND, &self.parameters, &state)
     }
 
-    /// Detector from a saved state; it continues with the same bits as the saved one.
+    /// The detector of a saved state. Its later results are equal to those of the saved detector, bit by bit.
     ///
     /// # Errors
     /// Errors of [`FlyingObjectDetector::new`]; [`Error::Format`] for bytes that
@@ -590,8 +589,8 @@ impl FlyingObjectDetector {
         Ok(detector)
     }
 
-    /// After a jump of the pose: shift the world so that the last held scan lies at the pose of the
-    /// last scan of the same sensor before it. False if no scan is held, or there was none before.
+    /// Accept a jump of the pose: shift the world so that the pose of the held scan equals that of the last used scan
+    /// of the same sensor. Returns false if no scan is held, or if the sensor had no scan before.
     pub fn reanchor(&mut self) -> bool {
         let Some(held) = self.pose_check.held.take() else { return false };
         let last = self.sensors.get(&held.sensor).and_then(|sensor| sensor.last_pose);
@@ -600,11 +599,11 @@ impl FlyingObjectDetector {
         true
     }
 
-    /// Forget map, tracks and poses. Track numbers continue. Learnt properties of the sensors stay,
-    /// until other sensors need their places.
+    /// Forget map, tracks and poses. The numbers of later tracks continue. What was learnt about the sensors is kept,
+    /// unless other sensors need the room.
     ///
     /// # Errors
-    /// None that [`FlyingObjectDetector::new`] did not have.
+    /// Only errors that [`FlyingObjectDetector::new`] could also have had.
     pub fn reset(&mut self) -> Result<(), Error> {
         self.local = LocalMap::new(&self.parameters.map)?;
         (self.scans, self.burn_in) = (0, BurnIn::default());
@@ -613,7 +612,7 @@ impl FlyingObjectDetector {
         Ok(())
     }
 
-    /// Tracks, and poses in the frame of a map that is no more.
+    /// Forget tracks, and poses in the frame of a map that is no longer used.
     fn forget_motion(&mut self) {
         self.tracker.reset();
         (self.is_reporting, self.pose_check.held) = (false, None);

@@ -11,60 +11,60 @@ use super::sky::source::SkySource;
 use super::track::Track;
 use crate::geometry::transform::Transform;
 
-/// Milliseconds per stage. With several threads, rays are cast during clustering and
-/// classification: `integrate` is then the rest of the map update.
+/// Times of the stages of one scan [ms]. With several threads, rays are cast during clustering and
+/// classification, so `integrate` is the rest of the map update.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
-    /// Transform, deskew, masks.
+    /// Preparation: transform, deskewing, masks [ms].
     pub prepare: f64,
-    /// Clustering.
+    /// Clustering [ms].
     pub cluster: f64,
-    /// Classification.
+    /// Classification [ms].
     pub classify: f64,
-    /// Map update.
+    /// Map update [ms].
     pub integrate: f64,
-    /// Removal of separate voxels.
+    /// Removal of separate voxels [ms].
     pub separate: f64,
-    /// Tracking.
+    /// Tracking [ms].
     pub track: f64,
 }
 
-/// Result of one scan; positions in the world frame.
+/// Result of the detector for one scan. Positions are in the world frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// Time of the scan [ns].
     pub stamp_ns: i64,
-    /// Class of every point of the input.
+    /// Class of every point of the input, in its order.
     pub point_class: Vec<PointClass>,
-    /// Flying objects in this scan.
+    /// Flying objects in this scan. Empty unless `gate` is open.
     pub detections: Vec<Detection>,
-    /// Known teammates that were seen: id and measured position.
+    /// Teammates that were seen: identifier and measured position.
     pub teammates: Vec<(i64, Detection)>,
-    /// Confirmed tracks at the time of the scan.
+    /// Reported tracks, predicted to the time of the scan.
     pub tracks: Vec<Track>,
     /// Whether detections are reported, or why not.
     pub gate: ReportingGate,
-    /// Source of the rays without return.
+    /// Where the rays without return come from.
     pub sky: SkySource,
-    /// Share of the rays that go into the sky.
+    /// Share of the sensor's rays that go into the sky.
     pub sky_share: f64,
-    /// Rays without return that were found and not given.
+    /// Number of rays without return that were found by the detector.
     pub sky_rays: usize,
-    /// Share of the sensor's rays that end on the robot itself; rays without return count if they
-    /// are in the scan or known from the search for the sky.
+    /// Share of the sensor's rays that end on the robot itself. Rays without return count if they
+    /// are in the scan, or known from the search for the sky.
     pub own_body: f64,
     /// Rows of the points on the robot itself, ascending.
     pub own_rows: Vec<u32>,
-    /// True if turns have confirmed that the body is the robot itself.
+    /// Whether turns have confirmed that the voxels of the body are the robot itself.
     pub own_body_is_decided: bool,
-    /// Counts of the update of the map; None if the scan was held.
+    /// Counts of the map update. None if the scan was held.
     pub integrated: Option<IntegrateStats>,
-    /// Time per stage.
+    /// Times of the stages.
     pub timing: Timing,
 }
 
 impl Frame {
-    /// A frame without objects; `class` is that of every row of `scan`.
+    /// A frame without objects. `class`: class of every row of `scan`.
     pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[PointClass]) -> Self {
         Self {
             stamp_ns,
@@ -84,7 +84,8 @@ impl Frame {
         }
     }
 
-    /// Take over the points on the robot itself: they were measured, so they are unknown, not invalid.
+    /// Add the points on the robot itself. They were measured, so their class is unknown and not
+    /// invalid.
     pub(super) fn with_own_body(mut self, own: OwnBody) -> Self {
         for &row in &own.rows {
             self.point_class[row as usize] = PointClass::Unknown;
@@ -94,7 +95,7 @@ impl Frame {
         self
     }
 
-    /// Take over the rows of the points of ground movers.
+    /// Set the class of the points (rows) of ground movers.
     pub(super) fn with_movers(mut self, rows: &[u32]) -> Self {
         for &row in rows.iter().filter(|_| self.gate == ReportingGate::Open) {
             self.point_class[row as usize] = PointClass::Moving;
@@ -102,7 +103,7 @@ impl Frame {
         self
     }
 
-    /// Take over the detections, if they are reported; otherwise no point flies.
+    /// Add the detections, if they are reported. Otherwise no point has the class flying.
     pub(super) fn with_detections(
         mut self,
         found: &ScanDetections,

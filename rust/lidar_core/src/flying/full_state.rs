@@ -13,10 +13,10 @@ use super::track::{SavedTracker, TrackerState};
 use super::track_before_detect::SavedTrackBeforeDetect;
 use serde::{Deserialize, Serialize};
 
-/// Kind of a detector's state.
+/// Kind of a detector's state, as its bytes name it.
 pub(super) const KIND: &str = "flying-object detector";
 
-/// State of a detector as bytes are written from it.
+/// State of a detector, for writing.
 #[derive(Serialize)]
 pub(super) struct DetectorState<'a> {
     pub(super) local: LocalState<'a>,
@@ -33,7 +33,7 @@ pub(super) struct DetectorState<'a> {
     pub(super) static_map: Option<StaticMapperState<'a>>,
 }
 
-/// [`DetectorState`] as it is read back.
+/// [`DetectorState`], for reading.
 #[derive(Deserialize)]
 pub(super) struct SavedDetector {
     pub(super) local: SavedLocalMap,

@@ -1,16 +1,18 @@
-//! Large targets: limits that detections and tracks share.
+//! Large targets: limits that detection and tracking share.
 //!
 //! Rays hit several parts of a large target, so it may fall into several clusters. They hit the
 //! same parts in every scan, so no number of scans shows its centre.
 
-/// A target with a longer side may fall into several clusters: a fuselage between wings [m].
+/// Length of the longest side from which on a target may fall into several clusters, such as a
+/// fuselage between wings [m].
 pub(crate) const LARGE: f64 = 0.75;
-/// Parts of it are no further apart than this, from box to box [m].
+/// Largest distance between parts of a large target, from box to box [m].
 pub(crate) const PART_GAP: f64 = 0.5;
-/// Lengths from which on, and up to which, the shape of a target decides more and more about its centre [m].
+/// Lengths between which the weight of the shape for the centre grows from none to full [m].
 const SHAPE_LENGTHS: [f64; 2] = [0.9, 1.3];
 
-/// How much the shape of a target decides about its centre, from 0 for a small one to 1.
+/// How much the shape of a target decides about its centre, from 0 (small target) to 1.
+/// `longest_side` [m].
 pub(crate) fn shape_weight(longest_side: f64) -> f64 {
     let [none, full] = SHAPE_LENGTHS;
     ((longest_side - none) / (full - none)).clamp(0.0, 1.0)

@@ -13,54 +13,58 @@ use crate::geometry::cluster::Clustering;
 use crate::geometry::cluster::angular_gap::{AngularGap, label_seen};
 use std::collections::BTreeMap;
 
-/// Rays clear this much further than the range in which targets are sought, so that what is around
-/// a target at that range has been observed [m].
+/// Distance by which rays clear voxels beyond the largest range of targets [m], so that the space
+/// around a target at that range has been observed.
 const RANGE_MARGIN: f64 = 2.0;
 
 /// All parameters of the detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlyingParameters {
-    /// Parameters of the map. The detector sets the origin.
+    /// Parameters of the voxel map. The detector sets their `origin`.
     pub map: MapParameters,
     /// Parameters of the clustering of points (eqs 13-15).
     pub clustering: Clustering,
-    /// Gaps that the sensor sees under this angle are inside a cluster too [rad].
+    /// Gaps that the sensor sees under at most this angle are inside a cluster too [rad]. 0: the
+    /// angle does not count.
     pub cluster_angle: f64,
-    /// Centres of voxels are clustered instead of points.
+    /// If true, the centres of voxels are clustered instead of points.
     pub cluster_voxels: bool,
     /// Parameters of the classification of clusters (sec. III-B).
     pub classify: ClassifyParameters,
     /// Removal of separate voxels (sec. III-D).
     pub separation: Separation,
-    /// Nothing is removed before some group holds enough confident voxels; otherwise removal
+    /// If true, nothing is removed before some group has enough confident voxels. If false, removal
     /// begins with the first scan.
     pub removal_waits: bool,
     /// Parameters of the seeds of the background.
     pub seed: SeedParameters,
-    /// LiDARs by name; `default_sensor` for the others.
+    /// Parameters of single LiDARs, by name.
     pub sensors: BTreeMap<String, SensorParameters>,
-    /// LiDARs that `sensors` does not name.
+    /// Parameters of the LiDARs that `sensors` does not name.
     pub default_sensor: SensorParameters,
     /// Parameters of the tracker (sec. III-F).
     pub tracker: TrackerParameters,
-    /// Detections are centres of targets, not centroids of their points (eq. 19).
+    /// If true, detections are at the estimated centres of targets, else at the centroids of their
+    /// points (eq. 19).
     pub centers: bool,
-    /// Covariance of poses that have none, and handling of uncertain poses by the map.
+    /// Covariance of poses that come without one, and use of the uncertainty by the map.
     pub pose: PoseParameters,
-    /// Range noise [m].
+    /// Standard deviation of ranges [m].
     pub range_std: f64,
-    /// The smallest target that must be seen [m]: radius.
+    /// Radius of the smallest target that must be visible [m].
     pub target_radius: f64,
-    /// Share of returns in free space above which a scan is held; None never holds one.
+    /// Share of free voxels among those with returns above which a scan is held. None: no scan is
+    /// held.
     pub mismatch_share: Option<f64>,
-    /// Distance from the sensor beyond which the map forgets voxels [m].
+    /// Distance from the sensor beyond which the map forgets voxels [m]. None: it forgets none for
+    /// this reason.
     pub forget_distance: Option<f64>,
-    /// Largest distance in which targets of one or two returns per scan, and targets beyond the map, are sought
-    /// [m]; None: none are.
+    /// Largest distance up to which targets of one or two returns per scan, and targets beyond the
+    /// range of the map, are looked for [m]. None: they are not looked for.
     pub few_returns_distance: Option<f64>,
 }
 
-/// Best mode.
+/// Parameters of the best mode (not of the paper).
 impl Default for FlyingParameters {
     fn default() -> Self {
         let map = MapParameters::default();
@@ -108,14 +112,15 @@ impl FlyingParameters {
 }
 
 impl FlyingParameters {
-    /// Whether points of ground movers have a class of their own: where tracks have kinds, and every
-    /// point has its class before the map is updated.
+    /// Whether points of ground movers get their own class. This needs tracks with kinds, and
+    /// classes of all points before the map is updated.
     pub(super) fn tells_movers(&self) -> bool {
         let has_kinds = matches!(self.tracker.confirmation, Confirmation::Existence { .. });
         has_kinds && !self.classify.after_update
     }
 
-    /// Largest distance of targets that no single scan detects [m]; None where tracks have no probabilities.
+    /// Largest distance of targets that no single scan detects [m]. None if they are not looked
+    /// for, or if tracks have no probabilities.
     pub(super) fn few_returns(&self) -> Option<f64> {
         let has_kinds = matches!(self.tracker.confirmation, Confirmation::Existence { .. });
         self.few_returns_distance.filter(|_| has_kinds)

@@ -7,16 +7,16 @@ use crate::util::budget::check_points;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum PointClass {
-    /// Ignored.
+    /// No information: the point is ignored.
     #[default]
     Invalid = 0,
     /// A point on something that belongs to the environment.
     Background = 1,
     /// A point on a flying object.
     Flying = 2,
-    /// Neither background nor known to fly.
+    /// A point that is neither background nor known to fly.
     Unknown = 3,
-    /// A point on something that moves on the ground; maps take it as unknown.
+    /// A point on something that moves on the ground. Maps treat it as unknown.
     Moving = 4,
 }
 
@@ -26,10 +26,10 @@ impl From<PointClass> for u8 {
     }
 }
 
-/// Classes from an array of their numbers.
+/// Classes from an array of their numbers (0 to 4).
 ///
-/// The result is a copy: another thread could write an invalid number into `numbers` while a view of
-/// them is in use.
+/// The result is a copy. Otherwise another thread could write an invalid number into `numbers`
+/// while a view of them is in use.
 ///
 /// # Errors
 /// [`Error::Limit`] for more points than a scan may have, [`Error::Value`] if a number is not a class
@@ -48,7 +48,7 @@ pub fn classes_from_numbers(numbers: &[u8]) -> Result<Vec<PointClass>, Error> {
     Ok(numbers.iter().map(|&number| class_from_number(number)).collect())
 }
 
-/// Numbers of classes, in the same memory.
+/// The numbers of classes, in the same memory.
 #[must_use]
 pub fn numbers_from_classes(classes: Vec<PointClass>) -> Vec<u8> {
     classes.into_iter().map(u8::from).collect()
@@ -64,7 +64,7 @@ fn class_from_number(number: u8) -> PointClass {
     }
 }
 
-/// Replace one class by another.
+/// Replace the class `old` by `new` wherever it occurs.
 pub(crate) fn replace(classes: &mut [PointClass], old: PointClass, new: PointClass) {
     classes.iter_mut().filter(|class| **class == old).for_each(|class| *class = new);
 }

@@ -1,5 +1,5 @@
-//! Gate of the detector: whether the detections of a scan are reported. Not the validation gate of a
-//! tracker, which bounds the measurements that a track may take.
+//! Gate of the detector: whether the detections of a scan are reported. It is not the validation
+//! gate of a tracker, which limits the measurements that a track may use.
 
 use std::fmt;
 
@@ -8,21 +8,22 @@ use std::fmt;
 pub enum ReportingGate {
     /// Detections are reported.
     Open,
-    /// The burn-in is not over.
+    /// The burn-in is not over: no detections are reported.
     BurnIn {
-        /// Scans so far, this one included.
+        /// Number of scans of the burn-in so far, including this one.
         scans: u32,
-        /// Scans in all.
+        /// Estimated number of scans of the burn-in.
         of: u32,
     },
-    /// No group of occupied voxels holds enough confident ones yet.
+    /// No group of occupied voxels has enough confident ones yet: there is no background.
     NoBackground {
-        /// Confidently occupied voxels that one group must hold.
+        /// Number of confidently occupied voxels that one group must have.
         needed: usize,
     },
-    /// Most returns contradict the map: the pose has jumped, or the map is of another place.
+    /// Most returns contradict the map: the pose has jumped, or the map is of another place. The
+    /// scan is held.
     PoseMismatch {
-        /// Returns in free voxels, of 1000 in observed ones.
+        /// Share of free voxels among the observed voxels with returns, per mille.
         per_mille: u32,
     },
 }

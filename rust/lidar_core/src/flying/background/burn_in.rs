@@ -1,6 +1,7 @@
-//! The burn-in: the time from which detections may be trusted.
+//! The burn-in: the first scans, in which the background is learnt and no detection is reported.
 //!
-//! Its length is one in time rather than scans, so that a slow sensor is ready as soon as a fast one.
+//! Its length is a time and not a number of scans, so that a slow sensor is ready as early as a
+//! fast one.
 
 use super::parameters::SeedParameters;
 use crate::flying::map::voxel_map::VoxelMap;
@@ -8,29 +9,30 @@ use crate::flying::parameters::FlyingParameters;
 use crate::flying::reporting_gate::ReportingGate;
 use serde::{Deserialize, Serialize};
 
-/// A pause between two scans counts as this at most [s], and as so many times the usual step: nothing
-/// is seen in it.
+/// Longest time that counts for a pause between two scans [s]; `LONGEST_TIMES`: also as a multiple
+/// of the usual time. Nothing is seen in a pause.
 const LONGEST_STEP: f64 = 0.5;
 const LONGEST_TIMES: f64 = 2.0;
-/// Fewer scans do not tell what stands still.
+/// Smallest number of scans. Fewer do not show what stands still.
 const FEWEST_SCANS: u32 = 3;
-/// So many times the scans of the usual sensor are enough, however fast they come.
+/// Largest length of the burn-in, as a multiple of the number of scans of the usual sensor, however
+/// fast scans come.
 const MOST_TIMES: u32 = 10;
 
-/// The scans of the burn-in so far.
+/// State of the burn-in: the scans so far.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct BurnIn {
     scans: u32,
-    /// Sensors that were met: their first scans have no step.
+    /// Number of sensors so far. The first scan of a sensor has no time step.
     sensors: u32,
-    /// Time since the last scan of the same sensor [s], of all other scans.
+    /// For all other scans, the time since the last scan of the same sensor [s].
     steps: Vec<f64>,
     is_over: bool,
 }
 
 impl BurnIn {
-    /// The burn-in after one more scan; `step` [s] is the time since the last scan of the same
-    /// sensor, None for its first one.
+    /// The burn-in after one more scan. `step`: time since the last scan of the same sensor [s];
+    /// None for its first scan.
     pub(crate) fn after(&self, step: Option<f64>, seed: &SeedParameters) -> Self {
         let mut next = self.clone();
         if next.is_over(seed) {
@@ -48,7 +50,8 @@ impl BurnIn {
         next
     }
 
-    /// Usual time between two scans of a sensor [s], pauses left out; None before it is known.
+    /// Usual time between two scans of a sensor, with pauses shortened [s]. None before it is
+    /// known.
     fn usual_step(&self) -> Option<f64> {
         let mut sorted = self.steps.clone();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -58,7 +61,7 @@ impl BurnIn {
         Some(sorted.iter().map(|step| step.min(longest)).sum::<f64>() / sorted.len() as f64)
     }
 
-    /// Whether the coming scan belongs to it no more.
+    /// Whether the burn-in is over, so that the next scan does not belong to it.
     pub(crate) fn is_over(&self, seed: &SeedParameters) -> bool {
         self.is_over || seed.burn_in_scans == 0
     }
@@ -68,7 +71,7 @@ impl BurnIn {
         self.scans
     }
 
-    /// Number of scans that it takes, estimated from those so far: never fewer than these.
+    /// Number of scans of the burn-in, estimated from the scans so far, and never less than these.
     pub(crate) fn length(&self, seed: &SeedParameters) -> u32 {
         if self.is_over {
             return self.scans;
@@ -84,7 +87,8 @@ impl BurnIn {
         scans.max(fewest).min(most).max(self.scans)
     }
 
-    /// Largest cluster that is not background [m]: smaller during the burn-in than afterwards.
+    /// Diagonal beyond which clusters are background [m]: during the burn-in it is smaller than
+    /// afterwards. None: no limit.
     pub(crate) fn background_extent(&self, parameters: &FlyingParameters) -> Option<f64> {
         let FlyingParameters { seed, classify, .. } = parameters;
         let otherwise = classify.background_extent;
@@ -94,7 +98,9 @@ impl BurnIn {
         Some(otherwise.map_or(seed.burn_in_extent, |limit| limit.min(seed.burn_in_extent)))
     }
 
-    /// Gate of reporting of a scan; `with_it` is the burn-in after that scan.
+    /// Whether the detections of a scan are reported. `self`: the burn-in before the scan;
+    /// `with_it`: after it. `needed`: number of confident voxels that a group of the background
+    /// must have.
     pub(crate) fn gate(
         &self,
         with_it: &Self,
@@ -111,8 +117,9 @@ impl BurnIn {
         }
     }
 
-    /// Of `standing_scans` the part that belongs to a burn-in of so many scans, but not fewer than
-    /// three: what moves may be met twice in one place.
+    /// Number of scans with points in a voxel that make it background, for a burn-in of `length`
+    /// scans: the proportion of `standing_scans`, but at least three, since something that moves
+    /// may be twice at one place.
     pub(crate) fn standing(seed: &SeedParameters, length: u32) -> u32 {
         let share = f64::from(seed.standing_scans) / f64::from(seed.burn_in_scans.max(1));
         let part = (share * f64::from(length) - 1e-9).ceil() as u32;
@@ -137,7 +144,7 @@ mod tests {
         }
     }
 
-    /// Scans until it is over, given the time between scans [s].
+    /// Length of a burn-in [scans]. `step`: time before each scan [s].
     fn length(seed: &SeedParameters, step: impl Fn(u32) -> f64) -> u32 {
         let (mut burn_in, mut before) = (BurnIn::default(), None);
         while !burn_in.is_over(seed) {

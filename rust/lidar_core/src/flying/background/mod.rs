@@ -1,4 +1,4 @@
-//! Background before the map knows it: burn-in and how long it takes, static points, pose jumps.
+//! Background before the map knows it: burn-in, static points, and jumps of the pose.
 
 pub(crate) mod burn_in;
 pub mod parameters;

@@ -1,4 +1,5 @@
-//! Jumps of the pose (relocalisation, GNSS step): the scan is held until the caller decides.
+//! Jumps of the pose (relocalisation, GNSS step). The scan is held, that is not used, until the
+//! caller decides.
 
 use crate::flying::classify::occupied_nearby::{OccupiedNearby, is_observed_free};
 use crate::flying::map::blocks::Cursor;
@@ -8,31 +9,32 @@ use crate::geometry::lattice::{Voxel, floor, wide};
 use crate::geometry::transform::Transform;
 use serde::{Deserialize, Serialize};
 
-/// Returns that are looked at.
+/// Largest number of returns that are compared with the map.
 const SAMPLES: usize = 2048;
-/// Observed voxels with returns that are enough for a decision: one target has far fewer.
+/// Number of observed voxels with returns that is enough for a decision. One target has far fewer.
 const ENOUGH: usize = 200;
 
-/// A scan that contradicts the map, and was not used.
+/// A scan that contradicts the map, so that it was not used.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct HeldScan {
     pub(crate) sensor: String,
     pub(crate) world_from_lidar: Transform,
 }
 
-/// Stage that compares a scan with the map before anything of it is used.
+/// Comparison of a scan with the map before anything of the scan is used.
 #[derive(Clone, Default)]
 pub(crate) struct PoseCheck {
-    /// The last scan, if it was held.
+    /// The last scan, if it was held. None if it was used.
     pub(crate) held: Option<HeldScan>,
-    /// Voxels with returns, and one return in each.
+    /// Voxels that contain returns, with one return of each [m].
     sampled: Vec<(Voxel, [f64; 3])>,
 }
 
 impl PoseCheck {
-    /// A closed gate if more than the share `limit` of the observed voxels with returns is free, and
-    /// further than `close_distance` [m] from anything occupied. Voxels count, not returns: a target
-    /// close by may give most of them. None without a limit, or while there is no background.
+    /// The gate `PoseMismatch` if the scan contradicts the map: more than the share `limit` of the
+    /// observed voxels with returns is free, and further than `close_distance` [m] from anything
+    /// occupied. Voxels count and not returns, since a near target may give most returns. None if
+    /// the scan fits, without a limit, or while there is no background.
     pub(crate) fn check(
         &mut self,
         points: &[[f32; 3]],
@@ -71,7 +73,7 @@ mod tests {
     use crate::flying::map::parameters::{MapParameters, Separation};
     use crate::flying::point_class::PointClass;
 
-    /// A wall across x.
+    /// Returns of a wall at `x` [m], across the x axis.
     fn wall(x: f32) -> Vec<[f32; 3]> {
         let along = |index: u16| f32::from(index) * 0.25 - 4.0;
         (0..1024).map(|index| [x, along(index % 32), along(index / 32)]).collect()

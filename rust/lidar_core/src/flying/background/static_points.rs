@@ -1,4 +1,5 @@
-//! Points that do not move during the burn-in: background, however small.
+//! Points that do not move during the burn-in. They become background, however small the objects
+//! are.
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;
@@ -18,37 +19,41 @@ use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
 use std::hash::BuildHasherDefault;
 
-/// Coordinates are summed up as integers, so that the order of the points cannot matter.
+/// Number of units per metre in sums of coordinates. These are integers, so the order of the points
+/// does not matter.
 const UNITS_PER_METRE: f64 = 65_536.0;
 
-/// A standing object misses so many scans one after the other, where rays show that nothing is there, with at most
-/// this probability: it has come, or gone.
+/// Largest probability that a standing object misses the scans in which rays show nothing at its
+/// place. Below it, the object has come or gone.
 const NOT_BY_CHANCE: f64 = 0.01;
-/// Of the voxels of a cluster that moves, so many have come. A large one covers others all the time.
+/// Share of the voxels of a moving cluster that something has entered. Voxels of a large cluster
+/// cover others all the time.
 const COME_SHARE: f64 = 0.3;
 
-/// Stage that finds what stands still during the burn-in: the points of every voxel so far.
+/// Search for what stands still during the burn-in. It stores the points of every voxel so far.
 #[derive(Clone, Default)]
 pub(crate) struct StaticPoints {
     voxels: HashMap<Place, PointsOfVoxel, BuildHasherDefault<KeyHasher>>,
-    /// Voxels that were free before the newest scan, which is the first with points in them, ascending.
+    /// Free voxels in which the newest scan is the first with points, ascending.
     entered: Vec<Voxel>,
 }
 
-/// Points in one voxel.
+/// Summary of the points in one voxel.
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct PointsOfVoxel {
-    /// Rays had shown it free before the first scan with points in it.
+    /// Whether rays had shown the voxel free before the first scan with points in it.
     was_free: bool,
     first_scan: u32,
     scans: u32,
     last_scan: u32,
-    /// Sums of coordinates and numbers of points in both halves.
+    /// For each half of the burn-in: sum of coordinates relative to the voxel's centre, and number
+    /// of points.
     halves: [([i64; 3], i64); 2],
 }
 
 impl StaticPoints {
-    /// Look at what a scan of the burn-in is about to change: voxels that are free.
+    /// Find the free voxels that a scan of the burn-in is about to enter. Call it before the map
+    /// update.
     pub(crate) fn look(
         &mut self,
         points: &[[f32; 3]],
@@ -69,9 +74,10 @@ impl StaticPoints {
         self.entered.dedup();
     }
 
-    /// Take a scan of the burn-in and its clusters; after its last one, what stood still all the time becomes
-    /// background in `map`, further than `distance` [m] from the boxes of tracks that moved: the voxels of
-    /// it, in ascending order. Other scans give none, and those after the burn-in change nothing.
+    /// Add a scan of the burn-in and its clusters. After the last scan, all that stood still
+    /// becomes background in `map`, except within `distance` [m] of the boxes of tracks that moved.
+    /// Returns its voxels, ascending. For earlier scans the result is empty; scans after the
+    /// burn-in change nothing.
     pub(crate) fn take(
         &mut self,
         (points, clusters, classifications): (&[[f32; 3]], &Clusters, &[Classification]),
@@ -107,7 +113,7 @@ impl StaticPoints {
         standing
     }
 
-    /// Add the points of scan `scan` (1 is the first) of `of`.
+    /// Add the points of the scan with the number `scan` (first: 1) of a burn-in of `of` scans.
     fn add(&mut self, lattice: &Lattice, points: &[[f32; 3]], scan: u32, of: u32) {
         let half = usize::from(2 * scan > of);
         for &point in points {
@@ -132,8 +138,9 @@ impl StaticPoints {
         }
     }
 
-    /// Voxels that held points in at least `scans` scans, which moved by at most `shift` [m]
-    /// between the halves of the burn-in of `of` scans, and neither came nor went, in ascending order.
+    /// Voxels, ascending, that had points in at least `scans` scans of a burn-in of `of` scans,
+    /// whose points moved by at most `shift` [m] between its halves, and into or out of which
+    /// nothing moved.
     fn voxels(&self, scans: u32, shift: f64, of: u32, map: &VoxelMap) -> Vec<Voxel> {
         let mut cursor = Cursor::new(&map.blocks);
         let mut stands = |place: &Place, points: &PointsOfVoxel| {
@@ -146,8 +153,8 @@ impl StaticPoints {
         voxels
     }
 
-    /// Voxels of the clusters of the last scan which move, and those that these have left behind, in ascending
-    /// order: many of their voxels have come.
+    /// Voxels, ascending, of the moving clusters of the last scan, and voxels that these have left
+    /// behind. A cluster moves if it has entered many of its voxels.
     fn of_moving<'a>(
         &self,
         points: &[[f32; 3]],
@@ -175,9 +182,10 @@ impl StaticPoints {
         found
     }
 
-    /// The voxels `own` of what moves in scan `of`, and those that it has left behind: beside each other, and the
-    /// further back, the earlier left. No ray may have passed through them since, as where only the sky is behind
-    /// them; so only the motion of the target shows that they are empty.
+    /// The voxels `own` of a moving object in scan `of`, and the connected voxels that it has left
+    /// behind: the further back, the earlier it left them. Rays may not have passed through these
+    /// since then, as in front of the sky, so only the motion of the object shows that they are
+    /// empty.
     fn trail(&self, own: &[Place], of: u32) -> Vec<Voxel> {
         let mut trail: Vec<(Voxel, u32)> = own.iter().map(|place| (place.0, of)).collect();
         let mut met: HashSet<Place, BuildHasherDefault<KeyHasher>> = own.iter().copied().collect();
@@ -195,7 +203,8 @@ impl StaticPoints {
         trail.into_iter().map(|(voxel, _)| voxel).collect()
     }
 
-    /// State that goes on to the same bits, in ascending order of voxels.
+    /// The state to save, in ascending order of voxels. A stage restored from it gives the same
+    /// results, bit by bit.
     pub(crate) fn saved(&self) -> Vec<(Place, PointsOfVoxel)> {
         let mut saved: Vec<_> =
             self.voxels.iter().map(|(&place, &points)| (place, points)).collect();
@@ -203,7 +212,7 @@ impl StaticPoints {
         saved
     }
 
-    /// Points from a saved state.
+    /// The stage of a saved state.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no detector has.
@@ -221,7 +230,7 @@ impl StaticPoints {
 }
 
 impl PointsOfVoxel {
-    /// True if scans can have left it, so that no sum or difference of its numbers overflows.
+    /// True if scans can have given these numbers, so that no sum or difference of them overflows.
     fn is_possible(&self) -> bool {
         // Far more scans than a burn-in has, and points than its scans have.
         const MOST: u32 = 1 << 30;
@@ -232,9 +241,10 @@ impl PointsOfVoxel {
             && halves.iter().all(|(_, count)| (0..=i64::from(MOST) << 30).contains(count))
     }
 
-    /// Whether points have come or gone in a burn-in of `of` scans, rather than missed so many scans by chance:
-    /// of those at its beginning and at its end those count in which nothing was there, as far as rays
-    /// tell; `is_free` is that at its end.
+    /// Whether something has moved into or out of the voxel in a burn-in of `of` scans. Scans
+    /// without points before the first, and after the last, count as evidence if rays have shown
+    /// the voxel free (`is_free`: at the end). It has moved if they are too many for misses by
+    /// chance.
     fn has_moved(&self, of: u32, is_free: bool) -> bool {
         let span = self.last_scan - self.first_scan + 1;
         let before = if self.was_free { self.first_scan - 1 } else { 0 };
@@ -243,7 +253,7 @@ impl PointsOfVoxel {
         misses.powi((before + after).cast_signed()) < NOT_BY_CHANCE
     }
 
-    /// Distance between the mean points of both halves [m]; infinite if one is empty.
+    /// Distance between the mean points of the two halves [m]. Infinite if a half has no points.
     fn shift(&self) -> f64 {
         let [(early, n_early), (late, n_late)] = self.halves;
         let mean = |sums: [i64; 3], count: i64, axis: usize| sums[axis] as f64 / count as f64;

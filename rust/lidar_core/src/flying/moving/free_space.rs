@@ -4,14 +4,14 @@ use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::Voxel;
 
-/// Rays have gone through a voxel for at least this many edges, if it is free for sure.
+/// Length of rays in a voxel, in voxel edges, from which on the voxel is surely free.
 const SURE_EDGES: f32 = 8.0;
 
 /// Free voxels of a map.
 pub(super) struct FreeSpace<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
-    /// Values below it are free for sure.
+    /// Values up to this one are surely free.
     sure: f32,
 }
 
@@ -27,9 +27,10 @@ impl<'a> FreeSpace<'a> {
         self.map.known(self.cursor.stored(voxel)) < self.map.uncertain_from()
     }
 
-    /// True if a voxel is free for sure and those around it are free, or `also` says so of them: it is
-    /// not beside a surface, which rays that pass along it may have freed. Of the uncertain ones around it
-    /// nothing is asked where the thing in the voxel `hides` them: no ray can free those while it is there.
+    /// True if a voxel is surely free and all its neighbours are free, or `also` is true for them.
+    /// Such a voxel is not beside a surface, which rays along the surface may have made free.
+    /// Uncertain neighbours for which `hides` is true do not count: the thing in the voxel hides
+    /// them, so no ray can make them free while it is there.
     pub(super) fn is_open(
         &mut self,
         voxel: Voxel,
@@ -46,7 +47,7 @@ impl<'a> FreeSpace<'a> {
     }
 }
 
-/// The 26 voxels that share a face, an edge or a corner with one.
+/// The 26 neighbours of a voxel, which share a face, an edge or a corner with it.
 pub(super) fn around([x, y, z]: Voxel) -> impl Iterator<Item = Voxel> {
     let offset = |place: i32| [place % 3 - 1, place / 3 % 3 - 1, place / 9 - 1];
     let beside = move |[dx, dy, dz]: Voxel| {
@@ -55,10 +56,11 @@ pub(super) fn around([x, y, z]: Voxel) -> impl Iterator<Item = Voxel> {
     (0..27).filter(|&place| place != 13).map(offset).map(beside)
 }
 
-/// Of the voxels `of`, which ascend, those of parts of at least `fewest` that are `open` and hang
-/// together, and those beside these.
+/// For each of the voxels `of` (ascending): whether it belongs to a connected part of at least
+/// `fewest` voxels that are `open`, or is beside such a part.
 ///
-/// One step only: free space along the ground hangs together everywhere.
+/// Only direct neighbours count as beside, since free space along the ground is connected
+/// everywhere.
 pub(super) fn with_beside(of: &[Voxel], open: &[bool], fewest: usize) -> Vec<bool> {
     let core: Vec<Voxel> =
         of.iter().zip(open).filter(|(_, open)| **open).map(|(v, _)| *v).collect();
@@ -75,7 +77,7 @@ pub(super) fn with_beside(of: &[Voxel], open: &[bool], fewest: usize) -> Vec<boo
     is_chosen
 }
 
-/// Parts of the voxels `of` that hang together, each as places in that list; `of` ascends.
+/// Connected parts of the voxels `of` (ascending). Each part is a list of indices into `of`.
 pub(super) fn parts(of: &[Voxel]) -> Vec<Vec<usize>> {
     let mut is_met = vec![false; of.len()];
     let mut parts = Vec::new();

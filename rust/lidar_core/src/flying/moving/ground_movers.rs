@@ -1,13 +1,13 @@
-//! Points of objects that move on the ground, such as people and cars.
+//! Points of objects that move on the ground, such as people and cars ("movers").
 //!
-//! The search for flying objects classifies them as background or unknown. But they are at places
-//! that were free before, with something close below. The places are remembered, so that an object
-//! stays a mover while it stops for a moment.
+//! The search for flying objects classifies them as background or unknown. But they are at places that were free
+//! before, with something close below. These places are remembered, so that an object remains a mover while it stops
+//! for a moment.
 //!
-//! A moving object with nothing close below is in the air. A large target that was background once,
-//! as in the burn-in, would stay background for ever: each scan would add its points to the
-//! background, and the next scan would find its points near those. So the space that it enters
-//! counts as unexplained, and its points as unknown.
+//! A moving object with nothing close below is in the air. A large target that was once background, as in the
+//! burn-in, would stay background for ever: each scan would add its points to the background, and the next scan would
+//! find its points near those. So the space that it enters counts as not explained by the map, and its points are
+//! unknown.
 
 use super::free_space::{FreeSpace, parts, with_beside};
 use crate::Error;
@@ -23,22 +23,22 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// An object that stands for longer where it has moved to is background [s].
+/// Time after which an object that stands at its new place is background [s].
 const STANDS: f64 = 10.0;
-/// A mover that was not seen for so long may be seen again [s].
+/// Time for which a mover that is not seen is remembered [s].
 const HIDDEN: f64 = 2.0;
-/// A mover has so many points, in so many voxels that are not beside anything else.
+/// Smallest number of points of a mover; `FEWEST_OPEN`: of its voxels that are not beside anything else.
 const FEWEST_POINTS: usize = 8;
 const FEWEST_OPEN: usize = 2;
-/// Something occupied is at most this far below a mover on the ground [m].
+/// Largest distance of a mover on the ground above something occupied [m].
 const ABOVE_GROUND: f64 = 0.75;
 
-/// When something was in a voxel that had been free [ns].
+/// Times at which something was in a voxel that had been free [ns].
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct Stay {
     first_ns: i64,
     last_ns: i64,
-    /// Nothing was close below it.
+    /// Whether nothing was close below it.
     is_in_air: bool,
 }
 
@@ -54,15 +54,15 @@ impl Stay {
 /// State of the space below a voxel.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Below {
-    /// Something is occupied there.
+    /// Something below is occupied.
     Occupied,
-    /// Nothing of it was ever seen, as where the field of view ends.
+    /// Nothing below was ever seen, as where the field of view ends.
     Unseen,
     Free,
 }
 
 impl Below {
-    /// Of at most so many voxels straight below one, and of those beside them, other than `own`.
+    /// State of the `steps` voxels straight below a voxel and their neighbours, except the object's `own` voxels.
     fn of(
         cursor: &mut Cursor<'_>,
         [x, y, z]: Voxel,
@@ -87,16 +87,16 @@ impl Below {
     }
 }
 
-/// Rows of points by their voxels, which ascend.
+/// Rows of points by their voxels, which are in ascending order.
 struct PointsByVoxel {
     voxels: Vec<Voxel>,
     rows: Vec<u32>,
-    /// Place in `rows` of the first of every voxel, and the number of all.
+    /// Index in `rows` of the first point of every voxel; last entry: number of all points.
     starts: Vec<usize>,
 }
 
 impl PointsByVoxel {
-    /// The table of pairs in ascending order.
+    /// The points as a list of voxels and rows. `pairs` must be in ascending order.
     fn of(pairs: &[(Voxel, u32)]) -> Self {
         let (mut voxels, mut starts) = (Vec::new(), Vec::new());
         for (at, (voxel, _)) in pairs.iter().enumerate() {
@@ -109,30 +109,30 @@ impl PointsByVoxel {
         Self { voxels, rows: pairs.iter().map(|&(_, row)| row).collect(), starts }
     }
 
-    /// Rows of the points in the voxel at a place.
+    /// Rows of the points in the voxel at index `at`.
     fn rows(&self, at: usize) -> &[u32] {
         &self.rows[self.starts[at]..self.starts[at + 1]]
     }
 }
 
-/// A scan in which movers are looked for.
+/// A scan, as input of the search for movers.
 #[derive(Clone, Copy)]
 pub(crate) struct ScanOfMovers<'a> {
     pub(crate) points: &'a [[f32; 3]],
     pub(crate) class: &'a [PointClass],
-    /// Rows whose points may be on the robot itself; none if no row is.
+    /// For each row, whether its point may be on the robot itself. Empty if no point may be.
     pub(crate) maybe_own: &'a [bool],
-    /// Position of the sensor.
+    /// Position of the sensor [m, frame of the map].
     pub(crate) origin: [f64; 3],
-    /// Rows of the points of each thing of unknown class that is no larger than a target.
+    /// For each thing of unknown class that is no larger than a target, the rows of its points.
     pub(crate) things: &'a [&'a [u32]],
 }
 
-/// Things of a scan with the voxels in which they are, and what they hide from the sensor.
+/// Things of a scan, their voxels, and what they hide from the sensor.
 struct Things<'a> {
-    /// Number of the thing that has points in a voxel, ascending.
+    /// Voxels with the numbers of the things that have points in them, ascending.
     of_voxel: Vec<(Voxel, usize)>,
-    /// Points of each thing by voxels: a line of sight meets few of these, however many points they hold.
+    /// For each thing, its points by voxel. A line of sight meets few voxels, however many points they contain.
     rows: Vec<PointsByVoxel>,
     points: &'a [[f32; 3]],
     origin: [f64; 3],
@@ -159,7 +159,7 @@ impl<'a> Things<'a> {
         Self { of_voxel, rows, points, origin, lattice }
     }
 
-    /// True if the thing in a voxel is in another one, too, or hides that from the sensor.
+    /// True if a thing with points in `voxel` also has points in `other`, or hides `other` from the sensor.
     fn hide(&self, voxel: Voxel, other: Voxel) -> bool {
         let from = self.of_voxel.partition_point(|&(place, _)| place < voxel);
         let mut in_voxel = self.of_voxel[from..].iter().take_while(|(place, _)| *place == voxel);
@@ -170,7 +170,7 @@ impl<'a> Things<'a> {
         })
     }
 
-    /// True if a point of a thing is on a line of sight, before its end.
+    /// True if a point of a thing is on a line of sight, before the end of the line.
     fn blocks(&self, thing: usize, line: &SightLine) -> bool {
         let rows = &self.rows[thing];
         let is_blocked = |&row: &u32| line.is_blocked_by(wide(self.points[row as usize]));
@@ -180,15 +180,15 @@ impl<'a> Things<'a> {
     }
 }
 
-/// Stage that finds the points of movers in one scan after another.
+/// Search for the points of movers in one scan after another.
 #[derive(Default)]
 pub(crate) struct GroundMovers {
     entered: HashMap<Place, Stay, BuildHasherDefault<KeyHasher>>,
-    /// Rows of the points of movers in the newest scan.
+    /// Rows of the points of movers on the ground in the newest scan.
     rows: Vec<u32>,
-    /// Rows of the points of what moves in the air.
+    /// Rows of the points of objects that move in the air.
     in_air: Vec<u32>,
-    /// Rows of those points of movers of which nothing tells whether they stand on anything.
+    /// Rows of those points of movers for which it is not known whether they stand on anything.
     over_unseen: Vec<u32>,
 }
 
@@ -243,7 +243,7 @@ impl GroundMovers {
         Ok(())
     }
 
-    /// Rows of the points beside what moved in the air in the newest of the scans before.
+    /// Rows of the points beside objects that moved in the air in the newest scan with such objects.
     pub(crate) fn beside_air(&self, points: &[[f32; 3]], lattice: &Lattice) -> Vec<usize> {
         let in_air = self.entered.iter().filter(|(_, stay)| stay.is_in_air);
         let Some(newest) = in_air.clone().map(|(_, stay)| stay.last_ns).max() else {
@@ -272,18 +272,18 @@ impl GroundMovers {
         (0..points.len()).filter(is_inside).collect()
     }
 
-    /// Rows of the points of what moves in the air in the newest scan, ascending.
+    /// Rows of the points of objects that move in the air in the newest scan, ascending.
     pub(crate) fn in_air(&self) -> &[u32] {
         &self.in_air
     }
 
-    /// Rows of the points of movers with nothing occupied close below, of which a part was never seen, such
-    /// as the space behind a table: they may fly or stand on something. Ascending.
+    /// Rows of points of movers with nothing occupied close below, where part of the space below was never seen (such
+    /// as behind a table): they may fly or stand on something. Ascending.
     pub(crate) fn over_unseen(&self) -> &[u32] {
         &self.over_unseen
     }
 
-    /// Which of the voxels lie in open space, or beside such ones.
+    /// Indices of the voxels that are in open space, or beside such voxels.
     fn in_open_space(
         &self,
         scan: &ScanOfMovers<'_>,
@@ -303,7 +303,7 @@ impl GroundMovers {
         Ok((0..voxels.len()).filter(|&at| chosen[at]).collect())
     }
 
-    /// Points that are not known to fly, in voxels that are free, or were before something entered them.
+    /// Points that are not known to fly, in voxels that are free, or were free before something entered them.
     fn in_free_space(
         &self,
         scan: &ScanOfMovers<'_>,
@@ -334,22 +334,22 @@ impl GroundMovers {
         PointsByVoxel::of(&found)
     }
 
-    /// Leave out points that turned out to fly.
+    /// Remove the points that turned out to fly.
     pub(crate) fn leave_flying(&mut self, class: &[PointClass]) {
         self.rows.retain(|&row| class.get(row as usize) != Some(&PointClass::Flying));
     }
 
-    /// Add the points of something that a track of a ground mover follows.
+    /// Add the points (rows) of something that a track of a ground mover follows.
     pub(crate) fn add(&mut self, rows: &[u32]) {
         self.rows.extend(rows);
     }
 
-    /// Rows of the points of movers in the newest scan.
+    /// Rows of the points of ground movers in the newest scan.
     pub(crate) fn rows(&self) -> &[u32] {
         &self.rows
     }
 
-    /// The newest scan is not used.
+    /// Find nothing in the newest scan, which is not used.
     pub(crate) fn skip(&mut self) {
         self.rows.clear();
         self.in_air.clear();
@@ -362,14 +362,14 @@ impl GroundMovers {
         self.entered.clear();
     }
 
-    /// State that goes on to the same bits, in ascending order of voxels.
+    /// The state to save, in ascending order of voxels. A stage restored from it gives the same results, bit by bit.
     pub(crate) fn saved(&self) -> Vec<(Place, Stay)> {
         let mut saved: Vec<_> = self.entered.iter().map(|(&place, &stay)| (place, stay)).collect();
         saved.sort_unstable_by_key(|(place, _)| *place);
         saved
     }
 
-    /// Restore the voxels of a saved state.
+    /// The stage with the voxels of a saved state.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no detector has.
@@ -387,18 +387,18 @@ mod tests {
     use crate::flying::classify::shadow::Shadow;
     use crate::flying::map::parameters::tests::parameters;
 
-    /// Points of a target of 3 x 3 x 2 voxels whose lowest are at `up`.
+    /// Points of a target of 3 x 3 x 2 voxels, whose lowest voxels have the index `up` along z.
     fn target(lattice: &Lattice, up: i32) -> Vec<[f32; 3]> {
         let voxel = |at: i32| [at % 3, at / 3 % 3, up + at / 9];
         (0..18).map(|at| lattice.center(voxel(at)).map(|value| value as f32)).collect()
     }
 
-    /// Free space with occupied voxels in it.
+    /// Map of free space with some occupied voxels.
     fn map(occupied: &[Voxel]) -> Result<VoxelMap, Error> {
         map_above(-6, occupied)
     }
 
-    /// The same, of which nothing below a height was ever seen.
+    /// Map of free space with some occupied voxels. Nothing below the index `low` along z was ever seen.
     fn map_above(low: i32, occupied: &[Voxel]) -> Result<VoxelMap, Error> {
         let mut map = VoxelMap::new(parameters())?;
         let lattice = *map.lattice();
@@ -411,7 +411,7 @@ mod tests {
         Ok(map)
     }
 
-    /// Numbers of points in the air, and of ground movers.
+    /// Numbers of points in the air, and of points of ground movers.
     fn found(movers: &mut GroundMovers, map: &VoxelMap, up: i32) -> [usize; 2] {
         let points = target(map.lattice(), up);
         let class = &[PointClass::Background; 18];
@@ -484,7 +484,7 @@ mod tests {
         Ok(())
     }
 
-    /// Whatever the points of a thing are, it hides the voxels that one of its points hides.
+    /// A thing hides the voxels that any one of its points hides, whatever its other points are.
     #[test]
     fn a_thing_hides_what_its_points_hide() -> Result<(), Error> {
         let lattice = Lattice::new(0.25, [0.0; 3])?;

@@ -1,4 +1,5 @@
-//! Points of moving objects that do not fly: people, cars; and a map without moving objects.
+//! Points of moving objects that do not fly, such as people and cars; and a map without moving
+//! objects.
 
 pub(crate) mod free_space;
 pub(crate) mod ground_movers;

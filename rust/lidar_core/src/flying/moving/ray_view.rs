@@ -1,33 +1,36 @@
-//! How far one scan saw, direction by direction.
+//! View of one scan: how far its rays go in each direction.
 //!
-//! A voxel that rays pass through says little about a point in it: far away rays are further apart than
-//! voxels are wide, and near surfaces they share voxels with them. A view keeps how far the rays around a
-//! direction go. A scan sees through a place if rays on all sides of it, within a few tenths of a
-//! degree, end clearly behind it. No point of a surface that is flat there can be such a place, since a
-//! ray on one of its sides ends no further away.
+//! A voxel that rays pass through says little about a point in it: far away, rays are further apart
+//! than voxels are wide, and near surfaces, rays share voxels with them. A view stores how far the
+//! rays around each direction go. A scan sees through a place if rays on all sides of it, within a
+//! few tenths of a degree, end clearly behind it. No point of a flat surface is such a place, since
+//! a ray on one of its sides ends no further away.
 
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
 use serde::{Deserialize, Serialize};
 
-/// Bins per unit of the measures of azimuth and elevation below, finest first: .3 to .6 deg wide, then
-/// twice and four times as wide, for scanners with fewer rays.
+/// Number of bins per unit of the measures of azimuth and elevation below, finest first: 0.3 to 0.6
+/// degrees wide, then twice and four times as wide for scanners with fewer rays.
 const PER_UNIT: [usize; 3] = [200, 100, 50];
-/// Parts of the azimuth that have start points of rays of their own: the sensor moves during a scan.
+/// Number of sectors of azimuth. Each has its own mean start point of rays, since the sensor moves
+/// during a scan.
 const SECTORS: usize = 36;
-/// Rays count up to this length, and places up to that distance [m].
+/// Length up to which rays count [m]; `FARTHEST`: distance up to which places can be seen through
+/// [m].
 const LONGEST: f64 = 60.0;
 const FARTHEST: f64 = 45.0;
-/// Rays end at least this far behind a place that they pass [m]: noise of ranges and poses.
+/// Smallest distance behind a place at which rays that pass it must end [m]. It covers the noise of
+/// ranges and poses.
 const BEHIND: f64 = 0.2;
-/// Lengths are stored as integers of this step, rounded down [m].
+/// Step of the stored lengths, which are integers, rounded down [m].
 const STEP: f64 = 0.01;
 
-/// How far the rays of a scan go.
+/// How far the rays of a scan go, by direction.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct RayView {
-    /// Mean of the start points of all rays, and of those of every sector, frame of the map [m].
+    /// Mean start point of all rays; `starts`: of the rays of each sector [m, frame of the map].
     middle: [f64; 3],
     starts: Vec<[f64; 3]>,
     levels: Vec<BinLevel>,
@@ -37,14 +40,14 @@ pub(super) struct RayView {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct BinLevel {
     per_unit: usize,
-    /// Rows below it have no bin with a ray.
+    /// Number of rows at the bottom without any ray. They are not stored.
     first_row: usize,
-    /// Steps that all rays with a return in a bin and in those around it go at least, and one ray on
-    /// each of its sides; 0 where a side has no ray.
+    /// Number of steps that the rays go at least: all rays with a return in a bin and its
+    /// neighbours, and one ray on each side of the bin. 0 if a side has no ray.
     lengths: Vec<u16>,
 }
 
-/// A measure of the azimuth that needs no trigonometry: 0 to 4, and 1 a quarter of a turn.
+/// Measure of the azimuth without trigonometry: 0 to 4, with 1 for a quarter of a turn.
 fn azimuth([x, y, _]: [f64; 3]) -> f64 {
     let sum = x.abs() + y.abs();
     match (x >= 0.0, y >= 0.0) {
@@ -56,14 +59,14 @@ fn azimuth([x, y, _]: [f64; 3]) -> f64 {
     }
 }
 
-/// Number of an elevation on an even scale: 0 straight down, 1 level, 2 straight up.
+/// Measure of the elevation on an even scale: 0 straight down, 1 level, 2 straight up.
 fn elevation([x, y, z]: [f64; 3]) -> f64 {
     let level = (x * x + y * y).sqrt();
     let sum = z.abs() + level;
     if sum == 0.0 { 1.0 } else { 1.0 + z / sum }
 }
 
-/// Row and column of a direction among bins of which so many fit into a unit.
+/// Row and column of a direction in a grid with `per_unit` bins per unit.
 fn bin(way: [f64; 3], per_unit: usize) -> [usize; 2] {
     let index = |value: f64, count: usize| ((value * per_unit as f64) as usize).min(count - 1);
     [index(elevation(way), 2 * per_unit), index(azimuth(way), 4 * per_unit)]
@@ -74,7 +77,7 @@ fn sector(way: [f64; 3]) -> usize {
 }
 
 impl RayView {
-    /// View of a scan; None without rays.
+    /// View of a scan. None if it has no rays.
     pub(super) fn of(scan: &Prepared) -> Option<Self> {
         let rays: Vec<ViewedRay> =
             (0..scan.points.len()).filter_map(|row| ViewedRay::of(scan, row)).collect();
@@ -109,7 +112,7 @@ impl RayView {
         Some(Self { middle, starts: sums.into_iter().map(start).collect(), levels })
     }
 
-    /// True if rays on all sides of a place, in the frame of the map [m], end clearly behind it.
+    /// True if rays on all sides of a place [m, frame of the map] end clearly behind it.
     pub(super) fn sees_through(&self, place: [f64; 3]) -> bool {
         let about = minus(place, self.middle);
         if about.iter().any(|offset| offset.abs() > 2.0 * FARTHEST) {
@@ -124,7 +127,7 @@ impl RayView {
         self.levels.iter().any(|level| level.length(way) > needed)
     }
 
-    /// True if its parts agree, as they must where bytes told them.
+    /// True if all parts fit together. Checks a saved state.
     pub(super) fn is_whole(&self) -> bool {
         let widths = self.levels.iter().map(|level| level.per_unit);
         self.starts.len() == SECTORS
@@ -132,7 +135,7 @@ impl RayView {
             && self.levels.iter().all(BinLevel::is_whole)
     }
 
-    /// Memory [bytes].
+    /// Memory of the view [bytes].
     pub(super) fn size(&self) -> usize {
         self.levels.iter().map(|level| 2 * level.lengths.len()).sum()
     }
@@ -142,13 +145,13 @@ impl RayView {
 struct ViewedRay {
     start: [f64; 3],
     way: [f64; 3],
-    /// Over which it is known to meet nothing [m].
+    /// Length over which the ray is known to meet nothing [m].
     length: f64,
     is_return: bool,
 }
 
 impl ViewedRay {
-    /// View of a row of a scan; None if the row holds no ray.
+    /// The ray of a row of a scan. None if the row has no ray.
     fn of(scan: &Prepared, row: usize) -> Option<Self> {
         let (start, is_return) = (scan.origin(row), !scan.no_return[row]);
         if !is_return {
@@ -164,13 +167,13 @@ impl ViewedRay {
     }
 }
 
-/// Rays in a bin [steps].
+/// Rays in a bin, as numbers of steps.
 #[derive(Clone, Copy)]
 struct BinRays {
-    /// Shortest of those with a return; the largest number without any.
+    /// Length of the shortest ray with a return. The largest number if there is none.
     returns: u16,
-    /// Longest of the others; 0 without any. How far they are known to go may be too short: that of one
-    /// ray says nothing against another.
+    /// Length of the longest ray without a return. 0 if there is none. How far such a ray is known
+    /// to go may be too short, so one says nothing against another.
     empty: u16,
 }
 
@@ -196,7 +199,7 @@ impl BinRays {
     }
 }
 
-/// Bins twice as wide, of which `per_unit` fit into a unit.
+/// Bins that are twice as wide, with `per_unit` bins per unit.
 fn halved(fine: &[BinRays], per_unit: usize) -> Vec<BinRays> {
     let (columns, of_fine) = (4 * per_unit, 8 * per_unit);
     let joined = |at: usize| {
@@ -236,7 +239,8 @@ impl BinLevel {
         Self { per_unit, first_row, lengths }
     }
 
-    /// True if it has whole rows, and no more than there are; the number of bins is one that exists.
+    /// True if the number of bins is a possible one, and the rows are complete. Checks a saved
+    /// state.
     fn is_whole(&self) -> bool {
         let (rows, columns) = (2 * self.per_unit, 4 * self.per_unit);
         let n_rows = self.lengths.len() / columns;
@@ -256,8 +260,8 @@ mod tests {
     use super::*;
     use crate::geometry::transform::Transform;
 
-    /// Rays 0.4 deg apart over all azimuths that end on a floor 1.8 m below, or go 50 m, and
-    /// whatever `blocks` of their directions says.
+    /// View from rays `step_deg` degrees apart over all azimuths, which end on a floor 1.8 m below
+    /// or go 50 m, unless `blocks` gives another length for their direction.
     fn view(step_deg: f64, blocks: impl Fn([f64; 3]) -> Option<f64>) -> Option<RayView> {
         let mut scan = Prepared::default();
         let (mut azimuth_deg, mut points) = (0.0, Vec::new());

@@ -1,5 +1,5 @@
-//! A map of all static points: points of all scans, without those at places that rays have passed
-//! before or after.
+//! A map of all static points: the points of all scans, except those at places through which rays
+//! have passed before or after.
 
 use super::ray_view::RayView;
 use crate::Error;
@@ -17,44 +17,47 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// One point is kept in each cell of this edge [m]: no point is further than 5 cm from one that is kept.
+/// Edge of the cells that keep one point each [m]. No point is further than 5 cm from a point that
+/// is kept.
 const CELL: f64 = 0.028;
-/// Points within voxels of this edge tell together how often something was there [m]. Maps have such voxels.
+/// Edge of the voxels in which it is counted how often something was there [m]. Saved maps have
+/// such voxels.
 const VOXEL: f64 = 0.1;
-/// Rays of a map that is read as a map of the detector are this long [m].
+/// Length of rays in a map that is read as a map of the detector [m].
 const MAX_RANGE: f64 = 20.0;
-/// Something moved if more than one scan sees through it per so many scans that have points there: thin
-/// things that stand, such as wires, are hit again and again, and seen through now and then.
+/// Number of scans with points at a place, per scan that sees through the place, above which the
+/// place counts as static. Thin static things, such as wires, are hit again and again, and seen
+/// through now and then.
 const HITS_PER_VIEW: u32 = 20;
-/// Updates after which a voxel is occupied for sure.
+/// Number of updates after which a voxel is surely occupied.
 const SURE_UPDATES: f64 = 30.0;
-/// Memory for views [bytes]; above it every second one goes.
+/// Largest memory of the views [bytes]. Above it, every second view is removed.
 const MOST_BYTES: usize = 256 << 20;
 const CELLS_PER_TASK: usize = 4096;
 
 type Keys = BuildHasherDefault<KeyHasher>;
 
-/// Scans that had points in a voxel.
+/// Number of scans that had points in a voxel.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct VoxelHits {
     count: u32,
-    /// Number of the last of them, from 1 on.
+    /// Number of the last such scan; the first scan has the number 1.
     last: u64,
 }
 
-/// Stage that takes scans and tells what stands.
+/// Collects scans and finds the static points.
 #[derive(Default)]
 pub(crate) struct StaticMapper {
     views: Vec<RayView>,
     n_scans: u64,
-    /// Of every so many scans, as a power of two, the view is kept, and voxels count.
+    /// Base-2 logarithm of the number of scans of which one is used for views and counts.
     spacing_log2: u32,
-    /// The first point in every cell, frame of the map [m].
+    /// The first point in every cell [m, frame of the map].
     points: HashMap<Place, [f32; 3], Keys>,
     hits: HashMap<Place, VoxelHits, Keys>,
 }
 
-/// State of a [`StaticMapper`] as bytes are written from it, in ascending order.
+/// State of a [`StaticMapper`], for writing, with entries in ascending order.
 #[derive(Serialize)]
 pub(crate) struct StaticMapperState<'a> {
     views: &'a [RayView],
@@ -64,7 +67,7 @@ pub(crate) struct StaticMapperState<'a> {
     hits: Vec<(Place, VoxelHits)>,
 }
 
-/// [`StaticMapperState`] as it is read back.
+/// [`StaticMapperState`], for reading.
 #[derive(Deserialize)]
 pub(crate) struct SavedStaticMapper {
     views: Vec<RayView>,
@@ -78,7 +81,7 @@ fn place(point: [f32; 3], edge: f64) -> Option<Place> {
     floor(wide(point).map(|value| value / edge)).map(Place)
 }
 
-/// Entries in ascending order.
+/// The entries of a table in ascending order of their places.
 fn sorted<T: Copy>(of: &HashMap<Place, T, Keys>) -> Vec<(Place, T)> {
     let mut sorted: Vec<_> = of.iter().map(|(&place, &value)| (place, value)).collect();
     sorted.sort_unstable_by_key(|(place, _)| *place);
@@ -86,7 +89,7 @@ fn sorted<T: Copy>(of: &HashMap<Place, T, Keys>) -> Vec<(Place, T)> {
 }
 
 impl StaticMapper {
-    /// Take a scan. Nothing refuses it.
+    /// Add a scan, which must have been accepted.
     pub(crate) fn take(&mut self, scan: &Prepared) {
         let is_viewed = self.n_scans.trailing_zeros() >= self.spacing_log2;
         self.n_scans += 1;
@@ -105,7 +108,7 @@ impl StaticMapper {
         }
     }
 
-    /// Forget every second view.
+    /// Remove every second view, and use half as many scans from now on.
     fn thin_out(&mut self) {
         let mut is_kept = [true, false].into_iter().cycle();
         self.views.retain(|_| is_kept.next().unwrap_or(true));
@@ -113,7 +116,7 @@ impl StaticMapper {
         self.spacing_log2 += 1;
     }
 
-    /// Points of what stands, frame of the map [m], in ascending order of their cells.
+    /// The static points [m, frame of the map], in ascending order of their cells.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -131,7 +134,7 @@ impl StaticMapper {
         Ok(parts.concat())
     }
 
-    /// Points of what stands among those of some cells.
+    /// The static points among those of some cells.
     fn standing(&self, cells: &[(Place, [f32; 3])]) -> Vec<[f32; 3]> {
         let hits = |point| place(point, VOXEL).and_then(|voxel| self.hits.get(&voxel));
         let most = |point| hits(point).map_or(0, |hits| hits.count) / HITS_PER_VIEW;
@@ -147,10 +150,10 @@ impl StaticMapper {
         open.into_iter().map(|(at, _)| cells[at].1).collect()
     }
 
-    /// A map in the frame of `of` in which the voxels are occupied that hold points of what stands.
+    /// A map in the frame of `of` whose occupied voxels are those with static points.
     ///
     /// # Errors
-    /// [`Error::Interrupted`]; [`Error::Limit`] above the budget of the map.
+    /// [`Error::Interrupted`]; [`Error::Limit`] if the map would exceed its budget.
     pub(crate) fn cleaned(
         &self,
         of: &MapParameters,
@@ -169,7 +172,7 @@ impl StaticMapper {
         StaticMapperState { views, n_scans: *n_scans, spacing_log2: *spacing_log2, points, hits }
     }
 
-    /// Restore a mapper from its saved parts.
+    /// The mapper of a saved state.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no mapper has.
@@ -197,7 +200,8 @@ mod tests {
     use super::*;
     use crate::geometry::transform::Transform;
 
-    /// A wall 10 m ahead, or at `nearest` where |y| < 0.5 m, by rays 0.3 deg apart.
+    /// A scan of a wall 10 m ahead, with rays 0.3 degrees apart. Where |y| < 0.5 m, rays end at the
+    /// range `nearest` [m].
     fn scan(nearest: Option<f32>) -> Prepared {
         let mut scan = Prepared::default();
         for (y, z) in (-40..=40).flat_map(|y| (-40..=40).map(move |z| (y, z))) {
@@ -249,7 +253,7 @@ mod tests {
         Ok(())
     }
 
-    /// Bytes of a file may say anything; what they say must not stop the detector later.
+    /// The bytes of a file may contain anything. Their content must not stop the detector later.
     #[test]
     fn states_that_no_scan_left_are_refused() -> Result<(), Error> {
         let restored = |change: &dyn Fn(&mut SavedStaticMapper)| {

@@ -1,4 +1,4 @@
-//! One hypothesis: a target of nearly constant velocity that gives lone returns.
+//! One hypothesis: a target of nearly constant velocity that gives single returns.
 
 use super::lone_returns::LoneReturn;
 use super::{Clutter, seconds};
@@ -7,56 +7,62 @@ use crate::geometry::transform::{minus, norm};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Density of the white acceleration [m^2/s^3].
+/// Spectral density of the white acceleration noise [m^2/s^3].
 const ACCELERATION: f64 = 4.0;
-/// Standard deviation of the speed along every axis, before a second return [m/s].
+/// Standard deviation of the velocity along every axis before the second return [m/s].
 const SPEED_STD: f64 = 8.0;
 /// Probability that a scan has a return of the target.
 const DETECTED: f64 = 0.5;
-/// Largest squared Mahalanobis distance of a return of the target (99.8 %).
+/// Largest squared Mahalanobis distance of a return of the target (99.8 % of them are nearer).
 const GATE: f64 = 15.0;
-/// Most that one return adds to the score: false returns are not spread evenly.
+/// Largest amount that one return adds to the score. It is limited because false returns are not
+/// spread evenly.
 const MOST: f64 = 3.4;
-/// Score of a hypothesis before its two first returns: few pairs of returns are of one target.
+/// Score of a hypothesis before its first two returns. Few pairs of returns are of one target.
 const START: f64 = -4.0;
-/// A hypothesis ends below this score, or after so long without a return [s].
+/// Score below which a hypothesis ends; `LOST`: time without a return after which it ends [s].
 const LEAST: f64 = -6.0;
 const LOST: f64 = 1.0;
-/// Score, and number of returns, from which on a target is certain.
+/// Score from which on a target is certain; `FEWEST_RETURNS`: smallest number of its returns.
 const CERTAIN: f64 = 10.0;
 const FEWEST_RETURNS: u32 = 5;
-/// A score does not grow further: what comes to rest, or ends, must be noticed.
+/// Largest score. Because of it, a target that comes to rest or ends is soon noticed.
 const HIGHEST: f64 = 20.0;
-/// A target has moved so far [m], and so many standard deviations.
+/// Distance [m], and number of standard deviations (`STDS`), by which a certain target must have
+/// moved.
 const MOVED: f64 = 1.0;
 const STDS: f64 = 3.0;
-/// Returns of one row differ less than this in elevation, in angles between rays. So many of the returns, and this
-/// share of them, must be of another row than the one before.
+/// Largest difference in elevation of returns of one row, as a multiple of the angle between rays.
+/// At least `ROW_CHANGES` returns, and the share `CHANGES_SHARE` of them, must be of another row
+/// than the return before.
 const ONE_ROW: f64 = 0.3;
 const ROW_CHANGES: u32 = 3;
 const CHANGES_SHARE: f64 = 0.25;
-/// Hypotheses nearer to each other than this are of the same target [m], [m/s].
+/// Differences in position [m] and velocity [m/s] below which two hypotheses follow the same
+/// target.
 const SAME: [f64; 2] = [0.5, 1.0];
 
-/// The estimate is that of a point on every axis by itself, with the same covariance on all of them.
+/// A hypothesis with its estimate: a point that moves on every axis independently, with the same
+/// covariance on all axes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Hypothesis {
     pub(super) position: [f64; 3],
     velocity: [f64; 3],
-    /// Variances and covariance of position and velocity along an axis: of position, of both, of velocity.
+    /// Variance of the position [m^2], covariance of position and velocity [m^2/s], and variance of
+    /// the velocity [m^2/s^2], along each axis.
     covariance: [f64; 3],
-    /// Logarithm of how many times likelier a target makes the returns than chance does.
+    /// Logarithm of the likelihood ratio of the returns: caused by a target, or by chance.
     pub(super) score: f64,
     n_returns: u32,
     stamp_ns: i64,
-    /// Place and time of the first return and time of the last one.
+    /// Position of the first return [m]; times of the first and of the last return [ns].
     first: [f64; 3],
     first_ns: i64,
     last_ns: i64,
     /// Position of the sensor at the first return [m].
     origin: [f64; 3],
-    /// Angle of its last return above the level plane of the sensor [rad], and how many returns were not of the row of
-    /// the one before.
+    /// Angle of the last return above the level plane of the sensor [rad]; `row_changes`: number of
+    /// returns that were not of the row of the return before.
     elevation: f64,
     row_changes: u32,
     /// Angle between neighbouring rays [rad].
@@ -69,12 +75,12 @@ pub(super) struct FirstReturn {
     /// Position of the sensor [m].
     pub(super) origin: [f64; 3],
     pub(super) stamp_ns: i64,
-    /// Scans between the two first returns.
+    /// Number of scans between the first two returns.
     pub(super) missed: usize,
 }
 
 impl Hypothesis {
-    /// The hypothesis of two returns; None if chance is far likelier.
+    /// The hypothesis of two returns. None if they are far more likely by chance.
     pub(super) fn of_pair(
         first: &FirstReturn,
         second: &LoneReturn,
@@ -106,7 +112,7 @@ impl Hypothesis {
         })
     }
 
-    /// Move to the time of a scan.
+    /// Predict the estimate to the time of a scan.
     pub(super) fn predict(&mut self, stamp_ns: i64) {
         let time = seconds(self.stamp_ns, stamp_ns).max(0.0);
         let [position, both, velocity] = self.covariance;
@@ -122,19 +128,19 @@ impl Hypothesis {
         self.stamp_ns = stamp_ns;
     }
 
-    /// How badly a return suits; None outside the gate.
+    /// Cost of assigning a return. None if it is outside the gate.
     pub(super) fn cost(&self, found: &LoneReturn) -> Option<f64> {
         let variance = self.covariance[0] + found.std * found.std;
         let squared = squared(minus(self.seen_from(found), self.position)) / variance;
         (squared <= GATE).then(|| squared + 3.0 * libm::log(variance))
     }
 
-    /// Where a return would be at the stamp of its scan.
+    /// Position of a return, moved to the stamp of its scan [m].
     fn seen_from(&self, found: &LoneReturn) -> [f64; 3] {
         std::array::from_fn(|axis| found.place[axis] - found.delay * self.velocity[axis])
     }
 
-    /// Correct with a return, among other lone returns.
+    /// Correct the estimate and the score with a return. `clutter`: other single returns around it.
     pub(super) fn correct(&mut self, found: &LoneReturn, clutter: &Clutter) {
         let offset = minus(self.seen_from(found), self.position);
         let [position, both, velocity] = self.covariance;
@@ -157,17 +163,17 @@ impl Hypothesis {
         self.last_ns = self.stamp_ns;
     }
 
-    /// Take in that a scan shows nothing at its place.
+    /// Update the score with a scan that shows nothing at the target's place.
     pub(super) fn miss(&mut self) {
         self.score += libm::log(1.0 - DETECTED);
     }
 
-    /// Whether it goes on.
+    /// Whether the hypothesis is continued at `now_ns`.
     pub(super) fn may_be(&self, now_ns: i64) -> bool {
         self.score > LEAST && seconds(self.last_ns, now_ns) <= LOST
     }
 
-    /// Whether its target certainly exists and moves, seen from `origin` now.
+    /// Whether the target certainly exists and moves. `origin`: present position of the sensor [m].
     pub(super) fn is_certain(&self, origin: [f64; 3]) -> bool {
         let [position, _, velocity] = self.covariance.map(|value| value.max(0.0).sqrt());
         let way = minus(self.position, self.first);
@@ -180,8 +186,9 @@ impl Hypothesis {
             && (is_seen_at_rest || !self.may_slide(way, position))
     }
 
-    /// Whether it may be where a row of a moving sensor meets a pole or a cable: that point moves though nothing
-    /// else does. It moves up or down, or nearly always in the same row.
+    /// Whether the point may be where a row of a moving sensor meets a pole or a cable: it moves
+    /// although nothing else does. Such a point moves straight up or down, or is nearly always in
+    /// the same row.
     fn may_slide(&self, way: [f64; 3], std: f64) -> bool {
         let fewest = ROW_CHANGES.max((CHANGES_SHARE * f64::from(self.n_returns)).ceil() as u32);
         let level = libm::hypot(way[0], way[1]);
@@ -213,7 +220,7 @@ fn squared(offset: [f64; 3]) -> f64 {
     offset.iter().map(|part| part * part).sum()
 }
 
-/// Density of a Gaussian of three axes with the same variance, at a squared distance [1/m^3].
+/// Density of a Gaussian on three axes with equal variance, at a squared distance [1/m^3].
 fn gaussian(squared: f64, variance: f64) -> f64 {
     libm::exp(-0.5 * squared / variance) / libm::pow(TAU * variance, 1.5)
 }
@@ -225,7 +232,7 @@ mod tests {
     use crate::estimation::kalman::{Gaussian, Linearised, update};
     use nalgebra::{SMatrix, SVector};
 
-    /// The same step with full matrices.
+    /// The same correction with full matrices, as a reference.
     fn reference(
         prior: &Gaussian<6>,
         time: f64,

@@ -1,4 +1,4 @@
-//! Returns of a scan that are alone in the air.
+//! Single returns: small clusters of a scan that are alone in the air.
 
 use super::ScanOfFew;
 use super::seen_ranges::{SeenRanges, SeenScan};
@@ -7,55 +7,57 @@ use crate::flying::classify::may_fly::may_fly;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// A lone target has at most so many returns, ...
+/// Largest number of returns of a lone target.
 const MOST_POINTS: usize = 12;
-/// ... all of them this near to their middle [m], or in distances between rays, ...
+/// Largest distance of a lone target's returns from their middle [m]; `OWN_GAPS`: alternatively, in
+/// distances between rays.
 const OWN: f64 = 0.75;
 const OWN_GAPS: f64 = 1.2;
-/// ... and nothing else is nearer than this [m].
+/// Distance within which nothing else may be [m]; `ALONE_GAPS`: alternatively, in distances between
+/// rays.
 const ALONE: f64 = 2.0;
 const ALONE_GAPS: f64 = 2.5;
-/// Where rays lie this near to each other, targets give enough returns for a detection [m].
+/// Distance between rays below which targets give enough returns for a detection [m].
 const DENSE: f64 = 0.1;
-/// Standard deviation of a lone return around the centre of its target, in distances between rays: targets of one
-/// or two returns are about as large as these.
+/// Standard deviation of a single return around the centre of its target, in distances between
+/// rays: targets of one or two returns are about as large as these.
 const SPREAD: f64 = 0.3;
-/// The same of the range [m].
+/// Standard deviation of a range [m], in addition to [`SPREAD`].
 const RANGE_STD: f64 = 0.05;
 
-/// A return, or a few of the same target.
+/// A single return, or a few returns of the same target.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoneReturn {
-    /// Middle of its points [m].
+    /// Centroid of its points [m, frame of the map].
     pub(super) place: [f64; 3],
-    /// Time after the stamp of the scan [s].
+    /// Mean time of its points after the stamp of the scan [s].
     pub(super) delay: f64,
-    /// Standard deviation of the place around the centre of the target [m].
+    /// Standard deviation of the position around the centre of the target [m].
     pub(super) std: f64,
-    /// Distance between neighbouring rays there [m].
+    /// Distance between neighbouring rays at its range [m].
     pub(super) gap: f64,
     /// Angle above the level plane of the sensor [rad].
     pub(super) elevation: f64,
 }
 
-/// Lone returns of one scan, and memory for the next one.
+/// Single returns of one scan. It keeps its memory for the next scan.
 #[derive(Default)]
 pub(super) struct LoneReturns {
     pub(super) found: Vec<LoneReturn>,
-    /// Their rows, in order.
+    /// Rows of their points, ascending.
     rows: Vec<u32>,
-    /// Small clusters, along the first axis.
+    /// Numbers of the clusters with few points, sorted along x.
     small: Vec<u32>,
     is_small: Vec<bool>,
 }
 
 impl LoneReturns {
-    /// Whether the point `row` is one of them.
+    /// Whether the point `row` belongs to a single return.
     pub(super) fn holds(&self, row: u32) -> bool {
         self.rows.binary_search(&row).is_ok()
     }
 
-    /// Find those of a scan, whose ranges are returned.
+    /// Find the single returns of a scan. Returns the ranges that its other returns show.
     pub(super) fn find(&mut self, input: &ScanOfFew<'_>, seen: &SeenRanges) -> SeenScan {
         let origin = input.scan.pose.translation;
         self.find_small(input);
@@ -94,7 +96,7 @@ impl LoneReturns {
         scan
     }
 
-    /// Clusters of few points, along the first axis.
+    /// Find the clusters with few points, and sort them along x.
     fn find_small(&mut self, input: &ScanOfFew<'_>) {
         let Self { small, is_small, .. } = self;
         small.clear();
@@ -111,7 +113,8 @@ impl LoneReturns {
         small.sort_by(|&one, &other| first(one).total_cmp(&first(other)).then(one.cmp(&other)));
     }
 
-    /// Small clusters with no other beside them; the others are entered into the ranges of the scan.
+    /// Numbers of the small clusters that have no others beside them. The returns of the others are
+    /// added to the ranges of `scan`.
     fn take_alone(&self, input: &ScanOfFew<'_>, scan: &mut SeenScan, gap: f64) -> Vec<u32> {
         let mut alone = Vec::new();
         for at in 0..self.small.len() {
@@ -127,7 +130,8 @@ impl LoneReturns {
         alone
     }
 
-    /// What is beside a small cluster, given its place in their order.
+    /// What is beside the small cluster at index `at` of the sorted list. `gap`: angle between rays
+    /// [rad].
     fn place_among(&self, input: &ScanOfFew<'_>, at: usize, gap: f64) -> Among {
         let cluster = |at: usize| input.clusters.get(self.small[at] as usize);
         let own_cluster = cluster(at);
@@ -153,13 +157,14 @@ impl LoneReturns {
 enum Among {
     /// Nothing.
     Alone,
-    /// Another one of the same target, which stands for it.
+    /// Another cluster of the same target, which is used in its place.
     Represented,
     /// More than one target gives.
     Others,
 }
 
-/// Whether targets are sought there that the detection of single scans does not find.
+/// Whether a target at this range is one that the detection in single scans does not find. `gap`:
+/// distance between rays [m].
 fn is_sought(input: &ScanOfFew<'_>, cluster: &Cluster<'_>, range: f64, gap: f64) -> bool {
     let p = input.parameters;
     let is_beyond = p.max_distance.is_some_and(|far| range > far);

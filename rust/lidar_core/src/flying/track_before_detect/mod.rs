@@ -1,12 +1,12 @@
-//! Targets of one or two returns per scan, and beyond the range of the map: track before detect.
+//! Track before detect: targets of one or two returns per scan, and targets beyond the range of the map.
 //!
-//! Such a target cannot be detected in one scan. Its returns are alone in the air: earlier scans saw
-//! past its place, and nothing else returns beside it. Hypotheses of targets at nearly constant
-//! velocity are weighed with the returns of up to some seconds. The evidence of every return is the
-//! ratio of how likely the target and how likely the other lone returns around it make it.
+//! Such a target cannot be detected in one scan. Its returns are alone in the air: earlier scans saw past its place,
+//! and nothing else returns beside it. Hypotheses of targets with nearly constant velocity are weighed with the
+//! returns of up to some seconds. The evidence of a return is its likelihood ratio: caused by the target, or by
+//! chance, given the other single returns around it.
 //!
-//! Source of the method: Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999,
-//! sec. 6.2 (track score); here with a density of false returns that is measured around every return.
+//! Source of the method: Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999, sec. 6.2 (track
+//! score). Here the density of false returns is measured around every return.
 
 mod hypothesis;
 mod lone_returns;
@@ -27,39 +27,39 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 
-/// Lone returns of earlier scans tell how many come by chance [s].
+/// Time of the earlier scans whose single returns show how many come by chance [s].
 const WINDOW: f64 = 2.0;
-/// Two returns of one target begin a hypothesis if they are no further apart in time [s], or in scans.
+/// Largest time between the two returns with which a hypothesis begins [s]; alternatively `PAIR_SCANS`, in scans.
 const PAIR_TIME: f64 = 0.55;
 const PAIR_SCANS: usize = 2;
-/// Largest speed that a hypothesis begins with [m/s].
+/// Largest speed with which a hypothesis begins [m/s].
 const MOST_SPEED: f64 = 30.0;
-/// In a scan with more lone returns no hypothesis begins: they are rain, dust or leaves.
+/// Number of single returns in a scan above which no hypothesis begins: they are rain, dust or leaves.
 const MOST_RETURNS: usize = 400;
-/// Most hypotheses that go on to the next scan.
+/// Largest number of hypotheses that continue to the next scan.
 const MOST_HYPOTHESES: usize = 400;
-/// Most scans that the window and the pairs look back to.
+/// Largest number of earlier scans that are used.
 const MOST_SCANS: usize = 40;
-/// A return within this distance of a track, and three standard deviations of the return, is its own [m].
+/// Returns within this distance of a track, plus three standard deviations of the return, belong to the track [m].
 const OF_TRACK: f64 = 1.5;
-/// Radius of the ball in which lone returns are counted [m], and in distances between rays.
+/// Radius of the ball in which single returns are counted [m]; the second constant: in distances between rays.
 const AROUND: f64 = 8.0;
 const AROUND_GAPS: f64 = 10.0;
-/// From this score on no other hypothesis may use the return of a hypothesis.
+/// Score from which on a hypothesis keeps its return for itself: no other hypothesis may use it.
 const HOLDS: f64 = 4.0;
 
-/// Inputs of one scan.
+/// A scan, as input of the search for targets of few returns.
 pub(crate) struct ScanOfFew<'a> {
     pub(crate) scan: &'a Prepared,
     pub(crate) map: &'a VoxelMap,
     pub(crate) clusters: &'a Clusters,
     pub(crate) parameters: &'a ClassifyParameters,
-    /// Largest distance in which targets are sought [m].
+    /// Largest distance of the targets that are looked for [m].
     pub(crate) max_distance: f64,
     pub(crate) stamp_ns: i64,
 }
 
-/// Lone returns of one scan.
+/// Single returns of one scan: time, position of the sensor, and places [m].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct ReturnsOfScan {
     stamp_ns: i64,
@@ -68,21 +68,21 @@ struct ReturnsOfScan {
 }
 
 impl ReturnsOfScan {
-    /// True if a scan can have given them.
+    /// True if a scan can have given these values. Checks a saved state.
     fn is_possible(&self) -> bool {
         self.places.iter().flatten().chain(&self.origin).all(|value| value.is_finite())
     }
 }
 
-/// Lone returns around a place.
+/// Number of single returns around a place.
 struct Clutter {
     count: usize,
-    /// Volume in which they were counted, in all scans [m^3].
+    /// Volume in which they were counted, summed over the scans [m^3].
     volume: f64,
 }
 
 impl Clutter {
-    /// Expected number of others in a scan by chance, if `own` are of the target itself [1/m^3].
+    /// Density of single returns by chance in a scan [1/m^3], if `own` of the counted ones are of the target itself.
     fn without(&self, own: u32) -> f64 {
         (self.count.saturating_sub(own as usize) as f64 + 1.0) / self.volume
     }
@@ -94,7 +94,7 @@ pub(crate) struct TrackBeforeDetect {
     seen: SeenRanges,
     returns: VecDeque<ReturnsOfScan>,
     hypotheses: Vec<Hypothesis>,
-    /// Lone returns of the newest scan, and memory for the next one.
+    /// Single returns of the newest scan. Its memory is used again for the next scan.
     lone: LoneReturns,
 }
 
@@ -107,20 +107,20 @@ pub(crate) struct SavedTrackBeforeDetect {
 }
 
 impl TrackBeforeDetect {
-    /// Find the lone returns of a scan, and remember how far its rays reach.
+    /// Find the single returns of a scan, and store how far its rays reach.
     pub(crate) fn look(&mut self, input: &ScanOfFew<'_>) {
         let seen_scan = self.lone.find(input, &self.seen);
         self.seen.push(input.stamp_ns, seen_scan);
     }
 
-    /// Whether the point `row` of the newest scan is one of a lone return.
+    /// Whether the point `row` of the newest scan belongs to a single return.
     pub(crate) fn is_lone(&self, row: u32) -> bool {
         self.lone.holds(row)
     }
 
-    /// Weigh all hypotheses with the newest scan; the targets of those that have become certain, which are removed here.
+    /// Weigh all hypotheses with the newest scan. Returns the targets of those that are now certain; removes these.
     ///
-    /// `tracked` are the positions of tracks [m]: what is near them is theirs.
+    /// `tracked`: positions of tracks [m]. Returns near them belong to the tracks.
     pub(crate) fn weigh(
         &mut self,
         input: &ScanOfFew<'_>,
@@ -133,7 +133,7 @@ impl TrackBeforeDetect {
         certain
     }
 
-    /// The same with lone returns of a scan from `origin`.
+    /// Like [`Self::weigh`], with the single returns of a scan from the sensor position `origin` [m].
     fn weigh_found(
         &mut self,
         found: &[LoneReturn],
@@ -174,7 +174,7 @@ impl TrackBeforeDetect {
         }
     }
 
-    /// Count the lone returns around one of them.
+    /// Count the single returns around one of them.
     fn clutter(&self, found: &LoneReturn) -> Clutter {
         let radius = AROUND.max(AROUND_GAPS * found.gap);
         let is_near = |place: &&[f64; 3]| norm(minus(**place, found.place)) <= radius;
@@ -186,8 +186,8 @@ impl TrackBeforeDetect {
         }
     }
 
-    /// Predict all hypotheses to the scan, and give each the return that suits it best. One that is
-    /// well established comes first, and keeps its return for itself. Whether each return is kept.
+    /// Predict all hypotheses to the scan, and assign to each the return that fits best, highest score first. Well
+    /// established hypotheses keep their return for themselves. Returns whether each return is kept like this.
     fn correct(&mut self, found: &[LoneReturn], clutter: &[Clutter], stamp_ns: i64) -> Vec<bool> {
         self.hypotheses.sort_by(|one, other| other.score.total_cmp(&one.score));
         let mut is_held = vec![false; found.len()];
@@ -211,7 +211,7 @@ impl TrackBeforeDetect {
         is_held
     }
 
-    /// Begin hypotheses with pairs of returns.
+    /// Begin hypotheses from pairs of returns.
     fn begin(
         &mut self,
         found: &[LoneReturn],
@@ -241,7 +241,7 @@ impl TrackBeforeDetect {
         self.hypotheses.extend(begun);
     }
 
-    /// Of hypotheses of the same target the best one stays.
+    /// Of several hypotheses of the same target, keep only the one with the highest score.
     fn keep_best(&mut self) {
         let mut all = std::mem::take(&mut self.hypotheses);
         all.sort_by(|one, other| other.score.total_cmp(&one.score));
@@ -255,7 +255,7 @@ impl TrackBeforeDetect {
         }
     }
 
-    /// Forget everything: the map has another place.
+    /// Forget everything, because the map has another origin.
     pub(crate) fn clear(&mut self) {
         *self = Self::default();
     }
@@ -266,7 +266,7 @@ impl TrackBeforeDetect {
         SavedTrackBeforeDetect { seen, returns, hypotheses }
     }
 
-    /// Restore the stage from its saved parts.
+    /// The stage of a saved state.
     ///
     /// # Errors
     /// [`Error::Format`] for a state that no scans leave.
@@ -282,7 +282,7 @@ impl TrackBeforeDetect {
     }
 }
 
-/// Time from one stamp to another [s]; stamps of a damaged state may lie any time apart.
+/// Time from one stamp to another [s]. The stamps of a damaged state may be any time apart.
 fn seconds(from_ns: i64, to_ns: i64) -> f64 {
     (i128::from(to_ns) - i128::from(from_ns)) as f64 * 1e-9
 }
@@ -291,8 +291,8 @@ fn seconds(from_ns: i64, to_ns: i64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Lone returns of 40 scans, ten per second, from a sensor at `origin(t)`; how many targets become certain,
-    /// and in which scan the first one.
+    /// Weigh the single returns of 40 scans, ten per second, from a sensor at `origin(t)` [m]. Returns the number of
+    /// targets that become certain, the number of the scan in which the first does, and that target.
     fn certain(
         origin: impl Fn(f64) -> [f64; 3],
         returns: impl Fn(f64) -> Vec<[f64; 3]>,
@@ -320,7 +320,7 @@ mod tests {
     const AT_REST: fn(f64) -> [f64; 3] = |_| [0.0; 3];
     const DRIVES: fn(f64) -> [f64; 3] = |t| [9.0 * t, 0.0, 0.0];
 
-    /// Errors of a return, different in every scan, up to 0.15 m.
+    /// Error of a return, different in every scan, up to 0.15 m.
     fn error(t: f64) -> f64 {
         0.15 * libm::sin(137.0 * t + 1.0)
     }

@@ -1,33 +1,37 @@
-//! How far the rays of the last seconds reached, by direction.
+//! Ranges that the rays of the last seconds have reached, by direction.
 
 use crate::geometry::transform::{minus, norm};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::sync::LazyLock;
 
-/// Cells along an edge of each of the six faces of a cube of directions: about one degree.
+/// Number of cells along an edge of each of the six faces of a cube of directions: about one degree
+/// per cell.
 const EDGE: usize = 90;
 const FACE: usize = EDGE * EDGE;
 const CELLS: usize = 6 * FACE;
 /// Side of a cell on a face at distance 1.
 const SIDE: f64 = 2.0 / EDGE as f64;
-/// Scans of so long are kept [s], and no more than so many: of a fast sensor not all.
+/// Time for which scans are kept [s]; `MOST`: largest number of kept scans. Of a fast sensor not
+/// all are kept.
 const KEPT: f64 = 1.2;
 const MOST: usize = 12;
-/// Scans younger than this may show the target itself [s].
+/// Age below which scans may show the target itself [s].
 const FRESH: f64 = 0.3;
-/// Scans must reach back at least so long before any place is known to be clear [s].
+/// Time that the kept scans must cover before any place is known to be clear [s].
 const LEAST: f64 = 0.8;
-/// A return this far behind a place does not deny that it is clear [m].
+/// Distance behind a place from which on a return does not contradict that the place is clear [m].
 const BEHIND: f64 = 1.0;
-/// A clear place has nothing this near beside it [m], and no more cells on every side than this.
+/// A clear place has nothing within this distance to its side [m]; the second constant limits the
+/// number of cells that are checked on each side.
 const ASIDE: f64 = 0.5;
 const MOST_SIDES: f64 = 4.0;
-/// Targets below this elevation [rad] may stand on the ground, ...
+/// Elevation below which targets may stand on the ground [rad], unless rays pass below them: see
+/// [`BELOW`].
 const LEVEL: f64 = 0.035;
-/// ... unless rays are cast this far below them [rad], and pass beyond them.
+/// Angle below a target at which rays must be cast and pass beyond it, if it is low [rad].
 const BELOW: f64 = 0.07;
-/// Ranges are stored in steps of this size [m]: 0 for none.
+/// Step in which ranges are stored [m]. 0 stands for no return.
 const STEP: f64 = 0.01;
 
 /// Solid angles of the cells of a face [sr].
@@ -40,7 +44,7 @@ static SOLID_ANGLES: LazyLock<Vec<f64>> = LazyLock::new(|| {
     (0..FACE).map(angle).collect()
 });
 
-/// Cell of a direction of any length.
+/// Cell of a direction. It need not be a unit vector.
 #[inline]
 fn cell_of(direction: [f64; 3]) -> usize {
     let (axis, [u, v]) = on_face(direction);
@@ -49,7 +53,8 @@ fn cell_of(direction: [f64; 3]) -> usize {
     face * FACE + along(u) * EDGE + along(v)
 }
 
-/// The cell of a direction and those around it: as many on every side as reach `ASIDE` at the end of the direction.
+/// The cell of a direction and its neighbours: on each side as many as cover `ASIDE` at the end of
+/// the vector.
 fn cells_beside(direction: [f64; 3]) -> impl Iterator<Item = usize> {
     let (axis, [u, v]) = on_face(direction);
     let depth = direction[axis].abs();
@@ -65,7 +70,7 @@ fn cells_beside(direction: [f64; 3]) -> impl Iterator<Item = usize> {
     })
 }
 
-/// The axis of the face of a direction, and its place on the face.
+/// The axis of the face of a direction, and the place on the face.
 #[inline]
 fn on_face(direction: [f64; 3]) -> (usize, [f64; 2]) {
     let mut axis = 0;
@@ -78,21 +83,21 @@ fn on_face(direction: [f64; 3]) -> (usize, [f64; 2]) {
     (axis, [direction[(axis + 1) % 3] / depth, direction[(axis + 2) % 3] / depth])
 }
 
-/// How far the rays of one scan reached.
+/// Ranges that the rays of one scan have reached, by direction.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SeenScan {
     origin: [f64; 3],
-    /// Range of the nearest return in every cell of direction, in steps; 0 without a return.
+    /// Range of the nearest return in every cell of direction, in steps. 0 without a return.
     nearest: Vec<u16>,
 }
 
 impl SeenScan {
-    /// A scan from `origin` without returns yet.
+    /// A scan from `origin` [m], without returns at first.
     pub(super) fn new(origin: [f64; 3]) -> Self {
         Self { origin, nearest: vec![0; CELLS] }
     }
 
-    /// Enter a return.
+    /// Add a return [m].
     #[inline]
     pub(super) fn add(&mut self, place: [f64; 3]) {
         let span = minus(place, self.origin);
@@ -109,13 +114,13 @@ impl SeenScan {
         cells.map(|(cell, _)| SOLID_ANGLES[cell % FACE]).sum()
     }
 
-    /// Whether nothing returned from a place, from beside it, or in front of these.
+    /// Whether nothing has returned from a place, from beside it, or from in front of it.
     pub(super) fn is_clear(&self, place: [f64; 3]) -> bool {
         let span = minus(place, self.origin);
         !cells_beside(span).any(|cell| self.ends_before(cell, norm(span)))
     }
 
-    /// Whether rays pass below a place, by 4 degrees: None if none are cast there.
+    /// Whether rays pass below a place, by 4 degrees. None if no rays return there.
     fn passes_below(&self, place: [f64; 3]) -> Option<bool> {
         let span = minus(place, self.origin);
         let level = libm::hypot(span[0], span[1]);
@@ -134,7 +139,7 @@ impl SeenScan {
     }
 }
 
-/// Scans of the last seconds.
+/// Ranges of the scans of the last seconds.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct SeenRanges {
     scans: VecDeque<(i64, SeenScan)>,
@@ -142,7 +147,7 @@ pub(super) struct SeenRanges {
 }
 
 impl SeenRanges {
-    /// Remember a scan.
+    /// Add a scan.
     pub(super) fn push(&mut self, stamp_ns: i64, scan: SeenScan) {
         let since = |old_ns: i64| super::seconds(old_ns, stamp_ns);
         while self.scans.front().is_some_and(|(old_ns, _)| since(*old_ns) > KEPT) {
@@ -158,7 +163,7 @@ impl SeenRanges {
         self.newest = Some(scan);
     }
 
-    /// Whether earlier scans have seen past a place, and below it where it is low.
+    /// Whether earlier scans have seen past a place, and also below it if it is low.
     pub(super) fn was_clear(&self, place: [f64; 3], stamp_ns: i64) -> bool {
         let since = |old_ns: i64| super::seconds(old_ns, stamp_ns);
         let is_known = self.scans.front().is_some_and(|(old_ns, _)| since(*old_ns) >= LEAST);
@@ -185,7 +190,7 @@ impl SeenRanges {
         self.newest.as_ref().is_some_and(|scan| scan.is_clear(place))
     }
 
-    /// True if scans can have left it.
+    /// True if scans can have left this state. Checks a saved state.
     pub(super) fn is_possible(&self) -> bool {
         self.scans.len() <= MOST + 1
             && self.scans.iter().all(|(_, scan)| scan.is_possible())
@@ -197,7 +202,7 @@ impl SeenRanges {
 mod tests {
     use super::*;
 
-    /// Eleven scans, ten per second, that all see the same places.
+    /// Eleven scans, ten per second, with returns from the same places.
     fn seen(places: &[[f64; 3]]) -> SeenRanges {
         let mut seen = SeenRanges::default();
         for scan in 0..11 {
