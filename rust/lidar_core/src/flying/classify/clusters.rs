@@ -31,8 +31,8 @@ impl Clusters {
         self.fill_with(points, labels, || 0..labels.len() as u32);
     }
 
-    /// Set the clusters from the labels of a cloud, of which only some `rows` matter. The others
-    /// belong to the cluster `joined`, which is background; it has no members.
+    /// Set the clusters from the labels of a cloud, of which only some `rows` become members. The other
+    /// rows belong to the cluster `joined`, which is background.
     pub(crate) fn fill_some(
         &mut self,
         points: &[[f32; 3]],

@@ -96,7 +96,7 @@ pub(crate) struct SkyObservation {
     /// Number of returns per cell, with directions in the frame of the sensor; `hits`: in the frame of the map.
     of_sensor: Vec<u32>,
     hits: Vec<u32>,
-    /// Number of droplets per cell, in both frames. They do not count as hits.
+    /// Number of droplets per cell, with directions in the frame of the sensor. They do not count as hits.
     drops: Vec<u32>,
     haze: Haze,
     /// Range of the nearest return in every cell [m].
