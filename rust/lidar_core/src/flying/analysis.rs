@@ -54,7 +54,8 @@ pub fn point_covariance(
     Ok(points_lidar.iter().map(of_point).collect())
 }
 
-/// Derivative of a measured point by translation, angles and range (eq. 42).
+/// Derivative of a measured point by translation, angles and range (eq. 42). `pose`: of the sensor;
+/// `point_lidar`: the point in the frame of the sensor [m].
 pub(crate) fn point_jacobian(pose: &Transform, point_lidar: [f64; 3]) -> [[f64; 7]; 3] {
     let by_pose = pose_jacobian(pose, pose.apply(point_lidar));
     let range = norm(point_lidar);

@@ -95,7 +95,7 @@ impl FlyingObjectDetector {
         })
     }
 
-    /// Process one scan.
+    /// Process one scan: update the map, detect and track flying objects. Returns the results in the world frame.
     ///
     /// # Errors
     /// For input that cannot be used, and [`Error::Interrupted`] if the call is asked to stop before

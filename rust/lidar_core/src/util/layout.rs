@@ -26,7 +26,7 @@ pub(crate) enum Layout {
     Optional(Box<Layout>),
     List(Box<Layout>),
     Map(Box<[Layout; 2]>),
-    /// Fields without names.
+    /// A tuple or tuple struct, whose fields have no names.
     Tuple(Vec<(&'static str, Layout)>),
     Fields(&'static str, Vec<(&'static str, Layout)>),
     Choice(&'static str, Vec<(&'static str, Layout)>),

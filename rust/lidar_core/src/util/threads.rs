@@ -48,7 +48,7 @@ impl Workers {
         self.0.as_deref()
     }
 
-    /// Number of threads.
+    /// Number of threads, at least 1.
     #[must_use]
     pub fn count(&self) -> usize {
         self.pool().map_or(1, ThreadPool::current_num_threads)

@@ -31,7 +31,7 @@ impl Origins<'_> {
 /// One classified scan in the frame of the map, as input of [`super::integrator::Integrator`].
 #[derive(Clone, Copy, Debug)]
 pub struct ClassifiedScan<'a> {
-    /// End of every ray [m].
+    /// End of every ray, frame of the map [m].
     pub points: &'a [[f32; 3]],
     /// Class of every point. Invalid entries cast no ray.
     pub class: &'a [PointClass],

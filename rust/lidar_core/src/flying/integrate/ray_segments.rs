@@ -170,7 +170,7 @@ impl Source<'_> {
     /// Check that both ends of every ray have a voxel.
     ///
     /// # Errors
-    /// [`Error::PointOutOfRange`] for the first ray of which an end cannot be indexed.
+    /// [`Error::PointOutOfRange`] for the first ray with an end that has no voxel.
     #[cold]
     pub(crate) fn check(&self, rays: &[Ray]) -> Result<(), Error> {
         for ray in rays {

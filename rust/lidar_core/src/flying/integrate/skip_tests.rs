@@ -272,7 +272,7 @@ fn maps_are_the_same_to_the_bit_with_saturated_space_passed() -> Result<(), Erro
     compare("usual", &Case { scans: 80, passed: 0.5, ..Case::default() }, 1)
 }
 
-/// `cargo test --release -p lidar_core -- --ignored over_a_thousand_scans`
+/// Long test. Run it with `cargo test --release -p lidar_core -- --ignored over_a_thousand_scans`.
 #[test]
 #[ignore = "minutes"]
 fn maps_are_the_same_to_the_bit_over_a_thousand_scans_of_every_kind() -> Result<(), Error> {

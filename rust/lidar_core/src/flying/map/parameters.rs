@@ -30,7 +30,7 @@ pub enum Rays {
 /// Which voxels rays skip, without a look at each voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Skip {
-    /// None: every ray visits every voxel that it crosses.
+    /// No voxels: every ray visits every voxel that it crosses.
     Nothing,
     /// Voxels in directions and at distances where all voxels are either exactly at `g_free` or
     /// permanent: no ray changes these. Values, states and files are equal to those of

@@ -27,7 +27,7 @@ impl CloudScan<'_> {
         self.delays.map_or(0.0, |delays| delays[row as usize])
     }
 
-    /// Points of these rows.
+    /// Points in these rows of the cloud [m].
     pub(super) fn points_of(&self, rows: &[u32]) -> Vec<[f32; 3]> {
         rows.iter().map(|&row| self.points[row as usize]).collect()
     }

@@ -282,7 +282,7 @@ impl PointCloudTracker {
     /// Check that there is room for this number of new tracks.
     ///
     /// # Errors
-    /// [`Error::Limit`] if so many more tracks might be too many.
+    /// [`Error::Limit`] if the tracker could then have more than [`MAX_TRACKS`] tracks.
     pub(crate) fn check_room(&self, count: usize) -> Result<(), Error> {
         let count = self.tracks.len() + self.standing.len() + count;
         if count > MAX_TRACKS { Err(detections::too_many(count)) } else { Ok(()) }

@@ -155,11 +155,11 @@ impl LoneReturns {
 
 /// What is beside a small cluster.
 enum Among {
-    /// Nothing.
+    /// Nothing is beside it.
     Alone,
     /// Another cluster of the same target, which is used in its place.
     Represented,
-    /// More than one target gives.
+    /// More is beside it than one target gives.
     Others,
 }
 

@@ -44,7 +44,7 @@ impl JoinedLabeller {
     /// Label one cloud, like [`label_seen`](super::angular_gap::label_seen).
     ///
     /// # Errors
-    /// As that.
+    /// As [`label_seen`](super::angular_gap::label_seen).
     pub(crate) fn label(
         &mut self,
         points: &[[f32; 3]],

@@ -111,7 +111,7 @@ struct Groups<K> {
     /// Keys and rows of the finite points, sorted; `spare`: memory for sorting.
     order: Vec<K>,
     spare: Vec<K>,
-    /// The points in this order.
+    /// The finite points [m], sorted by key.
     points: Vec<[f32; 3]>,
     starts: Vec<u32>,
     cubes: Vec<Cube<K>>,

@@ -34,7 +34,7 @@ pub(in crate::flying::detect) fn of_expected(
 /// does a bar.
 struct SpreadEllipse {
     mean: [f64; 2],
-    /// Covariance of the places [m^2].
+    /// Covariance of the places [m^2]: the elements xx, xy and yy.
     xx: f64,
     xy: f64,
     yy: f64,

@@ -18,7 +18,7 @@ const SECTORS: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TargetRay {
     pub(crate) origin: Vector3<f64>,
-    /// Unit vector.
+    /// Direction of the ray: unit vector.
     pub(crate) direction: Vector3<f64>,
 }
 

@@ -1,4 +1,5 @@
-//! Which detections feed which tracks, and which begin tracks of their own.
+//! Association of detections with tracks: which detections update which tracks, and which begin new
+//! tracks.
 
 use super::super::lifecycle::is_part;
 use super::super::measurement::{Evidence, Measurement};

@@ -4,7 +4,8 @@ use crate::flying::detect::center::Center;
 
 /// Voxels that are tentatively or confidently occupied: the set O of Algorithm 2.
 pub trait Occupancy: Sync {
-    /// True if a centre of such a voxel lies within `distance` [m] of `point` [m], borders included.
+    /// True if the centre of a tentatively or confidently occupied voxel is within `distance` [m]
+    /// of `point` [m], borders included.
     fn any_within(&self, point: [f64; 3], distance: f64) -> bool;
 }
 
