@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Longest time that counts for a pause between two scans [s]; `LONGEST_TIMES`: also as a multiple
 /// of the usual time. Nothing is seen in a pause.
 const LONGEST_STEP: f64 = 0.5;
+/// Longest time that counts for a pause, as a multiple of the usual time between scans.
 const LONGEST_TIMES: f64 = 2.0;
 /// Smallest number of scans. Fewer do not show what stands still.
 const FEWEST_SCANS: u32 = 3;

@@ -18,6 +18,7 @@ const SMALLEST: f64 = 0.3;
 /// Smallest share of a target's points in observed voxels that are not occupied; `STARTED`: the
 /// same for a target that begins to move.
 const MOSTLY: f64 = 0.5;
+/// Smallest share of the points in unoccupied voxels, for a target that begins to move.
 const STARTED: f64 = 0.25;
 /// Largest ratio of a cluster's sides to the size of its target.
 const LARGEST: f64 = 1.6;

@@ -15,6 +15,7 @@ const FLAT: f64 = 0.1;
 /// Points within this distance of a small cluster may belong to the same target. Between this and
 /// the second distance there may be no points beside it [m].
 const OWN_RADIUS: f64 = 0.75;
+/// Distance within which no points of something else may be beside a small cluster [m].
 const ALONE_RADIUS: f64 = 2.0;
 /// Largest distance of a mirror image from the mirrored position of what it shows [m]. The floor is
 /// not quite flat.

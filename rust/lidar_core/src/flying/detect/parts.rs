@@ -14,6 +14,7 @@ use crate::geometry::transform::{dot, minus, norm};
 /// Largest angle [rad] at which parts of a large target are seen beside each other, if one of them
 /// is at most `BEHIND` [m] further away.
 const BESIDE: f64 = 0.02;
+/// Largest distance, and largest difference in range, of parts that are seen beside each other [m].
 const BEHIND: f64 = 1.0;
 
 /// Classified clusters of a scan, with the clusters of one large target united.

@@ -12,10 +12,12 @@ const NEAR: f64 = 1.5;
 /// Size of the region below a cluster in which rays are expected: this far below it, and `BESIDE`
 /// to both sides [m].
 const BELOW: f64 = 0.4;
+/// Width by which the region below a cluster is wider than the cluster, on both sides [m].
 const BESIDE: f64 = 0.1;
 /// Rays below a cluster are lost if at least this number is cast there, and at most the share
 /// `LOST` of them returns.
 const FEWEST_CAST: f64 = 4.0;
+/// Largest share of the rays below a cluster that returns, if they count as lost.
 const LOST: f64 = 0.15;
 /// Tangents of two angles below a cluster. At one of them rays must be cast too, or else the field
 /// of view ends below the cluster; its last cells of 2 degrees are only partly inside. There are
@@ -25,10 +27,12 @@ const FURTHER_DOWN: [f64; 2] = [0.0524, 0.0875];
 /// Largest distance between two rows of a sparse sensor on one target [m]. `SAME_RANGE`: returns
 /// whose range differs by less belong to the target [m].
 const NEXT_ROW: f64 = 0.5;
+/// Largest difference in range of returns of one target [m].
 const SAME_RANGE: f64 = 0.5;
 /// Rays pass below a cluster if they return at least this much further away, and `JUST_BELOW` below
 /// its end [m].
 const BEHIND: f64 = 1.0;
+/// Distance below the end of a cluster from which on a ray passes below it [m].
 const JUST_BELOW: f64 = 0.1;
 /// Smallest number of rays that must pass below a cluster. A single ray may pass between the legs
 /// of a person.

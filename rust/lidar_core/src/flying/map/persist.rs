@@ -16,7 +16,9 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
+/// First bytes of every map file.
 const MAGIC: &[u8; 4] = b"LCVM";
+/// Version of files without a section for the robot itself.
 const VERSION: u32 = 1;
 /// Version of files that contain a section for the robot itself.
 const VERSION_WITH_BODY: u32 = 2;
@@ -25,6 +27,7 @@ const ONE_PER_END: u8 = 4;
 /// Flag in the byte of the ray unit: values near `g_free` become `g_free`. Files of earlier
 /// versions never have it.
 const SETTLES: u8 = 8;
+/// Size of a block in a file [bytes].
 const BLOCK_BYTES: usize = 12 + 4 * VOLUME;
 /// Size of the largest file that is read [bytes].
 const MAX_BYTES: u64 = 1 << 34;

@@ -18,6 +18,7 @@ use std::collections::HashSet;
 pub struct VoxelMap {
     parameters: MapParameters,
     lattice: Lattice,
+    /// First and last voxel of the operating volume. None: no limits.
     pub(crate) limits: Option<[Voxel; 2]>,
     pub(crate) blocks: Blocks,
     pub(crate) changes: Changes,

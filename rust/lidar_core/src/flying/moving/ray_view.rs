@@ -20,6 +20,7 @@ const SECTORS: usize = 36;
 /// Length up to which rays count [m]; `FARTHEST`: distance up to which places can be seen through
 /// [m].
 const LONGEST: f64 = 60.0;
+/// Largest distance of a place that can be seen through [m].
 const FARTHEST: f64 = 45.0;
 /// Smallest distance behind a place at which rays that pass it must end [m]. It covers the noise of
 /// ranges and poses.

@@ -33,6 +33,7 @@ const HITS_PER_VIEW: u32 = 20;
 const SURE_UPDATES: f64 = 30.0;
 /// Largest memory of the views [bytes]. Above it, every second view is removed.
 const MOST_BYTES: usize = 256 << 20;
+/// Number of cells that a thread takes at a time.
 const CELLS_PER_TASK: usize = 4096;
 
 type Keys = BuildHasherDefault<KeyHasher>;

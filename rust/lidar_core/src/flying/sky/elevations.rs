@@ -37,6 +37,7 @@ const LEAST_GAP: f64 = 0.8 * PI / 180.0;
 /// that do not turn. Recordings of Velodyne and Hesai sensors have none off their own rows, and
 /// 0.32 or more off the rows of another one.
 const OFF_SHARE: f64 = 0.25;
+/// Share of returns off the rows that contradicts these, if the returns show no rows.
 const OFF_SHARE_WITHOUT_ROWS: f64 = 0.5;
 /// Largest angle of azimuth that a sensor which does not turn is assumed to see [rad].
 const PART_OF_TURN: f64 = PI;
@@ -45,7 +46,9 @@ const PART_OF_TURN: f64 = PI;
 /// and something above it is one gap. `OUTER_SHARE`: share of the lowest and of the highest returns
 /// that is ignored.
 const USED_SHARE: f64 = 0.6;
+/// Smallest number of gaps between used rows that contradicts the rows.
 const FEWEST_GAPS: usize = 4;
+/// Share of the lowest and of the highest returns that is ignored.
 const OUTER_SHARE: f64 = 0.05;
 /// Width of a bin of elevation in which rows show [rad]: 0.1 degrees.
 const BIN: f64 = PI / 1800.0;

@@ -36,9 +36,11 @@ const CHECKED_SCANS: u32 = 5;
 /// Number of scans after which the ray directions are known; `ENOUGH_NS`: the same as time since
 /// the first scan [ns].
 const ENOUGH_SCANS: u32 = 3;
+/// Time since the first scan after which the ray directions are known [ns].
 const ENOUGH_NS: i64 = 300_000_000;
 /// After the first [`LEARNING_SCANS`] scans, the ray pattern is learnt from one scan in this many.
 const LEARNING_STEP: u32 = 8;
+/// Number of first scans from each of which the ray pattern is learnt.
 const LEARNING_SCANS: u32 = 64;
 /// Distance of the sensor from the place of the last observation beyond which the sky is observed
 /// anew [m].

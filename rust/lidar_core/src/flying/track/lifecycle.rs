@@ -19,6 +19,7 @@ use std::collections::BTreeSet;
 /// the ball is raised by `RAISED` [m], so that ground more than the difference of the two below the
 /// place does not count.
 const BESIDE: f64 = 2.0;
+/// Height by which the ball around a place is raised [m]: see [`BESIDE`].
 const RAISED: f64 = 1.0;
 
 /// Remove tracks that have become too uncertain, or that were not measured for too long. Returns

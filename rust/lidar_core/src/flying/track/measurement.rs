@@ -53,6 +53,7 @@ pub(super) struct Measurement {
 /// What a detection says about the existence of its track's target.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Evidence {
+    /// Whether the detection is certain.
     pub(super) is_sure: bool,
     /// Whether only its track tells that it flies.
     pub(super) is_led: bool,
@@ -83,6 +84,7 @@ pub(super) struct SearchRegion {
     /// State at the stamp if the target has turned hard since it was last seen. None if this track
     /// cannot turn hard: see [`super::state::PointTrack::turned_at`].
     pub(super) turned: Option<Gaussian<9>>,
+    /// Radius of the region [m].
     pub(super) radius: f64,
     pub(super) size: [f64; 3],
     pub(super) confirmed: bool,

@@ -116,6 +116,7 @@ pub(crate) struct FoundTarget {
     pub(crate) covariance: [f64; 3],
     /// Position of its first return [m], and the time of that [ns].
     pub(crate) first: [f64; 3],
+    /// Time of its first return [ns].
     pub(crate) first_ns: i64,
     /// Number of scans that showed it.
     pub(crate) n_returns: u32,

@@ -22,21 +22,26 @@ const MOST: f64 = 3.4;
 const START: f64 = -4.0;
 /// Score below which a hypothesis ends; `LOST`: time without a return after which it ends [s].
 const LEAST: f64 = -6.0;
+/// Time without a return after which a hypothesis ends [s].
 const LOST: f64 = 1.0;
 /// Score from which on a target is certain; `FEWEST_RETURNS`: smallest number of its returns.
 const CERTAIN: f64 = 10.0;
+/// Smallest number of returns of a certain target.
 const FEWEST_RETURNS: u32 = 5;
 /// Largest score. Because of it, a target that comes to rest or ends is soon noticed.
 const HIGHEST: f64 = 20.0;
 /// Distance [m], and number of standard deviations (`STDS`), by which a certain target must have
 /// moved.
 const MOVED: f64 = 1.0;
+/// Number of standard deviations by which a certain target must have moved.
 const STDS: f64 = 3.0;
 /// Largest difference in elevation of returns of one row, as a multiple of the angle between rays.
 /// At least `ROW_CHANGES` returns, and the share `CHANGES_SHARE` of them, must be of another row
 /// than the return before.
 const ONE_ROW: f64 = 0.3;
+/// Smallest number of returns that are of another row than the return before.
 const ROW_CHANGES: u32 = 3;
+/// Smallest share of such returns.
 const CHANGES_SHARE: f64 = 0.25;
 /// Differences in position [m] and velocity [m/s] below which two hypotheses follow the same
 /// target.

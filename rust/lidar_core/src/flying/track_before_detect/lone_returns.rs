@@ -12,10 +12,12 @@ const MOST_POINTS: usize = 12;
 /// Largest distance of a lone target's returns from their middle [m]; `OWN_GAPS`: alternatively, in
 /// distances between rays.
 const OWN: f64 = 0.75;
+/// The same distance as [`OWN`], in distances between rays. The larger one counts.
 const OWN_GAPS: f64 = 1.2;
 /// Distance within which nothing else may be [m]; `ALONE_GAPS`: alternatively, in distances between
 /// rays.
 const ALONE: f64 = 2.0;
+/// The same distance as [`ALONE`], in distances between rays. The larger one counts.
 const ALONE_GAPS: f64 = 2.5;
 /// Distance between rays below which targets give enough returns for a detection [m].
 const DENSE: f64 = 0.1;

@@ -8,13 +8,16 @@ use std::sync::LazyLock;
 /// Number of cells along an edge of each of the six faces of a cube of directions: about one degree
 /// per cell.
 const EDGE: usize = 90;
+/// Number of cells of a face.
 const FACE: usize = EDGE * EDGE;
+/// Number of cells of all faces.
 const CELLS: usize = 6 * FACE;
 /// Side of a cell on a face at distance 1.
 const SIDE: f64 = 2.0 / EDGE as f64;
 /// Time for which scans are kept [s]; `MOST`: largest number of kept scans. Of a fast sensor not
 /// all are kept.
 const KEPT: f64 = 1.2;
+/// Largest number of kept scans.
 const MOST: usize = 12;
 /// Age below which scans may show the target itself [s].
 const FRESH: f64 = 0.3;
@@ -25,6 +28,7 @@ const BEHIND: f64 = 1.0;
 /// A clear place has nothing within this distance to its side [m]; the second constant limits the
 /// number of cells that are checked on each side.
 const ASIDE: f64 = 0.5;
+/// Largest number of cells that are checked on each side of a place.
 const MOST_SIDES: f64 = 4.0;
 /// Elevation below which targets may stand on the ground [rad], unless rays pass below them: see
 /// [`BELOW`].

@@ -39,6 +39,7 @@ impl InReach {
 
 /// Reach within one cube. `NEXT`: between a cube and the next one along x.
 pub(super) static OWN: InReach = InReach::across([0; 3]);
+/// Reach between a cube and the next one along x.
 pub(super) static NEXT: InReach = InReach::across([1, 0, 0]);
 /// Reach between a cube and later cubes: first index, the four rows of cubes that follow it in the
 /// order of keys (the next row, then those of the next plane); second index, steps of -1, 0 and 1

@@ -10,6 +10,7 @@ use crate::util::vector_unit::dispatch;
 use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
+/// Number of bits of a digit of the radix sort.
 const RADIX_BITS: u32 = 11;
 /// Number of cubes, or of points of a crowded octant, between two checks whether the call was asked
 /// to stop.

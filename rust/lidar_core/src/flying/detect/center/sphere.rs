@@ -11,7 +11,9 @@ const MAX_STEPS: usize = 20;
 const LEAST_GAIN: f64 = 1e-9;
 /// Prior of the radius [m]: mean, standard deviation and limits, in this and the next constants.
 const RADIUS_MEAN: f64 = 0.3;
+/// Standard deviation of the prior of the radius [m].
 const RADIUS_STD: f64 = 0.25;
+/// Smallest and largest radius [m].
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
 /// Standard deviation of the centre around the start of the fit [m]. A few points say nothing about
 /// some directions.

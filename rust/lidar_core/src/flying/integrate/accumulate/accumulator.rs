@@ -11,6 +11,7 @@ use crate::geometry::lattice::Voxel;
 use rayon::ThreadPool;
 use std::hint::black_box;
 
+/// Entry of a block without a slot, in the table of slots.
 const EMPTY: u32 = u32::MAX;
 /// Number of points that are marked together.
 const POINTS_AT_A_TIME: usize = 64;

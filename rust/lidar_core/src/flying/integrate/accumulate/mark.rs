@@ -7,6 +7,7 @@ pub(crate) type Mark = u32;
 /// Number of bits for the count in a mark: number of points (in a weighted scan their weight in
 /// units of 1 / `POINT_UNITS`) or length of rays.
 const COUNT_BITS: u32 = 30;
+/// Largest count of a mark.
 pub(crate) const MAX_COUNT: u32 = (1 << COUNT_BITS) - 1;
 /// Number of units per point in scans whose points have weights.
 pub(crate) const POINT_UNITS: u32 = 1024;

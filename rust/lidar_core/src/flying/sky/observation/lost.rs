@@ -8,6 +8,7 @@ use crate::geometry::transform::Transform;
 /// Smallest number of neighbouring columns, and of cells in them (`FEWEST_CELLS`), that return
 /// nothing any more. Targets are smaller.
 const FEWEST_COLUMNS: usize = 3;
+/// Smallest number of cells in lost columns that returned lately.
 const FEWEST_CELLS: usize = 6;
 /// A cell has returned lately if fewer than this number of rays went into it since its last return.
 const LATELY: f32 = 1.0;

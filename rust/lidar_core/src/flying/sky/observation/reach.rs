@@ -16,6 +16,7 @@ const ABOVE_GROUND: f64 = 1.0;
 /// Numbers of returns in a cell and its neighbours (from this to below `MOST_AROUND`) with which a
 /// sensor leaves gaps.
 const LEAST_AROUND: u32 = 7;
+/// Number of returns in a cell and its neighbours from which on a sensor leaves no gaps.
 const MOST_AROUND: u32 = 400;
 /// Largest angle by which a ray may be below the middle of its cell [rad]: 1.4 degrees.
 const CELL_TILT: f64 = 1.4 * PI / 180.0;

@@ -20,6 +20,7 @@ pub(in crate::flying::track) struct Matches {
     /// The tracks that got a detection, as indices into the list of tracks, in the order of the
     /// detections, each with the evidence of its detection.
     pub(in crate::flying::track) fed: Vec<(usize, Evidence)>,
+    /// Number of detections that were not used because a covariance was not positive definite.
     pub(in crate::flying::track) rejected: usize,
 }
 

@@ -235,11 +235,13 @@ const MEMORY: f64 = 300.0;
 const TARGETS: f64 = 0.05;
 /// Prior of the statistics: this number of tracks without a target began in `SETS_PRIOR` sets.
 const FALSE_PRIOR: f64 = 1.0;
+/// Number of sets in which the tracks of [`FALSE_PRIOR`] began.
 const SETS_PRIOR: f64 = 10.0;
 /// Tracks without a target that one set begins where the likelihoods of the cause "comes and goes"
 /// hold as they are. If more begin, more detections of that cause also fall into the gates of
 /// tracks.
 const USUAL: f64 = 0.1;
+/// Limits of the factor for the likelihood of detections that come and go.
 const CLUTTER_BOUNDS: [f64; 2] = [0.5, 1.8];
 /// Smallest expected number of tracks without a target that one set begins.
 const FEWEST: f64 = 0.02;

@@ -17,6 +17,7 @@ use std::hash::BuildHasherDefault;
 const CELL: f64 = 0.3;
 /// Returns are remembered for this time [ns], in up to `STEPS` time steps.
 const WINDOW_NS: i64 = 4_000_000_000;
+/// Largest number of time steps: one bit each.
 const STEPS: usize = 64;
 /// Returns less than this time [ns] before a track began may be of its own target and do not count.
 const FRESH_NS: i64 = 300_000_000;

@@ -19,6 +19,7 @@ const VISIT_NS: i64 = 2_000_000_000;
 const HALF: f64 = 2.0;
 /// Detections are kept for this time [ns], and at most `MOST` of them.
 const KEPT_NS: i64 = 60_000_000_000;
+/// Largest number of detections that are kept.
 const MOST: usize = 4096;
 
 /// One detection that no flying target explains: time, track and position [m].

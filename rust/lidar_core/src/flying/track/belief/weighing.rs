@@ -16,6 +16,7 @@ const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
 /// distance), while what comes and goes is anywhere in the gate. `NEAR_BOUNDS` limits the ratio,
 /// since neither targets fit that well nor is the rest that scattered.
 const NEAREST: f64 = 25.0;
+/// Limits of the likelihood ratio for the position of a detection.
 const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
 /// Upper limit of that ratio for the third detection of a fast target, whose track began with two.
 /// What comes and goes hardly ever gives three detections on a straight line that are metres apart.
