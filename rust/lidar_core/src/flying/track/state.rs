@@ -1,4 +1,4 @@
-//! One track, or one hypothesis that may become a track.
+//! One track, or one hypothesis that may become one. Longer than other files: it holds one type with all its methods.
 
 use super::FoundTarget;
 use super::belief::existence::{FalseBirths, Sight, TrackBelief};
