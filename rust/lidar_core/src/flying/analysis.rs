@@ -189,7 +189,7 @@ fn cap_radius(radius: f64, distance: f64) -> f64 {
 /// Share of the sphere that is inside a band of elevations [rad].
 ///
 /// # Errors
-/// [`Error::Parameter`] if the elevations are no band.
+/// [`Error::Parameter`] if the elevations do not bound a band.
 fn check_view([low, high]: [f64; 2]) -> Result<f64, Error> {
     let share = 0.5 * (libm::sin(high) - libm::sin(low));
     let inside = |angle: f64| (-FRAC_PI_2..=FRAC_PI_2).contains(&angle);

@@ -1,4 +1,4 @@
-//! One hypothesis: a target of nearly constant velocity that gives single returns.
+//! One hypothesis: a target of nearly constant velocity that gives lone returns.
 
 use super::lone_returns::LoneReturn;
 use super::{Clutter, seconds};
@@ -145,7 +145,7 @@ impl Hypothesis {
         std::array::from_fn(|axis| found.place[axis] - found.delay * self.velocity[axis])
     }
 
-    /// Correct the estimate and the score with a return. `clutter`: other single returns around it.
+    /// Correct the estimate and the score with a return. `clutter`: other lone returns around it.
     pub(super) fn correct(&mut self, found: &LoneReturn, clutter: &Clutter) {
         let offset = minus(self.seen_from(found), self.position);
         let [position, both, velocity] = self.covariance;

@@ -1,4 +1,4 @@
-//! Single returns: small clusters of a scan that are alone in the air.
+//! Lone returns: small clusters of a scan that are alone in the air.
 
 use super::ScanOfFew;
 use super::seen_ranges::{SeenRanges, SeenScan};
@@ -21,13 +21,13 @@ const ALONE: f64 = 2.0;
 const ALONE_GAPS: f64 = 2.5;
 /// Distance between rays below which targets give enough returns for a detection [m].
 const DENSE: f64 = 0.1;
-/// Standard deviation of a single return around the centre of its target, in distances between
+/// Standard deviation of a lone return around the centre of its target, in distances between
 /// rays: targets of one or two returns are about as large as these.
 const SPREAD: f64 = 0.3;
 /// Standard deviation of a range [m], in addition to [`SPREAD`].
 const RANGE_STD: f64 = 0.05;
 
-/// A single return, or a few returns of the same target.
+/// A lone return, or a few returns of the same target.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoneReturn {
     /// Centroid of its points [m, frame of the map].
@@ -42,7 +42,7 @@ pub(super) struct LoneReturn {
     pub(super) elevation: f64,
 }
 
-/// Single returns of one scan. It keeps its memory for the next scan.
+/// Lone returns of one scan. It keeps its memory for the next scan.
 #[derive(Default)]
 pub(super) struct LoneReturns {
     pub(super) found: Vec<LoneReturn>,
@@ -54,12 +54,12 @@ pub(super) struct LoneReturns {
 }
 
 impl LoneReturns {
-    /// Whether the point `row` belongs to a single return.
+    /// Whether the point `row` belongs to a lone return.
     pub(super) fn holds(&self, row: u32) -> bool {
         self.rows.binary_search(&row).is_ok()
     }
 
-    /// Find the single returns of a scan. Returns the ranges that its other returns show.
+    /// Find the lone returns of a scan. Returns the ranges that its other returns show.
     pub(super) fn find(&mut self, input: &ScanOfFew<'_>, seen: &SeenRanges) -> SeenScan {
         let origin = input.scan.pose.translation;
         self.find_small(input);

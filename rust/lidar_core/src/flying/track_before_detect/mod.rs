@@ -3,7 +3,7 @@
 //! Such a target cannot be detected in one scan. Its returns are alone in the air: earlier scans saw past its place,
 //! and nothing else returns beside it. Hypotheses of targets with nearly constant velocity are weighed with the
 //! returns of up to some seconds. The evidence of a return is its likelihood ratio: caused by the target, or by
-//! chance, given the other single returns around it.
+//! chance, given the other lone returns around it.
 //!
 //! Source of the method: Blackman & Popoli, "Design and Analysis of Modern Tracking Systems", 1999, sec. 6.2 (track
 //! score). Here the density of false returns is measured around every return.
@@ -27,14 +27,14 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 
-/// Time of the earlier scans whose single returns show how many come by chance [s].
+/// Time of the earlier scans whose lone returns show how many come by chance [s].
 const WINDOW: f64 = 2.0;
 /// Largest time between the two returns with which a hypothesis begins [s]; alternatively `PAIR_SCANS`, in scans.
 const PAIR_TIME: f64 = 0.55;
 const PAIR_SCANS: usize = 2;
 /// Largest speed with which a hypothesis begins [m/s].
 const MOST_SPEED: f64 = 30.0;
-/// Number of single returns in a scan above which no hypothesis begins: they are rain, dust or leaves.
+/// Number of lone returns in a scan above which no hypothesis begins: they are rain, dust or leaves.
 const MOST_RETURNS: usize = 400;
 /// Largest number of hypotheses that continue to the next scan.
 const MOST_HYPOTHESES: usize = 400;
@@ -42,7 +42,7 @@ const MOST_HYPOTHESES: usize = 400;
 const MOST_SCANS: usize = 40;
 /// Returns within this distance of a track, plus three standard deviations of the return, belong to the track [m].
 const OF_TRACK: f64 = 1.5;
-/// Radius of the ball in which single returns are counted [m]; the second constant: in distances between rays.
+/// Radius of the ball in which lone returns are counted [m]; the second constant: in distances between rays.
 const AROUND: f64 = 8.0;
 const AROUND_GAPS: f64 = 10.0;
 /// Score from which on a hypothesis keeps its return for itself: no other hypothesis may use it.
@@ -59,7 +59,7 @@ pub(crate) struct ScanOfFew<'a> {
     pub(crate) stamp_ns: i64,
 }
 
-/// Single returns of one scan: time, position of the sensor, and places [m].
+/// Lone returns of one scan: time, position of the sensor, and places [m].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct ReturnsOfScan {
     stamp_ns: i64,
@@ -74,7 +74,7 @@ impl ReturnsOfScan {
     }
 }
 
-/// Number of single returns around a place.
+/// Number of lone returns around a place.
 struct Clutter {
     count: usize,
     /// Volume in which they were counted, summed over the scans [m^3].
@@ -82,7 +82,7 @@ struct Clutter {
 }
 
 impl Clutter {
-    /// Density of single returns by chance in a scan [1/m^3], if `own` of the counted ones are of the target itself.
+    /// Density of lone returns by chance in a scan [1/m^3], if `own` of the counted ones are of the target itself.
     fn without(&self, own: u32) -> f64 {
         (self.count.saturating_sub(own as usize) as f64 + 1.0) / self.volume
     }
@@ -94,7 +94,7 @@ pub(crate) struct TrackBeforeDetect {
     seen: SeenRanges,
     returns: VecDeque<ReturnsOfScan>,
     hypotheses: Vec<Hypothesis>,
-    /// Single returns of the newest scan. Its memory is used again for the next scan.
+    /// Lone returns of the newest scan. Its memory is used again for the next scan.
     lone: LoneReturns,
 }
 
@@ -107,13 +107,13 @@ pub(crate) struct SavedTrackBeforeDetect {
 }
 
 impl TrackBeforeDetect {
-    /// Find the single returns of a scan, and store how far its rays reach.
+    /// Find the lone returns of a scan, and store how far its rays reach.
     pub(crate) fn look(&mut self, input: &ScanOfFew<'_>) {
         let seen_scan = self.lone.find(input, &self.seen);
         self.seen.push(input.stamp_ns, seen_scan);
     }
 
-    /// Whether the point `row` of the newest scan belongs to a single return.
+    /// Whether the point `row` of the newest scan belongs to a lone return.
     pub(crate) fn is_lone(&self, row: u32) -> bool {
         self.lone.holds(row)
     }
@@ -133,7 +133,7 @@ impl TrackBeforeDetect {
         certain
     }
 
-    /// Like [`Self::weigh`], with the single returns of a scan from the sensor position `origin` [m].
+    /// Like [`Self::weigh`], with the lone returns of a scan from the sensor position `origin` [m].
     fn weigh_found(
         &mut self,
         found: &[LoneReturn],
@@ -174,7 +174,7 @@ impl TrackBeforeDetect {
         }
     }
 
-    /// Count the single returns around one of them.
+    /// Count the lone returns around one of them.
     fn clutter(&self, found: &LoneReturn) -> Clutter {
         let radius = AROUND.max(AROUND_GAPS * found.gap);
         let is_near = |place: &&[f64; 3]| norm(minus(**place, found.place)) <= radius;
@@ -291,7 +291,7 @@ fn seconds(from_ns: i64, to_ns: i64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Weigh the single returns of 40 scans, ten per second, from a sensor at `origin(t)` [m]. Returns the number of
+    /// Weigh the lone returns of 40 scans, ten per second, from a sensor at `origin(t)` [m]. Returns the number of
     /// targets that become certain, the number of the scan in which the first does, and that target.
     fn certain(
         origin: impl Fn(f64) -> [f64; 3],
