@@ -61,8 +61,8 @@ pub struct Teammate {
 /// Smallest variance of a position [m^2]. With it, a single point of a sensor without noise has a
 /// covariance of full rank.
 const LEAST_VARIANCE: f64 = 1e-6;
-/// Number of points, scaled to a target of the smallest kind, from which on the confidence is not
-/// reduced.
+/// Number of points at which the confidence is half of that with very many points. A target of the
+/// smallest kind gives at least this many.
 const SURE_POINTS: f64 = 3.0;
 
 impl Detection {

@@ -203,7 +203,7 @@ impl TargetSpan {
         span
     }
 
-    /// Extent of the points of both.
+    /// Extent of the points of both spans.
     fn united(&self, other: &Self) -> Self {
         Self {
             low: std::array::from_fn(|at| self.low[at].min(other.low[at])),

@@ -16,8 +16,8 @@ const TURNING_SECTORS: usize = 21;
 /// Rank of the sector whose density counts at an elevation. The fullest sectors may contain both
 /// the end and the beginning of a turn.
 const RANK: usize = 3;
-/// Share of the density of directions with returns that directions without any get, inside a fixed
-/// field of view.
+/// Directions without any return, inside a fixed field of view, get the density of this quantile of the
+/// directions with returns.
 const TYPICAL: f64 = 0.25;
 
 /// Smallest share of rays that end on droplets in air that is full of them.
@@ -221,7 +221,7 @@ fn of_band(sectors: &[(f64, f64); SECTORS], scans: u32) -> f64 {
 }
 
 /// Densities of the cells of a fixed field of view: the largest of the four cells that mirror each
-/// other, and at least a typical density between the outermost cells of every band.
+/// other. Cells without returns between the outermost ones of a band get a low typical density.
 fn of_mirrored_cells(counts: &[u64], scans: u32) -> Vec<f64> {
     let density = |cell: usize| counts[cell] as f64 / GRID.solid_angles[cell] / f64::from(scans);
     let mirrored = |cell: usize| {
