@@ -10,7 +10,8 @@ use crate::geometry::lattice::wide;
 use crate::geometry::transform::{Transform, minus, norm};
 use serde::{Deserialize, Serialize};
 
-/// A flying object in one scan.
+/// A flying object in one scan. Positions are in the frame of the map; in results of the detector,
+/// they are in the world frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
     /// Estimated centre of the object, or the centroid of its points (eq. 19) [m].

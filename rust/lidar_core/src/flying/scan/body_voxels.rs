@@ -2,9 +2,9 @@
 
 use crate::flying::map::saved_body::{EDGE, SIZE};
 
-/// Number of voxels.
+/// Number of voxels of the cube around a sensor.
 pub(super) const VOLUME: usize = EDGE * EDGE * EDGE;
-/// Number of words that hold one bit per voxel.
+/// Number of words of 64 bits that hold one bit for each of these voxels.
 pub(super) const WORDS: usize = VOLUME / 64;
 /// Largest distance of connected voxels of a part, along each axis: gaps of one voxel are allowed.
 pub(super) const GAP: i32 = 2;

@@ -6,7 +6,8 @@ use crate::geometry::transform::Transform;
 use crate::tracking::kind::{KINDS, TrackKind};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// A track, predicted to one time, in the frame of the tracker.
+/// A track, predicted to one time. Positions are in the frame of the tracker; in results of the
+/// detector, they are in the world frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     /// Number of the track. It is never given to another one.

@@ -41,7 +41,7 @@ const STDS: f64 = 3.0;
 const ONE_ROW: f64 = 0.3;
 /// Smallest number of returns that are of another row than the return before.
 const ROW_CHANGES: u32 = 3;
-/// Smallest share of such returns.
+/// Smallest share of the returns that are of another row than the return before.
 const CHANGES_SHARE: f64 = 0.25;
 /// Differences in position [m] and velocity [m/s] below which two hypotheses follow the same
 /// target.
