@@ -185,6 +185,7 @@ class Track:
     sight: str = "unseen"
     nis: float = None  # of its newest cluster
     turned: tuple = None  # state and covariance at the newest scan, if its target has turned hard
+    n_turns: int = 0  # how often that explained its cluster
     manoeuvre: float = 1.0  # factor of the standard deviations of the process
     shown: str = "sure"  # by the detection that it began with
     before: str = None  # by the one before that, if it began with two
@@ -411,14 +412,18 @@ class Tracker:
         """Matrix of the place `delay` seconds after the state."""
         return np.hstack([EYE, delay * EYE, delay**2 / 2 * EYE])
 
-    def correct(self, track, z, R, extent, delay=0.0):
+    def correct(self, track, z, R, extent, delay=0.0, turned=None):
         H = self.place_after(delay)
+        if turned is not None:
+            track.x, track.P = turned
+            track.n_turns += 1
         S = H @ track.P @ H.T + R
         K = track.P @ H.T @ np.linalg.inv(S)
         y = z - H @ track.x
         track.nis = y @ np.linalg.solve(S, y)
         if track.has_moved and track.kind == FLYING:
-            track.manoeuvre = surprised(track.manoeuvre, track.nis)
+            nis = track.nis if turned is None else np.inf
+            track.manoeuvre = surprised(track.manoeuvre, nis)
         track.x = track.x + K @ (z - H @ track.x)
         track.P = (np.eye(9) - K @ H) @ track.P
         track.P = (track.P + track.P.T) / 2
@@ -526,10 +531,10 @@ class Tracker:
                 pair = offset(row, column)
                 if pair is None:
                     continue
-                y, S = pair
+                y, S, *least = pair
                 squared = y @ np.linalg.solve(S, y)
                 if squared <= self.gate:
-                    costs[row, column] = squared + np.log(np.linalg.det(S))
+                    costs[row, column] = max(squared + np.log(np.linalg.det(S)), *least, -forbidden)
         row_of, column_of = linear_sum_assignment(costs)
         chosen = dict(zip(row_of.tolist(), column_of.tolist(), strict=True))
         return [chosen[row] if chosen[row] < columns else None for row in range(rows)]
@@ -566,21 +571,21 @@ class Tracker:
                 z, R, extent, delay, is_cut, track.points = cluster
                 newest = len(track.points)
                 track.usual += (NEW_POINTS if track.usual else 1.0) * (newest - track.usual)
-                R = self.widened(R, extent, is_cut, track)
-                if self.c.association != "paper" and self.has_turned(track, z, R, delay):
-                    track.x, track.P = track.turned
-                    track.manoeuvre = surprised(track.manoeuvre, np.inf)
-                self.correct(track, z, R, extent, delay)
+                wide = self.widened(R, extent, is_cut, track)
+                is_turned = self.c.association != "paper" and self.has_turned(
+                    track, z, R, wide, delay
+                )
+                self.correct(track, z, wide, extent, delay, track.turned if is_turned else None)
                 if self.c.hidden_share is not None:
                     track.size = extent + np.exp(-dt / SIZE_TIME) * (track.size - extent)
         return [track.id for track, cluster in zip(due, found, strict=True) if cluster is not None]
 
-    def has_turned(self, track, z, R, delay):
-        """Whether a cluster is out of the gate of a target that may have turned hard."""
-        if track.turned is None:
+    def has_turned(self, track, z, R, wide, delay):
+        """Whether a cluster that is no part is out of the gate of what may have turned hard."""
+        if track.turned is None or (wide != R).any():
             return False
         K = self.place_after(delay)
-        y, S = z - K @ track.x, K @ track.P @ K.T + R
+        y, S = z - K @ track.x, K @ track.P @ K.T + wide
         return y @ np.linalg.solve(S, y) > self.gate
 
     def inside(self, points, track, margin=0.0):
@@ -603,14 +608,16 @@ class Tracker:
         def offset(row, column):
             z, R, extent, delay, is_cut, _ = found[column]
             track, K = tracks[row], self.place_after(delay)
-            R = self.widened(R, extent, is_cut, track)
-            x, P = (track.x, track.P)
-            if self.has_turned(track, z, R, delay):
-                x, P = track.turned
-            y = z - K @ x
+            wide = self.widened(R, extent, is_cut, track)
+            y, S = z - K @ track.x, K @ track.P @ K.T + wide
             if np.linalg.norm(y) > self.reach(track):
                 return None
-            return y, K @ P @ K.T + R
+            if not self.has_turned(track, z, R, wide, delay):
+                return y, S
+            x, P = track.turned
+            least = self.gate + np.log(np.linalg.det(S))  # as on the edge of the gate
+            y, S = z - K @ x, K @ P @ K.T + wide
+            return (y, S, least) if np.linalg.norm(y) <= self.reach(track) else None
 
         columns = self.assign(len(tracks), len(found), offset)
         stray = [row for row in range(len(found)) if row not in columns]

@@ -117,23 +117,75 @@ def test_a_cluster_aside_is_of_a_target_as_far_as_one_can_turn(aside, process_no
     assert (events.corrected.tolist() == [0]) == is_found
 
 
+@pytest.mark.parametrize("aside", [0.6, 0.75, 0.9])
+def test_a_hard_turn_does_not_lead_to_a_part_beside_the_way(aside):
+    """A leaf beside the way of a hidden target is smaller than the target."""
+    corrected = {}
+    for process_noise in ("adaptive", "continuous"):
+        tracker = PointCloudTracker(config(process_noise))
+        for k in range(12):
+            place = np.array([8.0, 0.4 * k, 3.0])
+            body = place + BODY if k < 11 else place + [0, 0, aside] + 0.3 * BODY
+            events = tracker.new_point_cloud(body, NOTHING, k * SLOW_NS)
+            tracker.new_detections(place[None] if k < 11 else NOTHING, k * SLOW_NS)
+        corrected[process_noise] = events.corrected.tolist()
+    assert corrected["adaptive"] == corrected["continuous"]
+    assert aside < 0.9 or corrected["adaptive"] == []
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_hard_turns_do_not_depend_on_the_axes_or_on_others(axis):
+    """The radius of the search bounds them along every axis, with and without a track far away."""
+    found = set()
+    for away in (None, 280.0):
+        for back in (0.3, 0.6, 0.9, 1.2, 1.5, 1.9):
+            tracker = PointCloudTracker(config("adaptive"))
+            for k in range(12):
+                place = np.array([8.0, 8.0, 8.0])
+                place[axis] += 0.4 * k - back * (k == 11)
+                other = np.empty((0, 3)) if away is None else np.array([[away, 8.0, 8.0 + 0.4 * k]])
+                bodies = np.concatenate([place + BODY, *(one + BODY for one in other)])
+                events = tracker.new_point_cloud(bodies, NOTHING, k * SLOW_NS)
+                tracker.new_detections(np.concatenate([place[None], other]), k * SLOW_NS)
+            found.add((back, 0 in events.corrected.tolist()))
+    assert found == {
+        (0.3, True),
+        (0.6, True),
+        (0.9, True),
+        (1.2, False),
+        (1.5, False),
+        (1.9, False),
+    }
+
+
+def zigzag(scans):
+    """Places at 5 Hz of two targets that turn by right angles, (N, 2, 3)."""
+    step = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
+    one = np.cumsum(step[np.arange(scans) // 12 % 2], axis=0) + np.array([8.0, 0.0, 3.0])
+    return np.stack([one, one * [1, -1, 1] + [0.0, -6.0, 1.0]], axis=1)
+
+
 def test_hard_turns_agree_with_the_oracle():
     tracker, reference = PointCloudTracker(config("adaptive")), oracle.Tracker(config("adaptive"))
-    rng, n_turned = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
     tracker.new_point_cloud(np.zeros((1, 3)), NOTHING, -SLOW_NS)  # the local origin is the world's
     reference.new_point_cloud(np.zeros((1, 3)), NOTHING, -SLOW_NS)
-    for k, place in enumerate(on_a_circle(30)):
-        cloud = (place + BODY + rng.normal(size=BODY.shape) * 0.01).astype(np.float32)
-        stamp = k * SLOW_NS
-        tracker.new_point_cloud(cloud, NOTHING, stamp)
-        reference.new_point_cloud(cloud, NOTHING, stamp)
-        tracker.new_detections(place[None], stamp, covariance=SURE)
-        reference.new_detections(place[None], NOTHING, stamp, covariance=SURE)
+    most = 0
+    for k, places in enumerate(zigzag(75)):
+        foreign = places[0] + rng.uniform(-1.5, 1.5, 3) + 0.3 * BODY
+        shown = [place + BODY + rng.normal(size=BODY.shape) * 0.01 for place in places]
+        cloud = np.concatenate([*shown, foreign][k % 7 == 5 :]).astype(np.float32)
+        stamp, after_ns = k * SLOW_NS, np.linspace(0, 1e8, len(cloud)).astype(np.int64)
+        delays = (after_ns * 1e-9).astype(np.float32).astype(float)
+        tracker.new_point_cloud(cloud, NOTHING, stamp, point_time_ns=stamp + after_ns)
+        reference.new_point_cloud(cloud, NOTHING, stamp, delays=delays)
+        tracker.new_detections(places, stamp, covariance=np.repeat(SURE, 2, axis=0))
+        reference.new_detections(places, NOTHING, stamp, covariance=np.repeat(SURE, 2, axis=0))
         tracks = tracker.tracks_at(stamp, confirmed=False)
         assert tracks.id.tolist() == [track.id for track in reference.tracks]
         for row, track in enumerate(reference.tracks):
             mean = np.r_[tracks.position[row], tracks.velocity[row], tracks.acceleration[row]]
             np.testing.assert_allclose(mean, track.x, rtol=0, atol=1e-8)
             np.testing.assert_allclose(tracks.covariance[row], track.P, rtol=0, atol=1e-7)
-            n_turned += track.turned is not None
-    assert n_turned > 5
+            most = max(most, track.n_turns)
+    assert most >= 2

@@ -70,18 +70,29 @@ fn place_of(state: &Gaussian<9>, delay: f64) -> (Vector3<f64>, Matrix3<f64>) {
     (H * state.mean, symmetrised(H * state.covariance * H.transpose()))
 }
 
-/// Difference of a cluster to the position that a state predicts at the time of the cluster [m],
-/// and its covariance [m^2].
-fn difference(state: &Gaussian<9>, cluster: &Measurement) -> (Vector3<f64>, Matrix3<f64>) {
-    let (place, covariance) = place_of(state, cluster.delay);
-    (cluster.position - place, covariance + cluster.covariance)
+/// A measurement beside the place where a track expects it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Offset {
+    /// Difference to the expected place [m].
+    pub(super) y: Vector3<f64>,
+    /// Covariance of the difference [m^2].
+    pub(super) covariance: Matrix3<f64>,
+    /// Least cost of the pair, -2 ln of its likelihood up to a constant.
+    pub(super) least_cost: f64,
+}
+
+impl Offset {
+    /// A difference [m] and its covariance [m^2], whose cost follows from these alone.
+    pub(super) fn new(y: Vector3<f64>, covariance: Matrix3<f64>) -> Self {
+        Self { y, covariance, least_cost: f64::NEG_INFINITY }
+    }
 }
 
 /// Region in which a track looks for its target in a scan.
 pub(super) struct SearchRegion {
     /// State of the track at the stamp of the scan.
     pub(super) estimate: Gaussian<9>,
-    /// State at the stamp if the target has turned hard since it was last seen. None if this track
+    /// State at the stamp if the target has turned hard since the last scan. None if this track
     /// cannot turn hard: see [`super::state::PointTrack::turned_at`].
     pub(super) turned: Option<Gaussian<9>>,
     /// Radius of the region [m].
@@ -110,29 +121,63 @@ impl SearchRegion {
         place_of(&self.estimate, delay)
     }
 
-    /// Difference of a cluster to its predicted position [m] and the covariance of this difference
-    /// [m^2]. None if the cluster is out of reach.
+    /// Difference of a cluster to its expected place and the covariance of that. None if the cluster is
+    /// further away than the radius of the region, or beyond `gate` though the target may have turned hard.
     pub(super) fn offset(
         &self,
         cluster: &Measurement,
         hiding: Option<Hiding>,
         gate: f64,
-    ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-        let covariance = self.covariance_of(cluster, hiding);
-        let cluster = Measurement { covariance, ..cluster.clone() };
-        let estimate = self.turned_to(&cluster, gate).unwrap_or(&self.estimate);
-        let (y, covariance) = difference(estimate, &cluster);
-        (y.norm() <= self.radius).then_some((y, covariance))
+    ) -> Option<Offset> {
+        let noise = self.covariance_of(cluster, hiding);
+        let ahead = self.difference(&self.estimate, cluster, &noise);
+        if ahead.y.norm() > self.radius {
+            return None;
+        }
+        let Some((turned, cost)) = self.turned_from(&ahead, cluster, hiding, gate) else {
+            return Some(ahead);
+        };
+        let offset = self.difference(turned, cluster, &noise);
+        // A cluster that needs a turn is never more probable than one on the edge of the gate, which needs none.
+        (offset.y.norm() <= self.radius).then_some(Offset { least_cost: cost, ..offset })
     }
 
-    /// The state after a hard turn, if the state without a turn cannot explain the cluster: the
-    /// squared Mahalanobis distance, with the cluster's covariance for this track, is beyond
-    /// `gate`. Otherwise None.
-    pub(super) fn turned_to(&self, cluster: &Measurement, gate: f64) -> Option<&Gaussian<9>> {
-        let turned = self.turned.as_ref()?;
-        let (y, covariance) = difference(&self.estimate, cluster);
-        let is_ahead = kalman::mahalanobis(&y, &covariance).is_ok_and(|one| one.squared <= gate);
-        (!is_ahead).then_some(turned)
+    /// The state after a hard turn, if the state without a turn cannot explain what was measured of this track:
+    /// its squared Mahalanobis distance is beyond `gate`. Otherwise None.
+    pub(super) fn turned_by(
+        &self,
+        found: &Measurement,
+        hiding: Option<Hiding>,
+        gate: f64,
+    ) -> Option<&Gaussian<9>> {
+        let ahead = self.difference(&self.estimate, found, &found.covariance);
+        self.turned_from(&ahead, found, hiding, gate).map(|(turned, _)| turned)
+    }
+
+    /// As [`Self::turned_by`], given the difference without a turn; and the cost of a pair on the edge of the gate.
+    fn turned_from(
+        &self,
+        ahead: &Offset,
+        cluster: &Measurement,
+        hiding: Option<Hiding>,
+        gate: f64,
+    ) -> Option<(&Gaussian<9>, f64)> {
+        // That it is a part explains a smaller cluster aside; a turn would excuse it a second time.
+        let is_part = (0..3).any(|axis| self.hidden_length(cluster, hiding, axis) > 0.0);
+        let turned = self.turned.as_ref().filter(|_| !is_part)?;
+        let distance = kalman::mahalanobis(&ahead.y, &ahead.covariance).ok()?;
+        (distance.squared > gate).then_some((turned, gate + distance.log_determinant))
+    }
+
+    /// Difference of a cluster with this covariance [m^2] to the place of a state at its time.
+    fn difference(
+        &self,
+        state: &Gaussian<9>,
+        cluster: &Measurement,
+        noise: &Matrix3<f64>,
+    ) -> Offset {
+        let (place, covariance) = place_of(state, cluster.delay);
+        Offset::new(cluster.position - place, covariance + noise)
     }
 
     /// Covariance of a cluster as a measurement of this track [m^2]. Where a side is partly hidden,
@@ -143,11 +188,16 @@ impl SearchRegion {
         hiding: Option<Hiding>,
     ) -> Matrix3<f64> {
         let mut covariance = cluster.covariance;
-        for (axis, (size, extent)) in self.size.into_iter().zip(cluster.extent).enumerate() {
-            if cluster.is_cut && hiding.is_some_and(|hiding| extent < hiding.share * size) {
-                covariance[(axis, axis)] += (size - extent) * (size - extent);
-            }
+        for axis in 0..3 {
+            covariance[(axis, axis)] += self.hidden_length(cluster, hiding, axis).powi(2);
         }
         covariance
+    }
+
+    /// Length that is hidden of a cluster along an axis [m]; zero where it is seen whole.
+    fn hidden_length(&self, cluster: &Measurement, hiding: Option<Hiding>, axis: usize) -> f64 {
+        let (size, extent) = (self.size[axis], cluster.extent[axis]);
+        let is_short = hiding.is_some_and(|hiding| extent < hiding.share * size);
+        if cluster.is_cut && is_short { size - extent } else { 0.0 }
     }
 }

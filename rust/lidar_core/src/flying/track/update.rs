@@ -6,7 +6,7 @@ use super::belief::existence::{CLEARED, MANY_RAYS, MOVED, Sight};
 use super::buffer::Buffer;
 use super::candidates::candidates;
 use super::cluster_assignment::ClusterAssignment;
-use super::measurement::{CloudScan, Measurement, SearchRegion};
+use super::measurement::{CloudScan, Measurement, Offset, SearchRegion};
 use super::motion::seconds;
 use super::parameters::{Ageing, Association, Motion, TrackerParameters};
 use super::split::{Division, unite};
@@ -19,7 +19,7 @@ use crate::estimation::chi2;
 use crate::estimation::kalman::{self, Gaussian};
 use crate::geometry::cluster::Labeller;
 use crate::util::object_pool::ObjectPool;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -90,11 +90,7 @@ impl Updater {
         let mut outcome = UpdateOutcome::default();
         for ((due, region), measurement) in due.into_iter().zip(&regions).zip(found) {
             let rays = self.rays(region, scan.visibility, measurement.is_some());
-            let turned = measurement.as_ref().and_then(|found| region.turned_to(found, self.gate));
-            if let Some(turned) = turned {
-                due.1.turn(turned);
-            }
-            self.correct(due, measurement, rays, &mut outcome);
+            self.correct(due, region, measurement, rays, &mut outcome);
         }
         Ok(outcome)
     }
@@ -105,6 +101,7 @@ impl Updater {
     fn correct(
         &self,
         (dt, track): (f64, &mut PointTrack),
+        region: &SearchRegion,
         measurement: Option<Measurement>,
         rays: usize,
         outcome: &mut UpdateOutcome,
@@ -116,7 +113,13 @@ impl Updater {
         } else {
             Sight::without(track.expected_returns(rays))
         };
-        match measurement.map(|measurement| track.correct(&measurement)) {
+        let corrected = measurement.map(|found| {
+            match region.turned_by(&found, self.parameters.hiding, self.gate) {
+                Some(turned) => track.correct_turned(&found, turned),
+                None => track.correct(&found),
+            }
+        });
+        match corrected {
             Some(Ok(())) => {
                 if let Some(hiding) = &self.parameters.hiding {
                     track.remember_size(dt, hiding);
@@ -179,7 +182,7 @@ impl Updater {
         rows: impl ExactSizeIterator<Item = Vector3<f64>>,
         columns: impl ExactSizeIterator<Item = Vector3<f64>>,
         reach: f64,
-        offset: impl Fn(usize, usize) -> Option<(Vector3<f64>, Matrix3<f64>)>,
+        offset: impl Fn(usize, usize) -> Option<Offset>,
     ) -> Result<Vec<Option<usize>>, Error> {
         let (n_rows, n_columns) = (rows.len(), columns.len());
         let columns = AlongX::of(columns);
@@ -188,9 +191,9 @@ impl Updater {
         };
         let mut pairs = Vec::new();
         for (row, column) in rows.enumerate().flat_map(near) {
-            let Some((y, covariance)) = offset(row, column) else { continue };
+            let Some(Offset { y, covariance, least_cost }) = offset(row, column) else { continue };
             let Ok(distance) = kalman::mahalanobis(&y, &covariance) else { continue };
-            let cost = distance.squared + distance.log_determinant;
+            let cost = (distance.squared + distance.log_determinant).max(least_cost);
             if distance.squared <= self.gate && cost.is_finite() {
                 pairs.push(Pair { row, column, cost });
             }

@@ -18,7 +18,8 @@ const OWN_GAPS: f64 = 1.2;
 const ALONE: f64 = 2.0;
 /// The same distance as [`ALONE`], in distances between rays. The larger one counts.
 const ALONE_GAPS: f64 = 2.5;
-/// Distance between rays below which targets give enough returns for a detection [m].
+/// Distance between rays below which targets give enough returns for a detection [m]. With 0.25 m, small drones 8 to
+/// 11 m from a Mid-360 had no track: ADR 0011.
 const DENSE: f64 = 0.1;
 /// Standard deviation of a lone return around the centre of its target, in distances between
 /// rays: targets of one or two returns are about as large as these.

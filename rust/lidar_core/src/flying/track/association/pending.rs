@@ -1,6 +1,7 @@
 //! Predicted positions of the targets of tracks at the time of a set of detections, and their
 //! differences to the detections.
 
+use super::super::measurement::Offset;
 use super::super::motion::{position, position_block, position_matrix};
 use super::super::parameters::Motion;
 use super::super::state::PointTrack;
@@ -56,7 +57,7 @@ impl PendingTrack {
         detection: &MeasuredPlace,
     ) -> Option<Offset> {
         let y = detection.position - place;
-        (y.norm() <= self.reach).then_some((y, detection.covariance + covariance))
+        (y.norm() <= self.reach).then(|| Offset::new(y, detection.covariance + covariance))
     }
 
     /// The track, with the state of the detection `found`, if a turn explains the detection better
@@ -111,12 +112,9 @@ impl MeasuredPlace {
     }
 }
 
-/// Difference of two positions [m] and its covariance [m^2].
-pub(super) type Offset = (Vector3<f64>, Matrix3<f64>);
-
 /// -2 ln of the likelihood of a difference, without the constant term. Infinite if the covariance
 /// is not positive definite.
-fn cost((y, covariance): &Offset) -> f64 {
+fn cost(Offset { y, covariance, .. }: &Offset) -> f64 {
     kalman::mahalanobis(y, covariance)
         .map_or(f64::INFINITY, |distance| distance.squared + distance.log_determinant)
 }
