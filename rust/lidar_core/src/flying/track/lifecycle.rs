@@ -110,9 +110,10 @@ pub(super) fn confirm(
                     let is_beside = track.stood.is_beside() || is_beside(set.occupied, place);
                     let hangs = !track.is_away() && is_beside;
                     track.belief.visit(share, hangs);
-                    // What surely has a speed comes past.
-                    let stood = if track.has_speed() { 0.0 } else { track.stood.at(place) };
-                    track.belief.stand(stood);
+                    // What surely has a speed comes past. What left its start empty had itself
+                    // given the returns that were there before.
+                    let flies_by = track.has_speed() || track.belief.has_moved();
+                    track.belief.stand(if flies_by { 0.0 } else { track.stood.at(place) });
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };
                 track.existence() >= limit
