@@ -200,7 +200,8 @@ impl Filter {
     }
 
     /// Process measurements of one time, not older than the state, each with its probability to
-    /// come from the target. The probabilities sum to 1 at most; gate and loss are not applied.
+    /// come from the target. The sum of the probabilities is at most 1. Neither the gate nor the
+    /// test for a lost filter is applied.
     pub fn absorb(&mut self, stamp_ns: i64, weighted: &[(f64, Measurement)]) {
         self.0.absorb(stamp_ns, weighted);
     }
@@ -211,8 +212,8 @@ impl Filter {
         self.0.foresee(stamp_ns)
     }
 
-    /// Visit the weight and the innovation of a measurement, of each part of the foreseen state;
-    /// returns false if one of them is not defined.
+    /// Call `visit` with weight and innovation of a measurement for each component of the predicted
+    /// state. Returns false if one of them is not defined.
     pub(super) fn innovations(
         &mut self,
         m: &Measurement,
@@ -221,13 +222,14 @@ impl Filter {
         self.0.innovations(m, visit)
     }
 
-    /// Innovation of a measurement for the foreseen state; None outside the gate, or if no state was foreseen.
+    /// Innovation of a measurement for the predicted state; None outside the gate, or if no state
+    /// was predicted with [`Self::foresee`].
     pub(super) fn score(&mut self, m: &Measurement) -> Option<Innovation> {
         self.0.score(m)
     }
 
-    /// Probability that a measurement of the target is further from the foreseen state than this
-    /// one, in deviations of each part of the state.
+    /// Probability that a measurement of the target is further from the predicted state than this
+    /// one, in standard deviations of each component of the state.
     pub(super) fn tail(&mut self, m: &Measurement) -> f64 {
         let mut tail = 0.0;
         self.innovations(m, &mut |weight, innovation| {
@@ -236,13 +238,13 @@ impl Filter {
         tail
     }
 
-    /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
+    /// Set the variance of the speed of a new target [m^2/s^2], instead of that of the prior.
     pub(super) fn expect_speed(&mut self, variance: f64) {
         self.0.expect_speed(variance);
     }
 
-    /// Position that a measurement alone tells, and the variances along its axes, in the frame of the state
-    /// [m], [m^2]; None for one that tells no position.
+    /// Position from a measurement alone [m] and its variances along the axes [m^2], in the frame
+    /// of the state; None for a measurement without a position.
     pub(super) fn sight(&self, m: &Measurement) -> Option<[[f64; 3]; 2]> {
         self.0.sight(m)
     }
@@ -258,12 +260,12 @@ impl Filter {
         self.0.link(stamp_ns)
     }
 
-    /// Factor by which the last step made the predicted covariance larger than its link says.
+    /// Factor by which the last step enlarged the predicted covariance beyond that of its link.
     pub(super) fn looseness(&self) -> f64 {
         self.0.looseness()
     }
 
-    /// Noise of the sensors as the measurements show it.
+    /// Noise of the sensors, estimated from the measurements.
     #[must_use]
     pub fn errors(&self) -> SensorErrors {
         self.0.errors()
@@ -284,7 +286,8 @@ impl Filter {
 }
 
 impl FusionParameters {
-    /// The models to mix that `make` knows, and their quiet copies.
+    /// The models to mix that `make` supports, and their copies with less process noise
+    /// (`imm_quiet`).
     fn modes<T>(&self, make: impl Fn(Model, ModeOf<'_>) -> Option<T>) -> Vec<T> {
         let Method::Interacting { models, quiet, .. } = self.method else { return Vec::new() };
         let loud = std::iter::once(*self);

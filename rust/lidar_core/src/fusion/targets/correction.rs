@@ -11,7 +11,7 @@ use crate::fusion::targets::lifecycle::Outcome;
 use crate::fusion::targets::phase::{CvOf, Phase, PhaseOf};
 use crate::fusion::targets::sensor_errors::as_outlier;
 
-/// Factor on the covariance of a state whose target may have moved as no model says.
+/// Factor on the covariance of a state whose target moved in a way that no model describes.
 const MANOEUVRE: f64 = 25.0;
 
 impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
@@ -41,9 +41,9 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         }
     }
 
-    /// The measurement with the noise that its sensor has by what has been seen of it. If it is far
-    /// from the prediction, and rather because the target moved otherwise than because of its
-    /// error, the state is made less certain.
+    /// The measurement with the estimated noise of its sensor. If it is far from the prediction,
+    /// and an unmodelled motion of the target is more likely than an outlier, the covariance of the
+    /// state is enlarged.
     fn adapted(&mut self, m: &Measurement, memory: f64) -> Result<Measurement, Error> {
         let Self { rules, now, .. } = self;
         let sensing = rules.sensing;
@@ -86,7 +86,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         Some([first.position, variance])
     }
 
-    /// Start the target by a measurement; `lost` is the innovation that ended the one before.
+    /// Start the target with a measurement. `lost`: innovation of the measurement that ended the
+    /// estimate before.
     fn start(
         &mut self,
         m: &Measurement,

@@ -16,14 +16,15 @@ pub struct LifecycleRules {
     /// Gates on the NIS of 1 to 5 values; infinite for no gate.
     pub gate: [f64; 5],
     /// Number of measurements over which the noise of a sensor is estimated; None: the configured
-    /// noise is believed, and gates decide alone.
+    /// noise is used, and only the gate rejects measurements.
     pub memory: Option<f64>,
     /// The filter is lost when the NIS per degree of freedom, averaged over 10
     /// measurements, is above this; 1 is expected; None for never.
     pub loss_ratio: Option<f64>,
     /// Use the range rate of a first radar measurement as the speed along the line of sight.
     pub radar_starts_speed: bool,
-    /// A target starts with the covariance of its first position instead of that of the prior.
+    /// If true, a target starts with the covariance of its first measured position instead of the
+    /// prior covariance.
     pub starts_as_measured: bool,
     /// Use of the turn rate of a gyro.
     pub gyro: GyroUse,

@@ -1,5 +1,4 @@
-//! Noise by maximum likelihood: process and sensor noise under which the measurements are most
-//! likely.
+//! Maximum likelihood estimation of process noise and measurement noise.
 
 use super::any_filter::Filter;
 use super::lifecycle::{LifecycleRules, Outcome};
@@ -15,15 +14,16 @@ use crate::util::cancel;
 
 /// Number of measurements after which a filter no longer depends on its start.
 const SETTLED: usize = 10;
-/// Steps after which a search asks if it is to go on.
+/// Number of steps between two checks whether the search is interrupted.
 const STEPS_PER_LOOK: usize = 16_384;
 /// Largest factor by which a value may change, up or down.
 const WIDEST: f64 = 1e3;
-/// Factors on all process noise, and on all deviations of sensors, at which the search looks first.
+/// Coarse grid on which the search starts: factors on all process noise, and on all standard
+/// deviations of sensors.
 const COARSE: [f64; 5] = [0.01, 0.1, 1.0, 10.0, 100.0];
-/// Number of the best of these places from which the search goes on.
+/// Number of the best grid points from which the search continues.
 const STARTS: usize = 6;
-/// Spread of log likelihoods at which one of these searches ends; the best one goes on.
+/// Difference of log likelihoods at which each of these searches ends; only the best one continues.
 const COARSE_TOLERANCE: f64 = 0.1;
 
 /// Quantities that can be fitted.
@@ -33,7 +33,7 @@ pub enum Quantity {
     Process(Noise),
     /// Standard deviation of the LiDAR, one factor for both axes.
     Lidar,
-    /// Standard deviation of a value of the radar, by its place in [`PolarValues`].
+    /// Standard deviation of a value of the radar, by its index in [`PolarValues`].
     Radar(usize),
 }
 
@@ -74,8 +74,8 @@ pub fn log_likelihood(
     Ok(total)
 }
 
-/// Noises to search: those that drive the model, and with `sensors` those of sensors whose
-/// measurements have no covariance.
+/// Quantities to fit: the process noise of the model and, if `sensors` is true, the noise of
+/// sensors whose measurements have no covariance.
 #[must_use]
 pub fn quantities(
     parameters: &FusionParameters,
@@ -135,8 +135,9 @@ fn check_can_fit(
 /// measurements of all targets, and the log likelihood. A fitted deviation of the range rate is at
 /// least `least_rate` [m/s].
 ///
-/// The likelihood has several maxima, since a filter with little noise may lose a target that turns.
-/// So the search begins at the best places of a coarse grid, and goes on where it ended best.
+/// The likelihood has several maxima, since a filter with little noise may lose a target that
+/// turns. The search therefore begins at the best points of a coarse grid, and continues from the
+/// best result.
 ///
 /// # Errors
 /// Errors of [`Filter::new`]; [`Error::Value`] if there are too few measurements, or if they are
@@ -182,8 +183,8 @@ pub fn fit(
     Ok((scaled(&logs), -least))
 }
 
-/// Places of the coarse grid with the least cost, the best first; of equal ones the nearest to the
-/// start, so that values without influence stay.
+/// Points of the coarse grid with the least cost, the best first. Among equal costs, the point
+/// nearest to the start is first, so that values without influence do not change.
 fn coarse_starts(
     fitted: &[Quantity],
     cost: impl Fn(&[f64]) -> Result<f64, Error>,

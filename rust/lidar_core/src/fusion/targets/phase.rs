@@ -1,4 +1,4 @@
-//! Phases of the estimation of one target, and the rules that carry them on.
+//! Phases of the estimation of one target, and the transitions between them.
 
 use super::lifecycle::LifecycleRules;
 use super::sensor_errors::SensorErrors;
@@ -31,10 +31,10 @@ pub(super) struct Now<P> {
     pub(super) stamp_ns: i64,
     pub(super) phase: P,
     pub(super) platform: Platform,
-    /// NIS per degree of freedom, averaged over the window of a loss.
+    /// NIS per degree of freedom, averaged over `LOSS_WINDOW` measurements.
     pub(super) ratio: f64,
     pub(super) errors: SensorErrors,
-    /// Factor by which the last prediction made the state less certain than its model does.
+    /// Factor by which the covariance of the last prediction was enlarged beyond that of the model.
     pub(super) looseness: f64,
 }
 
@@ -113,8 +113,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> FilterRules<E, S> 
         }
     }
 
-    /// Correct a state if `believe` accepts the innovation; after enough measurements the model
-    /// takes over.
+    /// Correct a state if `believe` accepts the innovation. After enough measurements, the filter
+    /// of the model replaces the starting filter.
     pub(super) fn correct(
         &self,
         phase: &mut PhaseOf<E>,
@@ -140,7 +140,7 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> FilterRules<E, S> 
         }
     }
 
-    /// State of the model after enough measurements.
+    /// State of the model, once the starting filter has processed enough measurements.
     pub(super) fn after_start(&self, cv: &CvOf<E>, rows: u32) -> Option<E::State> {
         let is_enough = rows >= self.life.start_rows;
         is_enough.then(|| self.engine.after_velocity(cv)).flatten()

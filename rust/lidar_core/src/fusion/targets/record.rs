@@ -1,4 +1,4 @@
-//! Runs over whole recordings, one or many, as columns.
+//! Filter runs over whole recordings, for one or many targets, with the results as columns.
 
 use super::any_filter::Filter;
 use super::lifecycle::Outcome;
@@ -39,7 +39,7 @@ pub struct Record {
     pub variances: ([f64; 3], [f64; 4]),
 }
 
-/// Memory that a row of a run may take, with a copy for the caller [bytes].
+/// Largest memory of a row of a run, with a copy for the caller [bytes].
 const ROOM_OF_ROW: usize = 2 * (size_of::<Output>() + 64);
 /// Memory that a row of a smoothed run may take [bytes]: it keeps all states until the last is
 /// known.
@@ -77,7 +77,7 @@ impl Record {
         self.nis.push(innovation.map_or(f64::NAN, |innovation| innovation.nis));
     }
 
-    /// Fill the rows without state once the number of states is known.
+    /// Fill the rows before the first state, once the number of states is known.
     fn see(&mut self, states: usize) {
         self.states = states;
         let rows = self.stamps_ns.len();

@@ -1,4 +1,4 @@
-//! Noise of LiDAR and radar as the measurements of a target show it.
+//! Noise of LiDAR and radar, estimated from the measurements of a target.
 
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::sensors::measurement::{Measurement, Sensor};
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 /// Largest factor on the variances of a measurement that may be an outlier.
 const OUTLIER: f64 = 100.0;
-/// Places of the values of a LiDAR.
+/// Indices of the values of a LiDAR.
 const IN_ORDER: [usize; 4] = [0, 1, 2, 3];
 
 /// Estimated variances as factors of the configured ones. Measurements with their own covariance
@@ -22,7 +22,7 @@ pub struct SensorErrors {
 }
 
 impl SensorErrors {
-    /// The measurement with the covariance that its sensor has by these estimates.
+    /// The measurement with the estimated covariance of its sensor.
     pub fn seen_by(&self, m: &Measurement, sensing: &Sensing) -> Measurement {
         if m.has_covariance() || m.is_of_platform() {
             return *m;
@@ -35,7 +35,7 @@ impl SensorErrors {
         m.with_variances(&variances[..m.noisy()])
     }
 
-    /// Estimates of the sensor of a measurement, and their places by value.
+    /// Estimates for the sensor of a measurement, and for each value the index of its estimate.
     fn of(&self, m: &Measurement) -> (&[NoiseFactor], [usize; 4]) {
         if m.sensor() == Sensor::Radar {
             return (&self.radar, m.measures().places());

@@ -12,7 +12,7 @@ use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Largest number of measurements kept for late ones.
+/// Largest number of stored measurements, so that late ones can be inserted.
 const MOST_KEPT: usize = 10_000;
 
 /// State of the filter after a measurement.
@@ -44,7 +44,7 @@ pub struct Target<E: Engine, S> {
     pub(super) rules: FilterRules<E, S>,
     pub(super) now: Now<PhaseOf<E>>,
     ahead: Option<Ahead<PhaseOf<E>>>,
-    /// Variance of the speed of a target seen first [m^2/s^2]; None for that of the prior.
+    /// Variance of the speed of a new target [m^2/s^2]; None: that of the prior.
     pub(super) first_speed: Option<f64>,
     /// Recent measurements, each with the state after it.
     history: VecDeque<(Measurement, Now<PhaseOf<E>>)>,
@@ -139,8 +139,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         }
     }
 
-    /// Process measurements of one time, each with its probability to come from the target; these
-    /// sum to 1 at most.
+    /// Process measurements of one time, each with its probability to come from the target. The sum
+    /// of the probabilities is at most 1.
     ///
     /// # Source
     /// Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
@@ -224,8 +224,8 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         true
     }
 
-    /// Visit the weight and the innovation of a measurement, of each part of the foreseen state;
-    /// returns false if one of them is not defined.
+    /// Call `visit` with weight and innovation of a measurement for each component of the predicted
+    /// state. Returns false if one of them is not defined.
     pub fn innovations(
         &mut self,
         m: &Measurement,
@@ -244,7 +244,7 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         }
     }
 
-    /// Innovation of a measurement for the foreseen state; None outside the gate, before the first
+    /// Innovation of a measurement for the predicted state; None outside the gate, before the first
     /// measurement, or without [`Self::foresee`]. The target does not change.
     pub fn score(&mut self, m: &Measurement) -> Option<Innovation> {
         let Self { rules, now, ahead, .. } = self;
@@ -273,12 +273,12 @@ impl<E: Engine, S: Engine<World = E::World, State = CvOf<E>>> Target<E, S> {
         self.now.looseness
     }
 
-    /// Let the speed of a target seen first have this variance [m^2/s^2] in place of the prior's.
+    /// Set the variance of the speed of a new target [m^2/s^2], instead of that of the prior.
     pub fn expect_speed(&mut self, variance: f64) {
         self.first_speed = Some(variance);
     }
 
-    /// Noise of the sensors as the measurements show it.
+    /// Noise of the sensors, estimated from the measurements.
     pub fn errors(&self) -> SensorErrors {
         self.now.errors
     }

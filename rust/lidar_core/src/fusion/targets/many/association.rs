@@ -1,5 +1,5 @@
-//! Association of measurements with tracks that are confirmed by counts: global nearest neighbours,
-//! and joint probabilities.
+//! Association of measurements with tracks that are confirmed by counts of their measurements:
+//! global nearest neighbour, and joint probabilistic data association (JPDA).
 
 use super::hypotheses::is_another_target;
 use super::near_pairs::ScanIndex;
@@ -13,13 +13,13 @@ use crate::fusion::sensors::measurement::{Measurement, Sensor};
 use crate::tracking::joint_association::probabilities;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 
-/// Cost of a track without a measurement although one is in its gate. It is far above that of any
-/// pair, so that as many tracks as possible get one.
+/// Cost of a track that gets no measurement although its gate contains one. It is far above the
+/// cost of any pair, so that as many tracks as possible get a measurement.
 const UNASSIGNED: f64 = 1e6;
 
 impl TargetAssociation {
-    /// Cost of giving a measurement with this innovation to a track; `standing` is the density of
-    /// clutter at its place.
+    /// Cost of assigning a measurement with this innovation to a track. `standing`: density of
+    /// static clutter at the place of the measurement [1/m^2].
     pub(super) fn cost(&self, m: &Measurement, innovation: &Innovation, standing: f64) -> f64 {
         let distance = innovation.nis + innovation.log_determinant;
         match self {
@@ -64,8 +64,9 @@ impl Tracks {
         Ok(())
     }
 
-    /// Density of clutter where each measurement of a scan is, in its units: what stands there, or what
-    /// its scanner measures anywhere, if that is more. Only joint probabilities need the latter.
+    /// Density of clutter at each measurement of a scan, per unit of its values: the larger of the
+    /// density of static clutter at its place and the density that its scanner measures anywhere.
+    /// Only JPDA needs the second one.
     pub(super) fn clutter(
         &self,
         parameters: &ManyParameters,
@@ -83,8 +84,8 @@ impl Tracks {
         scan.measurements.iter().zip(standing).map(|(m, here)| here.max(anywhere(m))).collect()
     }
 
-    /// Learn how much clutter a scanner measures: the hits of tracks that `end` without having been
-    /// confirmed.
+    /// Learn how much clutter a scanner measures, from the measurements of tracks in `ended` that
+    /// were never confirmed.
     pub(super) fn learn_clutter(&mut self, scan: &Scan, ended: &[TargetTrack]) {
         let targets = || scan.measurements.iter().filter(|m| !m.is_of_platform() && m.is_usable());
         let scanner = self.scanners.entry(scan.source).or_default();
@@ -104,8 +105,8 @@ impl Tracks {
         }
     }
 
-    /// Pairs of the `wanted` tracks and the measurements in their gates that have no track yet,
-    /// with their costs and innovations.
+    /// Pairs of a `wanted` track and a measurement in its gate that has no track yet, with costs
+    /// and innovations.
     pub(super) fn candidates(
         &mut self,
         parameters: &ManyParameters,
@@ -137,8 +138,8 @@ impl Tracks {
         found
     }
 
-    /// Joint probabilistic data association of measurements without a track. A measurement that
-    /// more likely comes from some track than from none is assigned to the most likely one.
+    /// Joint probabilistic data association of measurements without a track. A measurement gets the
+    /// ID of its most likely track, if it more likely belongs to some track than to none.
     fn associate_jointly(
         &mut self,
         scan: &Scan,

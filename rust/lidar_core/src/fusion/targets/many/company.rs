@@ -1,51 +1,54 @@
-//! Recent path of a track: whether it is at rest, and whether it moves along with an older track
-//! ahead or astern, like a part of one long object.
+//! Recent path of a track. It shows whether the target is at rest, and whether it is a part of a
+//! long object: it moves with another track that is ahead or astern of it.
 
 use crate::tracking::near::{NearIndex, Rectangle};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 
-/// Times between two places that are kept [ns].
+/// Time between two stored positions [ns].
 const STEP_NS: i64 = 1_000_000_000;
-/// How far back the mean speed looks that says whether a track stands, and how long the track must
-/// be known [ns].
+/// Time over which the mean speed is computed that decides whether a track is at rest, and least
+/// age of the track for this decision [ns].
 const STANDING_NS: [i64; 2] = [15_000_000_000, 5_000_000_000];
-/// How far back the mean velocity looks that says which tracks go along with one another, and how
-/// long a track must be known for it [ns].
+/// Time over which the mean velocity is computed that decides which tracks move together, and least
+/// age of a track for this decision [ns].
 const ALONG_NS: [i64; 2] = [5_000_000_000, 2_000_000_000];
-/// Largest distance of parts of one object along its way and across it, over the distance within
-/// which no track starts: objects are long rather than wide, and what goes abreast is another one.
+/// Largest distance between parts of one object, along its course and across it, as multiples of
+/// `birth_distance`. Objects are longer than wide, and a track beside another one is another
+/// object.
 const PART: [f64; 2] = [1.5, 0.6];
-/// How far abeam of a track another one may start, over the distance within which no track starts.
-/// It is less than for parts: which of the two it is shows while they move.
+/// Distance to the side of a track's course from which on another track may start, as a multiple of
+/// `birth_distance`. It is smaller than for parts, because the motion of both tracks later shows
+/// whether they are parts of one object.
 const ABREAST: f64 = 0.5;
-/// Half of the width of an object, over the distance within which no track starts.
+/// Half of the width of an object, as a multiple of `birth_distance`.
 const HALF_WIDTH: f64 = 0.25;
-/// Largest difference of the velocities of parts [m/s].
+/// Largest difference between the velocities of two parts of one object [m/s].
 const SLIP: f64 = 3.0;
-/// Speed below which an object has no direction [m/s].
+/// Speed below which the course of an object is not used [m/s].
 const SLOWEST: f64 = 0.3;
-/// Scans for which a track has to go along before it counts as a part.
+/// Value of the counter `together` above which a track counts as a part [scans].
 const PATIENCE: u32 = 5;
 
-/// Recent places of a track, and whether it stands or goes along with an older track.
+/// Recent positions of a track, and whether it is at rest or a part of another track.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct RecentPath {
-    /// Times [ns] and places [m], oldest first.
+    /// Times [ns] and positions [m], frame of the tracks, oldest first.
     places: Vec<(i64, [f64; 2])>,
-    /// Scans of late in which the track went along with an older one.
+    /// Counter of scans: one more for every scan in which the track moves with another track, one
+    /// less for every other scan.
     together: u32,
     is_part: bool,
     is_standing: bool,
 }
 
 impl RecentPath {
-    /// True for tracks that are not reported: parts, and those that stand.
+    /// True for tracks that are not reported: parts, and tracks at rest.
     pub(super) fn is_left_out(&self) -> bool {
         self.is_part || self.is_standing
     }
 
-    /// Keep where the track is now.
+    /// Store the position of the track.
     pub(super) fn pass(&mut self, stamp_ns: i64, place: [f64; 2]) {
         if self.places.last().is_none_or(|(last, _)| stamp_ns.saturating_sub(*last) >= STEP_NS) {
             self.places.push((stamp_ns, place));
@@ -54,12 +57,13 @@ impl RecentPath {
         self.places.retain(|(stamp, _)| *stamp >= oldest);
     }
 
-    /// Place of the track, and its mean velocity over the last seconds.
+    /// Position of the track, and its mean velocity over the last 5 s.
     pub(super) fn course(&self, stamp_ns: i64, place: [f64; 2]) -> Course {
         Course { place, velocity: self.velocity(stamp_ns, place, ALONG_NS) }
     }
 
-    /// Mean velocity over the last `span` [ns] until now; None if less than `least` is known.
+    /// Mean velocity [m/s] over the last `span` [ns]; None if the stored positions cover less than
+    /// `least` [ns].
     fn velocity(
         &self,
         stamp_ns: i64,
@@ -78,20 +82,20 @@ impl RecentPath {
 pub(super) struct Fellow<'a> {
     pub(super) path: &'a mut RecentPath,
     pub(super) place: [f64; 2],
-    /// Number of measurements, time of the first one [ns], number of the track.
+    /// Number of measurements, time of the first one [ns], ID of the track.
     pub(super) rank: (Reverse<u32>, i64, i64),
 }
 
-/// Place of a track [m] and its mean velocity [m/s]; the velocity is None for a track that is known
-/// for too short a time.
+/// Position of a track [m] and its mean velocity [m/s]; the velocity is None if the track is too
+/// young.
 #[derive(Clone, Copy)]
 pub(super) struct Course {
     pub(super) place: [f64; 2],
     velocity: Option<[f64; 2]>,
 }
 
-/// Say of every confirmed track whether it stands, slower than `slowest`, and whether it is part
-/// of one with more measurements, no track starting within `distance` of another.
+/// Decide for every confirmed track whether it is at rest (mean speed below `slowest` [m/s]), and
+/// whether it is a part of a track with more measurements. `distance`: `birth_distance` [m].
 pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64, stamp_ns: i64) {
     for one in &mut all {
         let mean = one.path.velocity(stamp_ns, one.place, STANDING_NS);
@@ -125,7 +129,7 @@ pub(super) fn keep_company(mut all: Vec<Fellow<'_>>, slowest: f64, distance: f64
     }
 }
 
-/// Bodies of tracks, of which other returns may be parts.
+/// Tracks whose objects may have given other returns as well.
 pub(super) struct Bodies {
     courses: Vec<Course>,
     index: NearIndex,
@@ -137,7 +141,8 @@ impl Bodies {
         Self { courses, index }
     }
 
-    /// True if `place` is within `distance` of one of the tracks, but not farther abeam than parts of it are.
+    /// True if `place` is within `distance` [m] of one of the tracks, and not too far to the side
+    /// of its course.
     pub(super) fn hold(&self, place: [f64; 2], distance: f64) -> bool {
         let mut near = Vec::new();
         self.index.collect(&Rectangle::around(place, [distance; 2]), &mut near);
@@ -151,12 +156,13 @@ impl Bodies {
 }
 
 impl Course {
-    /// True if a place is too far abeam to be on the object.
+    /// True if a place is too far to the side of the course to be on the object.
     pub(super) fn is_abeam(&self, place: [f64; 2], distance: f64) -> bool {
         self.offset(place).is_some_and(|[_, y]| y.abs() > HALF_WIDTH * distance)
     }
 
-    /// How far a place is ahead of the track and to its right [m]; None for a track that hardly moves.
+    /// Offset of a place from the track: ahead, and to the right [m]; None for a track that hardly
+    /// moves.
     fn offset(&self, place: [f64; 2]) -> Option<[f64; 2]> {
         let [vx, vy] = self.velocity?;
         let speed = libm::hypot(vx, vy);

@@ -1,4 +1,4 @@
-//! Tracks with probabilities of existence: union, report and end.
+//! Tracks with probabilities of existence: merging, reporting and ending.
 
 use super::integrated::{CERTAIN, DELETED, DIVIDED, determinant, prior_of};
 use super::parameters::MAX_TARGETS;
@@ -11,15 +11,15 @@ use std::f64::consts::TAU;
 
 /// Probability of existence below which a track that was certain counts as ended.
 const DOUBTFUL: f64 = 0.5;
-/// False measurements that are expected where a target may be, from which on its track is lost: it
-/// would follow whatever is measured.
+/// Expected number of false measurements in the region where a target may be, from which on its
+/// track ends: it would follow false measurements.
 const LOST: f64 = 2.0;
-/// Share of `report` below which a reported track is not reported any more.
+/// A reported track is no longer reported below this share of `report`.
 const KEPT: f64 = 0.5;
 
 impl Tracks {
-    /// Unite tracks whose last two measurements were the same, unless both are certain: they are
-    /// two histories of one target. The probabilities of histories that exclude each other add up.
+    /// Merge tracks with the same last two measurements, unless both are certain: they are two
+    /// hypotheses about one target. These exclude each other, so their probabilities add up.
     pub(super) fn unite(&mut self) {
         let mut first: BTreeMap<[Option<Sighting>; 2], usize> = BTreeMap::new();
         let mut is_gone = vec![false; self.all.len()];
@@ -55,7 +55,8 @@ impl Tracks {
         self.report_probable(space);
     }
 
-    /// End tracks that hardly exist, and those whose place is not known well enough.
+    /// End tracks with a very low probability of existence, and tracks with a too uncertain
+    /// position.
     fn end_improbable(&mut self, space: &IntegratedScan<'_>, lidar: &Surroundings) {
         let widest = space.parameters.max_position_std * space.parameters.max_position_std;
         let stamp_ns = space.scan.stamp_ns;
@@ -91,7 +92,8 @@ impl Tracks {
         });
     }
 
-    /// Report tracks by their probability, and count what certain tracks show about targets and scanner.
+    /// Report tracks by their probability. Learn the statistics of targets and scanner from certain
+    /// tracks.
     fn report_probable(&mut self, space: &IntegratedScan<'_>) {
         let (existence, stamp_ns) = (space.existence, space.scan.stamp_ns);
         let mut arrived = 0;
@@ -124,8 +126,8 @@ impl Tracks {
     }
 }
 
-/// Area of a place that is expected to hold [`LOST`] false measurements of the LiDAR [m^2]; infinite
-/// for a scanner without LiDAR.
+/// Area in which [`LOST`] false measurements of the LiDAR are expected [m^2]; infinite for a
+/// scanner without LiDAR.
 fn largest_place(space: &IntegratedScan<'_>, lidar: &Surroundings) -> f64 {
     let prior = prior_of(space.existence, Sensor::Lidar);
     let is_used = *lidar != Surroundings::default();

@@ -1,4 +1,4 @@
-//! Scans that are kept for those that come late, and the tracks before each of them.
+//! Recent scans, and the tracks before each of them, so that a late scan can be inserted.
 
 use super::track::{Assigned, NewNumbers, Scan};
 use super::tracks::{SavedTracks, Tracks};
@@ -39,7 +39,7 @@ impl Past {
         }
     }
 
-    /// A saved scan, its tracks with filters of the parameters of `empty`.
+    /// Restore a saved scan. The filters of its tracks get the parameters of `empty`.
     ///
     /// # Errors
     /// [`Error::Format`] for the state of another model.
@@ -51,7 +51,7 @@ impl Past {
         Ok(Self { scan, assigned, births, before: empty.restored(&before)? })
     }
 
-    /// True if all numbers in it are below `next_id`, the next one.
+    /// True if all track IDs in it are below `next_id`, the next unused ID.
     pub(super) fn is_numbered(&self, next_id: i64) -> bool {
         let mut assigned = self.assigned.iter().filter_map(|one| one.id);
         assigned.all(|id| (0..next_id).contains(&id))
@@ -60,8 +60,8 @@ impl Past {
     }
 }
 
-/// Drop scans from before `oldest`, or all if it is None, and the oldest if there are too many. Returns the
-/// time of the last one that was dropped.
+/// Remove scans before `oldest` [ns] (all scans if it is None), and the oldest scans if there are
+/// too many. Returns the time of the last removed scan [ns].
 pub(super) fn forget(scans: &mut VecDeque<Past>, oldest: Option<i64>) -> Option<i64> {
     let mut kept: usize = scans.iter().map(|past| 1 + past.before.len()).sum();
     let is_old = |past: &Past| oldest.is_none_or(|oldest| past.scan.stamp_ns < oldest);

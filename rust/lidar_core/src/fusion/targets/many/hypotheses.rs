@@ -6,16 +6,16 @@ use crate::fusion::sensors::measurement::Measurement;
 use crate::tracking::existence::Presence;
 use std::f64::consts::TAU;
 
-/// Largest number of pairs of tracks and measurements of a scan that are weighed. With more pairs,
-/// each track keeps only its likeliest ones.
+/// Largest number of pairs of a track and a measurement that are evaluated per scan. With more
+/// pairs, each track keeps only its most likely pairs.
 const MOST_PAIRS: usize = 20_000;
-/// Number of its likeliest pairs that each track keeps in any case.
+/// Least number of its most likely pairs that each track keeps.
 const LEAST_PAIRS: usize = 8;
-/// Share of the measurements of targets which come back from hiding that are not believed: those
-/// furthest from where the target was expected.
+/// Share of the measurements of targets visible again after they were hidden that are not used:
+/// those furthest from the predicted position.
 const FOREIGN: f64 = 0.02;
-/// Share of measurements that are not believed, below which this test is left out: for targets that
-/// were hardly hidden.
+/// Share of measurements that are not used, below which this test is left out: for targets that
+/// were probably not hidden.
 const CERTAINLY_OWN: f64 = 1e-3;
 
 /// A measurement in the gate of a track: its index in the scan, the probability that it comes from
@@ -25,13 +25,13 @@ pub(super) struct OwnPair {
     pub(super) column: usize,
     pub(super) probability: f64,
     pub(super) innovation: Innovation,
-    /// True if the pair is likelier than a miss when all other pairs are left out of account.
+    /// True if this pair alone is more likely than a missed detection.
     pub(super) is_likely: bool,
 }
 
 impl Candidates {
-    /// The likeliest pairs of each track if there are more than [`MOST_PAIRS`] of `tracks`, in the
-    /// same order; None if these are all.
+    /// The most likely pairs of each of `tracks` tracks, in the same order; None if there are at
+    /// most [`MOST_PAIRS`] pairs, which are then all used.
     pub(super) fn limited(&self, tracks: usize) -> Option<Self> {
         if self.pairs.len() <= MOST_PAIRS {
             return None;
@@ -61,13 +61,13 @@ impl Candidates {
 }
 
 impl TargetTrack {
-    /// Probability that there is a target.
+    /// Probability that the target of the track exists.
     pub(super) fn existence(&self) -> f64 {
         self.belief.presence.existence
     }
 
-    /// Mean velocity [vx, vy] from the first measurement to `stamp_ns` [m/s]; None if no time lies
-    /// between.
+    /// Mean velocity [vx, vy] from the first measurement to `stamp_ns` [m/s]; None if `stamp_ns` is
+    /// not later than the first measurement.
     pub(super) fn mean_velocity(&self, stamp_ns: i64) -> Option<[f64; 2]> {
         let dt = stamp_ns.saturating_sub(self.born_ns) as f64 * 1e-9;
         let now = self.filter.output_at(stamp_ns)?.mean;
@@ -75,7 +75,8 @@ impl TargetTrack {
         (dt > 0.0).then(|| [0, 1].map(|axis| (now[axis] - start[axis]) / dt))
     }
 
-    /// Correct by measurements with their probabilities, given that the target exists.
+    /// Correct the track by measurements, weighted with their probabilities given that the target
+    /// exists.
     pub(super) fn corrected(&mut self, scan: &Scan, own: &[OwnPair], presence: Presence) {
         let existence = presence.existence;
         self.belief.presence = presence;
@@ -95,8 +96,9 @@ impl TargetTrack {
         }
     }
 
-    /// Note the measurement that is most likely of the track. What hardly is of it does not count:
-    /// the wide gate of a hidden track holds measurements of other targets.
+    /// Store the measurement that most likely comes from the target of the track. Unlikely
+    /// measurements are left out: the wide gate of a hidden track contains measurements of other
+    /// targets.
     pub(super) fn remember(&mut self, scan: &Scan, own: &[OwnPair]) {
         let likelier = |a: &&OwnPair, b: &&OwnPair| {
             let cost = |pair: &OwnPair| pair.innovation.nis + pair.innovation.log_determinant;
@@ -108,8 +110,8 @@ impl TargetTrack {
         }
     }
 
-    /// A track for each measurement, and self for the case that none is of it. The likeliest of
-    /// them keeps the number.
+    /// Split the track: one track for each measurement; `self` stands for the hypothesis that no
+    /// measurement comes from its target. The most likely track keeps the ID.
     pub(super) fn divided(
         &mut self,
         space: &IntegratedScan<'_>,
@@ -143,15 +145,16 @@ impl TargetTrack {
     }
 }
 
-/// Twice the logarithm of the volume over which a predicted measurement spreads.
+/// Logarithm of det(2 pi S), where S is the covariance of the innovation.
 pub(super) fn spread(innovation: &Innovation) -> f64 {
     innovation.log_determinant + innovation.count as f64 * libm::log(TAU)
 }
 
-/// True for a measurement that hardly any target would give where it comes back from hiding.
+/// True for a measurement that is too far from the predicted position for a target that was hidden
+/// and is visible again.
 ///
-/// That hardly any other target appears does not count here: a number that goes over to another
-/// target is worse than a new number.
+/// It does not matter here how rarely other targets appear: an ID that changes to another target is
+/// worse than a new ID.
 pub(super) fn is_another_target(track: &mut TargetTrack, m: &Measurement) -> bool {
     let least = FOREIGN * track.belief.presence.hidden_share();
     least > CERTAINLY_OWN && track.filter.tail(m) < least

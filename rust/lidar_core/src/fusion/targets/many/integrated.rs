@@ -1,4 +1,4 @@
-//! Tracks with probabilities of existence: their update by a scan, birth by one and by two
+//! Tracks with probabilities of existence: update by a scan, and start with one and with two
 //! measurements.
 
 use super::hypotheses::{OwnPair, spread};
@@ -16,24 +16,25 @@ use crate::tracking::near::NearIndex;
 use crate::tracking::surroundings::{ScannerPrior, Surroundings};
 use std::f64::consts::PI;
 
-/// Number of measurements up to which a track is divided: each further one starts a track of its
-/// own, so that its speed comes from the places of measurements and not from the mean of several.
+/// A track with fewer measurements than this is split: each measurement in its gate gives a track
+/// of its own. Its velocity then comes from two measured positions, not from a mean over several
+/// measurements.
 pub(super) const DIVIDED: u32 = 2;
-/// Mean time for which a target stays, before tracks show it [s].
+/// Initial value of the mean time for which a target exists [s]; later learnt from tracks.
 const LIFETIME: f64 = 30.0;
-/// Mean time until something hides a target, before tracks show it [s].
+/// Initial value of the mean time until something hides a target [s]; later learnt from tracks.
 const VISIBLE: f64 = 100.0;
 /// Mean time for which a target is hidden [s].
 const HIDDEN: f64 = 1.5;
-/// Volume of the unit ball of 1 to 4 dimensions.
+/// Volume of the unit ball in 1 to 4 dimensions.
 const BALLS: [f64; AXES] = [2.0, PI, 4.0 / 3.0 * PI, 0.5 * PI * PI];
 /// Probability of existence below which a track ends.
 pub(super) const DELETED: f64 = 1e-3;
-/// Probability of existence from which on looks at a track tell about the scanner.
+/// Probability of existence from which on a track is used to learn the properties of its scanner.
 pub(super) const CERTAIN: f64 = 0.9;
 
 impl Tracks {
-    /// Process the measurements of a scan whose near pairs are known.
+    /// Process the measurements of a scan. The pairs of tracks and near measurements are given.
     pub(super) fn integrate(
         &mut self,
         space: &IntegratedScan<'_>,
@@ -93,7 +94,8 @@ impl Tracks {
         associate(&predicted, scan.measurements.len(), &pairs.collect::<Vec<_>>())
     }
 
-    /// Predict the presence of every track to the time of the scan; the stay of certain ones is counted.
+    /// Predict the probabilities of existence of every track to the time of the scan. The time for
+    /// which certain targets exist is counted.
     fn predict_presence(&mut self, scan: &Scan, detection: f64) -> Vec<PredictedTrack> {
         let mean = Sojourn {
             lifetime: self.population.lifetime(LIFETIME),
@@ -118,8 +120,9 @@ impl Tracks {
     /// Largest density of clutter before scans show more, by sensor and number of axes: all
     /// measurements of this scan in the smallest gate of a young track.
     ///
-    /// After a long time between scans that gate is large. With a density for which false
-    /// measurements are expected in it that nobody has seen, no second one would be of the target.
+    /// After a long time between scans this gate is large. With too large a density of clutter,
+    /// more false measurements would be expected in it than the scan has, and no measurement would
+    /// be accepted as the second one of the target.
     fn largest_clutter(
         &self,
         space: &IntegratedScan<'_>,
@@ -198,8 +201,8 @@ impl Tracks {
         }
     }
 
-    /// Correct every track by its measurements, and divide the young ones. Returns the places of
-    /// measured tracks.
+    /// Correct every track by its measurements, and split new tracks. Returns the positions of the
+    /// measured tracks [m].
     fn updated(
         &mut self,
         space: &IntegratedScan<'_>,
@@ -244,7 +247,7 @@ impl Tracks {
         NearIndex::new(measured.into_iter().zip(0..).collect())
     }
 
-    /// A track for every measurement that may be of a new target.
+    /// Start a track for every measurement that may come from a new target.
     fn start_tracks(
         &mut self,
         space: &IntegratedScan<'_>,
@@ -313,7 +316,7 @@ fn pairs_of_tracks(
     of_track
 }
 
-/// Assumptions about a scanner before its scans show its properties.
+/// Assumed properties of a scanner, until they are learnt from its scans.
 pub(super) fn prior_of(existence: &ExistenceParameters, sensor: Sensor) -> ScannerPrior {
     let clutter = existence.clutter[usize::from(sensor == Sensor::Radar)];
     ScannerPrior { detection: existence.detection, clutter, share: SHARE }

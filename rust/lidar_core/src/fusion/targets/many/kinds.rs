@@ -1,43 +1,45 @@
 //! Kinds of targets: at rest, moving, flying, or clutter.
 //!
-//! The places that were measured show whether a target stands, and with what certainty. Their own scatter is
-//! used for this, not the configured noise of the sensors. In space a line through them also shows climbing
-//! targets. The association has weighed whether the measurements belong to a target at all.
+//! The measured positions show whether a target is at rest. Their noise is estimated from their own
+//! scatter, not from the configured noise of the sensors. In space, a line through the positions
+//! also shows whether the target climbs. The probability of clutter comes from the association.
 
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use crate::tracking::place_trend::{PlaceTrend, Slope};
 use crate::tracking::resting::MotionBelief;
 use serde::{Deserialize, Serialize};
 
-/// Shares of the kinds among new tracks, in the order of `TrackKind::ALL`: nothing is known of them.
+/// Prior probabilities of the kinds of a new track, in the order of `TrackKind::ALL`.
 const SHARES: [f64; KINDS] = [0.02, 0.3, 0.3, 0.33, 0.05];
-/// Largest logarithm of the likelihood ratio for flying that the kept places give together: a wrong
-/// place may be among them.
+/// Largest logarithm of the likelihood ratio for flying that all stored positions give together:
+/// one of them may be wrong.
 const MOST: f64 = 5.0;
-/// Standard deviation of the rate of climb of what flies [m/s].
+/// Standard deviation of the rate of climb of flying targets [m/s].
 const CLIMBS: f64 = 1.0;
-/// Standard deviation of the rate of climb of what is on level ground [m/s].
+/// Standard deviation of the rate of climb of targets on level ground [m/s].
 const LEVEL: f64 = 0.1;
-/// Standard deviation of the slope of the ground.
+/// Standard deviation of the slope of the ground (rise over run, no unit).
 const SLOPES: f64 = 0.1;
-/// Least number of places for the question whether a target stands: their scatter tells the noise
-/// of the first ones. With too small a noise, later places would contradict standing still.
+/// Least number of positions for the decision whether a target is at rest, because their scatter
+/// gives the noise. If the noise were estimated too small, later positions would contradict a
+/// target at rest.
 const FEWEST: usize = 6;
-/// Least number of places for a rate of climb: with fewer, one car in two would seem to climb a
-/// little more steeply than its road.
+/// Least number of positions for a rate of climb. With fewer, every second car would seem to climb
+/// slightly more steeply than its road.
 const FEWEST_OF_CLIMB: usize = 6;
-/// Share of the time for which what flies neither climbs nor sinks.
+/// Share of the time in which flying targets neither climb nor sink.
 const CRUISES: f64 = 0.5;
 
 /// Probabilities of the kinds of a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct TargetKinds {
-    /// Belief from the climb alone.
+    /// Belief about the kind from the rate of climb alone.
     climbs: KindBelief,
-    /// Whether it stands; None before there are [`FEWEST`] places.
+    /// Belief whether the target is at rest; None before there are [`FEWEST`] positions.
     motion: Option<MotionBelief>,
     trend: PlaceTrend,
-    /// Probability that its last measurements are clutter; None where the association does not tell.
+    /// Probability that its last measurements are clutter; None if the association gives no such
+    /// probability.
     clutter: Option<f64>,
 }
 
@@ -50,8 +52,8 @@ impl Default for TargetKinds {
 }
 
 impl TargetKinds {
-    /// Take in a place and the variances along its axes that its sensor is told to have [m^2]; `speed` is the
-    /// variance of the speed of new targets [m^2/s^2].
+    /// Update the belief with a measured position [m] and its configured variances along the axes
+    /// [m^2]. `speed`: variance of the speed of new targets [m^2/s^2].
     pub(super) fn see(
         &mut self,
         stamp_ns: i64,
@@ -86,8 +88,8 @@ impl TargetKinds {
         self.climbs = self.climbs.weighed([unknown, flies, 1.0, 1.0, 1.0]);
     }
 
-    /// Take in how probable it is that what was measured is clutter. Of a target that is gone the last
-    /// measurement counts: misses do not make clutter of it.
+    /// Set the probability that the measurements are clutter. It is kept from the last measurement:
+    /// missed detections do not raise it.
     pub(super) fn tell_clutter(&mut self, probability: Option<f64>) {
         self.clutter = probability;
     }
@@ -108,14 +110,15 @@ impl TargetKinds {
         KindBelief::prior(shares)
     }
 
-    /// True if the parts of a restored state are numbers.
+    /// True if the values of a restored state are valid.
     pub(super) fn is_sound(&self) -> bool {
         self.motion.as_ref().is_none_or(MotionBelief::is_sound)
     }
 }
 
-/// How much likelier, as a logarithm from 0 to [`MOST`], what flies climbs like this than what drives with such a
-/// horizontal speed [m/s]. That it does not says nothing: what flies level stays as it is for long.
+/// Logarithm of the likelihood ratio of this rate of climb, from 0 to [`MOST`]: flying target to
+/// ground vehicle with the horizontal `speed` [m/s]. It is never negative, because level flight is
+/// no evidence against a flying target.
 fn climbing(climb: &Slope, speed: f64) -> f64 {
     let slope = SLOPES * speed;
     let level = LEVEL * LEVEL + slope * slope;

@@ -32,7 +32,7 @@ use tracks::{SavedTracks, Tracks, within};
 
 /// Largest number of scanners.
 pub const MAX_SOURCES: u8 = 64;
-/// Name of the kind of a saved state, by which it is recognised.
+/// Name that identifies the type of a saved state.
 const KIND: &str = "fusion tracker";
 
 /// State of [`ManyTargets`] that changes with scans.
@@ -54,12 +54,13 @@ pub struct ManyTargets {
     tracks: Tracks,
     /// Scans of the last `buffer_ns`, ordered by time.
     history: VecDeque<Past>,
-    /// Measurements of the scanners; the tracks, also those of `history`, know parts of them.
+    /// Positions of the measurements of every scanner. The tracks, also those in `history`, refer
+    /// to parts of them.
     places: BTreeMap<u8, PlaceLog>,
     next_id: i64,
     work: TrackingWork,
     stamp_ns: Option<i64>,
-    /// Time of the last scan dropped from `history`, or before all [ns].
+    /// Time of the last scan removed from `history` [ns]; the smallest integer if there is none.
     forgotten_ns: i64,
 }
 
@@ -106,7 +107,7 @@ impl ManyTargets {
     /// Process one scan of one scanner; returns the outcome of every measurement.
     ///
     /// A scan that comes late, but within the buffer, is inserted at its time, and the later scans
-    /// are processed again; tracks keep their numbers. A scan that was processed before changes
+    /// are processed again; tracks keep their IDs. A scan that was processed before changes
     /// nothing.
     ///
     /// # Errors
@@ -230,7 +231,8 @@ impl ManyTargets {
         Ok(assigned)
     }
 
-    /// Drop scans that are older than the buffer, and places that no state knows any more.
+    /// Remove scans that are older than the buffer, and positions to which no state refers any
+    /// more.
     fn forget(&mut self) {
         let oldest = self.stamp_ns.unwrap_or(i64::MIN).saturating_sub(self.buffer_ns);
         let forgotten = forget(&mut self.history, (self.buffer_ns > 0).then_some(oldest));
@@ -239,7 +241,7 @@ impl ManyTargets {
         tracks.forget_before(&mut self.places);
     }
 
-    /// All tracks, unconfirmed ones included, predicted to `stamp_ns` and ordered by number.
+    /// All tracks, unconfirmed ones included, predicted to `stamp_ns` and ordered by ID.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<TrackState> {
         self.tracks.at(stamp_ns)

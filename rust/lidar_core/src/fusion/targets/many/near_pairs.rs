@@ -1,4 +1,4 @@
-//! Measurements of a scan that may be within the gate of a track, without a look at the others.
+//! Search for the measurements of a scan that may be in the gate of a track, with a spatial index.
 
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::models::turn::{direction, wrapped};
@@ -14,12 +14,12 @@ use std::f64::consts::{PI, TAU};
 /// the edge of a gate.
 const SLACK: f64 = 1e-9;
 
-/// Place of a measurement in the world, and half the width of its spread [m]; None for what is no
-/// position.
+/// Position of a measurement in the world [m], and its standard deviation as the geometric mean of
+/// both axes [m]; None for measurements that give no position.
 pub(super) type Placed = Option<([f64; 2], f64)>;
 
-/// Places of measurements in the world; `unseen` is a filter without a target that knows the
-/// platform.
+/// Positions of measurements in the world. `unseen`: a filter without a target that holds the
+/// motion of the platform.
 pub(super) fn places_of(
     unseen: &Filter,
     sensing: &Sensing,
@@ -36,8 +36,8 @@ pub(super) fn places_of(
     measurements.iter().map(place).collect()
 }
 
-/// Density of clutter that stands where each measurement is [1/m^2]; zero for those that are no
-/// positions, and for a radar's ranges, bearings and range rates, whose densities are others.
+/// Density of static clutter at each measurement [1/m^2]; zero for measurements that give no
+/// position, and for range, bearing and range rate of a radar, whose density has other units.
 pub(super) fn clutter_at(
     (standing, log): (&StandingClutter, &PlaceLog),
     stamp_ns: i64,
@@ -60,10 +60,11 @@ pub struct ScanIndex {
 
 /// Measurements of one sensor.
 struct SensorIndex {
-    /// A measurement with the largest variances of all: a window that it opens holds for each.
+    /// A measurement with the largest variances of all: a search window for it contains the window
+    /// of every other one.
     probe: Measurement,
     numbers: Vec<usize>,
-    /// False for sensors whose measurements are all looked at.
+    /// False for sensors without an index: all their measurements are compared.
     is_indexed: bool,
     /// x and y of the LiDAR, range and bearing of the radar.
     native: NearIndex,
@@ -93,8 +94,8 @@ impl ScanIndex {
         Self { sensors: kinds.into_iter().filter_map(of).collect() }
     }
 
-    /// Replace `found` by the numbers of all measurements that may be within one of `gates` of a
-    /// filter that has been foreseen to the time of the scan, in ascending order.
+    /// Replace `found` by the indices of all measurements that may be within one of `gates` of a
+    /// filter, in ascending order. The filter must have been predicted to the time of the scan.
     pub fn near(&self, filter: &mut Filter, gates: &[f64; 5], found: &mut Vec<usize>) {
         found.clear();
         for sensor in &self.sensors {
@@ -136,8 +137,8 @@ impl SensorIndex {
         Some(Self { probe, numbers, is_indexed, native, converted, widest })
     }
 
-    /// Append the measurements that are near what an innovation of the probe expects; false if they
-    /// are not bounded by it.
+    /// Append the measurements near the prediction that the innovation of the probe contains; false
+    /// if the innovation gives no bounds.
     fn collect(&self, innovation: &Innovation, gates: &[f64; 5], found: &mut Vec<usize>) -> bool {
         let gate = gates[innovation.count - 1];
         let (y, v) = (innovation.values, self.probe.values());

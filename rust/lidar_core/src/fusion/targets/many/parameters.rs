@@ -7,7 +7,8 @@ use crate::fusion::targets::lifecycle::LifecycleRules;
 
 /// Largest number of tracks at a time, and of measurements in a scan.
 pub const MAX_TARGETS: usize = 2_000;
-/// Probability that a measurement which no track explains is of a new target, before scans show it.
+/// Initial value of the probability that a measurement which no track explains comes from a new
+/// target; later learnt from scans.
 pub(super) const SHARE: f64 = 0.05;
 
 /// All parameters of a tracker of many targets.
@@ -26,13 +27,14 @@ pub struct ManyParameters {
     pub max_position_std: f64,
     /// Least distance of a new track from a track measured by the same scan [m].
     pub birth_distance: f64,
-    /// Mean speed of the last 15 s below which a track is not reported [m/s].
+    /// Mean speed over the last 15 s below which a track is not reported [m/s].
     pub report_speed: f64,
     /// Association of measurements with tracks.
     pub association: TargetAssociation,
 }
 
-/// Probabilities of existence, of targets that stand, move evenly, or change their velocity.
+/// Association with probabilities of existence; the filter mixes three models: at rest, constant
+/// velocity, changing velocity.
 impl Default for ManyParameters {
     fn default() -> Self {
         Self {
@@ -77,7 +79,8 @@ pub enum TargetAssociation {
     Integrated(ExistenceParameters),
 }
 
-/// Clutter of 1 in 1000 m^2 (LiDAR) and of 1e-3 / (m rad m/s) (radar), shared out by probabilities.
+/// Joint probabilities of existence, with clutter of 1 in 1000 m^2 (LiDAR) and 1e-3 / (m rad m/s)
+/// (radar).
 impl TargetAssociation {
     /// Joint probabilistic data association with the defaults of the Python package.
     #[must_use]
@@ -86,8 +89,8 @@ impl TargetAssociation {
     }
 }
 
-/// Parameters of probabilities of existence. Properties of a scanner are learnt; the values here
-/// are the start values.
+/// Parameters of probabilities of existence. Properties of a scanner are learnt; these are the
+/// initial values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExistenceParameters {
     /// Probability that a scan measures a target.
@@ -98,7 +101,7 @@ pub struct ExistenceParameters {
     pub report: f64,
 }
 
-/// Targets that stay for half a minute, in clutter that is learnt.
+/// Defaults of the Python package; the density of clutter is learnt.
 impl Default for ExistenceParameters {
     fn default() -> Self {
         Self { detection: 0.9, clutter: [1e-3, 1e-3], report: 0.95 }

@@ -14,7 +14,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 impl Tracks {
-    /// Density of clutter that stands where each measurement is: zero where targets may stand.
+    /// Density of static clutter at each measurement [1/m^2]: zero if static targets are reported.
     pub(super) fn standing_clutter(
         &mut self,
         parameters: &ManyParameters,
@@ -30,7 +30,8 @@ impl Tracks {
         clutter_at((own, log), scan.stamp_ns, &scan.measurements, places)
     }
 
-    /// Keep the places of a scan for those to come, and let reported tracks learn their extent.
+    /// Store the positions of the measurements of a scan for later scans, and update the extent of
+    /// reported tracks.
     pub(super) fn learn_places(
         &mut self,
         parameters: &ManyParameters,
@@ -53,8 +54,9 @@ impl Tracks {
         }
     }
 
-    /// Say of every confirmed track whether it stands or is part of another one. Tracks keep their path
-    /// from their first measurement on: what stands need not be reported first.
+    /// Decide for every confirmed track whether it is at rest or a part of another track. Tracks
+    /// store their path from the first measurement on, so that a static object is not reported at
+    /// first.
     pub(super) fn keep_company(&mut self, parameters: &ManyParameters, stamp_ns: i64) {
         let ManyParameters { report_speed, birth_distance, .. } = *parameters;
         if report_speed <= 0.0 && birth_distance <= 0.0 {
@@ -69,8 +71,8 @@ impl Tracks {
         keep_company(fellows.collect(), report_speed, birth_distance, stamp_ns);
     }
 
-    /// Say of every confirmed track whether it is an echo of a nearer one, for a radar that has told its place. A
-    /// scan whose measurements tell several places says nothing.
+    /// Decide for every track of a target whether it is a double echo of a nearer one, for a radar
+    /// whose position is known. A scan whose measurements state several positions is ignored.
     pub(super) fn hear_echoes(&mut self, parameters: &ManyParameters, scan: &Scan) {
         let mut places =
             scan.measurements.iter().filter(|m| !m.is_of_platform()).map(Measurement::seen_from);
@@ -109,8 +111,8 @@ impl Tracks {
         }
     }
 
-    /// Let every track learn what it follows, from the measurements of it and from how probable it is that
-    /// these are clutter.
+    /// Update the kind of every track measured by the scan, from its measured positions and from
+    /// the probability that they are clutter.
     pub(super) fn learn_kinds(
         &mut self,
         parameters: &ManyParameters,
@@ -150,7 +152,7 @@ impl Tracks {
         }
     }
 
-    /// Bodies of the tracks that were measured at `stamp_ns`.
+    /// Tracks that were measured at `stamp_ns` [ns], with their courses.
     pub(super) fn bodies_at(&self, stamp_ns: i64) -> Bodies {
         let measured = self.all.iter().filter(|track| track.seen_ns == stamp_ns);
         let course =
@@ -159,8 +161,8 @@ impl Tracks {
     }
 }
 
-/// Let tracks, each with its course, learn how far the measurements around them lie from it: of every
-/// measurement the nearest track, if it is nearer than `reach` and the measurement is not abeam of it.
+/// Update the measured spread of tracks, given with their courses. Every measurement counts for the
+/// nearest track, if it is nearer than `reach` [m] and not too far to the side of its course.
 fn measure_spread(mut tracks: Vec<(Course, &mut MeasuredSpread)>, reach: f64, places: &[[f64; 2]]) {
     let index = NearIndex::new(tracks.iter().map(|(own, _)| own.place).zip(0..).collect());
     let (mut near, mut offsets) = (Vec::new(), vec![Vec::new(); tracks.len()]);

@@ -2,23 +2,25 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Score of a new track: one of twenty is of a target.
+/// Score of a new track: odds of 1:19 that it has a target.
 const NEW_SCORE: f64 = -2.94;
-/// Score from which on a track is credible, until it falls below 0: twenty times as likely as none.
+/// Score from which on a track is credible, until the score falls below 0: odds of 19:1 that it has
+/// a target.
 const CREDIBLE: f64 = 2.94;
-/// Largest score: a long past does not outweigh what is measured now.
+/// Largest score, so that old measurements do not outweigh new ones.
 const LARGEST_SCORE: f64 = 6.9;
 
-/// How much better a target explains the measurements of a track than clutter at their places does.
+/// Score of a track: logarithm of the odds that a target, and not clutter, explains its
+/// measurements.
 ///
-/// # Source
-/// Sittler's track score: Blackman & Popoli, "Design and Analysis of Modern Tracking Systems",
-/// 1999, sec. 6.2; of measurements alone, since counts and ages say what misses mean.
+/// # Source Sittler's track score: Blackman & Popoli, "Design and Analysis of Modern Tracking
+/// Systems", 1999, sec. 6.2. Only measurements change the score; missed detections end a track by
+/// counts and ages.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct TrackScore {
-    /// Logarithm of the odds of a target.
+    /// Logarithm of the odds that the track has a target.
     log_odds: f64,
-    /// False once clutter explains the measurements as well.
+    /// False if clutter explains the measurements better than a target.
     pub(super) is_credible: bool,
 }
 
@@ -29,10 +31,11 @@ impl Default for TrackScore {
 }
 
 impl TrackScore {
-    /// Take in a scan that measured the track. `odds` are how much likelier its measurements are of a
-    /// target than that the target was missed and they are clutter; it is measured with probability
-    /// `detection`. Other tracks do not count: two on one target are both of a target. With `decides` the
-    /// score says whether the track is credible.
+    /// Update the score with a scan that measured the track. `odds`: likelihood that the
+    /// measurements come from the target, divided by the likelihood that the target was missed and
+    /// they are clutter. `detection`: probability that a scan measures the target. Other tracks are
+    /// ignored: two tracks of one target both have a target. If `decides` is true, `is_credible` is
+    /// updated, too.
     pub(super) fn weigh(&mut self, odds: f64, detection: f64, decides: bool) {
         let log_ratio = libm::log((1.0 - detection) * (1.0 + odds));
         self.log_odds = (self.log_odds + log_ratio).min(LARGEST_SCORE);
@@ -42,7 +45,7 @@ impl TrackScore {
         }
     }
 
-    /// Probability that the measurements are clutter.
+    /// Probability that the measurements of the track are clutter.
     pub(super) fn clutter(&self) -> f64 {
         1.0 / (1.0 + libm::exp(self.log_odds))
     }

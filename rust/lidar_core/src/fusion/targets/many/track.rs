@@ -21,7 +21,7 @@ use std::collections::BTreeMap;
 pub struct Scan {
     /// Time [ns].
     pub stamp_ns: i64,
-    /// Number of the scanner, below 64.
+    /// Index of the scanner, below 64.
     pub source: u8,
     /// Measurements of targets, one each, and of the platform's motion.
     pub measurements: Vec<Measurement>,
@@ -30,28 +30,29 @@ pub struct Scan {
 /// Result of a measurement for a tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Assigned {
-    /// Track of the measurement; None if it cannot be used, started none, or describes the
-    /// platform.
+    /// ID of the track of the measurement; None if the measurement cannot be used, starts no track,
+    /// or describes the platform.
     pub id: Option<i64>,
     /// Innovation for that track; None if the measurement started it.
     pub innovation: Option<Innovation>,
 }
 
-/// Numbers of the tracks that a scan starts; they stay the same if the scan is processed again.
+/// IDs of the tracks that a scan starts; they stay the same if the scan is processed again.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct NewNumbers {
-    /// Numbers of tracks that a measurement starts alone, by measurement.
+    /// IDs of tracks that start with one measurement, by index of the measurement.
     pub of_column: Vec<Option<i64>>,
-    /// Numbers of tracks through an older one's place and a measurement, by number and measurement.
+    /// IDs of tracks that continue an older track with one measurement, by ID of the older track
+    /// and index of the measurement.
     pub of_pair: BTreeMap<(i64, usize), i64>,
 }
 
-/// Next unused track number, and the numbers of the tracks that a scan starts.
+/// Next unused track ID, and the IDs of the tracks that a scan starts.
 #[derive(Clone, Debug)]
 pub struct Births {
-    /// Next unused track number.
+    /// Next unused track ID.
     pub next_id: i64,
-    /// Numbers that the scan has given.
+    /// IDs that were given to tracks of the scan.
     pub ids: NewNumbers,
 }
 
@@ -59,14 +60,14 @@ pub struct Births {
 pub(super) struct Shared<'a> {
     pub(super) births: &'a mut Births,
     pub(super) work: &'a mut TrackingWork,
-    /// Measurements of every scanner, for densities of clutter that stands.
+    /// Positions of the measurements of every scanner, for the density of static clutter.
     pub(super) places: &'a mut BTreeMap<u8, PlaceLog>,
 }
 
 /// A track at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackState {
-    /// Number of the track, never reused.
+    /// ID of the track, never reused.
     pub id: i64,
     /// State, predicted to the requested time.
     pub output: Output,
@@ -110,22 +111,22 @@ pub type Sighting = (i64, u8, usize);
 /// Existence of the target of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Belief {
-    /// Whether there is a target.
+    /// Probabilities that there is no target, an observable target, or a hidden one.
     pub presence: Presence,
     /// Time of the probabilities [ns].
     pub stamp_ns: i64,
-    /// The last two measurements that were most likely of the track.
+    /// The last two measurements that most likely came from the target.
     pub last: [Option<Sighting>; 2],
     /// Position at the first measurement [m].
     pub start: [f64; 2],
     /// Scanner and sensor of that measurement.
     pub origin: (u8, usize),
-    /// True once the track was certain.
+    /// True once the probability of existence was above 0.9 (`CERTAIN`).
     pub was_certain: bool,
-    /// True while a track that was certain counts as ended.
+    /// True while a track that was certain counts as ended in the learnt statistics.
     pub is_doubtful: bool,
-    /// True while the track, once certain, will count as an arrival: not for targets that were
-    /// there before the first scans.
+    /// True if the track will count as a newly arrived target when it becomes certain. False for
+    /// targets that were there before the first scans.
     pub will_arrive: bool,
 }
 
@@ -159,8 +160,8 @@ pub(super) struct IntegratedScan<'a> {
 pub(super) struct TargetTrack<F = Filter> {
     pub(super) id: i64,
     pub(super) filter: F,
-    /// One bit per scan of scanners that have seen the track, the last scan lowest: 1 if it was
-    /// measured.
+    /// One bit per scan of scanners that have measured the track, the last scan in the lowest bit:
+    /// 1 if the scan measured the track.
     pub(super) history: u64,
     /// Number of scans in `history`.
     pub(super) looks: u32,
@@ -173,14 +174,15 @@ pub(super) struct TargetTrack<F = Filter> {
     pub(super) belief: Belief,
     pub(super) way: RecentPath,
     pub(super) score: TrackScore,
-    /// Spread of the measurements near the track; none where targets are points.
+    /// Spread of the measurements near the track; not used if targets are points (`birth_distance`
+    /// is 0).
     pub(super) spread: MeasuredSpread,
     pub(super) kinds: TargetKinds,
     pub(super) echoes: TrackEchoes,
 }
 
 impl Births {
-    /// Number of the track started by measurement `column`.
+    /// ID of the track that starts with measurement `column`.
     pub(super) fn of(&mut self, column: usize) -> i64 {
         let id = self.ids.of_column[column].unwrap_or(self.next_id);
         self.next_id = self.next_id.max(id.saturating_add(1));
@@ -188,7 +190,7 @@ impl Births {
         id
     }
 
-    /// Number of the track through the place of track `id` and measurement `column`.
+    /// ID of the track that continues track `id` with measurement `column`.
     pub(super) fn of_pair(&mut self, id: i64, column: usize) -> i64 {
         let next = self.next_id;
         let new = *self.ids.of_pair.entry((id, column)).or_insert(next);
@@ -198,14 +200,14 @@ impl Births {
 }
 
 impl NewNumbers {
-    /// True if all have been given: they are below `next_id`.
+    /// True if all IDs are below `next_id`.
     #[must_use]
     pub(super) fn are_below(&self, next_id: i64) -> bool {
         let mut all = self.of_column.iter().flatten().chain(self.of_pair.values());
         all.all(|id| (0..next_id).contains(id))
     }
 
-    /// Numbers for a scan of `count` measurements, none of which has been given yet.
+    /// Empty table of IDs for a scan of `count` measurements.
     #[must_use]
     pub fn of_scan(count: usize) -> Self {
         Self { of_column: vec![None; count], of_pair: BTreeMap::new() }
@@ -268,7 +270,7 @@ impl TargetTrack {
         self.hits = self.hits.saturating_add(1);
     }
 
-    /// Process measurements with their probabilities to come from this track.
+    /// Process measurements, each with its probability to come from the target of this track.
     pub(super) fn absorb(&mut self, scan: &Scan, weighted: &[(f64, Measurement)]) {
         if weighted.is_empty() {
             return;
@@ -279,12 +281,13 @@ impl TargetTrack {
         }
     }
 
-    /// True unless the track stands, is a part or an echo of another one, or clutter explains it.
+    /// True unless the track is at rest, is a part or an echo of another track, or is explained by
+    /// clutter.
     pub(super) fn is_reported(&self) -> bool {
         self.is_of_target() && !self.echoes.is_echo
     }
 
-    /// True if the track has a target, where echoes count as targets.
+    /// Like `is_reported`, but echoes count as targets.
     pub(super) fn is_of_target(&self) -> bool {
         self.confirmed && !self.way.is_left_out() && self.score.is_credible
     }
@@ -296,7 +299,7 @@ impl TargetTrack {
         place.iter().all(|value| value.is_finite()).then_some(place)
     }
 
-    /// State at `stamp_ns`. Where targets have an extent, it is part of the covariance of the position.
+    /// State at `stamp_ns`. If targets have an extent, the covariance of the position contains it.
     pub(super) fn reported_at(&self, stamp_ns: i64) -> Option<Output> {
         let mut output = self.filter.output_at(stamp_ns)?;
         for (row, spread) in output.covariance.iter_mut().zip(self.spread.covariance()) {
@@ -328,7 +331,7 @@ impl TargetTrack {
     }
 }
 
-/// Index of the sensor of a measurement in what is known of its scanner: 0 for LiDAR, 1 for radar.
+/// Index of the sensor of a measurement in the properties of its scanner: 0 for LiDAR, 1 for radar.
 pub(super) fn kind(m: &Measurement) -> usize {
     usize::from(m.sensor() == Sensor::Radar)
 }

@@ -34,14 +34,14 @@ pub struct Tracks {
     /// Filter without a target that holds the motion of the platform.
     pub(super) unseen: Filter,
     pub(super) all: Vec<TargetTrack>,
-    /// Knowledge about every scanner, for its LiDAR and its radar measurements.
+    /// Learnt properties of every scanner, for its LiDAR and its radar measurements.
     pub(super) scanners: BTreeMap<u8, [Surroundings; 2]>,
-    /// How long targets stay, how often they are hidden and how fast they move, as certain tracks
-    /// show it.
+    /// Statistics of certain tracks: how long targets exist, how often they are hidden and how fast
+    /// they move.
     pub(super) population: Population,
-    /// Standing clutter, by scanner; none where targets may stand.
+    /// Static clutter, by scanner; empty if static targets are reported.
     pub(super) standing: BTreeMap<u8, StandingClutter>,
-    /// Scanners that have told the place of a radar, one bit each.
+    /// Scanners for which the position of a radar is known, one bit each.
     pub(super) radars: u64,
 }
 
@@ -109,20 +109,21 @@ impl Tracks {
         })
     }
 
-    /// True if every track has a number below `next_id`.
+    /// True if every track has an ID below `next_id`.
     #[must_use]
     pub(super) fn are_below(&self, next_id: i64) -> bool {
         self.all.iter().all(|track| (0..next_id).contains(&track.id))
     }
 
-    /// True if these places are all known static clutter.
+    /// True if `places` contain all positions to which the static clutter of these tracks refers.
     #[must_use]
     pub fn know(&self, places: &BTreeMap<u8, PlaceLog>) -> bool {
         let mut own = self.standing.iter();
         own.all(|(source, own)| places.get(source).is_some_and(|log| own.is_of(log)))
     }
 
-    /// Drop the places that are older than those of these tracks, the oldest that are kept.
+    /// Remove positions that are older than those of these tracks, which are the oldest that are
+    /// kept.
     pub fn forget_before(&self, places: &mut BTreeMap<u8, PlaceLog>) {
         for (source, own) in &self.standing {
             if let Some(log) = places.get_mut(source) {
@@ -131,7 +132,8 @@ impl Tracks {
         }
     }
 
-    /// Drop the places that these tracks, the newest, do not know: scans that were refused had added them.
+    /// Remove positions to which these tracks, the newest, do not refer: scans that were rejected
+    /// had added them.
     pub fn keep_known(&self, places: &mut BTreeMap<u8, PlaceLog>) {
         places.retain(|source, log| {
             let own = self.standing.get(source);
@@ -152,7 +154,7 @@ impl Tracks {
         self.all.is_empty()
     }
 
-    /// Tracks predicted to `stamp_ns`, ordered by number.
+    /// Tracks predicted to `stamp_ns`, ordered by ID.
     #[must_use]
     pub fn at(&self, stamp_ns: i64) -> Vec<TrackState> {
         let states = self.all.iter().filter_map(|track| {
@@ -224,8 +226,8 @@ impl Tracks {
         Ok(assigned)
     }
 
-    /// Associate confirmed tracks, then the others; confirm and end tracks by counts of their hits.
-    /// Returns where the measured targets are.
+    /// Associate confirmed tracks, then the others; confirm and end tracks by counts of their
+    /// measurements. Returns the positions of the measured targets [m].
     fn count_hits(
         &mut self,
         parameters: &ManyParameters,
@@ -268,7 +270,8 @@ impl Tracks {
         self.all.iter_mut().map(|track| u64::from(track.filter.foresee(scan.stamp_ns))).sum()
     }
 
-    /// New track for every measurement without one that is far enough from the `measured` tracks.
+    /// Start a track for every measurement without a track that is far enough from the `measured`
+    /// tracks.
     fn start(
         &mut self,
         parameters: &ManyParameters,
