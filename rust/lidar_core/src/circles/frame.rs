@@ -20,7 +20,7 @@ pub struct PreparedSweep {
     pub(super) pose_covariance: Option<PoseCovariance>,
     pub(super) stamp_ns: i64,
     pub(super) scanner: String,
-    /// Number of the scanner in the pipeline; it is set when `integrate` has processed the sweep.
+    /// Index of the scanner in the pipeline; it is set when `integrate` has processed the sweep.
     pub(super) number: usize,
     /// Time of every segment after the stamp [s]; None if all rays share the stamp.
     pub(super) delays: Option<Vec<f64>>,
@@ -45,9 +45,9 @@ impl PreparedSweep {
         }
     }
 
-    /// True if a part of segment `number` may be nearer than the scanner measures: a hit is close
-    /// to the near range limit, and a ray beside it has no known range. The other hits are then too
-    /// far away on average. `std` is the standard deviation of a range [m].
+    /// True if a part of segment `number` may be nearer than the smallest measurable range: a hit
+    /// is close to this limit, and a ray beside it has no known range. The other hits are then too
+    /// far away on average. `std`: standard deviation of a range [m].
     pub(super) fn is_too_near(&self, number: usize, std: f64) -> bool {
         let ranges = &self.level.scan.ranges;
         let is_unknown = |ray: usize| ranges.get(ray).is_some_and(|range| range.is_nan());
@@ -57,7 +57,7 @@ impl PreparedSweep {
         })
     }
 
-    /// True if something nearer hides a side of segment `number`.
+    /// True if a nearer object hides a side of segment `number`.
     pub(super) fn is_covered(&self, number: usize) -> bool {
         self.segments.sides[number].contains(&Side::Occluded)
     }
@@ -103,16 +103,16 @@ pub struct CircleFrame {
     pub times_ns: Vec<i64>,
     /// One shape per segment, level frame; empty if shapes are not distinguished.
     pub shapes: Vec<ShapeEstimate>,
-    /// Element of the map of every segment; None for a segment that is not used in the map, since
-    /// it has another shape or its hits do not lie on the circle.
+    /// ID of the map element of every segment; None for a segment that is not used in the map,
+    /// because it has another shape or its hits do not lie on the circle.
     pub elements: Vec<Option<i64>>,
-    /// For every segment true if it is an object that was left out of the map, since a part of it
-    /// may be nearer than the scanner measures.
+    /// For every segment, true if it is an object that was left out of the map because a part of it
+    /// may be nearer than the smallest measurable range.
     pub too_near: Vec<bool>,
-    /// Number of the line in the map for every segment; None for other shapes, and for segments
-    /// that are too short for a new line.
+    /// ID of the line in the map for every segment; None for other shapes, and for segments that
+    /// are too short for a new line.
     pub lines: Vec<Option<i64>>,
-    /// Changes of the map by this sweep.
+    /// Changes of the map by this sweep, as IDs of elements.
     pub stats: MapStats,
     /// Elements of the map at the time of the sweep.
     pub map: Vec<MapElement>,
@@ -120,9 +120,9 @@ pub struct CircleFrame {
     pub map_shapes: Vec<MapShape>,
     /// Standard deviation of the scanner's ranges, once it is estimated [m].
     pub range_std: Option<f64>,
-    /// How the ranges of the scanner mark rays without return.
+    /// Value with which the scanner marks rays without return.
     pub no_return: NoReturn,
-    /// How late the poses of the scanner are [s]; None before it is known.
+    /// Delay of the poses relative to the scans [s]; None before it is known.
     pub pose_offset: Option<f64>,
     /// Time per stage [ms].
     pub timing: CircleTiming,

@@ -10,7 +10,7 @@ use super::shape::{ShapeEstimate, ShapeKind};
 /// Speed below which an element stands [m/s].
 const STILL: f64 = 0.02;
 
-/// Segments that go into the map, by number.
+/// Segments that go into the map, by index.
 #[derive(Default)]
 pub(super) struct Parts {
     pub(super) bodies: Vec<usize>,
@@ -19,11 +19,12 @@ pub(super) struct Parts {
     pub(super) outlines: Vec<Option<OutlineEstimate>>,
     lines: Vec<usize>,
     pub(super) shapes: Vec<ShapeEstimate>,
-    /// For all segments: true for a body of which a part may be nearer than the scanner measures.
+    /// For all segments: true for a body of which a part may be nearer than the smallest measurable
+    /// range.
     too_near: Vec<bool>,
 }
 
-/// For every segment the number of its body and of its line in the map; None without one.
+/// For every segment the IDs of its body and of its line in the map; None without one.
 pub(super) struct ByKind {
     pub(super) bodies: Vec<Option<i64>>,
     pub(super) lines: Vec<Option<i64>>,
@@ -34,8 +35,8 @@ impl Parts {
     /// Select the segments for the map.
     ///
     /// Objects of which a part may be too near to be measured are left out. A body on a line of the
-    /// map is a piece of that line if the line is longer than any body, or if something nearer
-    /// hides one side of the body and the other side is not free.
+    /// map is a piece of that line if the line is longer than any body, or if a nearer object hides
+    /// one side of the body and the other side is not free.
     pub(super) fn of(
         prepared: &PreparedSweep,
         circles: &[CircleEstimate],
@@ -95,7 +96,7 @@ impl Parts {
     }
 }
 
-/// Circles of what stands, each with the number of its element.
+/// Circles of standing elements, each with the ID of its element.
 pub(super) fn standing<'a>(
     map: &[MapElement],
     elements: &[Option<i64>],

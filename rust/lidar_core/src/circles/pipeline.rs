@@ -278,7 +278,7 @@ impl CirclePipeline {
         })
     }
 
-    /// Correct the map; returns the element of every body and of every line.
+    /// Correct the map; returns the element ID of every body and of every line.
     fn update(
         &mut self,
         prepared: &PreparedSweep,
@@ -327,17 +327,17 @@ impl CirclePipeline {
         self.map.shapes_at(stamp_ns)
     }
 
-    /// Remove all elements of the map. Numbers are not used again.
+    /// Remove all elements of the map. IDs are not used again.
     pub fn reset(&mut self) {
         self.map.reset();
     }
 
-    /// Number of the scanner with this name, if it was used before.
+    /// Index of the scanner with this name, if it was used before.
     fn number(&self, name: &str) -> Option<usize> {
         self.scanners.iter().position(|(known, _)| known == name)
     }
 
-    /// A scanner with a new name and the usual parameters.
+    /// A scanner with a name that was not used before.
     ///
     /// # Errors
     /// [`Error::Limit`] for one more than [`MAX_SCANNERS`].
@@ -375,7 +375,7 @@ impl CirclePipeline {
     }
 }
 
-/// Error of the map with the name of the scanner instead of its number.
+/// Error of the map with the name of the scanner instead of its index.
 fn with_name(error: Error, number: usize, name: &str) -> Error {
     let Error::Time { what } = error else { return error };
     let named = format!("from scanner {name:?}");

@@ -1,10 +1,11 @@
 //! Offset in time between the scans of a scanner and their poses, estimated from static objects.
 //!
-//! With poses that are late by `o`, what stands at `m` is measured at `m - o d`, where `d` is the
-//! velocity that the pose's motion gives to the place. Over time `d` changes, and `m` hardly does.
-//! A Kalman filter of slow drift, as poses have, runs over the places of every object and, with the
-//! same gains, over its `d`: the innovations of the one are `-o` times those of the other, and
-//! noise. A scanner that turns steadily shows nothing, since `d` is constant too.
+//! If poses are late by `o`, a static object at `m` is measured at `m - o d`. Here `d` is the
+//! velocity that the motion of the pose gives to the place. `d` changes over time, and `m` hardly
+//! does. For every object, a Kalman filter for slow drift runs over the measured positions and,
+//! with the same gains, over `d`. The innovations of the positions are `-o` times those of `d`,
+//! plus noise. A scanner that turns at a constant rate gives no information, because `d` is then
+//! constant, too.
 
 use super::fit::circle::CircleEstimate;
 use super::map::PoseCovariance;
@@ -13,9 +14,9 @@ use crate::geometry::transform::Transform;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Longest time between scans over which the motion of the pose is taken [s].
+/// Longest time over which the motion of the pose is computed [s].
 const LONGEST: f64 = 0.5;
-/// Time without a measurement after which an object begins anew [s].
+/// Time without a measurement after which the filter of an object starts again [s].
 const MEMORY: f64 = 5.0;
 /// Variance of the drift of places [m^2/s^2].
 const DRIFT: f64 = 0.05 * 0.05;
@@ -23,29 +24,29 @@ const DRIFT: f64 = 0.05 * 0.05;
 const WANDER: f64 = 0.002 * 0.002;
 /// Density of the random walk of the drift of places [m^2/s^3].
 const CHANGE: f64 = 0.002 * 0.002;
-/// Number of measurements that the regression remembers.
+/// Number of measurements over which the regression averages.
 const MOST: f64 = 20_000.0;
 /// Variance of a place beyond that of its fit [m^2].
 const ROUGH: f64 = 0.005 * 0.005;
 /// Squared innovation, in variances, above which a measurement shows another object, or another
 /// part of it.
 const FAR: f64 = 16.0;
-/// Standard deviation from which on the offset is known [s].
+/// Standard deviation below which the offset counts as known [s].
 const KNOWN: f64 = 0.005;
-/// Number of measurements that tell as much as one independent one: errors of neighbouring scans
-/// are alike.
+/// Number of measurements with as much information as one independent measurement: errors of
+/// successive scans are correlated.
 const ALIKE: f64 = 8.0;
 /// Least size of an offset that is used, in standard deviations.
 const SURE: f64 = 4.0;
 /// Least size of an offset that is used [s].
 const LEAST: f64 = 0.004;
-/// Least standard deviation of an offset in use [s]: clocks are no better.
+/// Least standard deviation of a used offset [s]: clocks are not more exact.
 const RESOLUTION: f64 = 0.001;
 /// Largest offset that is used [s].
 const LARGEST: f64 = 0.5;
 /// Largest change of the used offset from scan to scan [s]: the map follows it.
 const STEP: f64 = 0.002;
-/// Number of objects above which old ones are forgotten.
+/// Number of objects above which old ones are removed.
 const MANY: usize = 500;
 
 /// Pose of the scanner as the caller gave it: stamp, place in the world [m] and yaw [rad].
@@ -234,7 +235,8 @@ impl PoseOffset {
         self.used += (wanted - self.used).clamp(-STEP, STEP);
     }
 
-    /// Take in where an object was measured, and how fast the pose's motion moves that place.
+    /// Update the estimate with the measured position of an object [m] and its velocity due to the
+    /// motion of the pose [m/s].
     fn learn(&mut self, seen: &StandingCircle, stamp_ns: i64, place: [f64; 2], rate: [f64; 2]) {
         let offset = self.known().unwrap_or(0.0);
         let values = [place[0], place[1], rate[0], rate[1]];

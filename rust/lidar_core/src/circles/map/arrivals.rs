@@ -1,41 +1,42 @@
-//! Probability that an unexplained measurement is an object, and not a chance group of rays. It is
-//! learnt from earlier new elements, for each kind of place.
+//! Probability that an unexplained measurement is an object, and not a random group of hits. It is
+//! learnt from earlier new elements, for each class of place ([`BirthPlace`]).
 
 use super::view::earlier::Trace;
 use serde::{Deserialize, Serialize};
 
-/// What earlier scans met at the place of something new.
+/// What earlier scans saw at the place of a new element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum BirthPlace {
     /// Earlier scans did not see the place.
     Revealed,
-    /// Earlier scans met free space: something came, or is a part of something that did.
+    /// Earlier scans saw free space: an object came, or a part of one.
     Free,
-    /// Earlier scans met a surface of which no element was made.
+    /// Earlier scans saw a surface that belongs to no element.
     Surface,
-    /// Unknown: too few rays hit the new object to show its size. Often it is a piece of a wall
-    /// that shows between two others.
+    /// Too few rays hit the new object to show its size. It is often a piece of a wall that is
+    /// visible between two other objects.
     Piece,
 }
 
-/// Number of sorts of places.
+/// Number of classes of places.
 const SORTS: usize = 4;
-/// Shares of objects among new elements before anything was learnt, in the order of [`BirthPlace`].
+/// Initial shares of objects among new elements, in the order of [`BirthPlace`].
 const PRIOR: [f64; SORTS] = [0.85, 0.7, 0.6, 0.5];
-/// Weight of these first shares, as a number of elements.
+/// Weight of the initial shares, as a number of elements.
 const WEIGHT: f64 = 5.0;
 /// Number of later elements after which the weight of an element has fallen to 1/e.
 const MEMORY: f64 = 100.0;
-/// Largest probability that something new is an object: one scan is no proof.
+/// Largest probability that a new element is an object: one scan is no proof.
 const MOST: f64 = 0.94;
-/// Share of its points on earlier surfaces above which something is where a surface was.
+/// Share of points on earlier surfaces, above which the place of a new element counts as
+/// [`BirthPlace::Surface`].
 const THERE: f64 = 0.5;
-/// Standard deviation of a radius above which it is not known [m].
+/// Standard deviation above which a radius counts as unknown [m].
 const VAGUE: f64 = 0.1;
 
 impl BirthPlace {
-    /// Sort of a place from what earlier scans met there, and the variance of the radius of what is
-    /// there now [m^2].
+    /// Class of a place, from what earlier scans saw there and from the variance of the measured
+    /// radius [m^2].
     pub(super) fn of(trace: Option<Trace>, variance: f64) -> Self {
         match trace {
             _ if variance > VAGUE * VAGUE => Self::Piece,
@@ -46,8 +47,8 @@ impl BirthPlace {
     }
 }
 
-/// Counts per sort of place, in which old elements fade: elements that began there, and how many of
-/// them were objects.
+/// Counts per class of place: elements that started there, and how many of them were objects. The
+/// weight of old elements decreases.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Arrivals {
     objects: [f64; SORTS],
@@ -55,15 +56,14 @@ pub(super) struct Arrivals {
 }
 
 impl Arrivals {
-    /// Probability that there is an object where something is measured that no element explains.
+    /// Probability that a measurement that no element explains is an object.
     pub(super) fn share(&self, place: BirthPlace) -> f64 {
         let sort = place as usize;
         let share = (PRIOR[sort] * WEIGHT + self.objects[sort]) / (WEIGHT + self.all[sort]);
         share.min(MOST)
     }
 
-    /// Count an element that began at `place`; `existence` is the probability that it was an
-    /// object.
+    /// Count an element that started at `place`. `existence`: probability that it was an object.
     pub(super) fn learn(&mut self, place: BirthPlace, existence: f64) {
         let sort = place as usize;
         let kept = 1.0 - 1.0 / MEMORY;

@@ -1,23 +1,24 @@
 //! Probability that an element is an object, and probabilities of its kinds.
 //!
-//! Not only objects make elements. A chance group of rays does too: a piece of a surface that shows
-//! for a moment between two others, or the rim of something. Two questions are separate. Was it an
-//! object? Scans that measure the element answer this. Is it still there? Scans that do not measure
-//! it answer this. A new measurement cancels the earlier misses: chance does not come back.
+//! An element may start from an object or from a random group of hits, such as a piece of a surface
+//! that is visible for a moment between two others, or the edge of an object. There are two
+//! separate questions. Was it an object? Scans that measure the element are the evidence. Is it
+//! still there? Scans that do not measure it are the evidence. A new measurement cancels the
+//! earlier misses, because a random group rarely appears again.
 
 use super::arrivals::{Arrivals, BirthPlace};
 use super::view::visibility::CircleVisibility;
 use crate::tracking::kind::{KINDS, KindBelief, TrackKind};
 use serde::{Deserialize, Serialize};
 
-/// Mean time for which an object stays, unless it has never moved [s].
+/// Mean time for which an object that has moved exists [s].
 const LIFETIME: f64 = 60.0;
-/// Mean time for which an object that has never moved stays [s]: furniture and posts do not leave
-/// while nobody looks.
+/// Mean time for which an object that has never moved exists [s]: furniture and posts do not leave
+/// while they are out of view.
 const LIFETIME_STANDING: f64 = 600.0;
-/// Mean time for which a chance group of rays shows [s].
+/// Mean time for which a random group of hits is visible [s].
 const CHANCE: f64 = 0.2;
-/// Probability that a chance group of rays shows a second time.
+/// Probability that a random group of hits appears a second time.
 const TWICE: f64 = 0.4;
 /// Rate at which the logarithm of the odds that an object is still there falls while rays pass its
 /// place [1/s].
@@ -25,35 +26,36 @@ const SEEN_THROUGH: f64 = 40.0;
 /// Rate at which the logarithm of the odds that an object is still there falls while rays end at
 /// its place but show no object [1/s].
 const UNMATCHED: f64 = 18.0;
-/// Longest time that one scan speaks for [s]: successive scans show nearly the same, so that time
-/// counts and not their number.
+/// Longest time for which one scan is evidence [s]. Successive scans show nearly the same, so the
+/// evidence depends on time and not on the number of scans.
 const SPEAKS: f64 = 0.1;
-/// Odds of an object that shows once and is then covered by another, over those of a chance group:
-/// such a group shows for a moment in a gap.
+/// Likelihood ratio of an object to a random group of hits, for an element that was measured once
+/// and then hidden by another object: a random group is often visible for a moment in a gap.
 const COVERED: f64 = 0.15;
-/// Odds of an object that is gone when its element ends, over those of a chance group: measured
-/// once, and measured more often.
+/// Likelihood ratio of an object to a random group of hits, for an element that ends because
+/// nothing is there any more: measured once, and measured more often.
 const GONE: [f64; 2] = [0.02, 0.3];
 
-/// Probability below which there is no object.
+/// Probability of existence below which an element is removed.
 pub(super) const OVER: f64 = 0.05;
-/// Probability from which on there surely was one.
+/// Probability from which on an element certainly was an object.
 const SURE: f64 = 0.99;
 /// Largest probability, so that other evidence can always lower it.
 const MOST: f64 = 1.0 - 1e-6;
 
-/// Shares of kinds among new elements, in the order of `TrackKind::ALL`: most stand.
+/// Prior probabilities of the kinds of a new element, in the order of `TrackKind::ALL`: most are
+/// static.
 const SHARES: [f64; KINDS] = [0.05, 1e-3, 0.3, 0.6, 0.05];
-/// Rate at which the logarithm of the odds changes, while an element moves, that it is of a kind
-/// that stands [1/s].
+/// Rate at which the logarithm of the odds of a static kind changes while an element moves [1/s].
 const MOVING: f64 = -6.0;
-/// Rate at which the logarithm of the odds changes, while an element stands, that it is of a kind
-/// that moves at times [1/s].
+/// Rate at which the logarithm of the odds of a moving kind changes while an element is at rest
+/// [1/s].
 const RESTING: f64 = -0.1;
-/// Longest time that one scan speaks for about the kind [s].
+/// Longest time for which one scan is evidence of the kind [s].
 const LONGEST: f64 = 0.5;
 
-/// Probabilities that an element of the map was an object and still is there, and of its kinds.
+/// Probabilities that an element of the map was an object, that it is still there, and of its
+/// kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ElementBelief {
     /// Probability that the element was an object when it was measured last.
@@ -64,7 +66,8 @@ pub(super) struct ElementBelief {
     /// elsewhere.
     is_anywhere: f64,
     kinds: KindBelief,
-    /// Sort of place where the element began; None once its result was passed to [`Arrivals`].
+    /// Class of the place where the element started; None after the result was passed to
+    /// [`Arrivals`].
     began: Option<BirthPlace>,
     /// Time since the last scan that was evidence for or against the object [s].
     since: f64,
@@ -72,12 +75,12 @@ pub(super) struct ElementBelief {
     /// Likelihood of all scans since the last measurement if the object is still there, divided by
     /// their likelihood if it is gone.
     missed: f64,
-    /// True if the last scan that was taken in measured the element.
+    /// True if the last processed scan measured the element.
     is_in_sight: bool,
 }
 
 impl ElementBelief {
-    /// Belief about a new element that one scan measured at a place of this sort.
+    /// Belief about a new element that one scan measured at a place of this class.
     pub(super) fn new(place: BirthPlace, arrivals: &Arrivals) -> Self {
         Self {
             was: arrivals.share(place),
@@ -98,7 +101,7 @@ impl ElementBelief {
     }
 
     /// Probability that there is an object, at the expected place or elsewhere. The element keeps
-    /// its number as long as this is large enough.
+    /// its ID as long as this is large enough.
     pub(super) fn existence_anywhere(&self) -> f64 {
         self.was * self.is_anywhere
     }
@@ -122,7 +125,7 @@ impl ElementBelief {
         self.since += dt.max(0.0);
     }
 
-    /// Take in a scan that measured the element.
+    /// Update the probabilities with a scan that measured the element.
     pub(super) fn measured(&mut self) {
         let once = if std::mem::take(&mut self.is_measured_once) { TWICE } else { 1.0 };
         let chance = once * libm::exp(-self.spoken() / CHANCE);
@@ -131,9 +134,9 @@ impl ElementBelief {
         self.is_in_sight = true;
     }
 
-    /// Take in a scan that did not measure the element. `doubt` is the probability that an object
-    /// that is still there is at another place than the one the scan was asked for: no number of
-    /// scans makes it less likely than that.
+    /// Update the probabilities with a scan that did not measure the element. `doubt`: probability
+    /// that an object that still exists is not at the tested place. It is a lower bound of the
+    /// likelihood, however many scans there are.
     pub(super) fn unmeasured(&mut self, visibility: CircleVisibility, doubt: f64) {
         let was_in_sight = std::mem::take(&mut self.is_in_sight);
         let rate = match visibility {
@@ -176,19 +179,19 @@ impl ElementBelief {
         self.kinds = self.kinds.weighed([1.0, moving, moving, standing, moving]);
     }
 
-    /// The more probable of two beliefs about elements of one object.
+    /// Merge the beliefs about two elements of one object: the more probable one is kept.
     pub(super) fn united(self, other: Self) -> Self {
         if other.existence() > self.existence() { other } else { self }
     }
 
-    /// Time that the present scan speaks for [s], limited to `SPEAKS`. The time since the last such
-    /// scan starts again.
+    /// Time for which the present scan is evidence [s], limited to `SPEAKS`. The time since the
+    /// last such scan starts again.
     fn spoken(&mut self) -> f64 {
         std::mem::take(&mut self.since).min(SPEAKS)
     }
 }
 
-/// Probability after an observation with this ratio of likelihoods (Bayes' rule).
+/// Probability after an observation with this likelihood ratio (Bayes' rule).
 fn weighed(probability: f64, ratio: f64) -> f64 {
     let odds = ratio * probability;
     (odds / (odds + 1.0 - probability)).min(MOST)

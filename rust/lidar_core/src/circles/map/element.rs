@@ -33,8 +33,8 @@ pub(super) trait State: Clone {
         true
     }
 
-    /// Measurements of a scan with those of parts of one object put together, and for each
-    /// measurement the index of the one that it is a part of, or its own.
+    /// Measurements of a scan, with parts of one object merged. Also, for each measurement, the
+    /// index of the measurement of which it is a part, or its own index.
     fn wholes<'a>(
         _all: impl Iterator<Item = &'a Self>,
         seen: &[Self::Measurement],
@@ -72,8 +72,8 @@ pub(super) trait State: Clone {
     /// Visibility of the element in a scan that did not measure it.
     fn look(&self, from: &Viewpoint, rules: &Rules) -> CircleVisibility;
 
-    /// Take in rays of a scan that did not measure the element: they end on it, but are too few to
-    /// measure it. True if there are any.
+    /// Use rays of a scan that end on the element but are too few to measure it. True if there are
+    /// any.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
@@ -89,7 +89,7 @@ pub(super) trait State: Clone {
         false
     }
 
-    /// Decide after a scan whether the element is reported as standing; true if it is.
+    /// Decide after a scan whether the element is reported as standing. Returns the decision.
     fn settle(&mut self, _: &Rules) -> bool {
         true
     }
@@ -100,17 +100,17 @@ pub(super) trait State: Clone {
     /// Merge with the state of the same object.
     fn absorb(&mut self, twin: Self, is_newer: bool);
 
-    /// What earlier scans met at the place of a measurement.
+    /// What earlier scans saw at the place of a measurement.
     fn birth_place(_: &Self::Measurement) -> BirthPlace {
         BirthPlace::Revealed
     }
 
-    /// True if rays that end at its place show that the object is there.
+    /// True if rays that end at the place of the object are evidence that it exists.
     fn is_shown_by_returns() -> bool {
         false
     }
 
-    /// Probability that the object is elsewhere than [`Self::look`] asks for.
+    /// Probability that the object is not at the place that [`Self::look`] tests.
     fn doubt(&self, _: CircleVisibility) -> f64 {
         0.0
     }
@@ -133,12 +133,13 @@ impl ScanEvidence {
     }
 }
 
-/// Time after a measurement for which the place of an element is still known [s].
+/// Time after a measurement for which the position of an element counts as known [s].
 const MOMENT: f64 = 0.5;
-/// Time for which an element that is not at its expected place may come back with its number [s].
+/// Time for which an element that is not found at its expected place is kept, so that it can come
+/// back with its ID [s].
 const AWAY: f64 = 2.5;
 
-/// One object of the map: its state, and what the scans told about it.
+/// One object of the map: its state, and the evidence from the scans.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Element<S> {
     pub(super) id: i64,
@@ -147,8 +148,8 @@ pub(super) struct Element<S> {
     /// Time of the last measurement [ns].
     pub(super) seen_ns: i64,
     pub(super) n_measurements: u32,
-    /// True if the element is probable enough to be reported. It stays true until the probability
-    /// falls below half of that limit.
+    /// True if the probability of existence is high enough for a report. It stays true until the
+    /// probability falls below half of that limit.
     pub(super) confirmed: bool,
     pub(super) belief: ElementBelief,
     /// Time since the probabilities of the kinds were updated [s].
@@ -157,7 +158,7 @@ pub(super) struct Element<S> {
     lost: bool,
     /// Observation by the newest scan of `watcher`.
     seen: ScanEvidence,
-    /// Sensor that last measured the element or should have.
+    /// Sensor that last measured the element or should have measured it.
     watcher: u32,
     /// Time for which it has been hidden or out of view [s].
     hidden: f64,
@@ -230,7 +231,7 @@ impl<S: State> Element<S> {
         self.seen.is_visible()
     }
 
-    /// Decide if the element is probable enough to be reported.
+    /// Update `confirmed` from the probability of existence.
     fn confirm(&mut self, rules: &Rules) {
         let (existence, report) = (self.belief.existence(), rules.parameters().report_existence);
         let least = if self.confirmed { 0.5 * report } else { report };
@@ -248,14 +249,15 @@ impl<S: State> Element<S> {
         self.lost = self.state.is_lost(rules);
     }
 
-    /// True if the element is reported: confirmed, and not lost out of sight.
+    /// True if the element is reported: it is confirmed, and its position is not too uncertain
+    /// while it is out of sight.
     pub(super) fn is_reported(&self) -> bool {
         self.confirmed && !self.lost
     }
 
-    /// True if the element is to be removed: most probably there is no object, it was hidden for too
-    /// long, or it is too uncertain (eq. 33 with a limit per block). Tells `arrivals` what became of
-    /// it.
+    /// True if the element is to be removed: most probably there is no object, it was hidden for
+    /// too long, or it is too uncertain (eq. 33 with a limit per block). Its result is counted in
+    /// `arrivals`.
     pub(super) fn is_over(&mut self, rules: &Rules, arrivals: &mut Arrivals) -> bool {
         let coast = S::coast(rules);
         // Chance groups of rays would fill the map: only an element that was once certain is kept long.
@@ -271,8 +273,8 @@ impl<S: State> Element<S> {
         is_over
     }
 
-    /// True if two elements are one object. Both must be visible, or must have been so a moment
-    /// ago: an object inside another one is hidden by it.
+    /// True if two elements are one object. Both must be visible or must have been visible a moment
+    /// ago, because an object inside another one is hidden by it.
     pub(super) fn is_twin(&self, other: &Self, rules: &Rules) -> bool {
         let newest = self.seen_ns.max(other.seen_ns);
         let is_known = |one: &Self| one.is_visible() || seconds(one.seen_ns, newest) <= MOMENT;

@@ -103,7 +103,7 @@ impl ElementStep {
 
 impl ElementMotion {
     /// Motion from modes and from the densities of radii and half lengths, of headings, and of
-    /// lines. Standing, if it has a weight, is the first mode.
+    /// lines. If `standing` has a weight, it is the first mode.
     pub(super) fn new(
         modes: &[MotionMode],
         standing: &Standing,
@@ -143,8 +143,7 @@ impl ElementMotion {
         }
     }
 
-    /// Prediction over `dt` seconds in which nothing stops or starts: the mean moves at its
-    /// velocity.
+    /// Prediction over `dt` seconds without changes of the mode: the mean moves at its velocity.
     pub(super) fn coast(&self, dt: f64) -> ElementStep {
         let mut motion = self.clone();
         if motion.standing.is_some() {
@@ -198,7 +197,7 @@ fn still(one: &Standing) -> MotionMode {
     MotionMode { density: one.density, weight: one.share, duration: one.duration }
 }
 
-/// All modes except one, with their numbers.
+/// All modes except one, with their indices.
 fn others(modes: &[MotionMode], but: usize) -> impl Iterator<Item = (usize, &MotionMode)> {
     modes.iter().enumerate().filter(move |&(index, _)| index != but)
 }

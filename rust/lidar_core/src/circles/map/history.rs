@@ -1,4 +1,5 @@
-//! Late scans: the map returns to its state before them and processes all later scans again.
+//! Late scans: the map returns to its state before such a scan, and processes it and all later
+//! scans again.
 
 use super::independent::{Elements, new_number};
 use super::rules::Rules;
@@ -146,8 +147,8 @@ impl History {
     }
 }
 
-/// Elements with a fresh number whose circles belonged to a reported element that is gone: pairs of
-/// the fresh number and the reported one, which they keep.
+/// Elements with a new ID whose circles belonged to a reported element that no longer exists: pairs
+/// of the new ID and the reported ID, which they keep.
 fn renamed(
     pairs: &[(Option<i64>, Option<i64>)],
     before: &Elements,
@@ -166,7 +167,8 @@ fn renamed(
     renamed
 }
 
-/// New numbers for elements that came back with a number reported as removed, or never reported.
+/// New IDs for elements that came back with an ID that was reported as removed, or that was never
+/// reported.
 fn fresh_numbers(
     before: &Elements,
     now: &Elements,
@@ -182,7 +184,7 @@ fn fresh_numbers(
     .collect()
 }
 
-/// Change the numbers of elements at every place that refers to them.
+/// Change the IDs of elements everywhere.
 fn rename(
     now: &mut Elements,
     entries: &mut [Entry],

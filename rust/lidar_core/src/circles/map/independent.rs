@@ -18,7 +18,7 @@ use crate::circles::shape::ShapeKind;
 use crate::estimation::kalman::Gaussian;
 use serde::{Deserialize, Serialize};
 
-/// All elements at one time, by ascending number.
+/// All elements at one time, by ascending ID.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Elements {
     stamp_ns: Option<i64>,
@@ -37,7 +37,7 @@ impl Elements {
             && self.bodies.iter().all(|body| body.state.fits(motion))
     }
 
-    /// Number of every element, and true if it is reported.
+    /// ID of every element, and true if it is reported.
     pub(super) fn numbers(&self) -> impl Iterator<Item = (i64, bool)> {
         let bodies = self.bodies.iter().map(|body| (body.id, body.is_reported()));
         bodies.chain(self.lines.iter().map(|line| (line.id, line.is_reported())))
@@ -47,14 +47,14 @@ impl Elements {
         self.numbers().any(|(known, _)| known == id)
     }
 
-    /// Change numbers of elements: pairs of the old number and the new one.
+    /// Change IDs of elements: pairs of the old and the new ID.
     pub(super) fn rename(&mut self, numbers: &[(i64, i64)]) {
         rename(&mut self.bodies, numbers);
         rename(&mut self.lines, numbers);
     }
 
     /// Predict all elements to the time of `scan` and correct them with it; returns pairs of merged
-    /// elements. A scan that is processed again gives new elements the numbers that they had.
+    /// elements. A scan that is processed again gives new elements the IDs that they had.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`], [`Error::Limit`]; the elements may then be half changed.
@@ -89,7 +89,7 @@ impl Elements {
         Ok(merged)
     }
 
-    /// Bodies that are not large, predicted to `stamp_ns`.
+    /// Elements of the map of circles, predicted to `stamp_ns`: all except large shapes.
     pub(super) fn at(&self, rules: &Rules, stamp_ns: i64) -> Vec<MapElement> {
         let step = rules.motion().coast(seconds(self.stamp_ns.unwrap_or(stamp_ns), stamp_ns));
         let predicted = |body: &Element<RoundBody>| {
@@ -132,8 +132,8 @@ impl Elements {
         shapes
     }
 
-    /// True if all points, in the world, lie on one confirmed line of at least this length [m], up
-    /// to the error of ranges with deviation `std` [m].
+    /// True if all points [m], in the world, lie on one confirmed line of at least this length [m].
+    /// `std`: standard deviation of the ranges [m].
     pub(super) fn is_on_line(
         &self,
         rules: &Rules,
@@ -160,8 +160,8 @@ fn rename<S>(all: &mut [Element<S>], numbers: &[(i64, i64)]) {
     all.sort_by_key(|element| element.id);
 }
 
-/// Tell an element without a measurement whether the scan should have measured it. Only such elements
-/// are asked, since visibility costs a search in the scan.
+/// Test whether the scan should have measured an element that has no measurement. Only such
+/// elements are tested, because the test needs a search in the scan.
 fn look_for<S: State>(
     element: &mut Element<S>,
     (from, dt): (&Viewpoint, f64),
@@ -175,8 +175,8 @@ fn look_for<S: State>(
     Ok(())
 }
 
-/// Create an element for every measurement that no known one explains, and give parts the element of
-/// their whole: as measurements they would count one body twice.
+/// Create an element for every measurement that no existing one explains. Parts get the element of
+/// their object, so that one object is not counted twice.
 fn create<S: State>(
     rules: &Rules,
     (all, arrivals): (&mut Vec<Element<S>>, &Arrivals),
@@ -245,8 +245,8 @@ fn take_in<S: State>(
     Ok(())
 }
 
-/// Merge elements of one object, decide which are reported, and remove those that are over. Returns
-/// pairs of the number that stays and the one that was merged into it.
+/// Merge elements of one object, decide which elements are reported, and remove elements that end.
+/// Returns pairs of the ID that stays and the ID that was merged into it.
 fn tidy<S: State>(
     rules: &Rules,
     all: &mut Vec<Element<S>>,
@@ -260,8 +260,8 @@ fn tidy<S: State>(
     merged
 }
 
-/// Merge elements of one object; returns pairs of the number that stays and the one that is
-/// removed. A confirmed element stays before others, then the older one.
+/// Merge elements of one object. Returns pairs of the ID that stays and the ID that is removed. A
+/// confirmed element stays before others, then the older one.
 fn merge<S: State>(rules: &Rules, all: &mut Vec<Element<S>>) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();
     let mut index = 0;
@@ -303,7 +303,7 @@ fn shape_of<S: State>(
     }
 }
 
-/// Number of an element after a change of numbers.
+/// ID of an element after a change of IDs.
 pub(super) fn new_number(id: i64, numbers: &[(i64, i64)]) -> i64 {
     numbers.iter().find(|&&(from, _)| from == id).map_or(id, |&(_, to)| to)
 }

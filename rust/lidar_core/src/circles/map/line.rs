@@ -96,14 +96,14 @@ impl Line {
         }
     }
 
-    /// Gap between the part that was seen and a stretch of points about `middle`, negative if they
-    /// overlap [m].
+    /// Gap between the seen part of the line and a piece of half length `half` about `middle` [m];
+    /// negative if they overlap.
     fn gap(&self, middle: [f64; 2], half: f64) -> f64 {
         let along = self.tangent().dot(&self.offset(middle));
         (self.extent[0] - along - half).max(along - half - self.extent[1])
     }
 
-    /// Extend the part that was seen by a stretch.
+    /// Extend the seen part of the line by a piece of half length `half` about `middle` [m].
     fn extend(&mut self, middle: [f64; 2], half: f64) {
         let along = self.tangent().dot(&self.offset(middle));
         self.extent = [self.extent[0].min(along - half), self.extent[1].max(along + half)];
@@ -146,7 +146,7 @@ impl Line {
         Gaussian { mean, covariance: symmetrised(J * P * J.transpose()) }
     }
 
-    /// True if all `points` lie on the line, up to the error of ranges with deviation `std`.
+    /// True if all `points` [m] lie on the line. `std`: standard deviation of the ranges [m].
     pub(super) fn holds(&self, points: &[[f64; 2]], std: f64, rules: &LineRules) -> bool {
         let mut square = 0.0;
         let mut variance = 0.0;
@@ -204,7 +204,7 @@ impl State for Line {
         Self::new(seen, rules.lines())
     }
 
-    /// Short lines do not start an element: they may be parts of anything.
+    /// Short lines do not start an element: they may be parts of any object.
     fn is_born(seen: &LineMeasurement, rules: &Rules) -> bool {
         2.0 * seen.half >= rules.lines().length
     }
@@ -218,7 +218,8 @@ impl State for Line {
         self.state.covariance += Matrix2::new(wander / (half * half), 0.0, 0.0, wander);
     }
 
-    /// Correct the line. A measurement outside the gate is weighted down until it would be inside.
+    /// Correct the line. A measurement outside the gate gets a larger covariance, so that it is
+    /// inside.
     fn correct(&mut self, seen: &LineMeasurement, rules: &Rules) -> Result<(), Error> {
         let (mut model, squared) = self.compared(seen, rules)?;
         // Without this one bad segment would bend a well known wall.

@@ -43,13 +43,13 @@ use rules::Rules;
 use scan::{KeptScan, ScanElements};
 use serde::{Deserialize, Serialize};
 
-/// Name of the kind of a saved state, by which it is recognised.
+/// Name that identifies the type of a saved state.
 const KIND: &str = "circle map";
 
 /// An element, predicted to a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapElement {
-    /// Number of the element, never reused.
+    /// ID of the element, never reused.
     pub id: i64,
     /// Centre x and y [m], its velocity [m/s], radius [m]: the order of eq. 9.
     pub state: Gaussian<5>,
@@ -62,7 +62,7 @@ pub struct MapElement {
     /// True if the newest scan of a sensor measured the element, or if it was in view and not
     /// hidden.
     pub visible: bool,
-    /// True if the element is probable enough to be reported, and its place is known.
+    /// True if the element is reported: it probably exists, and its position is known well enough.
     pub confirmed: bool,
     /// Probability that it is a person; 0 with the filter of the paper.
     pub person: f64,
@@ -77,8 +77,8 @@ pub struct MapElement {
 /// Map element with another shape than a circle, predicted to a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapShape {
-    /// Number, never reused. An ellipse or rectangle that is not large is in the map of circles
-    /// under the same number.
+    /// ID, never reused. An ellipse or rectangle that is not large has the same ID in the map of
+    /// circles.
     pub id: i64,
     /// Kind of the shape.
     pub kind: ShapeKind,
@@ -96,29 +96,29 @@ pub struct MapShape {
     /// True if the newest scan of a sensor measured the element, or if it was in view and not
     /// hidden.
     pub visible: bool,
-    /// True if the element is probable enough to be reported, and its place is known.
+    /// True if the element is reported: it probably exists, and its position is known well enough.
     pub confirmed: bool,
 }
 
-/// Changes of the map by a scan, as numbers of elements.
+/// Changes of the map by a scan, as IDs of elements.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MapStats {
     /// True if the scan was older than the newest one.
     pub late: bool,
-    /// True if the scanner moved although earlier scans have the very same pose: the source of the
+    /// True if the scanner moved although an earlier scan has the same pose: the source of the
     /// poses stopped.
     pub stuck_pose: bool,
-    /// Element of every circle of the scan; it may have been removed since.
+    /// ID of the element of every circle of the scan; it may have been removed since.
     pub elements: Vec<i64>,
-    /// Element of every line of the scan; None for a line too short to start one.
+    /// ID of the element of every line of the scan; None for a line too short to start one.
     pub lines: Vec<Option<i64>>,
-    /// Elements that are new.
+    /// IDs of new elements.
     pub born: Vec<i64>,
-    /// Elements that are reported from now on.
+    /// IDs of elements that are reported from now on.
     pub confirmed: Vec<i64>,
-    /// Elements that are removed, including those merged into others.
+    /// IDs of removed elements, including those merged into others.
     pub removed: Vec<i64>,
-    /// Pairs of an element that stays and the one merged into it.
+    /// Pairs of the ID that stays and the ID that was merged into it.
     pub merged: Vec<[i64; 2]>,
 }
 
@@ -253,8 +253,8 @@ impl CircleMap {
         })
     }
 
-    /// All elements, unconfirmed ones included, predicted to `stamp_ns`, ordered by number. The map
-    /// is not changed.
+    /// All elements, unconfirmed ones included, predicted to `stamp_ns`, ordered by ID. The map is
+    /// not changed.
     #[must_use]
     pub fn map_at(&self, stamp_ns: i64) -> Vec<MapElement> {
         match &self.engine {
@@ -264,7 +264,7 @@ impl CircleMap {
     }
 
     /// Map elements with other shapes than circles, including unconfirmed ones, predicted to
-    /// `stamp_ns` and ordered by number; none with the filter of the paper. The map is not changed.
+    /// `stamp_ns` and ordered by ID; none with the filter of the paper. The map is not changed.
     #[must_use]
     pub fn shapes_at(&self, stamp_ns: i64) -> Vec<MapShape> {
         match &self.engine {
@@ -273,8 +273,8 @@ impl CircleMap {
         }
     }
 
-    /// True if all points, in the world, lie on one reported line of at least `length` [m], up to
-    /// the error of ranges with deviation `std` [m].
+    /// True if all points [m], in the world, lie on one reported line of at least `length` [m].
+    /// `std`: standard deviation of the ranges [m].
     #[must_use]
     pub fn is_on_line(&self, points: &[[f64; 2]], std: f64, length: f64) -> bool {
         match &self.engine {
@@ -296,7 +296,7 @@ impl CircleMap {
         }
     }
 
-    /// Remove all elements and scans. Numbers are not used again.
+    /// Remove all elements and scans. IDs are not used again.
     pub fn reset(&mut self) {
         match &mut self.engine {
             MapFilter::Paper(joint) => joint.reset(),
@@ -304,7 +304,7 @@ impl CircleMap {
         }
     }
 
-    /// Numbers of all elements, each with true if it is reported.
+    /// IDs of all elements, each with true if it is reported.
     fn numbers(&self) -> Vec<(i64, bool)> {
         match &self.engine {
             MapFilter::Paper(joint) => joint.numbers().map(|id| (id, true)).collect(),

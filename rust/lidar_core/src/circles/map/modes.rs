@@ -9,7 +9,7 @@ use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised, 
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
 
-/// Least standard deviation of the velocity of what stands, per axis [m/s].
+/// Least standard deviation of the velocity of a standing element, per axis [m/s].
 const STILL_SPEED: f64 = 1e-3;
 /// Weight of a mode below which it is rare.
 const RARE: f64 = 0.01;
@@ -123,7 +123,7 @@ impl<const N: usize> ElementModes<N> {
         if motion.standing.is_some() { self.probabilities[0] } else { 0.0 }
     }
 
-    /// How far a measurement is from the modes.
+    /// Distances of a measurement from the modes.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised.
@@ -183,9 +183,9 @@ impl<const N: usize> ElementModes<N> {
         Ok((best <= gate).then(|| -2.0 * log_sum(&costs)))
     }
 
-    /// Correct with a measurement. What stands may show another part of itself: `standing` holds the measurement for
-    /// this case, its probability, and other evidence for the first mode, as the logarithm of its Bayes factor against
-    /// the other modes.
+    /// Correct with a measurement. A scan may show another part of a standing object: `standing`
+    /// holds the measurement for this case, its probability, and other evidence for the first mode
+    /// (logarithm of the Bayes factor against the other modes).
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] if an innovation covariance cannot be factorised; the state
@@ -239,8 +239,8 @@ impl<const N: usize> ElementModes<N> {
     }
 }
 
-/// The state with velocity zero. The velocity that it had is added to the covariance, so that motion stays as probable
-/// as it was.
+/// The state with velocity zero. The old velocity is added to the covariance, so that the
+/// probability of motion does not change.
 pub(super) fn halted<const N: usize>(mut state: Gaussian<N>) -> Gaussian<N> {
     let speed = [state.mean[2], state.mean[3]];
     for row in 0..2 {

@@ -30,7 +30,7 @@ pub struct Standing {
     pub duration: f64,
     /// Mean time that an element moves before it comes to rest [s].
     pub moving: f64,
-    /// Density of the random walk of the centre [m^2/s]: the part of an object that is seen
+    /// Density of the random walk of the centre [m^2/s], because the visible part of an object
     /// changes.
     pub density: f64,
     /// Standard deviation of the velocity with which an element starts to move, per axis [m/s].
@@ -100,8 +100,8 @@ pub struct Independent {
     pub birth_density: f64,
     /// Gap between two surfaces below which they count as one element [m].
     pub merge_gap: f64,
-    /// Probability of existence from which on an element is reported, until it falls below half of
-    /// it.
+    /// Probability of existence from which on an element is reported. The report stops below half
+    /// of this value.
     pub report_existence: f64,
     /// Largest standard deviations of a visible element; one above them is removed.
     pub limits: Limits,

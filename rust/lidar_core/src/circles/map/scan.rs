@@ -37,7 +37,7 @@ pub type PoseCovariance = [[f64; 6]; 6];
 pub struct CircleScan<'a> {
     /// Time of the scan [ns].
     pub stamp_ns: i64,
-    /// Number of the sensor: scans of several sensors may have the same stamp.
+    /// Index of the sensor: scans of several sensors may have the same stamp.
     pub sensor: u32,
     /// Pose of the sensor.
     pub world_from_lidar: &'a Transform,
@@ -51,11 +51,11 @@ pub struct CircleScan<'a> {
     /// Outlines of those `estimates` that only represent another shape; empty if there are none.
     /// The filter of the paper ignores them.
     pub outlines: &'a [Option<OutlineEstimate>],
-    /// End points of the rays of each of `estimates`, in the world seen from above; None if only
-    /// the estimates show motion. The filter of the paper ignores them.
+    /// End points of the rays of each of `estimates`, x and y in the world [m]; None if only the
+    /// estimates are used to find motion. The filter of the paper ignores them.
     pub points: Option<&'a [Vec<[f64; 2]>]>,
-    /// Whether something nearer hides a side of each of `estimates`; None: of none. The filter of the
-    /// paper ignores it.
+    /// For each of `estimates`, whether a nearer object hides a side of it; None: no side is
+    /// hidden. The filter of the paper ignores it.
     pub covered: Option<&'a [bool]>,
     /// Lines found in the scan. The filter of the paper ignores them.
     pub lines: &'a [ShapeEstimate],
@@ -67,7 +67,7 @@ pub struct CircleScan<'a> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct MeasuredObjects<M> {
     pub(super) measurements: Vec<M>,
-    /// Number of the element of each object, after the scan was processed; None without an element.
+    /// ID of the element of each object, after the scan was processed; None without an element.
     pub(super) elements: Vec<Option<i64>>,
 }
 
@@ -77,7 +77,7 @@ impl<M> MeasuredObjects<M> {
     }
 }
 
-/// A scan in the form that the map keeps.
+/// A scan in the form in which the map stores it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct KeptScan {
     pub(super) from: Viewpoint,
@@ -146,8 +146,8 @@ impl KeptScan {
         })
     }
 
-    /// Note how far the points of bodies reach, and which are where earlier scans met something; true
-    /// if the scanner moved under a pose that stayed the same.
+    /// Compute the extent of the points of objects, and which points are where earlier scans saw a
+    /// surface. Returns true if the scanner moved although its pose stayed the same.
     pub(super) fn compare(&mut self, scan: &CircleScan<'_>, earlier: &Earlier) -> bool {
         let Some(points) = scan.points else { return false };
         let before = earlier.before(&self.from);
@@ -160,7 +160,7 @@ impl KeptScan {
         before.has_stuck_pose()
     }
 
-    /// Key for the order of scans: stamp [ns] and number of the sensor.
+    /// Key for the order of scans: stamp [ns] and index of the sensor.
     pub(super) fn key(&self) -> (i64, u32) {
         self.from.key()
     }
@@ -181,7 +181,7 @@ impl KeptScan {
     }
 }
 
-/// Numbers of the elements that the objects of a scan belong to.
+/// IDs of the elements to which the objects of a scan belong.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ScanElements {
     pub(super) circles: Vec<i64>,

@@ -1,26 +1,26 @@
-//! Rays without return, as the drivers of 2D scanners give them.
+//! Rays without return, and how drivers of 2D scanners mark them.
 
 use serde::{Deserialize, Serialize};
 
-/// Share of the rays that are invalid if invalid values stand for misses. A surface that is too
-/// dark or too slanting makes fewer.
+/// Least share of invalid rays in a scan if invalid values mark misses. Dark or slanting surfaces
+/// give fewer invalid rays.
 const MANY: f64 = 0.05;
-/// Largest number of values of a better known kind beside one that stands for misses, as a share of
-/// the latter.
+/// A value marks misses only if the values of a kind with more certain meaning are rarer than this
+/// share of it.
 const RARE: f64 = 0.05;
-/// Number of scans that the counts remember.
+/// Number of scans over which the counts are averaged.
 const MEMORY: f64 = 200.0;
-/// Number of scans before NaN can stand for misses.
+/// Number of scans before NaN can be recognised as the mark of misses.
 const FIRST: f64 = 20.0;
 
-/// Distance above the nearest range that the scanner measures, in standard deviations, within which
-/// neighbours of a hit may be too near to be measured.
+/// Distance above the smallest measurable range, in standard deviations: the neighbours of a hit
+/// within it may be too near to be measured.
 pub(in crate::circles) const NEAR: f64 = 10.0;
 
-/// Value that stands for a ray without return.
+/// Value that marks a ray without return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NoReturn {
-    /// +inf, as REP-117 has it, or a range at or beyond the limit of the scanner.
+    /// +inf, as REP-117 defines it, or a range at or beyond the limit of the scanner.
     #[default]
     Infinite,
     /// A range of zero.
@@ -29,12 +29,12 @@ pub enum NoReturn {
     Nan,
 }
 
-/// What the scans of one scanner tell about its rays without return.
+/// Statistics of the scans of one scanner that show how its rays without return are marked.
 ///
-/// REP-117 has +inf for a ray that met nothing within reach and NaN for an erroneous one. Many
-/// drivers have zero or NaN for both: then a scan has no +inf, but many zeros or NaN. NaN on rays
-/// that never had a range may be the mask of somebody who knows them, such as for parts of the
-/// robot. It stays no information.
+/// REP-117 defines +inf for a ray without return within range, and NaN for an erroneous
+/// measurement. Many drivers write zero or NaN for both: a scan then has no +inf, but many zeros or
+/// NaN. NaN on rays that never had a range may be a mask, for example for parts of the robot. It
+/// stays "no information".
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Misses {
     no_return: NoReturn,
@@ -49,14 +49,14 @@ pub struct Misses {
 }
 
 impl Misses {
-    /// The value that marks a ray without return, as far as the scans tell.
+    /// The value that marks a ray without return, learnt from the scans so far.
     #[must_use]
     pub fn no_return(&self) -> NoReturn {
         self.no_return
     }
 
-    /// Take in the ranges of one more scan [m]. A scan without any range tells nothing: scanners
-    /// give such ones while they start.
+    /// Count the ranges of one more scan [m]. A scan without any range is ignored: scanners send
+    /// such scans while they start.
     pub fn add(&mut self, ranges: &[f32], [range_min, range_max]: [f64; 2]) {
         let (least, limit) = (range_min as f32, range_max as f32);
         let is_hit = |range: f32| range.is_finite() && range > 0.0 && range >= least;
@@ -81,8 +81,8 @@ impl Misses {
         self.no_return = self.meaning();
     }
 
-    /// The value that marks a ray without return by the counts; the last answer where they tell
-    /// nothing new.
+    /// The value that marks a ray without return, from the counts; the last result if the counts do
+    /// not decide.
     fn meaning(&self) -> NoReturn {
         let is_many = |count: f64| count > 0.0 && count >= MANY * self.rays;
         let can_be_zero = self.infinite.max(RARE * RARE * self.nan) <= RARE * self.zero;
@@ -108,8 +108,8 @@ impl Misses {
     /// Ranges of a scan with +inf for a miss and NaN for no information.
     ///
     /// Below `range_min` is no information, at or above `range_max` a miss. Invalid rays beside a
-    /// range below `nearest` stay no information: they may have met the same surface too near. All
-    /// in metres.
+    /// range below `nearest` stay "no information": the same surface may be too near to be measured
+    /// there. All in metres.
     #[must_use]
     pub fn marked(
         &self,

@@ -13,7 +13,7 @@ const STEEPEST: f64 = 0.02;
 pub enum Projection {
     /// Every measured point, with range and bearing as seen from above.
     Exact,
-    /// Ranges by cos(pitch) cos(roll), bearings kept: eq. 5 as published.
+    /// Ranges multiplied by cos(pitch) cos(roll), bearings unchanged: eq. 5 as published.
     Paper,
 }
 
@@ -120,8 +120,8 @@ fn inside(planes: &[[f64; 4]], origin: [f64; 3], direction: [f64; 3]) -> [f64; 2
 /// Project a scan to the level frame of its stamp, that is the horizontal plane, and correct the
 /// motion during the sweep.
 ///
-/// A miss stays a miss. Its bearing is that of a point at the range of the nearest hit in the order
-/// of rays, since a moving scanner sees near and far objects in different directions.
+/// A miss stays a miss. Its bearing is that of a point at the range of the nearest hit (counted in
+/// rays), because a moving scanner sees near and far objects in different directions.
 ///
 /// # Errors
 /// [`Error::Length`] if the arrays differ in length.
@@ -169,7 +169,8 @@ fn shrunk(raw: &PolarScan, level_from_lidar: &Transform) -> LevelScan {
     LevelScan { scan, heights: Vec::new() }
 }
 
-/// Range of the hit nearest to every ray, in numbers of rays; far away where there is none.
+/// For every ray, the range of the nearest hit, counted in rays [m]; a very large range if there is
+/// no hit.
 fn nearest_hits(ranges: &[f64]) -> Vec<f64> {
     const NOTHING_HIT: f64 = 1e6; // [m]: the direction alone
     let mut nearest = vec![(usize::MAX, NOTHING_HIT); ranges.len()];

@@ -1,10 +1,11 @@
-//! A box around a body that is not round, with the sides that are hidden now.
+//! A box around a body that is not round, including its hidden sides.
 //!
-//! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner than the middle, and
-//! moves as the body turns or the scanner passes. Here the sides of a box are followed, along the direction in which
-//! the body moves and across it. A side that faces the scanner is where the points end. A side that does not is as far
-//! away as the body is long. This length is remembered from when it was seen; before, it is guessed from the width,
-//! and the covariance says so.
+//! A scanner sees one or two sides of a body. The circle through them lies nearer to the scanner
+//! than the middle, and moves as the body turns or the scanner passes. The box is aligned with the
+//! direction of motion. The points of a scan give the position of the sides that face the scanner.
+//! A side that does not face the scanner has the distance from them that it had when it was last
+//! visible. Before it was visible, this length is guessed from the width, and the covariance
+//! contains the uncertainty of the guess.
 //!
 //! Source: the idea of Granstrom, Reuter, Meissner & Scheel, "A multiple model PHD approach to tracking of cars under
 //! an assumed rectangular shape", FUSION 2014: visible sides are measured, and the size is a part of the state.
@@ -31,30 +32,32 @@ const FACING: f64 = 0.02;
 const CORNER: f64 = 0.04;
 /// Cosine of the angle between a side's normal and the line of sight above which the side faces the scanner.
 const GRAZING: f64 = 0.2;
-/// Cosine of the angle between a side's normal and the sight from which on the side is seen as far as it goes.
+/// Cosine of the angle between a side's normal and the line of sight above which the whole side is
+/// visible.
 const OPEN: f64 = 0.7;
 /// Half depth of a body that is seen from one side, in half widths.
 const DEPTH: f64 = 1.5;
-/// Standard deviation of this half depth, in half widths: the depth of the body is not seen.
+/// Standard deviation of this half depth, in half widths: the depth of the body is not visible.
 const DOUBT: f64 = 1.0;
 /// Least half length [m].
 const LEAST: f64 = 0.03;
-/// Offset of the middle of a body from that of its box, in half lengths: that of a vehicle is often near an axle.
+/// Standard deviation of the distance between the reference point of a body and the middle of its
+/// box, in half lengths: the reference point of a vehicle is often near an axle.
 const MIDDLE: f64 = 0.4;
-/// Largest distance between the last ray on a body and the first that passes it [m].
+/// Largest distance between the last ray on a body and the first ray that passes it [m].
 const GAP: f64 = 0.3;
-/// Speed of a body from which on its velocity tells the heading [m/s].
+/// Speed from which on the velocity of a body gives its heading [m/s].
 const SPEED: f64 = 0.3;
-/// Largest standard deviation of the velocity that tells the heading, as a share of the speed.
+/// Largest standard deviation of a velocity that gives the heading, as a share of the speed.
 const SURE: f64 = 0.5;
 /// Standard deviation of the heading from the direction of motion [rad].
 const SLIP: f64 = 0.1;
-/// Squared distance of a side in its variances, above which it is weighted down.
+/// Squared distance of a side, in variances, above which it gets less weight.
 const FAR: f64 = 16.0;
-/// Variance of a side that is not seen [m^2].
+/// Variance of a side that is not visible [m^2].
 const UNSEEN: f64 = 1e4;
 
-/// A box that follows the sides of a body.
+/// A box that tracks the sides of a body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct BodyBox {
     /// Centre, velocity, half lengths along the heading and across it.
@@ -134,7 +137,8 @@ impl BodyBox {
         self.state.halt();
     }
 
-    /// Correct with the points of one scan; `is_in_free` is true if earlier scans met free space at their place.
+    /// Correct with the points of one scan. `is_in_free`: true if earlier scans saw free space at
+    /// their place.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; the box is then half corrected.
@@ -227,7 +231,7 @@ impl BodyBox {
         self.spread *= 1.0 - gain;
     }
 
-    /// True if the body has moved, so that its sides come into view.
+    /// True if the body has moved.
     pub(super) fn has_moved(&self) -> bool {
         self.has_moved
     }
@@ -243,8 +247,8 @@ impl BodyBox {
         mean[4] > 0.0 && mean[5] > 0.0
     }
 
-    /// Centre, velocity and the mean of both half lengths. What counts as the middle of a real body is
-    /// off that of its box by a share of its size.
+    /// Centre, velocity and the mean of both half lengths. The covariance contains the distance
+    /// between the reference point of the body and the middle of the box.
     pub(super) fn circle(&self) -> Gaussian<5> {
         let Gaussian { mean, covariance } = self.state.combined();
         let mut J = SMatrix::<f64, 5, 6>::zeros();
@@ -261,7 +265,7 @@ impl BodyBox {
         Gaussian { mean: J * mean, covariance: symmetrised(P) }
     }
 
-    /// Circle of a body that has this box with probability `share`, else that circle.
+    /// Mixture of this box, with the probability `share`, and `circle`.
     pub(super) fn mixed(&self, circle: Gaussian<5>, share: f64) -> Gaussian<5> {
         mixture_of(&[circle, self.circle()], &[1.0 - share, share])
     }

@@ -1,4 +1,4 @@
-//! One face of a body whose other sides are known from before.
+//! One visible face of a body whose other sides are known from earlier scans.
 //!
 //! A face shows where one side is, and nothing about the depth behind it. Without other knowledge,
 //! its middle is assumed to be half of a half width behind it. If a rectangle showed two sides
@@ -14,8 +14,8 @@ use crate::estimation::kalman::Gaussian;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use std::f64::consts::FRAC_PI_2;
 
-/// Depth of the middle behind a face of which nothing else is known, in half widths: where the choice of
-/// circles and shapes (`selection.rs`) has put it.
+/// Distance of the centre behind a face without other information, in half widths. `selection.rs`
+/// uses the same value.
 const BEHIND: f64 = 0.5;
 /// Ratio of half lengths below which an ellipse may be a face.
 const FLAT: f64 = 0.5;
@@ -54,8 +54,8 @@ impl BodyMeasurement {
 
 impl Outline {
     /// Circle of the body from a measurement of one face and from the half lengths known from
-    /// earlier scans. None if the measurement shows more than a face or a face of another width, or
-    /// if the body is no known rectangle.
+    /// earlier scans. None if the measurement shows more than one face or a face of another width,
+    /// or if the body is not known as a rectangle.
     pub(super) fn behind(&self, seen: &BodyMeasurement) -> Option<CircleMeasurement> {
         let (kind, Gaussian { mean, covariance: P }) = self.reported()?;
         if kind != ShapeKind::Rectangle || self.is_large() {

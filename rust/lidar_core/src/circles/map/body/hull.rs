@@ -1,4 +1,4 @@
-//! How far the points of an object reach to every side.
+//! Extent of the points of an object in 16 directions.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -19,13 +19,13 @@ static AXES: LazyLock<[[f64; 2]; DIRECTIONS]> = LazyLock::new(|| {
 pub(in crate::circles::map) struct Hull {
     /// Points of the hull in the world, seen from above [m].
     points: [[f64; 2]; DIRECTIONS],
-    /// True if something nearer hides one side of the object.
+    /// True if a nearer object hides one side of the object.
     is_covered: bool,
 }
 
 impl Hull {
-    /// Hull of points in the world, seen from above [m]; None without points. `is_covered` is true
-    /// if something nearer hides a side of the object.
+    /// Hull of points in the world, seen from above [m]; None without points. `is_covered`: true if
+    /// a nearer object hides a side of the object.
     pub(in crate::circles::map) fn of(points: &[[f64; 2]], is_covered: bool) -> Option<Self> {
         let (&first, others) = points.split_first()?;
         let start = Self { points: [first; DIRECTIONS], is_covered };

@@ -1,8 +1,8 @@
-//! Which legs belong to which person.
+//! Assignment of legs to people.
 //!
-//! Where people pass each other, the leg that is nearest to one of them may be the other's: a leg is up
-//! to half a step away from the middle of its person. Only both legs together tell whose they are, so
-//! that all ways to share the legs of a group are compared.
+//! While people pass each other, the leg nearest to one person may belong to another one: a leg is
+//! up to half a step away from the centre of its person. Only both legs together show to whom they
+//! belong. All possible assignments of the legs of a group are therefore compared.
 
 use super::measurement::BodyMeasurement;
 use super::places::apart;
@@ -10,8 +10,8 @@ use nalgebra::Vector3;
 
 /// Largest distance of a leg from the middle of its person [m].
 const REACH: f64 = 0.6;
-/// Standard deviation of the middle of two legs, or of a single leg, from where the person is expected
-/// [m]: of two legs the steps are not even, and one may be half hidden.
+/// Standard deviation of the middle of two legs, or of a single leg, from the predicted position of
+/// the person [m]: steps are uneven, and a leg may be partly hidden.
 const SPREAD: f64 = 0.25;
 /// Cost of a leg that is not seen: -2 ln of its probability.
 pub(super) const HIDDEN: f64 = 6.0;
@@ -21,13 +21,13 @@ const NOBODY: f64 = 18.0;
 const THICK: f64 = 0.1;
 /// Standard deviation of the difference of two radii beyond `THICK` [m].
 const ALIKE: f64 = 0.02;
-/// Largest number of people of a group for which all ways to share the legs are compared.
+/// Largest number of people in a group for which all assignments are compared.
 const MOST_PEOPLE: usize = 4;
 /// Largest number of legs that are considered for one person.
 const MOST_LEGS: usize = 6;
 
-/// One way to give legs to a person: its cost (-2 ln of its probability), the number of the person,
-/// and the numbers of one or two legs.
+/// A possible assignment of legs to a person: cost (-2 ln of its probability), index of the person,
+/// and indices of one or two legs.
 #[derive(Clone, Debug)]
 struct LegChoice {
     cost: f64,
@@ -35,9 +35,9 @@ struct LegChoice {
     legs: Vec<usize>,
 }
 
-/// Share legs out: for each person the numbers of at most two measurements in `seen`; no leg
-/// belongs to two people. `people` are the expected places (x, y, radius) [m], and `free` the
-/// numbers of the measurements that may be legs. Legs of one person are less than `step` [m] apart.
+/// Assign legs to people: for each person the indices of at most two measurements in `seen`; no leg
+/// belongs to two people. `people`: predicted positions (x, y, radius) [m]. `free`: indices of the
+/// measurements that may be legs. Legs of one person are less than `step` [m] apart.
 pub(super) fn shared_out(
     people: &[Vector3<f64>],
     seen: &[BodyMeasurement],
@@ -106,7 +106,7 @@ pub(super) fn difference(one: &BodyMeasurement, two: &BodyMeasurement) -> f64 {
     off * off / (one.circle.R[(2, 2)] + two.circle.R[(2, 2)] + ALIKE * ALIKE)
 }
 
-/// Numbers of the people in groups: only members of one group may have the same legs.
+/// Indices of people in groups: only members of one group compete for the same legs.
 fn groups(choices: &[LegChoice], people: usize, legs: usize) -> Vec<Vec<usize>> {
     let mut group_of: Vec<usize> = (0..people).collect();
     let mut user: Vec<Option<usize>> = vec![None; legs];
@@ -123,8 +123,8 @@ fn groups(choices: &[LegChoice], people: usize, legs: usize) -> Vec<Vec<usize>> 
     (0..people).map(members).filter(|group: &Vec<usize>| !group.is_empty()).collect()
 }
 
-/// Legs of each of `members`, the likeliest choices first; for groups that are too large for all
-/// ways.
+/// Legs of each of `members`, assigned greedily by probability, for groups that are too large for a
+/// complete search.
 fn greedily(choices: &[LegChoice], members: &[usize]) -> Vec<Vec<usize>> {
     let mut found = vec![Vec::new(); members.len()];
     for choice in choices {
@@ -136,7 +136,7 @@ fn greedily(choices: &[LegChoice], members: &[usize]) -> Vec<Vec<usize>> {
     found
 }
 
-/// Search all ways for the one of least cost in which no leg belongs to two people. `best` receives
+/// Search for the assignment of least cost in which no leg belongs to two people. `best` receives
 /// its cost and the legs of each person.
 fn search(
     all: &[Vec<&LegChoice>],

@@ -1,10 +1,10 @@
-//! Joins two legs to one person.
+//! Merges two legs into one person.
 //!
-//! Near the ground a scan meets two legs, which go in turns: one stands while the other swings twice
-//! as fast as the person walks. Where both were free space a moment ago, two legs near each other are
-//! put together: their middle moves steadily. A person who is known takes the legs that are near,
-//! also a single one in front of the other. Higher up, a scan meets two arms that swing, and the trunk
-//! between them.
+//! Near the ground a scan hits two legs that move alternately: one stands while the other swings at
+//! twice the walking speed. Two legs near each other are merged if both places were free space a
+//! moment ago, because their middle moves steadily. A known person gets the legs nearby, also a
+//! single one that hides the other. Higher up, a scan hits two swinging arms, and the trunk between
+//! them.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -14,14 +14,14 @@ use super::measurement::{BodyMeasurement, Legs};
 use super::places::{apart, are_alike};
 use nalgebra::Vector3;
 
-/// Largest radius of the circle that a leg shows [m]; trousers, and few rays.
+/// Largest radius of the circle of a leg [m]; it allows for trousers and for few rays.
 const THICKEST: f64 = 0.17;
 /// Longest step from leg to leg [m].
 const STEP: f64 = 0.75;
-/// Largest mean share of the points of two legs that may lie on surfaces of earlier scans.
+/// Largest mean share of the points of two legs that lie on surfaces of earlier scans.
 const BOTH: f64 = 0.5;
-/// Largest share of the points of each of two legs that may lie on surfaces of earlier scans: one
-/// leg stands for half a step.
+/// Largest share of the points of each of two legs that lie on surfaces of earlier scans: one leg
+/// stands during half a step.
 const EACH: f64 = 0.85;
 /// Standard deviation of the middle of a person from that of both legs [m].
 const MIDDLE: f64 = 0.05;
@@ -34,8 +34,8 @@ const OWN: f64 = 0.12;
 /// Least time for which such a body was measured [s].
 const KNOWN: f64 = 1.0;
 
-/// Put legs together: a person's measurement takes the place of one leg, and the other one becomes a
-/// part of it.
+/// Merge legs: the measurement of the person replaces one leg, and the other leg becomes a part of
+/// it.
 pub(super) fn put_together(
     bodies: &[&RoundBody],
     seen: &mut [BodyMeasurement],
@@ -86,7 +86,8 @@ pub(super) fn put_together(
 
 impl RoundBody {
     /// True if a measurement belongs to this body, which was measured for long enough and is no
-    /// person on two legs. What is where space was free does not belong to a body that stands.
+    /// person on two legs. A measurement at a place that was free does not belong to a standing
+    /// body.
     fn holds(&self, seen: &BodyMeasurement) -> bool {
         self.known >= KNOWN
             && !self.person.has_legs()
@@ -100,7 +101,7 @@ impl RoundBody {
     }
 }
 
-/// Numbers of the two nearest legs in `free` that may belong to one person; None if there are none.
+/// Indices of the two nearest legs in `free` that may belong to one person; None if there are none.
 fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
     let mut best: Option<(f64, [usize; 2])> = None;
     for (place, &one) in free.iter().enumerate() {
@@ -117,8 +118,8 @@ fn next_pair(seen: &[BodyMeasurement], free: &[usize]) -> Option<[usize; 2]> {
     best.map(|(_, pair)| pair)
 }
 
-/// Make one measurement of two legs, or arms, in the place of the first. What is between them is a part of
-/// the person: a trunk, unless it is one of the `others`.
+/// Merge two legs, or arms, into the first measurement. An object between them is a part of the
+/// person (a trunk), unless it is one of the `others`.
 fn join(
     seen: &mut [BodyMeasurement],
     wholes: &mut [usize],

@@ -1,8 +1,8 @@
-//! Errors of circles that do not average out: those of a scanner that looks from the same place.
+//! Errors of circles that do not average out while the scanner sees the object from the same place.
 //!
-//! An object ends somewhere between the last ray that met it and the first that passed it. Where in
-//! between stays the same error in every scan, as long as the rays meet the object at the same
-//! bearings. Other rays, from a scanner that turns or moves, make a new error.
+//! The edge of an object is somewhere between the last ray that hits it and the first ray that
+//! passes it. The resulting error is the same in every scan while the rays hit the object at the
+//! same bearings. If the scanner turns or moves, the error changes.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -15,14 +15,15 @@ use serde::{Deserialize, Serialize};
 /// Change of the bearing of an object's side, in spacings of rays, above which its error is a new
 /// one.
 const OTHER: f64 = 0.3;
-/// Weight of the newest look in the share of looks that were the same.
+/// Weight of the newest scan in the share of scans with the same error.
 const NEWEST: f64 = 0.1;
 /// Rows of x, y and the radius in the state of an element.
 const PLACES: [usize; 3] = [0, 1, 4];
 /// Largest share of the covariance of a fit that errors which do not average out may have.
 const MOST: f64 = 0.9;
 
-/// From where a scanner saw an object: its place and yaw in the world, and the spacing of its rays.
+/// View of a scanner on an object: position and yaw of the scanner in the world, and the spacing of
+/// its rays.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Look {
     /// Place of the scanner [m], and its yaw [rad].
@@ -55,15 +56,15 @@ impl Look {
         [bearing - half, bearing + half]
     }
 
-    /// True if the sides of a circle are at nearly the same bearings as `before`, so that the rays
-    /// meet them in the same way and the error stays the same.
+    /// True if the sides of a circle are at nearly the same bearings as `before` [rad], so that the
+    /// error is the same.
     fn is_same(&self, circle: &Vector3<f64>, before: [f64; 2]) -> bool {
         let mut sides = self.sides(circle).into_iter().zip(before);
         sides.all(|(one, other)| turn(one - other).abs() < OTHER * self.spacing)
     }
 
-    /// Covariance of those errors of a fit (x, y, r) of covariance `R` that last: each side of the
-    /// circle is anywhere between two rays, with equal probability.
+    /// Covariance of the part of the error of a fit (x, y, r) that does not average out. Each side
+    /// of the circle is uniformly distributed between two rays. `R`: covariance of the fit [m^2].
     fn lasting(&self, circle: &Vector3<f64>, R: &Matrix3<f64>) -> Matrix3<f64> {
         let [x, y] = [circle[0] - self.place[0], circle[1] - self.place[1]];
         let distance = libm::hypot(x, y).max(1e-9);
@@ -79,23 +80,23 @@ impl Look {
     }
 }
 
-/// Statistics of the looks at one object: how large its lasting errors are, and how often the rays
-/// met it in the same way.
+/// Statistics of the views on one object: size of the errors that do not average out, and how often
+/// the error was the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Looks {
-    /// Bearings of the sides of the object in the last look [rad]; None before the first one.
+    /// Bearings of the sides of the object in the last view [rad]; None before the first one.
     last: Option<[f64; 2]>,
-    /// Share of recent looks that were the same as the one before.
+    /// Share of recent views that were the same as the view before.
     same: f64,
     /// Mean covariance of the lasting errors of x, y and radius [m^2].
     lasting: Matrix3<f64>,
-    /// Share of the covariance of the fits that the lasting errors have.
+    /// Share of the lasting errors in the covariance of the fits.
     share: f64,
 }
 
 impl Looks {
-    /// Take in a look at an object, a circle (x, y, r) by all that is known, whose fit has the
-    /// covariance `R`.
+    /// Update the statistics with a view on an object. `circle`: best estimate (x, y, r) [m]; `R`:
+    /// covariance of its fit [m^2].
     pub(in crate::circles::map) fn add(
         &mut self,
         look: Look,
@@ -111,9 +112,8 @@ impl Looks {
         self.last = Some(look.sides(circle));
     }
 
-    /// Add the lasting error to the covariance of `state`, since no number of the same looks makes
-    /// it smaller. It replaces the part of the covariance that the filter takes for new in every
-    /// scan.
+    /// Add the lasting error to the covariance of `state`, because equal views do not reduce it. It
+    /// replaces the part of the covariance that the filter treats as independent in every scan.
     pub(in crate::circles::map) fn widen(&self, state: &mut Gaussian<5>) {
         let mut kept = SMatrix::<f64, 5, 5>::identity();
         let lasting = self.lasting * self.same;

@@ -14,15 +14,15 @@ use crate::circles::map::view::earlier::Trace;
 use crate::estimation::kalman::{Gaussian, Linearised, mahalanobis, symmetrised};
 use nalgebra::{Matrix3, Vector2};
 
-/// Probability of standing above which a body is where it was, whatever its fit says.
+/// Probability of standing above which a body counts as not moved, whatever its fit is.
 const LIKELY: f64 = 0.2;
-/// Probability of standing above which a body has stood.
+/// Probability of standing above which a body counts as standing before.
 const STOOD: f64 = 0.8;
-/// Squared Mahalanobis distance to which a larger one of a body that stays is reduced: the centre
-/// tells less than the trace.
+/// Upper bound of the squared Mahalanobis distance for a body that has not moved: the centre is
+/// weaker evidence than the trace.
 const STAYING: f64 = 1.0;
 /// Largest squared Mahalanobis distance of a measurement with full weight, for a body that is not
-/// surely round or has stayed.
+/// certainly round or has not moved.
 const NEAR: f64 = 9.0;
 /// Probability that a measurement shows another part of a body.
 const OTHER: f64 = 0.05;
@@ -30,21 +30,21 @@ const OTHER: f64 = 0.05;
 const PART: f64 = 0.03;
 /// Standard deviation of the circle of another part of a body: share of the radius.
 const PART_SHARE: f64 = 0.5;
-/// Probability that a measurement shows another part of a surely round body, for the decision
+/// Probability that a measurement shows another part of a certainly round body, for the decision
 /// whether it stands.
 const OTHER_OF_ROUND: f64 = 0.001;
 /// Speed above which a measurement belongs to another body [m/s]. It is the speed since the last
 /// scan; if the place of the body is not known, it is the speed since its last measurement.
 const FASTEST: f64 = 3.0;
-/// Squared distance up to which something is a body that comes back into sight: 99.7 % of where it
-/// may be, chi-square of 2 degrees of freedom.
+/// Squared Mahalanobis distance up to which a measurement may be a body that comes back into sight:
+/// 99.7 %, chi-square with 2 degrees of freedom.
 const RETURN: f64 = 11.8;
 /// Mean time for which a body is out of sight, if it comes back at all [s].
 const HIDDEN: f64 = 5.0;
 
-/// Time for which the centre of somebody who walks keeps the same error [s].
+/// Time for which the centre of a walking person keeps the same error [s].
 const LASTS: f64 = 0.15;
-/// Least time between measurements that counts [s].
+/// Lower bound of the time between measurements in these formulas [s].
 const SHORTEST: f64 = 0.01;
 /// Standard deviation of the error of the centre of a trunk, in radii.
 const SWAY: f64 = 0.1;
@@ -56,7 +56,7 @@ const ROUGHNESS: f64 = 0.1;
 const ROUGHEST: f64 = 0.01;
 
 impl RoundBody {
-    /// Legs, speed, radius and form of the body, which tell a person from other bodies.
+    /// Legs, speed, radius and shape of the body, which distinguish a person from other bodies.
     pub(super) fn gait(&self, legs: Legs) -> Gait {
         let mean = self.mean();
         Gait {
@@ -79,10 +79,10 @@ impl RoundBody {
         seen
     }
 
-    /// Variance of the centre of somebody who walks, beyond that of one scan [m^2]. Arms swing, the
-    /// trunk turns and one leg is seen before the other, so that the same error lasts for a part of
-    /// a step: measurements `dt` [s] after each other tell little more than one of them. It is 0
-    /// for what is surely round and for what stands.
+    /// Additional variance of the centre of a walking person [m^2]. Arms swing, the trunk turns and
+    /// one leg is seen before the other, so the same error lasts for a part of a step: two
+    /// measurements `dt` [s] apart contain little more information than one. Zero for certainly
+    /// round and for standing bodies.
     pub(super) fn sway(&self, legs: Legs, dt: f64) -> f64 {
         if !self.is_like_a_person() || self.stands {
             return 0.0;
@@ -97,10 +97,10 @@ impl RoundBody {
         std * std * (1.0 + 2.0 * LASTS / dt.clamp(SHORTEST, LASTS))
     }
 
-    /// The measurement by which the circle is corrected. One that is outside all gates is weighted
-    /// down until it would be inside. So is one that says that the body moved where earlier scans
-    /// met the same surface, or that a body that is not round turned at once: then another part of
-    /// it is seen.
+    /// The measurement by which the circle is corrected. A measurement outside all gates gets a
+    /// larger covariance, so that it is inside. The same holds for a measurement that shows motion
+    /// although earlier scans saw the same surface, and for one that shows a sudden turn of a body
+    /// that is not round: another part of the body is then visible.
     pub(super) fn weighted(
         &self,
         seen: &CircleMeasurement,
@@ -135,7 +135,7 @@ impl RoundBody {
         Ok(seen)
     }
 
-    /// True if a measurement is farther away than the body can have come since it was measured.
+    /// True if the body cannot have reached the measurement since it was last measured.
     fn is_out_of_reach(&self, seen: &CircleMeasurement, rules: &Rules) -> bool {
         // Most pairs are too far apart, whatever their covariances.
         let apart = self.apart(&seen.z);
@@ -152,11 +152,11 @@ impl RoundBody {
         apart > FARTHEST.max(FASTEST * time)
     }
 
-    /// -2 ln of the likelihood of a measurement; None if it is of another body.
+    /// -2 ln of the likelihood of a measurement; None if it belongs to another body.
     ///
-    /// Now and then another part of a body is seen, and its circle is elsewhere by a part of its
-    /// size. What was out of sight is the less likely back the longer it was gone, and what is far
-    /// from where it should be is something else.
+    /// Sometimes another part of a body is visible, and its circle is shifted by a part of its
+    /// size. The probability that a body comes back decreases with the time that it was out of
+    /// sight. A measurement far from the predicted position belongs to another body.
     pub(super) fn cost(
         &self,
         seen: &CircleMeasurement,
@@ -207,7 +207,7 @@ impl RoundBody {
         CircleMeasurement { R: seen.R + Matrix3::identity() * (spread * spread), ..*seen }
     }
 
-    /// Update the noise of the centre and of the radius with a measurement.
+    /// Update the estimated noise of the centre and of the radius with a measurement.
     pub(super) fn listen(&mut self, seen: &CircleMeasurement, time_ns: i64) {
         let variance = 0.5 * (seen.R[(0, 0)] + seen.R[(1, 1)]);
         self.jitter.add(time_ns, [seen.z[0], seen.z[1]], variance);

@@ -9,14 +9,15 @@ use serde::{Deserialize, Serialize};
 
 /// Largest logarithm of the Bayes factor for standing that the traces of earlier scans give.
 const EVIDENCE: f64 = 1.5;
-/// Trace (share of points on earlier surfaces) that tells nothing about standing or moving.
+/// Trace (share of points on earlier surfaces) that is no evidence for standing or moving.
 const EVEN: f64 = 0.8;
 /// Trace from which on a measurement shows that the body has not moved.
 pub(super) const STAYED: f64 = 0.95;
-/// Share of the points of a measurement on earlier surfaces below which it is where space was free.
+/// Share of the points of a measurement on earlier surfaces, below which its place counts as free
+/// before.
 pub(super) const FREE: f64 = 0.5;
 
-/// How many legs a measurement is put together of.
+/// Legs from which a measurement was merged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::circles::map) enum Legs {
     /// No legs: one measurement, used as it is.
@@ -46,25 +47,25 @@ pub(in crate::circles::map) struct BodyMeasurement {
     pub(in crate::circles::map) look: Option<Look>,
     /// Points of the body that reach farthest; None: unknown.
     pub(in crate::circles::map) hull: Option<Hull>,
-    /// Share of its points where earlier scans met a surface, not free space; None: unknown.
+    /// Share of its points at which earlier scans saw a surface and not free space; None: unknown.
     pub(in crate::circles::map) trace: Option<Trace>,
-    /// How many legs of a person it is put together of.
+    /// Legs of a person from which it was merged.
     pub(in crate::circles::map) legs: Legs,
 }
 
 impl BodyMeasurement {
-    /// True if (nearly) all of it is where earlier scans met a surface.
+    /// True if nearly all of its points are where earlier scans saw a surface.
     pub(super) fn has_stayed(&self) -> bool {
         self.trace.is_some_and(|trace| trace >= STAYED)
     }
 
-    /// True if most of it is where earlier scans met free space.
+    /// True if most of its points are where earlier scans saw free space.
     pub(super) fn is_in_free(&self) -> bool {
         self.trace.is_some_and(|trace| trace < FREE)
     }
 
-    /// Logarithm of the Bayes factor for standing, from the trace: what moves is where space was
-    /// free. 0 if the trace is unknown.
+    /// Logarithm of the Bayes factor for standing, from the trace: a moving body is at a place that
+    /// was free. 0 if the trace is unknown.
     pub(super) fn evidence(&self) -> f64 {
         self.trace
             .map_or(0.0, |trace| EVIDENCE * ((trace - EVEN) / (STAYED - EVEN)).clamp(-1.0, 1.0))

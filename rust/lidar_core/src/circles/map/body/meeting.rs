@@ -1,4 +1,5 @@
-//! Decides which measurements and bodies may be one object, and which bodies are surely two.
+//! Decides which measurements and bodies may be one object, and which bodies certainly are separate
+//! objects.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -8,18 +9,18 @@ use crate::circles::map::element::exceeds;
 use crate::circles::map::rules::Rules;
 use nalgebra::{Matrix3, Vector3};
 
-/// Ratio of radii up to which a measurement may be of a body that is near.
+/// Ratio of radii up to which a measurement may belong to a body nearby.
 const ALIKE: f64 = 2.0;
-/// Length that is added to this limit of the radius [m].
+/// Tolerance that is added to this limit of the radius [m].
 const SLACK: f64 = 0.05;
 /// Distance of a person from the surface of a measurement up to which it may show this person and
 /// another one at once [m].
 const TOUCH: f64 = 0.1;
 
 impl RoundBody {
-    /// Give measurements that no body explains to bodies that were not measured but touch them: the
-    /// visible part of the body changed, and there is no new object. Their entries in `owners` are
-    /// set.
+    /// Assign measurements that no body explains to bodies that touch them and have no measurement:
+    /// the visible part of such a body changed, and there is no new object. The entries in `owners`
+    /// are set.
     pub(super) fn adopt<'a>(
         all: impl Iterator<Item = &'a Self>,
         seen: &[BodyMeasurement],
@@ -51,19 +52,19 @@ impl RoundBody {
         }
     }
 
-    /// True if both bodies are surely objects of their own, however close they come: people who
-    /// pass each other or something that stands, and what has stood beside each other.
+    /// True if both bodies certainly are separate objects, however close they are: people who pass
+    /// each other or a static object, and static objects that were seen beside each other.
     pub(super) fn passes(&self, other: &Self) -> bool {
         self.is_known() && other.is_known()
     }
 
-    /// True if the body surely is an object of its own.
+    /// True if the body certainly is a separate object.
     fn is_known(&self) -> bool {
         self.is_somebody() || self.is_fixture()
     }
 
-    /// Separate measurements that were joined in `wholes` although they belong to two bodies that
-    /// surely are two: gaps between these come and go with their fits.
+    /// Separate measurements that were merged in `wholes` although they belong to two separate
+    /// bodies: the gap between the fits of two bodies may disappear in some scans.
     pub(super) fn keep_apart(bodies: &[&Self], seen: &[BodyMeasurement], wholes: &mut [usize]) {
         let owner = |number: usize| {
             let z = &seen[number].circle.z;
@@ -86,7 +87,7 @@ impl RoundBody {
     }
 
     /// Increase the covariance of measurements that show two people at once: their centre is
-    /// between the people and tells little of either.
+    /// between the people and contains little information about either.
     pub(super) fn share(bodies: &[&Self], seen: &mut [BodyMeasurement], wholes: &[usize]) {
         let people: Vec<Vector3<f64>> =
             bodies.iter().filter(|body| body.is_somebody()).map(|body| body.place()).collect();
@@ -110,18 +111,18 @@ impl RoundBody {
         }
     }
 
-    /// True if the body is a person, and surely no part of another one.
+    /// True if the body is a person, and certainly no part of another person.
     pub(super) fn is_somebody(&self) -> bool {
         self.is_like_a_person() && self.is_its_own()
     }
 
-    /// True if the body stands, is no person, and surely is no part of a person.
+    /// True if the body stands, is no person, and certainly is no part of a person.
     pub(super) fn is_fixture(&self) -> bool {
         self.stands && !self.is_like_a_person() && self.is_its_own()
     }
 
-    /// True if the body was measured for long enough to be no part of another. What was first seen
-    /// beside a person and is a part of this person is joined with it before that time.
+    /// True if the body was measured for long enough to be a separate object. A part of a person
+    /// that was first seen beside this person is merged with it before that time.
     fn is_its_own(&self) -> bool {
         self.known >= if self.is_beside { BESIDE_FOR } else { MET }
     }
@@ -136,8 +137,8 @@ impl RoundBody {
         apart(&self.place(), z)
     }
 
-    /// True if a measurement may be of this body by its size. A large body and what stands inside
-    /// its circle are two objects.
+    /// True if a measurement may belong to this body by its size. A large body and a small object
+    /// inside its circle are two objects.
     pub(super) fn is_alike(&self, seen: &BodyMeasurement) -> bool {
         are_alike(self.place()[2], seen.circle.z[2])
     }

@@ -38,33 +38,33 @@ use crate::estimation::kalman::Gaussian;
 use nalgebra::{SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Distance from its predicted place above which a measurement is of another body [m].
+/// Distance from the predicted position of a body above which a measurement belongs to another body
+/// [m].
 const FARTHEST: f64 = 0.8;
-/// Standard deviation of the position up to which a body adopts what touches it [m].
+/// Standard deviation of the position up to which a body may get a measurement that touches it [m].
 const KNOWN: f64 = 0.5;
 /// Weight of the expected noise of a centre, as a number of samples.
 const TRUST: f64 = 4.0;
 
-/// Squared velocity, in its covariance, from which a body that stood moves (95 % of chi-square of 2
-/// degrees of freedom).
+/// Squared velocity, normalised by its covariance, from which on a standing body counts as moving
+/// (95 % of chi-square with 2 degrees of freedom).
 const MOVES: f64 = 5.99;
-/// Squared velocity, in its covariance, from which a known body moves that stood where space was
-/// free (50 % of chi-square).
+/// Squared velocity, normalised by its covariance, from which on a known standing body at a place
+/// that was free counts as moving (50 % of chi-square with 2 degrees of freedom).
 const LEAVES: f64 = 1.39;
-/// Squared velocity, in its covariance, below which a body that moved stands.
+/// Squared velocity, normalised by its covariance, below which a moving body counts as standing.
 const RESTS: f64 = 0.25;
-/// Measurements in a row that must show motion until a standing body moves: a single one may show
-/// another part of it.
+/// Number of measurements in a row that must show motion before a standing body counts as moving: a
+/// single one may show another part of it.
 const DEPARTS: u32 = 2;
 
 /// Probability above which a body is a person.
 const PERSON: f64 = 0.5;
 /// Time for which both of two people were measured before they met [s].
 const MET: f64 = 1.0;
-/// Distance from a person within which something new may be a part of this person [m].
+/// Distance from a person within which a new body may be a part of this person [m].
 const BESIDE: f64 = 1.0;
-/// Time for which something new beside a person was measured until it is no part of this person
-/// [s].
+/// Time of measurement after which a new body beside a person counts as a separate object [s].
 const BESIDE_FOR: f64 = 2.0;
 
 /// A body: its circle, or the circle that represents it, and its outline.
@@ -72,21 +72,21 @@ const BESIDE_FOR: f64 = 2.0;
 pub(super) struct RoundBody {
     circle: ElementModes<5>,
     pub(super) outline: Outline,
-    /// Box around it, unless it is surely round.
+    /// Box around it, unless it is certainly round.
     extent: Option<BodyBox>,
-    /// Noise of the centre beyond that of the fits: real objects are not round, and rays that graze
-    /// their rims end anywhere.
+    /// Noise of the centre beyond that of the fits: real objects are not exactly round, and the
+    /// ranges of rays that graze their edges vary.
     jitter: Jitter,
-    /// Variance of the measured radii beyond that of the fits [m^2]: of what is not round, every
-    /// view has another one.
+    /// Variance of the measured radii beyond that of the fits [m^2]: the radius of an object that
+    /// is not round differs from view to view.
     rough: f64,
     /// True if the body is reported as standing; the value after the last scan.
     stands: bool,
-    /// Number of the last measurements in a row that showed that it moves.
+    /// Number of consecutive last measurements that showed motion.
     departs: u32,
-    /// True if all that the last scan met of the body was there in earlier scans.
+    /// True if earlier scans saw surfaces wherever the last scan hit the body.
     has_stayed: bool,
-    /// True if most of what the last scan met of the body was free space in earlier scans.
+    /// True if earlier scans saw free space at most points of the body in the last scan.
     is_in_free: bool,
     /// Direction in which it was seen last, of length one.
     sight: [f64; 2],
@@ -97,7 +97,7 @@ pub(super) struct RoundBody {
     waiting: f64,
     /// Time for which it was measured [s].
     known: f64,
-    /// True if the body was first seen beside a person, and may be a part of it.
+    /// True if the body was first seen beside a person and may be a part of this person.
     is_beside: bool,
     person: Person,
 }
@@ -114,7 +114,7 @@ impl RoundBody {
         self.circle.combined()
     }
 
-    /// Mean of [`Self::circle`]: whoever asks every pair of bodies needs no covariance.
+    /// Mean of [`Self::circle`], for tests of pairs of bodies that need no covariance.
     fn mean(&self) -> SVector<f64, 5> {
         self.circle.mean()
     }
@@ -327,9 +327,10 @@ impl State for RoundBody {
         exceeds(&state.covariance.fixed_view::<2, 2>(0, 0).into_owned(), limit * limit)
     }
 
-    /// The decision between standing and moving has a hysteresis. What is not known to move stands:
-    /// of a new element, and of one that shows another part of itself, the velocity is a guess. What
-    /// is where earlier scans met it does not move, whatever its fits say.
+    /// The decision between standing and moving has a hysteresis. An element stands unless motion
+    /// is certain: the velocity of a new element, and of one that shows another part of itself, is
+    /// hardly known. An element at a place where earlier scans saw its surface does not move,
+    /// whatever its fits are.
     fn settle(&mut self, rules: &Rules) -> bool {
         let [begin, end] = rules.parameters().standing.hysteresis;
         let (probability, moves_by) = self.motion(rules);

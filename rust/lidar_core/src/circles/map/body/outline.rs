@@ -30,24 +30,26 @@ pub struct OutlineEstimate {
 const KINDS: [ShapeKind; 3] = [ShapeKind::Circle, ShapeKind::Ellipse, ShapeKind::Rectangle];
 /// Weight of the newest measurement in the kind of a body.
 const NEWEST: f64 = 0.1;
-/// Weight of circles in the recent measurements of what is surely round: a circle looks like another
-/// shape in few scans.
+/// Weight of circles in the recent measurements from which on a body counts as certainly round: a
+/// circle looks like another shape in few scans.
 const SURE: f64 = 0.7;
 /// Weight of the newest measurement in the doubt that a body is round.
 const LATEST: f64 = 0.03;
 /// Share of other shapes among the measurements up to which there is no doubt that a body is round.
 const ROUND: f64 = 0.15;
-/// Standard deviation of the middle of what is not round along the line of sight, in half widths:
-/// it may be less than half as deep as it is wide, or more than twice.
+/// Standard deviation of the centre of a body that is not round, along the line of sight, in half
+/// widths: its depth may be less than half of its width, or more than twice.
 const DEPTH: f64 = 1.0;
-/// Standard deviation of the middle of what is not round across the line of sight, in half widths.
+/// Standard deviation of the centre of a body that is not round, across the line of sight, in half
+/// widths.
 const WIDTH: f64 = 0.35;
-/// Ratio of half lengths up to which an ellipse is one bent face, and from which on it is none.
+/// Ratio of half lengths up to which an ellipse certainly is one bent face, and from which on it is
+/// not.
 const FLAT: [f64; 2] = [0.35, 0.5];
 /// Sines of the angle between the longer axis of an ellipse and the line of sight: up to the first
 /// one it is not seen broadside, from the second one on it is.
 const BROAD: [f64; 2] = [0.5, 0.8];
-/// Lead in weight that another kind needs before the kind of a body changes.
+/// Difference in weight that another kind needs before the kind of a body changes.
 const AHEAD: f64 = 0.1;
 
 /// An ellipse or rectangle in the world.
@@ -97,7 +99,7 @@ pub(in crate::circles::map) struct Outline {
     kind: usize,
     /// Share of recent measurements that were too large for a circle.
     large: f64,
-    /// Share of measurements that look like no circle, over a longer time.
+    /// Share of measurements that do not look like a circle, over a longer time.
     unround: f64,
 }
 
@@ -124,8 +126,7 @@ impl Outline {
         outline
     }
 
-    /// How doubtful it is that the body is round, 0 to 1: a circle looks like another shape in few
-    /// scans.
+    /// Doubt that the body is round, 0 to 1: a circle looks like another shape in few scans.
     pub(in crate::circles::map) fn doubt(&self) -> f64 {
         ((self.unround - ROUND) / (1.0 - SURE - ROUND)).clamp(0.0, 1.0)
     }
@@ -137,7 +138,7 @@ impl Outline {
     }
 
     /// Correct with a measurement of the body; `seen` is None for a circle. A measurement outside
-    /// the gate is weighted down until it would be inside.
+    /// the gate gets a larger covariance, so that it is inside.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.
@@ -161,12 +162,12 @@ impl Outline {
         Ok(())
     }
 
-    /// True if the body is taken for a circle.
+    /// True if the body is treated as a circle.
     pub(in crate::circles::map) fn is_round(&self) -> bool {
         self.kind == 0
     }
 
-    /// True if the body is taken for a rectangle.
+    /// True if the body is treated as a rectangle.
     pub(super) fn is_angular(&self) -> bool {
         KINDS[self.kind] == ShapeKind::Rectangle
     }
@@ -181,9 +182,9 @@ impl Outline {
         self.large > 0.5
     }
 
-    /// Covariance of the middle of a body [m^2] because nobody sees how deep it is. The body is
-    /// represented by a circle of this radius and was seen in the direction `sight`. Zero for what
-    /// is surely round. No number of scans from the same side makes it smaller.
+    /// Covariance of the centre of a body because its depth is not visible [m^2]. The body is
+    /// represented by a circle of this radius [m] and was seen in the direction `sight`. Zero for
+    /// certainly round bodies. More scans from the same side do not reduce it.
     pub(in crate::circles::map) fn unseen(&self, radius: f64, [x, y]: [f64; 2]) -> Matrix2<f64> {
         let longer = self.reported().map_or(0.0, |(_, state)| state.mean[5]);
         let half = radius.max(longer) * self.doubt();
@@ -191,8 +192,8 @@ impl Outline {
         along * along.transpose() * (DEPTH * DEPTH) + across * across.transpose() * (WIDTH * WIDTH)
     }
 
-    /// How sure it is, 0 to 1, that one bent face is all that was seen of the body in the direction
-    /// `sight`: it looks like a flat ellipse seen from its flat side.
+    /// Certainty, 0 to 1, that only one bent face of the body was seen in the direction `sight`: it
+    /// looks like a flat ellipse seen from its flat side.
     pub(in crate::circles::map) fn is_bent(&self, sight: [f64; 2]) -> f64 {
         let ellipse = |&(kind, _): &(ShapeKind, _)| kind == ShapeKind::Ellipse;
         self.reported().filter(ellipse).map_or(0.0, |(_, state)| {
@@ -204,7 +205,7 @@ impl Outline {
         })
     }
 
-    /// Count whether a measurement looked like something that is not round.
+    /// Update the doubt that the body is round with a measurement.
     pub(in crate::circles::map) fn doubted(&mut self, is_unround: bool) {
         self.unround += LATEST * (f64::from(u8::from(is_unround)) - self.unround);
     }

@@ -1,4 +1,4 @@
-//! How probable it is that a body is a person.
+//! Probability that a body is a person.
 
 use super::measurement::Legs;
 use serde::{Deserialize, Serialize};
@@ -27,12 +27,12 @@ const PACE: [f64; 2] = [0.3, 2.5];
 const FASTEST: f64 = 3.5;
 /// Smallest and largest radius of a person [m].
 const SIZE: [f64; 2] = [0.03, 0.45];
-/// Radius above which a rectangle is no person [m]; of a trunk near by, one side looks straight.
+/// Radius above which a rectangle is no person [m]; one side of a near trunk looks straight.
 const SQUARE: f64 = 0.25;
-/// Longest time that one measurement speaks for [s].
+/// Longest time for which one measurement is evidence [s].
 const LONGEST: f64 = 0.5;
 
-/// What is seen of a body and tells if it is a person.
+/// Properties of a body that are evidence for or against a person.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gait {
     pub(super) legs: Legs,

@@ -9,11 +9,11 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// Radius from which a body is large [m].
 const LARGE: f64 = 0.5;
-/// Least ratio of the radii of two circles of one large object: what stands inside its circle is
+/// Least ratio of the radii of two circles of one large object: a small object inside its circle is
 /// another object.
 const LEAST_RATIO: f64 = 0.5;
 
-/// True if two circles may be of one object by their radii.
+/// True if two circles may belong to one object by their radii [m].
 pub(super) fn are_alike(one: f64, two: f64) -> bool {
     let (least, most) = (one.min(two), one.max(two));
     most < LARGE || least >= LEAST_RATIO * most
@@ -53,8 +53,8 @@ pub(super) fn wholes(seen: &[BodyMeasurement], rules: &Rules) -> Vec<usize> {
     wholes
 }
 
-/// Squared velocity of a body in its covariance (without unit): small if the body may as well
-/// stand.
+/// Squared velocity of a body, normalised by its covariance (no unit): small if the body may be
+/// standing.
 pub(super) fn moves_by(state: &Gaussian<5>) -> f64 {
     let velocity = Vector2::new(state.mean[2], state.mean[3]);
     let P: Matrix2<f64> = state.covariance.fixed_view::<2, 2>(2, 2).into_owned();

@@ -10,8 +10,8 @@ use crate::circles::map::rules::Rules;
 use crate::estimation::kalman::Gaussian;
 
 impl RoundBody {
-    /// State as it is reported: a standing body has no velocity. The centre of what is not round is
-    /// that of its box, or as uncertain as the side that nobody sees.
+    /// State as it is reported: a standing body has no velocity. The centre of a body that is not
+    /// round is that of its box, or its covariance contains the invisible depth.
     pub(in crate::circles::map) fn reported(&self) -> Gaussian<5> {
         let mut state = self.circle();
         self.looks.widen(&mut state);
@@ -23,15 +23,15 @@ impl RoundBody {
         if self.stands { halted(state) } else { state }
     }
 
-    /// How sure the box is the better outline of the body, 0 to 1. It is for a body that is not
-    /// round and has moved, or shows only a bent face. The shape of what stands is known from its
-    /// fits.
+    /// Weight of the box as outline of the body, 0 to 1. The box is used for a body that is not
+    /// round and has moved, or that shows only a bent face. The shape of a standing body is known
+    /// from its fits.
     pub(super) fn boxiness(&self, extent: &BodyBox) -> f64 {
         let is_box = if extent.has_moved() { 1.0 } else { self.outline.is_bent(self.sight) };
         self.outline.doubt() * is_box
     }
 
-    /// Probability that the body stands, and its squared velocity in its covariance.
+    /// Probability that the body stands, and its squared velocity, normalised by its covariance.
     pub(super) fn motion(&self, rules: &Rules) -> (f64, f64) {
         match self.extent.as_ref().filter(|_| self.outline.doubt() > 0.5) {
             Some(extent) => (extent.standing(rules.motion()), moves_by(&extent.circle())),
@@ -39,8 +39,8 @@ impl RoundBody {
         }
     }
 
-    /// Update the box around a body that may not be round. A body that is surely round, or was seen
-    /// on two legs, has no box.
+    /// Update the box around a body that may not be round. A body that is certainly round, or was
+    /// seen on two legs, has no box.
     pub(super) fn surround(&mut self, seen: &BodyMeasurement, rules: &Rules) -> Result<(), Error> {
         let is_boxy = self.outline.doubt() > 0.0 && !self.person.has_legs();
         let Some((hull, look)) = seen.hull.as_ref().zip(seen.look.as_ref()).filter(|_| is_boxy)
@@ -58,7 +58,7 @@ impl RoundBody {
         Ok(())
     }
 
-    /// State as it is reported after a time without scans; what stands stays where it is.
+    /// Reported state after a time without scans; a standing body does not move.
     pub(in crate::circles::map) fn coasted(&self, step: &ElementStep) -> Gaussian<5> {
         if step.seconds == 0.0 {
             return self.reported();

@@ -1,4 +1,4 @@
-//! What rays tell of a body that a scan did not measure.
+//! Evidence from rays for a body that a scan did not measure.
 
 #![allow(non_snake_case)] // textbook letters
 
@@ -11,9 +11,9 @@ use crate::circles::map::view::viewpoint::Viewpoint;
 use crate::circles::map::view::visibility::CircleVisibility;
 use nalgebra::{Matrix3, Vector3};
 
-/// Offsets from its centre at which a body is looked for, in standard deviations along each axis.
+/// Offsets from its centre at which a body is searched for, in standard deviations along each axis.
 const LOOK: [f64; 4] = [-2.0, -1.0, 1.0, 2.0];
-/// Standard deviation of the radius where too few rays end to show it [m].
+/// Standard deviation of the radius if the rays on a body are too few to measure it [m].
 const ANY: f64 = 1.0;
 
 impl RoundBody {
@@ -41,8 +41,8 @@ impl RoundBody {
         around.map(ask).fold(here, CircleVisibility::max)
     }
 
-    /// Probability that the body is beyond the places asked for and its radius around them, for a
-    /// normal distribution of its place.
+    /// Probability that the body is outside the tested places (with its radius around them), for a
+    /// normal distribution of its position.
     pub(super) fn share_beyond(&self, visibility: CircleVisibility) -> f64 {
         let state = self.circle();
         let std = (0.5 * (state.covariance[(0, 0)] + state.covariance[(1, 1)])).sqrt();
@@ -54,8 +54,8 @@ impl RoundBody {
         libm::exp(-0.5 * reach * reach)
     }
 
-    /// Take in rays that end on a body that stands: too few to measure it, but they show that it
-    /// has not moved. True if there are such rays.
+    /// Use rays that end on a standing body: too few to measure it, but they show that it has not
+    /// moved. True if there are such rays.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`]; nothing changes then.

@@ -26,7 +26,7 @@ use measurement::{Matrix5x3, MeasurementModel, mapped};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Element of eq. 9, with the times and the number of its measurements.
+/// Element of eq. 9, with the times and the count of its measurements.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Landmark {
     id: i64,

@@ -13,33 +13,35 @@ use crate::circles::map::seconds;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Ages of the earlier scans with which a scan is compared [s]: even in the shortest time, what
-/// walks leaves its own place.
+/// Ages of the earlier scans with which a scan is compared [s]. Even in the shortest time, a
+/// walking person leaves its own place.
 const AGES: [f64; 4] = [0.4, 0.8, 1.2, 1.6];
-/// Shares of an age by which a scan may be younger, and time by which it may be older [s].
+/// Largest deviations from these ages: younger by this share of the age, older by this time [s].
 const SLACK: (f64, f64) = (0.1, 0.6);
-/// Least time between scans that are kept [s].
+/// Least time between stored scans [s].
 const APART: f64 = 0.1;
-/// Least and largest distance up to which a point lies on a surface that an earlier scan met [m].
+/// Least and largest value of the distance up to which a point counts as lying on a surface of an
+/// earlier scan [m].
 const MARGIN: [f64; 2] = [0.02, 0.12];
-/// Largest distance of a point that lies on an earlier surface, as a multiple of the usual one,
-/// which is the noise of ranges and poses.
+/// Largest distance of a point that lies on an earlier surface, as a multiple of the median
+/// distance, which is the noise of ranges and poses.
 const USUAL: f64 = 4.0;
-/// Least and largest number of points from which the usual distance is determined.
+/// Least and largest number of points from which the median distance is determined.
 const SAMPLES: [usize; 2] = [20, 100];
-/// Largest distance of a point from an earlier surface that counts for the usual distance [m].
+/// Largest distance of a point from an earlier surface that counts for the median distance [m].
 const KNOWN: f64 = 0.3;
 /// Largest distance behind its old place of a surface that moved away from the scanner [m].
 const RECEDED: f64 = 0.3;
-/// Usual distance between two scans up to which their poses agree with what they show [m].
+/// Median distance between two scans up to which their poses agree with their surfaces [m].
 const OFF: f64 = 0.02;
-/// Largest number of points of one object that are looked up.
+/// Largest number of points of one object that are compared with earlier scans.
 const MOST_POINTS: usize = 40;
-/// Least share of the looked up points for which earlier scans must tell surface or free space.
+/// Least share of the compared points for which earlier scans must have seen a surface or free
+/// space.
 const LEAST_KNOWN: f64 = 0.5;
 
-/// Share of the points of an object at which earlier scans met a surface, among those at which they
-/// met a surface or free space.
+/// Share of the points of an object at which earlier scans saw a surface, among the points at which
+/// they saw a surface or free space.
 pub(in crate::circles::map) type Trace = f64;
 
 /// Earlier scans with which the scan `now` is compared.
@@ -48,19 +50,20 @@ pub(in crate::circles::map) struct EarlierViews<'a> {
     asked: Vec<Asked<'a>>,
 }
 
-/// An earlier scan, and how closely a point has to lie on a surface that it met.
+/// An earlier scan, with the tolerance for points on its surfaces.
 struct Asked<'a> {
     from: &'a Viewpoint,
     view: &'a SortedView,
-    /// Usual distance of a point of the present scan from a surface of this one [m]; None if too
-    /// few points tell.
+    /// Median distance of the points of the present scan from the surfaces of this scan [m]; None
+    /// if there are too few points.
     usual: Option<f64>,
     /// Largest distance of a point that lies on a surface of this scan [m].
     margin: f64,
 }
 
 impl EarlierViews<'_> {
-    /// Trace of an object with these points in the world; None if earlier scans tell too little.
+    /// [`Trace`] of an object with these points [m] in the world; None if earlier scans saw too few
+    /// of them.
     pub(in crate::circles::map) fn trace(&self, points: &[[f64; 2]]) -> Option<Trace> {
         let every = points.len().div_ceil(MOST_POINTS).max(1);
         let (mut there, mut free, mut total) = (0, 0, 0);
@@ -80,8 +83,9 @@ impl EarlierViews<'_> {
         is_known.then(|| f64::from(there) / f64::from(known))
     }
 
-    /// True if the pose is the same as that of an earlier scan, although the scanner moved. Only the last
-    /// scan since which it may have moved is compared closely: it moved the least way since then.
+    /// True if the pose is the same as that of an earlier scan, although the scanner moved. Only
+    /// the newest scan that does not fit is compared in detail, because the motion since then is
+    /// the smallest.
     pub(in crate::circles::map) fn has_stuck_pose(&self) -> bool {
         let Some(now) = &self.now.view else { return false };
         let is_off = |asked: &&Asked<'_>| {
@@ -91,7 +95,8 @@ impl EarlierViews<'_> {
         self.asked.iter().filter(is_off).find_map(slipped).unwrap_or(false)
     }
 
-    /// True if a surface was just before this point, and rays pass there now: it moved away.
+    /// True if a surface was just in front of this point, and rays now pass through that place: the
+    /// surface moved away.
     fn has_receded(&self, point: [f64; 2], asked: &Asked<'_>) -> bool {
         let Some(view) = &self.now.view else { return false };
         let Some(old) = asked.view.before(asked.from.pose.level(point, 0.0).center) else {
@@ -103,11 +108,11 @@ impl EarlierViews<'_> {
     }
 }
 
-/// Usual distance of a point of the scan `now` from a surface that an earlier one met there [m]; None
-/// if too few points tell.
+/// Median distance of the points of the scan `now` from the surfaces of an earlier scan [m]; None
+/// if there are too few points.
 ///
-/// Most of a scan stands, so that this is noise: of the ranges, and of the pose over the time between
-/// both.
+/// Most of a scan is static, so this distance shows the noise of the ranges, and of the pose over
+/// the time between both scans.
 fn usual(now: &Viewpoint, then: &Viewpoint, view: &SortedView) -> Option<f64> {
     let seen = now.view.as_ref()?;
     let every = seen.len().div_ceil(SAMPLES[1]).max(1);
@@ -137,7 +142,7 @@ impl Earlier {
         self.views.iter().all(|one| one.view.as_ref().is_some_and(|view| view.is_sound()))
     }
 
-    /// Earlier scans that are compared with the viewpoint `now` to tell what moves.
+    /// Earlier scans that are compared with the viewpoint `now` to find moving objects.
     pub(in crate::circles::map) fn before<'a>(&'a self, now: &'a Viewpoint) -> EarlierViews<'a> {
         let mut asked: Vec<Asked<'a>> = Vec::new();
         for age in AGES {
@@ -158,7 +163,7 @@ impl Earlier {
         EarlierViews { now, asked }
     }
 
-    /// Keep a viewpoint with a view, and forget what is too old.
+    /// Store a viewpoint with a view, and remove viewpoints that are too old.
     pub(in crate::circles::map) fn keep(&mut self, from: &Viewpoint) {
         if from.view.is_none() {
             return;

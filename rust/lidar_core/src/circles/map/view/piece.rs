@@ -1,6 +1,6 @@
 //! Surface that one ray hit, between the surfaces of its neighbours.
 
-/// Largest gap between the ends of neighbouring rays that met one surface [m].
+/// Largest gap between the ends of neighbouring rays on one surface [m].
 const JOINED: f64 = 0.3;
 
 /// Surface that a ray met: two stretches of a line, from its end to both sides.
@@ -19,15 +19,16 @@ pub(super) struct SurfacePiece {
 }
 
 impl SurfacePiece {
-    /// Ways [m] from the nearest points of its stretches to a point. `follows` leaves out a stretch
-    /// that the ray before it shares.
+    /// Vectors [m] from the nearest points of its two pieces to a point. `follows`: leave out the
+    /// piece that is shared with the ray before.
     pub(super) fn ways_to(&self, point: [f64; 2], follows: bool) -> impl Iterator<Item = [f64; 2]> {
         let before = (!follows || !self.is_joined).then_some(self.before);
         let sides = before.into_iter().chain([self.after]);
         sides.map(move |side| from_stretch(point, [self.end, side]))
     }
 
-    /// The pieces that rays of these bearings and ranges met, `step` [rad] apart; None without return.
+    /// The surface pieces that rays with these bearings [rad] and ranges [m] hit; `step`: angle
+    /// between rays [rad]. None for rays without return.
     pub(super) fn all(bearings: &[f64], ranges: &[f64], step: f64) -> Vec<Option<Self>> {
         let end = |(&bearing, &range): (&f64, &f64)| {
             let end = || [range * libm::cos(bearing), range * libm::sin(bearing)];
@@ -58,7 +59,7 @@ impl SurfacePiece {
     }
 }
 
-/// Way from the nearest point of a stretch of a line to a point [m].
+/// Vector from the nearest point of a line segment to a point [m].
 fn from_stretch([x, y]: [f64; 2], [from, to]: [[f64; 2]; 2]) -> [f64; 2] {
     let [along_x, along_y] = [to[0] - from[0], to[1] - from[1]];
     let square = along_x * along_x + along_y * along_y;

@@ -14,16 +14,16 @@ const SAMPLES: usize = 100;
 const FEWEST: usize = 30;
 /// Distance from the surface of the earlier scan within which an end lies on it [m].
 const ON: f64 = 0.05;
-/// Share of the ends on the surface of the earlier scan above which the scanner rests.
+/// Share of the ends on surfaces of the earlier scan above which the scanner is at rest.
 const BEFORE: f64 = 0.5;
 /// Least gap between two surfaces [m].
 const GAP: f64 = 0.5;
-/// Numbers of surfaces that the motion explains, and the least share of the ends on them: two things may
-/// move side by side, but the more surfaces agree, the less is it chance. The other ends may be people
-/// and vehicles, which go their own ways.
+/// Numbers of surfaces that the motion must explain, each with the least share of the ends on them.
+/// With more surfaces, a coincidence is less likely, so a smaller share is enough. The other ends
+/// may be on people and vehicles, which move independently.
 const AFTER: [(usize, f64); 2] = [(3, 0.85), (6, 0.7)];
-/// One of so many samples is tried first, which costs a quarter: things that move on their own
-/// rarely pass.
+/// One sample in this many is tested first, to save time: independently moving objects rarely pass
+/// this test.
 const FIRST: usize = 4;
 /// Share of the first samples that a motion has to explain.
 const FIRST_AFTER: f64 = 0.6;
@@ -36,7 +36,7 @@ const NARROWER: f64 = 0.85;
 /// Damping that keeps a motion along a single wall at zero.
 const DAMPING: f64 = 1e-3;
 
-/// Motion in the plane: a turn about the scanner [rad], then a shift [m].
+/// Motion in the plane: a rotation about the scanner [rad], then a translation [m].
 #[derive(Clone, Copy, Debug, Default)]
 struct ScanSlip {
     shift: [f64; 2],
@@ -52,7 +52,7 @@ impl ScanSlip {
 }
 
 /// True if the scanner moved from one scan to the next, both in the frame of one pose; false if no
-/// motion of the scanner explains them. None if it rests, or if too few ends tell.
+/// motion of the scanner explains them. None if it is at rest, or if there are too few ends.
 pub(super) fn has_slipped(now: &SortedView, then: &SortedView) -> Option<bool> {
     let ends: Vec<[f64; 2]> = now.pieces().iter().flatten().map(|piece| piece.end).collect();
     let every = ends.len().div_ceil(SAMPLES).max(1);
@@ -91,8 +91,8 @@ fn on_surface<'a>(
     points.iter().filter(move |point| then.within(moved(**point), ON).is_some())
 }
 
-/// Motion that puts points on the surfaces of a scan: least squares of their distances, again and
-/// again with nearer surfaces.
+/// Motion that moves points onto the surfaces of a scan: iterated least squares of their distances,
+/// with a decreasing search distance.
 ///
 /// Source: Chen & Medioni, "Object modelling by registration of multiple range images", 1992.
 fn between(points: &[[f64; 2]], then: &SortedView) -> ScanSlip {

@@ -8,7 +8,7 @@ use std::ops::Range;
 /// The sine of an angle up to 1 rad is at least so many times the angle.
 const LEAST_SINE: f64 = 0.84;
 
-/// Answer of a scan to the question if something was at a point.
+/// Whether a scan saw a surface at a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::circles::map) enum Met {
     /// A ray ended there.
@@ -46,8 +46,8 @@ impl SortedView {
         if is_free && distance < self.range_max() { Met::Free } else { Met::Unknown }
     }
 
-    /// End of the ray beside a place, in the frame of the scan [m], if the ray ended before the
-    /// place; else None.
+    /// End of the ray beside a place, in the frame of the scan [m], if the ray ended in front of
+    /// the place; else None.
     pub(super) fn before(&self, point: [f64; 2]) -> Option<[f64; 2]> {
         let (distance, bearing) =
             (libm::hypot(point[0], point[1]), libm::atan2(point[1], point[0]));
@@ -58,8 +58,8 @@ impl SortedView {
         (range < distance).then(|| [range * libm::cos(bearing), range * libm::sin(bearing)])
     }
 
-    /// Distance of a point from the nearest surface that the scan met beside it [m]; None if the
-    /// scan does not tell, infinite where it met nothing.
+    /// Distance of a point from the nearest surface that the scan saw near it [m]; None if the scan
+    /// has no information there, infinite if it saw no surface.
     pub(in crate::circles::map) fn distance(&self, point: [f64; 2]) -> Option<f64> {
         let bearing = libm::atan2(point[1], point[0]);
         let half = 2.0 * self.step();
@@ -68,8 +68,8 @@ impl SortedView {
         Some(self.off(point, around))
     }
 
-    /// Distance of a point from the nearest surface [m], and the way from there to the point; None if
-    /// there is none within `reach` [m].
+    /// Distance of a point from the nearest surface [m], and the vector from there to the point
+    /// [m]; None if there is none within `reach` [m].
     pub(super) fn within(&self, point: [f64; 2], reach: f64) -> Option<(f64, [f64; 2])> {
         let (distance, bearing) =
             (libm::hypot(point[0], point[1]), libm::atan2(point[1], point[0]));
@@ -83,8 +83,8 @@ impl SortedView {
         nearest.way.map(|way| (nearest.distance(), way))
     }
 
-    /// Search the surfaces beside the bearing of a point, from the first ray from there on outwards to
-    /// the first beyond an angle `half`, until what is found is enough or all others are farther.
+    /// Search the surfaces on both sides of the bearing of a point, up to the angle `half` [rad].
+    /// The search ends when the result is sufficient, or when all other surfaces are farther.
     fn search(
         &self,
         found: &mut NearestPiece,
@@ -123,7 +123,7 @@ impl SortedView {
         }
     }
 
-    /// Distance of a point from the surfaces that the rays of a range met [m].
+    /// Distance of a point from the surfaces that a range of rays hit [m].
     fn off(&self, point: [f64; 2], rays: Range<usize>) -> f64 {
         let mut nearest = NearestPiece { point, square: f64::INFINITY, way: None };
         let first = rays.start;
@@ -134,12 +134,13 @@ impl SortedView {
     }
 }
 
-/// The nearest piece to a point, of the surfaces that were looked at.
+/// The nearest surface piece to a point, among those that were compared.
 struct NearestPiece {
     point: [f64; 2],
-    /// Squared distance of the nearest piece; as long as none is found, that of the search [m^2].
+    /// Squared distance of the nearest piece [m^2]; before a piece is found, that of the search
+    /// limit.
     square: f64,
-    /// Way from the nearest piece to the point [m]; None if none is found.
+    /// Vector from the nearest piece to the point [m]; None if no piece was found.
     way: Option<[f64; 2]>,
 }
 
@@ -153,7 +154,7 @@ impl NearestPiece {
         self.way.map_or(f64::INFINITY, |[x, y]| libm::hypot(x, y))
     }
 
-    /// Take in a surface. `follows` leaves out a stretch that the one before it shares.
+    /// Compare a surface piece. `follows`: leave out the part that it shares with the piece before.
     fn take(&mut self, piece: Option<&SurfacePiece>, follows: bool) {
         let Some(piece) = piece else { return };
         for [x, y] in piece.ways_to(self.point, follows) {

@@ -4,7 +4,7 @@ use super::level_pose::LevelPose;
 use super::visibility::SortedView;
 use serde::{Deserialize, Serialize};
 
-/// Viewpoint of a scan: pose, time, sensor, and the view for questions of visibility.
+/// Viewpoint of a scan: pose, time, sensor, and the sorted scan for visibility tests.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(in crate::circles::map) struct Viewpoint {
     pub(in crate::circles::map) stamp_ns: i64,
@@ -14,7 +14,7 @@ pub(in crate::circles::map) struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// Key for the order of scans: stamp [ns] and number of the sensor.
+    /// Key for the order of scans: stamp [ns] and index of the sensor.
     pub(in crate::circles::map) fn key(&self) -> (i64, u32) {
         (self.stamp_ns, self.sensor)
     }

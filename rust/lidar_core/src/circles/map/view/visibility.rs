@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 
 use crate::circles::map::parameters::VisibilityTest;
 
-/// Cosine of the angle of incidence on a line below which a ray decides nothing.
+/// Cosine of the angle of incidence on a line below which a ray is not used.
 const GRAZING: f64 = 0.2;
 
 /// A scan in the level frame, with its range limits.
@@ -25,14 +25,14 @@ pub struct ScanWithLimits<'a> {
     pub range_max: f64,
 }
 
-/// Visibility of a circle in a scan, ordered by how much it leaves open.
+/// Visibility of a circle in a scan, ordered from the most to the least certain result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum CircleVisibility {
     /// Rays passed beyond its place: it is not there.
     SeenThrough,
     /// Rays ended at its place.
     Returns,
-    /// Most of it is behind something nearer.
+    /// Most of it is behind a nearer object.
     Occluded,
     /// Out of the field of view or the range, or too small for enough rays.
     OutOfView,
@@ -45,7 +45,7 @@ pub struct SortedView {
     ranges: Vec<f64>,
     range_min: f64,
     range_max: f64,
-    /// Surfaces that the rays met, computed at the first query.
+    /// Surfaces that the rays hit, computed at the first query.
     #[serde(skip)]
     pieces: OnceLock<Vec<Option<SurfacePiece>>>,
 }
@@ -87,7 +87,8 @@ fn ascending(bearings: &[f64], ranges: &[f64]) -> (Vec<f64>, Vec<f64>) {
     (of(bearings), of(ranges))
 }
 
-/// Numbers of rays that met a circle: passed through, ended on it, ended before it.
+/// Numbers of rays at a circle: rays that pass through, that end on it, and that end in front of
+/// it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Votes {
     through: usize,
@@ -120,8 +121,8 @@ impl SortedView {
     }
 
     /// Centre of an object on which the rays at the place of `circle` end, in the frame of the scan
-    /// [m]: each of these rays is taken for one that meets its middle. None unless most rays there
-    /// end on it.
+    /// [m]. Each of these rays is assumed to hit the middle of the object. None unless most rays
+    /// there end on it.
     pub(in crate::circles::map) fn glimpse(
         &self,
         circle: &Circle,
@@ -155,12 +156,12 @@ impl SortedView {
         (last - first) / (self.bearings.len().max(2) - 1) as f64
     }
 
-    /// Surfaces that the rays met; None without return.
+    /// Surfaces that the rays hit; None for rays without return.
     pub(super) fn pieces(&self) -> &[Option<SurfacePiece>] {
         self.pieces.get_or_init(|| SurfacePiece::all(&self.bearings, &self.ranges, self.step()))
     }
 
-    /// Numbers of the rays up to an angle `half` beside a bearing [rad].
+    /// Indices of the rays within the angle `half` of a bearing [rad].
     pub(super) fn around(&self, bearing: f64, half: f64) -> Range<usize> {
         let ends = self.bearings.first().zip(self.bearings.last());
         if ends.is_none_or(|(&first, &last)| bearing + half < first || bearing - half > last) {
@@ -170,8 +171,8 @@ impl SortedView {
         low..self.bearings.partition_point(|&ray| ray <= bearing + half).max(low)
     }
 
-    /// Number of the first ray from a bearing on; None unless a ray is up to an angle `half` beside
-    /// it [rad].
+    /// Index of the first ray from a bearing on; None unless a ray is within the angle `half` of it
+    /// [rad].
     pub(super) fn first_from(&self, bearing: f64, half: f64) -> Option<usize> {
         let (&first, &last) = self.bearings.first().zip(self.bearings.last())?;
         if bearing + half < first || bearing - half > last {
@@ -266,8 +267,8 @@ impl SortedView {
     }
 }
 
-/// Range of the surface of a circle on a ray, at an angle beside its centre; that of its side on rays
-/// that pass it.
+/// Range at which a ray hits a circle [m]; `angle`: angle between the ray and the centre [rad]. For
+/// rays that pass the circle, the range of its side.
 fn surface_of(&Circle { center: [x, y], radius }: &Circle, angle: f64) -> f64 {
     let distance = (x * x + y * y).sqrt();
     let aside = distance * libm::sin(angle);
