@@ -4,14 +4,14 @@ use crate::flying::map::blocks::Cursor;
 use crate::flying::map::voxel_map::VoxelMap;
 use crate::geometry::lattice::Voxel;
 
-/// Length of rays in a voxel, in voxel edges, from which on the voxel is surely free.
+/// Length of rays in a voxel, in voxel edges, from which on the voxel is certainly free.
 const SURE_EDGES: f32 = 8.0;
 
 /// Free voxels of a map.
 pub(super) struct FreeSpace<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
-    /// Values up to this one are surely free.
+    /// Voxels with values up to this one are certainly free.
     sure: f32,
 }
 
@@ -27,8 +27,8 @@ impl<'a> FreeSpace<'a> {
         self.map.known(self.cursor.stored(voxel)) < self.map.uncertain_from()
     }
 
-    /// True if a voxel is surely free and all its neighbours are free, or `also` is true for them.
-    /// Such a voxel is not beside a surface, which rays along the surface may have made free.
+    /// True if a voxel is certainly free and all its neighbours are free, or `also` is true for
+    /// them. Such a voxel is not beside a surface, which rays along the surface may have made free.
     /// Uncertain neighbours for which `hides` is true do not count: the thing in the voxel hides
     /// them, so no ray can make them free while it is there.
     pub(super) fn is_open(

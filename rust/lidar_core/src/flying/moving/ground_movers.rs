@@ -23,9 +23,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Time after which an object that stands at its new place is background [s].
+/// Time after which an object that does not move at its new place becomes background [s].
 const STANDS: f64 = 10.0;
-/// Time for which a mover that is not seen is remembered [s].
+/// Time for which a mover without returns is remembered [s].
 const HIDDEN: f64 = 2.0;
 /// Smallest number of points of a mover; `FEWEST_OPEN`: of its voxels that are not beside anything else.
 const FEWEST_POINTS: usize = 8;
@@ -334,12 +334,12 @@ impl GroundMovers {
         PointsByVoxel::of(&found)
     }
 
-    /// Remove the points that turned out to fly.
+    /// Remove the points whose class is now `FLYING`.
     pub(crate) fn leave_flying(&mut self, class: &[PointClass]) {
         self.rows.retain(|&row| class.get(row as usize) != Some(&PointClass::Flying));
     }
 
-    /// Add the points (rows) of something that a track of a ground mover follows.
+    /// Add the points (rows) of an object that a track of kind `GROUND` follows.
     pub(crate) fn add(&mut self, rows: &[u32]) {
         self.rows.extend(rows);
     }

@@ -11,8 +11,9 @@ use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
 use serde::{Deserialize, Serialize};
 
-/// Number of bins per unit of the measures of azimuth and elevation below, finest first: 0.3 to 0.6
-/// degrees wide, then twice and four times as wide for scanners with fewer rays.
+/// Number of bins per unit of the functions `azimuth` and `elevation`, finest first. The finest
+/// bins are 0.3 to 0.6 degrees wide. Scanners with fewer rays use bins that are twice or four times
+/// as wide.
 const PER_UNIT: [usize; 3] = [200, 100, 50];
 /// Number of sectors of azimuth. Each has its own mean start point of rays, since the sensor moves
 /// during a scan.
@@ -48,7 +49,7 @@ struct BinLevel {
     lengths: Vec<u16>,
 }
 
-/// Measure of the azimuth without trigonometry: 0 to 4, with 1 for a quarter of a turn.
+/// Measure of the azimuth without trigonometry: 0 to 4 for a full turn, with 1 for a quarter turn.
 fn azimuth([x, y, _]: [f64; 3]) -> f64 {
     let sum = x.abs() + y.abs();
     match (x >= 0.0, y >= 0.0) {
@@ -173,8 +174,8 @@ impl ViewedRay {
 struct BinRays {
     /// Length of the shortest ray with a return. The largest number if there is none.
     returns: u16,
-    /// Length of the longest ray without a return. 0 if there is none. How far such a ray is known
-    /// to go may be too short, so one says nothing against another.
+    /// Length of the longest ray without a return. 0 if there is none. The known length of such a
+    /// ray may be too short, so a short ray does not contradict a long one.
     empty: u16,
 }
 

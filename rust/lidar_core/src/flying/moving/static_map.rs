@@ -20,16 +20,15 @@ use std::hash::BuildHasherDefault;
 /// Edge of the cells that keep one point each [m]. No point is further than 5 cm from a point that
 /// is kept.
 const CELL: f64 = 0.028;
-/// Edge of the voxels in which it is counted how often something was there [m]. Saved maps have
-/// such voxels.
+/// Edge of the voxels in which the scans with returns are counted [m]. Saved maps have such voxels.
 const VOXEL: f64 = 0.1;
 /// Length of rays in a map that is read as a map of the detector [m].
 const MAX_RANGE: f64 = 20.0;
 /// Number of scans with points at a place, per scan that sees through the place, above which the
-/// place counts as static. Thin static things, such as wires, are hit again and again, and seen
-/// through now and then.
+/// place counts as static. Thin static objects, such as wires, are hit in most scans, and seen
+/// through in some scans.
 const HITS_PER_VIEW: u32 = 20;
-/// Number of updates after which a voxel is surely occupied.
+/// Number of updates after which a voxel is certainly occupied.
 const SURE_UPDATES: f64 = 30.0;
 /// Largest memory of the views [bytes]. Above it, every second view is removed.
 const MOST_BYTES: usize = 256 << 20;
@@ -42,7 +41,7 @@ type Keys = BuildHasherDefault<KeyHasher>;
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct VoxelHits {
     count: u32,
-    /// Number of the last such scan; the first scan has the number 1.
+    /// Count of the last such scan; the first scan has the count 1.
     last: u64,
 }
 

@@ -14,8 +14,8 @@ pub(super) struct Elevations {
     reaches: Vec<f64>,
 }
 
-/// Smallest range of the returns that are used [m]. The motion of the sensor during a scan smears
-/// nearer ones.
+/// Smallest range of the returns that are used [m]. The motion of the sensor during a scan changes
+/// the directions of nearer returns.
 const SHARP_RANGE: f64 = 3.0;
 /// Smallest number of returns for a test.
 const ENOUGH_RETURNS: usize = 500;
@@ -130,7 +130,8 @@ impl Elevations {
             || self.azimuths[index].abs() > azimuth + BEYOND
     }
 
-    /// Share of the returns between the rows. 0 if the rows are too close to each other to tell.
+    /// Share of the returns between the rows. 0 if the rows are too close to each other for this
+    /// test.
     fn off_rows(&self, rows: &[f64]) -> f64 {
         let mut gaps: Vec<f64> = rows.windows(2).map(|pair| pair[1] - pair[0]).collect();
         gaps.sort_unstable_by(f64::total_cmp);

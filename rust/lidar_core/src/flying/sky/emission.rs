@@ -33,7 +33,8 @@ pub enum RayPattern {
         /// Number of rays per turn in each row.
         columns: usize,
     },
-    /// A field of view that fills in the course of time, without rows.
+    /// A sensor without rows: its scan pattern does not repeat, and fills the field of view over
+    /// time.
     FieldOfView {
         /// Lowest and highest elevation [rad].
         elevation: [f64; 2],

@@ -1,12 +1,11 @@
-//! Open sky, found from the returns alone: directions in which rays are cast and nothing comes
-//! back.
+//! Open sky, found from the returns alone: directions in which rays are cast and give no return.
 //!
 //! Drivers leave out rays without return, or mark them without their directions. Where a sensor
 //! casts its rays is learnt from its returns (`emission`). A direction with enough rays and no
-//! return is empty: either nothing is within range, or what is there swallows light. So the rays of
-//! empty directions clear only as far as nothing else is likely: not beyond surfaces beside them,
-//! not down to the ground, not beyond the distance from which surfaces return at all, and not into
-//! what returns have shown, unless the direction stayed empty for two seconds.
+//! return is empty: either nothing is within range, or a surface there absorbs the light. The rays
+//! of empty directions therefore clear with these limits: not beyond surfaces beside them, not down
+//! to the ground, not beyond the distance from which surfaces return at all, and not into voxels in
+//! which returns were seen, unless the direction stayed empty for two seconds.
 //!
 //! Directions are in the axes of the map, seen from the sensor. The decision and its reasons are in
 //! `docs/adr/0008-sky.md`.
@@ -60,7 +59,7 @@ pub enum Beams {
     Known(RayPattern),
 }
 
-/// What is known about the directions of one sensor, over several scans.
+/// State of the directions of one sensor, over several scans.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Sky {
     emission: Emission,
@@ -69,7 +68,7 @@ pub(crate) struct Sky {
     known: Option<RayPattern>,
     /// Whether the returns are in rows.
     has_rows: bool,
-    /// Number of rays that were cast into every cell since its last return.
+    /// Number of rays that were cast into every cell of direction since its last return.
     evidence: Vec<f32>,
     /// Range of what was last seen in every cell [m]; `surface_ns`: when, if it was a surface [ns].
     surface: Vec<f32>,

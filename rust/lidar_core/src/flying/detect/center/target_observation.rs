@@ -22,7 +22,7 @@ pub(crate) struct TargetRay {
     pub(crate) direction: Vector3<f64>,
 }
 
-/// A ray that hit the target, and its end point [m].
+/// A ray that hit the target, and its end point [m], in the frame of the ray's start point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TargetHit {
     pub(crate) ray: TargetRay,
@@ -62,7 +62,7 @@ pub(crate) struct PassingRays {
     pub(crate) passing: Vec<TargetRay>,
     /// Number of rays that ended in front of the target.
     pub(crate) n_blocked: usize,
-    /// Rays that end in front of the region, and surely not on the robot itself.
+    /// Rays that end in front of the region, and certainly not on the robot itself.
     pub(crate) hiding: Vec<TargetRay>,
 }
 

@@ -4,8 +4,8 @@
 //! counts as a droplet if the returns beside it, in direction and range, are no more than chance explains: as dense
 //! as those in front of it, since droplets become fewer with range. This applies only if the air is full of droplets.
 //!
-//! Droplets are elsewhere in every scan, while real things stay near their place for some scans. If the returns of
-//! one scan are too few to tell, those of the last half second are used.
+//! Droplets are at other places in every scan. Real objects stay near their place for some scans.
+//! If the returns of one scan are too few for a decision, those of the last half second are used.
 
 use super::super::grid::{CELLS, GRID, SECTORS};
 use crate::flying::map::blocks::Cursor;
@@ -25,8 +25,9 @@ const BINS: usize = 40;
 /// returns show what chance gives.
 const BESIDE: usize = 1;
 const BEFORE: usize = 7;
-/// Probabilities that chance gives the returns beside one. Below the second, the return is on a surface; below the
-/// first, it is if one beside it is. At least `LEAST_BESIDE` returns must be beside it.
+/// Limits of the probability that randomly distributed droplets give the counted returns beside a
+/// return. Below the second limit, the return is on a surface. Below the first limit, it is on a
+/// surface if a return beside it is. At least `LEAST_BESIDE` returns must be beside it.
 const CHANCES: [f64; 2] = [0.05, 1e-3];
 const LEAST_BESIDE: u32 = 2;
 /// Number of scans whose returns are used together; they may be at most `WINDOW_NS` old [ns].
@@ -107,7 +108,7 @@ pub(super) struct Haze {
     first: usize,
 }
 
-/// Scan in which droplets are looked for, with what is known about it.
+/// Scan in which droplets are searched for, with its properties.
 #[derive(Clone, Copy)]
 pub(super) struct Air<'a> {
     pub(super) points: &'a [[f32; 3]],

@@ -10,7 +10,7 @@ const SURFACE_NS: i64 = 500_000_000;
 /// Longest time for which a surface is remembered, if the scans of its sensor are further apart
 /// [ns].
 const LONGEST_SURFACE_NS: i64 = 2_000_000_000;
-/// Number of cells by which surfaces may continue beside what is seen of them: 6 degrees.
+/// Number of cells by which surfaces may continue beside their visible part: 6 degrees.
 const SURFACE_CELLS: usize = 3;
 /// Neighbouring cells whose ranges differ by less than this belong to one thing [m].
 const SAME_RANGE: f32 = 1.0;
@@ -110,7 +110,7 @@ impl SkyObservation {
     }
 
     /// Find holes: empty directions that surfaces enclose on all sides, within the field of view.
-    /// They are something dark or wet, or glass, and are limited as if they were part of the
+    /// They are dark or wet surfaces, or glass, and are limited as if they were part of the
     /// surfaces.
     pub(super) fn limit_holes(&mut self) {
         let empty: Vec<bool> = (0..CELLS).map(|cell| self.seems_empty(cell)).collect();
