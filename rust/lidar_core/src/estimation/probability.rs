@@ -95,7 +95,7 @@ fn check(covariance: &[[f64; 3]; 3]) -> Result<(), Error> {
     if determinant < -ROUNDING { refused } else { Ok(()) }
 }
 
-/// Correlation of two axes; 0 where the covariance is no more than rounding.
+/// Correlation of two axes, -1 to 1; 0 if the covariance is only a rounding error.
 fn correlation(covariance: &[[f64; 3]; 3], a: usize, b: usize) -> f64 {
     let largest = (0..3).map(|axis| covariance[axis][axis]).fold(0.0, f64::max);
     let scale = covariance[a][a].sqrt() * covariance[b][b].sqrt();

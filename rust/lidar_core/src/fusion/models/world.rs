@@ -11,7 +11,7 @@ pub trait World: Clone + Copy + Debug + Send + Sync + 'static {
     /// Distribution of position, velocity and acceleration: the form that models exchange.
     type Wide: Clone + Debug + Send + Sync + 'static;
 
-    /// `cv` with an acceleration that is zero.
+    /// State of `cv` extended by an acceleration, which is zero.
     fn widened(cv: &Self::Cv) -> Self::Wide;
 }
 

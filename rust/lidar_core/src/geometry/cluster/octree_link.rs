@@ -109,7 +109,7 @@ impl<K> Cube<K> {
 /// Sorted points, with the runs of each octant ("groups") and of each cube.
 #[derive(Default)]
 struct Groups<K> {
-    /// Keys and rows of the finite points, sorted; `spare`: memory for sorting.
+    /// Keys and row indices of the finite points, sorted by key; `spare`: memory for sorting.
     order: Vec<K>,
     spare: Vec<K>,
     /// The finite points [m], sorted by key.
