@@ -1,4 +1,4 @@
-//! numpy -> slices: the only checks of shape and contiguity on this side of the border.
+//! numpy arrays as slices. Shape and contiguity are checked only here.
 
 use crate::errors::BorderError;
 use lidar_core::Error;
@@ -68,7 +68,7 @@ pub(crate) fn count(name: &'static str, value: i64) -> Result<usize, BorderError
     })
 }
 
-/// A number of threads from Python; a value that is no count or too large is refused.
+/// A number of threads from Python; invalid and too large values are rejected.
 pub(crate) struct Threads(pub(crate) usize);
 
 impl<'py> FromPyObject<'_, 'py> for Threads {
@@ -97,7 +97,7 @@ pub(crate) fn rows_into<T: Element>(
     Ok(rows.into_flattened().into_pyarray(py).reshape([count, 3])?)
 }
 
-/// The choice with the name `value`; an error about the parameter `name` for an unknown name.
+/// The option value with the name `value`; an error about the parameter `name` if there is none.
 pub(crate) fn choice<T: Copy>(
     name: &'static str,
     value: &str,

@@ -10,10 +10,11 @@ use lidar_core::util::budget::check_memory;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-/// Tables of costs with at most so many entries are assigned within a millisecond.
+/// Cost matrices with at most this many entries are solved within a millisecond.
 const BRIEF: usize = 4096;
 
-/// Column of every row of a table of costs, -1 for none; pairs dearer than `gate` are forbidden.
+/// Assigned column for every row of a cost matrix, -1 for none; pairs with a cost above `gate` are
+/// forbidden.
 #[pyfunction]
 #[pyo3(signature = (cost, *, gate, unassigned))]
 pub(crate) fn assign_columns<'py>(

@@ -1,5 +1,5 @@
-//! Entry into the core: the GIL is released, a panic is caught once, a broken object is retired,
-//! and Ctrl-C stops long calls.
+//! Calls into the core: the GIL is released, a panic becomes a Python error, an object after a
+//! panic is not used again, and Ctrl-C stops long calls.
 
 use crate::errors::BorderError;
 use lidar_core::Error;
@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// Time between two looks for signals.
+/// Time between two checks for signals such as Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Result of work, or None after a panic.
@@ -26,7 +26,8 @@ pub(crate) fn detached<T: Send>(
     finished(py.detach(|| caught(|| Some(work()))))
 }
 
-/// Run `work`, which may take long, without the GIL: if a signal raises, it is asked to stop.
+/// Run `work`, which may take long, without the GIL. If the handler of a signal raises an
+/// exception, `work` is asked to stop.
 pub(crate) fn stoppable<T: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, Error> + Send,
@@ -45,7 +46,8 @@ impl<T: Send> Guarded<T> {
         Self { inner: Mutex::new(inner), process: std::process::id() }
     }
 
-    /// Run `work` on the object, without the GIL. A panic poisons the lock for good.
+    /// Run `work` on the object, without the GIL. After a panic, the object cannot be used any
+    /// more.
     pub(crate) fn with<R: Send>(
         &self,
         py: Python<'_>,
@@ -55,8 +57,9 @@ impl<T: Send> Guarded<T> {
         finished(py.detach(|| self.locked(work)))
     }
 
-    /// Like [`Self::with`], for work that may take long: if a signal raises, it is asked to stop.
-    /// Work that changes the object must say so first, by [`lidar_core::util::cancel::begin_to_write`].
+    /// Like [`Self::with`], for work that may take long. If the handler of a signal raises an
+    /// exception, the work is asked to stop. Work that changes the object must first call
+    /// [`lidar_core::util::cancel::begin_to_write`].
     pub(crate) fn with_stoppable<R: Send>(
         &self,
         py: Python<'_>,

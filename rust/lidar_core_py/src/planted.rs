@@ -43,7 +43,7 @@ impl PyPlantedPanic {
     }
 }
 
-/// A panic without a word on the console.
+/// A panic without output on the console.
 fn planted() -> Result<(), Error> {
     resume_unwind(Box::new("planted"))
 }

@@ -93,13 +93,13 @@ const FILTERS: [(&str, Kind); 2] = [("paper", Kind::Paper), ("independent", Kind
 
 pub(crate) type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
-/// Events of an update as arrays: true for a late scan; element of every circle; numbers of new,
-/// confirmed and removed elements; pairs of merged elements.
+/// Events of an update as arrays: true for a late scan; element ID of every circle; IDs of new,
+/// confirmed and removed elements; ID pairs of merged elements.
 pub(crate) type Events<'py> =
     (bool, Numbers<'py>, Numbers<'py>, Numbers<'py>, Numbers<'py>, Bound<'py, PyArray2<i64>>);
 
-/// Elements of the map as arrays: number, mean (M, 5), covariance (M, 5, 5), age [s], time of the
-/// last measurement [ns], visible, confirmed, probability of a person, of existence, kind and
+/// Elements of the map as arrays: ID, mean (M, 5), covariance (M, 5, 5), age [s], time of the last
+/// measurement [ns], visible, confirmed, probability of a person, of existence, kind and
 /// probabilities of kinds (M, 5).
 pub(crate) type Elements<'py> = (
     Numbers<'py>,
@@ -114,8 +114,8 @@ pub(crate) type Elements<'py> = (
     (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f64>>),
 );
 
-/// Other shapes of the map as arrays: number, kind, mean (K, 7), covariance (K, 7, 7), both ends of
-/// a line (K, 2, 2) or NaN, age [s], time of the last measurement [ns], visible, confirmed.
+/// Other shapes of the map as arrays: ID, kind, mean (K, 7), covariance (K, 7, 7), both ends of a
+/// line (K, 2, 2) or NaN, age [s], time of the last measurement [ns], visible, confirmed.
 pub(crate) type MapShapes<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray1<u8>>,

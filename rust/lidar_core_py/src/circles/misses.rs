@@ -27,8 +27,8 @@ impl PyMisses {
         Self(Guarded::new(Misses::default()))
     }
 
-    /// Take in a scan and return its ranges, with +inf for a miss and NaN for no information, and
-    /// the name of what stands for a miss.
+    /// Add a scan to the statistics. Returns its ranges [m], with +inf for a ray without return and
+    /// NaN for no information, and the name of the value that marks rays without return.
     #[pyo3(signature = (ranges, *, range_min, range_max, nearest))]
     fn marked<'py>(
         &self,

@@ -16,9 +16,10 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-/// Numbers per frame: bearing, unit, distance and radius of the first guess, hits.
+/// Count of values per frame: bearing [rad], unit of length [m], distance and radius of the initial
+/// estimate [m], number of hits.
 const FRAME: usize = 5;
-/// Kinds of the neighbourhood of a segment, in the order of their numbers in arrays.
+/// Kinds of the neighbourhood of a segment, in the order of their codes in arrays.
 const SIDES: [Side; 4] = [Side::Free, Side::Occluded, Side::FieldEdge, Side::RangeCut];
 
 /// Input of the network as arrays, one row per window: slots, context, frames.

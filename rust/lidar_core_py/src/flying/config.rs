@@ -273,13 +273,13 @@ pub(crate) struct MapConfig {
     max_voxels: u64,
 }
 
-/// Names of the rays that are cast.
+/// Names of the options that select which rays are cast.
 const RAYS: [(&str, Rays); 2] = [("all", Rays::All), ("one_per_end", Rays::OnePerEnd)];
 
-/// Names of the voxels that rays pass.
+/// Names of the options that select which voxels rays skip.
 const SKIPS: [(&str, Skip); 2] = [("saturated", Skip::Saturated), ("none", Skip::Nothing)];
 
-/// Names of what becomes of values close to `g_free`: true if they become `g_free`.
+/// Names of the options for values close to `g_free`: true if they become `g_free`.
 const SATURATIONS: [(&str, bool); 2] = [("settled", true), ("paper", false)];
 
 /// Names of the units of the ray weight.
@@ -347,7 +347,8 @@ pub(crate) fn map_values(py: Python<'_>, p: MapParameters) -> PyResult<Bound<'_,
     Ok(values)
 }
 
-/// The shortest decimal number that reads as `value`: -0.1 comes back as -0.1.
+/// The float64 with the shortest decimal form that rounds to the float32 `value`: -0.1f32 gives
+/// -0.1.
 fn as_written(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }

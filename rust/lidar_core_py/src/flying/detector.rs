@@ -162,8 +162,8 @@ impl PyFlyingObjectDetector {
         arrays::rows_into(py, centers)
     }
 
-    /// Rays into the sky that the last scan was given: unit directions in the world, and how far
-    /// they clear [m].
+    /// Rays into the sky that were added to the last scan: unit directions in the world, and the
+    /// length that each clears [m].
     fn sky_rays<'py>(&self, py: Python<'py>) -> Result<SkyRays<'py>, BorderError> {
         let (directions, reach): (Vec<_>, Vec<_>) =
             self.0.with(py, |detector| Ok(detector.sky_rays().into_iter().unzip()))?;
@@ -185,7 +185,7 @@ impl PyFlyingObjectDetector {
         })
     }
 
-    /// Points of all that stands, world frame [m].
+    /// Points of all static objects, world frame [m].
     fn static_points<'py>(&self, py: Python<'py>) -> Result<Rows3<'py, f64>, BorderError> {
         arrays::rows_into(py, self.0.with_stoppable(py, |detector| detector.static_points())?)
     }

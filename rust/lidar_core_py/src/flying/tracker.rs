@@ -123,8 +123,8 @@ impl TrackerConfig {
 
 type Numbers<'py> = Bound<'py, PyArray1<i64>>;
 
-/// Events of an update as arrays: true for a late cloud; numbers of corrected, new, confirmed and
-/// removed tracks; pairs of merged tracks; number of rejected measurements.
+/// Events of an update as arrays: true for a late cloud; IDs of corrected, new, confirmed and
+/// removed tracks; ID pairs of merged tracks; count of rejected measurements.
 type Events<'py> = (
     bool,
     Numbers<'py>,
@@ -135,8 +135,8 @@ type Events<'py> = (
     usize,
 );
 
-/// Tracks as arrays: number, mean (T, 9), covariance (T, 9, 9), extent (T, 3) [m], number of
-/// detections, age [s], reported, existence, kinds.
+/// Tracks as arrays: ID, mean (T, 9), covariance (T, 9, 9), extent (T, 3) [m], count of detections,
+/// age [s], reported, existence, kinds.
 pub(crate) type TrackArrays<'py> = (
     Numbers<'py>,
     Bound<'py, PyArray2<f64>>,

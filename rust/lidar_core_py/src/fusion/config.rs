@@ -58,16 +58,18 @@ struct PublishedModel {
     elevation: f64,
 }
 
-/// Names of the readings of the published radar measurement in configurations.
+/// Names, in configurations, of the possible interpretations of the published radar measurement.
 const READINGS: [(&str, Reading); 4] =
     [("a", Reading::A), ("b", Reading::B), ("c", Reading::C), ("d", Reading::D)];
-/// Names of the use of sigma points in configurations: true if the predicted points are carried on.
+/// Names, in configurations, of the use of sigma points: true if the predicted points are also used
+/// for the update.
 const POINTS: [(&str, bool); 2] = [("redrawn", false), ("carried", true)];
 /// Choice between the printed form of an equation and the corrected one.
 const FIXES: [(&str, bool); 2] = [("literal", false), ("fixed", true)];
-/// Names of the forms of the platform's column in configurations: true if it is zero.
+/// Names, in configurations, of the forms of the platform's column of the Jacobian: true if it is
+/// zero.
 const COLUMNS: [(&str, bool); 2] = [("literal", false), ("zero", true)];
-/// Names of the published predictions in configurations: true for that by the matrix.
+/// Names, in configurations, of the published predictions: true for the prediction with the matrix.
 const PREDICTIONS: [(&str, bool); 2] = [("motion", false), ("matrix", true)];
 /// Names of the time behaviours of process noise in configurations.
 const FORMS: [(&str, NoiseForm); 2] =
@@ -81,7 +83,8 @@ const GYROS: [(&str, GyroUse); 4] = [
 ];
 /// Names of the sources of sensor noise in configurations: true if it is estimated.
 const NOISES: [(&str, bool); 2] = [("estimated", true), ("configured", false)];
-/// Names of the first speed of a target in configurations: true if the range rate gives it.
+/// Names, in configurations, of the source of the first speed of a target: true if it is the range
+/// rate.
 const STARTS: [(&str, bool); 2] = [("range-rate", true), ("zero", false)];
 
 impl FusionConfig {
@@ -112,7 +115,7 @@ impl FusionConfig {
         })
     }
 
-    /// Standard deviations of x, y and z; without one of z, that of y.
+    /// Standard deviations of x, y and z [m]; if z is missing, that of y is used.
     fn lidar(&self) -> Result<[f64; 3], Error> {
         match self.lidar_std[..] {
             [x, y] => Ok([x, y, y]),
@@ -121,8 +124,8 @@ impl FusionConfig {
         }
     }
 
-    /// Standard deviations of range, bearing, elevation and range rate; without one of the
-    /// elevation, that of the bearing.
+    /// Standard deviations of range [m], bearing [rad], elevation [rad] and range rate [m/s]; if
+    /// the elevation is missing, that of the bearing is used.
     fn radar(&self) -> Result<[f64; 4], Error> {
         match self.radar_std[..] {
             [range, bearing, rate] => Ok([range, bearing, bearing, rate]),
@@ -131,7 +134,7 @@ impl FusionConfig {
         }
     }
 
-    /// Standard deviations of x, y, z, roll, pitch and yaw; zero for missing ones.
+    /// Standard deviations of x, y, z [m], roll, pitch and yaw [rad]; zero for missing values.
     fn pose(&self) -> Result<[f64; 6], Error> {
         match self.pose_std[..] {
             [x, y, yaw] => Ok([x, y, 0.0, 0.0, 0.0, yaw]),

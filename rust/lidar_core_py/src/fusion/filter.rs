@@ -178,7 +178,7 @@ impl PyTargetFilter {
         Ok(PyFusionStep(step))
     }
 
-    /// Standard deviations of LiDAR and radar as the measurements show them.
+    /// Standard deviations of LiDAR and radar, estimated from the measurements.
     fn sensor_stds<'py>(&self, py: Python<'py>) -> Result<Deviations<'py>, BorderError> {
         let errors = self.filter.with(py, |filter| Ok(filter.errors()))?;
         Ok(deviations(py, errors.variances(&self.parameters.sensing), &self.parameters))
@@ -248,7 +248,8 @@ impl PyMeasurements {
         Self(measurements.iter().map(|m| m.0).collect())
     }
 
-    /// Measurements from arrays; rows of values are cut to what the sensor of the row gives.
+    /// Measurements from arrays; rows are cut to the number of values that the sensor of the row
+    /// gives.
     #[staticmethod]
     #[pyo3(signature = (stamps_ns, sensors, values, *, counts, covariances))]
     fn from_arrays(

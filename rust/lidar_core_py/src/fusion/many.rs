@@ -59,13 +59,13 @@ impl MultiTargetConfig {
 #[pyclass(frozen, name = "MultiTargetTracker", module = "lidar_core._core")]
 pub(crate) struct PyMultiTargetTracker(Guarded<ManyTargets>);
 
-/// Result of a scan as arrays, a row per measurement: number of the track (-1 for none),
-/// innovation, NIS.
+/// Result of a scan as arrays, a row per measurement: ID of the track (-1 for none), innovation,
+/// NIS.
 type ScanArrays<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// Tracks as arrays: numbers, states, covariances, times of birth and of the last measurement [ns],
-/// numbers of measurements, confirmed, probabilities of existence, kinds.
+/// Tracks as arrays: IDs, states, covariances, times of the first and the last measurement [ns],
+/// counts of measurements, confirmed, probabilities of existence, kinds.
 type TrackArrays<'py> = (
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray2<f64>>,
@@ -115,7 +115,7 @@ impl PyMultiTargetTracker {
         scan_arrays(py, &assigned, &parameters)
     }
 
-    /// Numbers of scans, of predictions of tracks, and of compared pairs so far.
+    /// Counts of scans, of predictions of tracks, and of compared pairs so far.
     fn work(&self, py: Python<'_>) -> Result<(u64, u64, u64), BorderError> {
         self.0.with(py, |tracker| {
             let TrackingWork { scans, predictions, pairs } = tracker.work();
