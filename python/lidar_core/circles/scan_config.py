@@ -45,7 +45,7 @@ class PreprocessConfig(Config):
         Raises
         ------
         ConfigError
-            A corner has not three values, or `lower` is not below `upper` along all axes.
+            A corner does not have three values, or `lower` is not below `upper` along all axes.
 
         Examples
         --------

@@ -316,7 +316,7 @@ def _looked_at(streams: Iterable[_Stream]) -> dict[str, tuple[int, int]]:
 
 
 def _check_pose_frames(recording: "Recording") -> None:
-    """Check with the first scans whether the poses are in their frame; add a note if not."""
+    """Check with the first scans whether the poses are in the stated frame; add a note if not."""
     with suppress(LidarCoreError), warnings.catch_warnings():
         warnings.simplefilter("ignore", PoseFrameWarning)
         for number, _ in enumerate(posed_scans(recording)):

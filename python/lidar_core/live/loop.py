@@ -219,9 +219,9 @@ class LiveLoop(Generic[ScanT]):
             self._process(pipeline, waiting, posed)
 
     def _newest(self, topic: str) -> tuple[_Waiting[ScanT], PosedScan[ScanT]] | None:
-        """Return the newest scan of a topic that has its pose; drop older ones. None without one.
+        """Return the newest scan of a topic whose pose is known, or None; drop older scans.
 
-        A scan that has waited longer than a pose may take is given up for a newer one.
+        A scan that waits longer than `pose_wait` is dropped if there is a newer one.
         """
         queue, now_ns = self._waiting[topic], time.time_ns()
         for place in reversed(range(len(queue))):
@@ -253,7 +253,7 @@ class LiveLoop(Generic[ScanT]):
             self.stats.dropped[topic] += 1
 
     def _drop(self, topic: str, count: int) -> None:
-        """Drop the oldest scans of a topic that wait."""
+        """Drop and count the `count` oldest waiting scans of a topic."""
         for _ in range(count):
             self._waiting[topic].popleft()
         if count:

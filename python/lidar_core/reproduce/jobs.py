@@ -1,6 +1,6 @@
 """Independent parts of a long run, which use several processes and are kept for later runs.
 
-A part is a mapping of names to arrays, so that a finished one can lie on the disk as .npz.
+A part is a mapping of names to arrays, so that a finished part can be stored as .npz.
 """
 
 import json

@@ -27,7 +27,7 @@ class Change(NamedTuple):
     value : Any
         Value in the file.
     told : str
-        Replacement, or new place of the value.
+        Text for the user: replacement, or new place of the value.
     """
 
     place: str

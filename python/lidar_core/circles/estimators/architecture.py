@@ -1,4 +1,4 @@
-"""The networks layer by layer: Table I of the paper, and the small one on windows."""
+"""Layers of the networks: Table I of the paper, and the small network on windows of rays."""
 
 from typing import NamedTuple
 

@@ -60,8 +60,8 @@ def read_delphi(path: str | Path) -> list[DetectionScan]:
 
     Notes
     -----
-    Slots are used again for other objects, so that their numbers are no identities. The radar
-    filters its objects already: their errors are correlated over time.
+    The radar reuses slots for other objects, so the number of a slot does not identify an object.
+    The radar filters its objects already: their errors are correlated over time.
     """
     place = Path(path)
     files = _files(place)

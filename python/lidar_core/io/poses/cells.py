@@ -1,4 +1,4 @@
-"""Numbers of the cubes that contain points, for fast comparison."""
+"""Keys of the cubes that contain points, for fast comparison."""
 
 from itertools import product
 
@@ -11,12 +11,12 @@ _HALF = 1 << (_BITS - 1)
 
 
 def cell_keys(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """Number of the cube of side `edge` [m] around each point; distant cubes may share one."""
+    """Key of the cube of side `edge` [m] around each point; distant cubes may share a key."""
     return _pack(np.floor(points / edge).astype(np.int64))
 
 
 def surrounding_keys(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """Sorted numbers of the cubes that contain points, and of the neighbouring cubes."""
+    """Sorted keys of the cubes that contain points, and of the neighbouring cubes."""
     cells = np.unique(np.floor(points / edge).astype(np.int64), axis=0)
     return np.unique(_pack((cells[:, None] + _OFFSETS).reshape(-1, 3)))
 

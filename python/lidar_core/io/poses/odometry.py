@@ -123,7 +123,7 @@ class KissOdometry:
         Warns
         -----
         OdometryWarning
-            Tracking is lost, begins anew, or the sensor seems to have jumped.
+            Tracking is lost or starts again, or the sensor seems to have jumped.
 
         Raises
         ------
@@ -242,7 +242,7 @@ class _Doubt:
         self._weight = MEMORY * self._weight + 1
 
     def covariance(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance of the translation in the world and of the angles of R = Rz Ry Rx."""
+        """Covariance (6, 6): translation in the world [m], angles of R = Rz Ry Rx [rad]."""
         turned = np.zeros((6, 6))
         turned[:3, :3] = pose[:3, :3]
         turned[3:, 3:] = _angles_from_rotation(pose[:3, :3]) @ pose[:3, :3]

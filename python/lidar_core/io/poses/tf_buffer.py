@@ -119,7 +119,7 @@ class TransformBuffer:
         return min((max(edge.stamps) for edge in edges if edge.static is None), default=None)
 
     def knots(self, target: str, source: str, start_ns: int, end_ns: int) -> NDArray[np.int64]:
-        """Times strictly between two times at which a pose between the frames was recorded [ns]."""
+        """Times of recorded poses between the frames, after `start_ns` and before `end_ns` [ns]."""
         stamps = [np.empty(0, np.int64)]
         for key, _ in self._paths.get((target, source)) or self._path(target, source):
             edge = self._edges[key]

@@ -20,7 +20,7 @@ LIKELY = 0.5  # probability from which on an element is called a person
 
 
 def label_of(circles: CircleElements, row: int) -> str:
-    """Return number and kind of an element."""
+    """Return ID and kind of an element."""
     name = str(int(circles.id[row]))
     return f"{name} person" if circles.person_probability[row] > LIKELY else name
 
@@ -44,11 +44,11 @@ class CircleScene:
         self._frame_id = frame_id
 
     def entities(self, circles: CircleElements) -> list[Any]:
-        """Return one entity per element, named by its number."""
+        """Return one entity per element, named by its ID."""
         return [self._entity(circles, row) for row in range(len(circles.id))]
 
     def outlines(self, shapes: ShapeElements) -> list[Any]:
-        """Return one entity per line, ellipse or rectangle, named by its number."""
+        """Return one entity per line, ellipse or rectangle, named by its ID."""
         return [self._outline(shapes, row) for row in range(len(shapes.id))]
 
     def _outline(self, shapes: ShapeElements, row: int) -> Any:

@@ -219,8 +219,8 @@ class FoxgloveSource(Source):
     def _ask_again(self, reason: str) -> None:
         """Repeat the subscription to a channel soon if the server does not know the channel yet.
 
-        foxglove-sdk announces a new channel before it accepts subscriptions to it: a quick client
-        is refused as if there were none.
+        foxglove-sdk announces a new channel before it accepts subscriptions to it: a fast client is
+        refused as if the channel did not exist.
         """
         unknown = UNKNOWN_CHANNEL.search(reason)
         number = int(unknown[1]) if unknown else -1

@@ -62,7 +62,7 @@ class ZenohSource(Source):
         self._session: Any = None
 
     def start(self, inbox: Inbox) -> None:
-        """Link and subscribe."""
+        """Connect to the router or peer, and subscribe to the topics."""
         ext = require("zenoh.ext", extra="live", purpose="ROS 2 over Zenoh")
         self._session = open_session(self._endpoint, timeout=CONNECT_TIMEOUT)
         take: Callable[[Any], None] = partial(self._take, inbox)

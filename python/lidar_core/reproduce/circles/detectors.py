@@ -66,7 +66,7 @@ def _jobs(request: Request) -> Iterator[Job]:
 def estimated(seed: int, start: int, count: int, models: tuple[tuple[str, str], ...]) -> Part:
     """Return errors (N, 3) [m] of every detector, and times per circle [s].
 
-    `models` are the checksums of the networks: another network, another part.
+    `models`: checksums of the networks. With another network, the part is computed again.
     """
     config = DatasetConfig.continuous(circles=start + count)
     samples = make_samples(config, count=count, seed=seed, start=start)

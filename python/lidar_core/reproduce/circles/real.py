@@ -1,4 +1,4 @@
-"""`circles-real`: recordings of 2D scanners: static objects, track numbers, vehicles, people."""
+"""`circles-real`: recordings of 2D scanners: static objects, track IDs, vehicles, people."""
 
 from typing import Any
 

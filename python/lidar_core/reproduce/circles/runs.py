@@ -145,7 +145,7 @@ class MapRun:
         return np.asarray((hits >= LEAST_HITS) & (hits >= LEAST_SHARE * rays), np.bool_)
 
     def ids(self, target: int) -> NDArray[np.int64]:
-        """Number of the element that an object was paired with in every scan; -1 for none."""
+        """ID of the element that an object was paired with in every scan; -1 for none."""
         row = self.row[:, target]
         numbers = np.append(self.part["element_id"], -1)
         return np.asarray(numbers[row], np.int64)

@@ -93,8 +93,8 @@ def _jobs(request: Request, models: tuple[tuple[str, str], ...]) -> Iterator[Job
 def sums(seed: int, starts: tuple[int, ...], models: tuple[tuple[str, str], ...]) -> Part:
     """Return sums over blocks of the lattice: samples, squared and absolute errors per detector.
 
-    The sums are over `PAPER` and, for the test set alone, over `GROUPS`. `models` are the
-    checksums of the networks: another network makes another part.
+    The sums are over `PAPER` and, for the test set alone, over `GROUPS`. `models`: checksums of the
+    networks. With another network, the part is computed again.
     """
     config = DatasetConfig()
     is_test = _is_test(seed)

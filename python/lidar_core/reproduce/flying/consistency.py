@@ -53,7 +53,7 @@ def _measure(request: Request) -> Measured:
 
 
 def _own_model(config: TrackerConfig, seed: int, runs: int) -> Array:
-    """NEES of all nine numbers of the state, (runs, steps); NaN where there is no track."""
+    """NEES of all nine values of the state, (runs, steps); NaN where there is no track."""
     rng = np.random.default_rng([3, seed])
     noise = stated_std(config)
     truth = _draw_states(config, rng, runs)

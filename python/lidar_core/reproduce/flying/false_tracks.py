@@ -1,4 +1,4 @@
-"""`flying-false-tracks`: tracks of nothing, in ideal and in noisy scans, in bad weather."""
+"""`flying-false-tracks`: tracks without a target, in ideal and noisy scans, in bad weather."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -66,7 +66,7 @@ def jobs(request: Request) -> list[Job]:
 def street(*, seed: int, number: int, scans: int, condition: str) -> Part:
     """Fly through one street; return per mode NAME the false tracks as NAME_false.
 
-    A row of it has scan, track number and position.
+    A row of it has scan, track ID and position.
     """
     name = simulator_seed(seed, number)
     simulator = Simulator(_scene(seed, number, scans, condition), seed=name)
@@ -93,7 +93,7 @@ def _flown(simulator: Any, scans: int, noise: NoisyPoses | None) -> Part:
 
 
 def _false(number: int, tracks: Tracks, targets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Tracks that are far from every target: rows of scan, track number and position."""
+    """Tracks that are far from every target: rows of scan, track ID and position."""
     away = np.linalg.norm(tracks.position[:, None] - targets, axis=2)
     is_false = np.min(away, axis=1, initial=np.inf) > GATE
     found = np.column_stack([tracks.id, tracks.position])[is_false]
@@ -231,7 +231,7 @@ def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
 
 ITEM = Item(
     name="flying-false-tracks",
-    title="tracks of nothing: ideal, with noise, in rain, dust, insects and swaying trees",
+    title="false tracks: ideal, with noise, in rain, dust, insects and swaying trees",
     scans=4500,
     minutes=30,
     measure=_measure,

@@ -79,8 +79,8 @@ def flight(*, seed: int, number: int, scans: int, condition: str) -> Part:
     Returns
     -------
     part : dict
-        The columns of `Reported`; `place` (S, T, 3), `hits` (S, T) of the target, 0 where it is
-        not before the sky; `seconds` (S,), and `sky` and `lost`: rays, and how many are free.
+        The columns of `Reported`; `place` (S, T, 3), `hits` (S, T) of the target, 0 where the sky
+        is not behind it; `seconds` (S,), and `sky` and `lost`: rays, and how many are free.
     """
     world, sensor = scene(seed, number, scans, condition), turn_of(number)[0]
     name = simulator_seed(seed, number)
@@ -240,7 +240,7 @@ def _draw(figure: Any, of: dict[str, list[Part]]) -> None:
 
 ITEM = Item(
     name="flying-surfaces",
-    title="fog, dark, wet and glass streets: tracks of nothing, recall, share of the sky",
+    title="fog, dark, wet and glass streets: false tracks, recall, share of the sky",
     scans=12_800,
     minutes=25,
     measure=_measure,

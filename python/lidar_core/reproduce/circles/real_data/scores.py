@@ -1,4 +1,4 @@
-"""Scores of a circle map on a recording: static objects, numbers, jumps, a vehicle, people."""
+"""Scores of a circle map on a recording: static objects, IDs, jumps, a vehicle, people."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class Seen:
 
 
 def standing_measures(seen: Seen) -> list[Measure]:
-    """Share of static elements with speed, and numbers per small static object and minute."""
+    """Share of static elements with speed, and IDs per small static object and minute."""
     small = _small_things(seen)
     step = float(np.median(np.diff(seen.seconds))) / 60
     rows = fast = 0

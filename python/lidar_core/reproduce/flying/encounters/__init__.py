@@ -1,1 +1,1 @@
-"""Short scripted encounters before a hovering sensor: drones that cross or hide."""
+"""Short scripted encounters in front of a hovering sensor: drones that cross or hide."""

@@ -1,4 +1,4 @@
-"""Short scripted encounters before a hovering sensor, and the numbers of their tracks."""
+"""Short scripted encounters in front of a hovering sensor, and the IDs of their tracks."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -88,7 +88,7 @@ def reported(
 
 @dataclass(frozen=True, slots=True)
 class FalseTrack:
-    """One reported track number that belongs to no target.
+    """A reported track ID that belongs to no target.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class FalseTrack:
 
 
 def false_tracks(part: Part, matched: Iterable[int] = ()) -> list[FalseTrack]:
-    """Tracks of a run whose numbers are not among those `matched` to a target in some scan."""
+    """Tracks of a run whose IDs are not `matched` to a target in any scan."""
     names = sorted(set(part["id"].tolist()) - set(matched))
     return [_false_track(part, name) for name in names]
 

@@ -1,7 +1,7 @@
 """Real sequences of scans in which nothing flies, as drivers deliver them, each with its poses.
 
-They lie as archives in the folder of recordings. An archive is unpacked once into the folder for
-temporary files, under its hash.
+They are stored as archives in the folder of recordings. An archive is unpacked once into the folder
+for temporary files, under its hash.
 """
 
 import hashlib

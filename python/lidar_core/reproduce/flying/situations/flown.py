@@ -15,7 +15,7 @@ from lidar_core.reproduce.jobs import Part
 from lidar_core.sim import Simulator
 
 NOBODY = -1
-"""In place of the number of a track: the target has none."""
+"""Value instead of the ID of a track: the target has no track."""
 SOUGHT = 20.0
 """Range in which the default configuration looks for targets [m]."""
 APART = 10
@@ -28,10 +28,10 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
     Returns
     -------
     part : dict
-        Values of every scan and target, (S, T): `hits`, `track` and `any_track` (number of the
-        flying track on it, and of a track of any kind), `error` [m], `nees`, `is_detected`; `place`
-        (S, T, 3) [m]; values of every scan: `seconds`, `n_flying` (flying tracks);
-        `false`: numbers of false flying tracks.
+        Values of every scan and target, (S, T): `hits`, `track` and `any_track` (ID of the flying
+        track on it, and of a track of any kind), `error` [m], `nees`, `is_detected`; `place` (S, T,
+        3) [m]; values of every scan: `seconds`, `n_flying` (flying tracks); `false`: IDs of false
+        flying tracks.
     """
     simulator = Simulator(scene(name, seed, number, scans), seed=simulator_seed(seed, number))
     detector = FlyingObjectDetector(FlyingConfig())
@@ -66,7 +66,7 @@ def flight(*, seed: int, number: int, scans: int, name: str) -> Part:
 def _matched(
     tracks: Tracks, place: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Number, error [m] and NEES of the track that is paired with each target, one to one."""
+    """ID, error [m] and NEES of the track that is paired with each target, one to one."""
     number = np.full(len(place), float(NOBODY))
     error, nees = np.full((2, len(place)), np.nan)
     offset = place - tracks.position[:, None]
@@ -94,13 +94,13 @@ class Counts:
     Attributes
     ----------
     due, found : int
-        Target scans in which a track has to be there, and in which it is.
+        Target scans in which a track is expected, and in which there is one.
     changes : int
-        Scans in which a target has another number than the one before.
+        Scans in which the track of a target has another ID than in the scan before.
     errors, nees : ndarray, shape (K,)
         Position errors of the found tracks [m], and their NEES (no unit).
     false : int
-        Flying tracks of nothing.
+        Flying tracks without a target.
     scans : int
     """
 
@@ -145,7 +145,7 @@ def counts(parts: Sequence[Part], due: Sequence[NDArray[np.bool_]]) -> Counts:
 
 
 def _changes(track: NDArray[np.float64]) -> int:
-    """Count how often the track number of a target changes."""
+    """Count how often the track ID of a target changes."""
     of_targets = (column[column != NOBODY] for column in track.T)
     return int(sum((one[1:] != one[:-1]).sum() for one in of_targets))
 
