@@ -64,7 +64,7 @@ class TrackKind(IntEnum):
     GROUND
         It moves on the ground.
     STATIC
-        It stands.
+        It is at rest.
     CLUTTER
         It moves, but is no target: insects, leaves, dust, rain.
     """

@@ -67,7 +67,7 @@ class CircleDataset:
         return len(self.shards) == -(-self.n_samples // self.config.shard_size)
 
     def numbers(self, part: Part) -> NDArray[np.int64]:
-        """Numbers of the samples in one part, ascending; Table II."""
+        """Indices of the samples in one part, ascending; Table II."""
         return split(self.config, self.n_samples, part, seed=self.seed)
 
     def read(self, part: Part = "all") -> Samples:
@@ -109,7 +109,7 @@ def lattice(config: DatasetConfig) -> NDArray[np.float64]:
 
 
 def split(config: DatasetConfig, n_samples: int, part: Part, *, seed: int) -> NDArray[np.int64]:
-    """Return the numbers of the samples in one part of a dataset, ascending; Table II."""
+    """Return the indices of the samples in one part of a dataset, ascending; Table II."""
     if part == "all":
         return np.arange(n_samples)
     together = config.draws if config.split_by == "circle" else 1

@@ -78,7 +78,7 @@ class Samples:
     def take(
         self, numbers: NDArray[np.integer[Any]], *, starts: NDArray[np.int64] | None = None
     ) -> Self:
-        """Return the samples with these numbers, in this order; faster if `starts` is given."""
+        """Return the samples with these indices, in this order; faster if `starts` is given."""
         starts = self.starts if starts is None else starts
         counts = self.n_rays[numbers].astype(np.int64)
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -86,7 +86,7 @@ def _left_out(too_near: int) -> str:
 
 
 def _told_movers(moving: Sequence[Mapping[str, Any]]) -> str:
-    """Text with the numbers of the elements that move, and their speeds."""
+    """Text with the IDs of the elements that move, and their speeds."""
     told = [f"{one['id']} ({one['speed']:.1f} m/s)" for one in moving[:MOST_MOVERS]]
     left = len(moving) - len(told)
     return ", ".join(told) + (f", and {left} slower" if left else "")

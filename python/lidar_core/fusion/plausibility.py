@@ -43,7 +43,7 @@ WIDEST_BEARING = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Implausible:
-    """Measurements whose NIS is beyond reason.
+    """Measurements with an implausible NIS.
 
     Attributes
     ----------

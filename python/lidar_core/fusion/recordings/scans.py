@@ -27,9 +27,8 @@ def scans_of(log: MeasurementLog) -> list[DetectionScan]:
     Parameters
     ----------
     log : MeasurementLog
-        Measurements of several targets: every row is a detection. True positions belong to the
-        numbers in the column true_id; without it they are left out, because their targets are
-        unknown.
+        Measurements of several targets: every row is a detection. True positions belong to the IDs
+        in the column true_id; without it they are left out, because their targets are unknown.
 
     Returns
     -------

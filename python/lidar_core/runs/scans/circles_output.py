@@ -134,12 +134,12 @@ class CirclesRun:
 
     @property
     def element_ids(self) -> list[int]:
-        """Numbers of the elements that were reported."""
+        """IDs of the elements that were reported."""
         return sorted({number for state in self.maps for number in state.id.tolist()})
 
     @property
     def person_ids(self) -> list[int]:
-        """Numbers of the elements that were probably persons for at least a second in total."""
+        """IDs of the elements that were probably persons for at least a second in total."""
         times_ns = Counter[int]()
         for state, later in pairwise(self.maps):
             for number in state.id[state.person_probability > PERSON].tolist():

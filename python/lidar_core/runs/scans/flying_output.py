@@ -258,12 +258,12 @@ class FlyingRun:
 
     @property
     def track_ids(self) -> list[int]:
-        """Numbers of the flying tracks that were reported."""
+        """IDs of the flying tracks that were reported."""
         return sorted({number for one in self.flying for number in one.id.tolist()})
 
     @property
     def ground_ids(self) -> list[int]:
-        """Numbers of the tracks that end as GROUND and were never FLYING."""
+        """IDs of the tracks that end as GROUND and were never FLYING."""
         last = {
             number: kind
             for one in self.tracks

@@ -122,7 +122,7 @@ def _aligned(
 ) -> NDArray[np.float64]:
     """Find the motion x, y [m], yaw [rad] that aligns the places with the reference.
 
-    `motion` is the first guess.
+    `motion`: initial estimate.
 
     Source: Besl & McKay, "A Method for Registration of 3-D Shapes", 1992, in the plane.
     """

@@ -118,7 +118,7 @@ def truth_in(
 
 
 def targets_in(place: Path, columns: Columns, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Target numbers of these rows, -1 for none; None if the table has no such column."""
+    """Target IDs of these rows, -1 for none; None if the table has no such column."""
     if TRUE_ID not in columns:
         return None
     numbers = numbers_in(place, columns, TRUE_ID)[rows]
