@@ -36,7 +36,7 @@ class Use:
 
 USES: Mapping[str, Use] = {
     "long-range": Use("flying", "flying objects up to 50 m away, for dense LiDARs", "long_range"),
-    "posts": Use("circles", "trees, columns, poles: nothing that matters moves", "posts"),
+    "posts": Use("circles", "trees, columns, poles: objects that do not move", "posts"),
     "turning-sensor": Use(
         "fusion", "a sensor that turns, without poses but with a gyro", "turning_sensor"
     ),

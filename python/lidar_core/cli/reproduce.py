@@ -32,7 +32,11 @@ def command(
     *,
     scans: Annotated[
         int | None,
-        typer.Option(min=1, help="Length of the run; a small number gives a quick look."),
+        typer.Option(
+            min=1,
+            help="Length of the run, in the unit of ITEM, such as scans or samples; a small"
+            " number gives a quick look.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     output: Annotated[

@@ -14,21 +14,24 @@ from lidar_core.use_cases import USES
 if TYPE_CHECKING:
     from lidar_core.config import Config
 
-SchemaModel = Annotated[str, typer.Option("--model", help=f"{', '.join(MODELS)}.")]
+SchemaModel = Annotated[
+    str, typer.Option("--model", help=f"Configuration model: {', '.join(MODELS)}.")
+]
 ModelOption = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help=f"{', '.join(MODELS)}; default: that of USE or FILE, otherwise flying.",
+        help=f"Configuration model: {', '.join(MODELS)};"
+        " default: that of USE or FILE, otherwise flying.",
     ),
 ]
-ModeOption = Annotated[Mode, typer.Option(help="Mode whose defaults apply.")]
+ModeOption = Annotated[Mode, typer.Option(help="Defaults of best mode or of paper mode.")]
 
 PresetOption = Annotated[
     str | None,
     typer.Option(
-        help="A LiDAR, such as vlp-16 or tim571 (flying, circles, scene), or a built-in scene,"
-        " such as demo or circles-lab (scene)."
+        help="Sensor, such as vlp-16 or tim571 (for the models flying, circles and scene), or"
+        " built-in scene, such as demo or circles-lab (for the model scene)."
     ),
 ]
 

@@ -61,7 +61,7 @@ def command(
     scale: Scales = [],  # noqa: B006
     start: Start = 0.0,
     end: End = None,
-    mode: Annotated[Mode, typer.Option(help="Mode whose defaults apply.")] = "best",
+    mode: Annotated[Mode, typer.Option(help="Defaults of best mode or of paper mode.")] = "best",
     config: ConfigFile = None,
     values: Values = [],  # noqa: B006
     force: Annotated[bool, typer.Option("--force", help=FORCE)] = False,

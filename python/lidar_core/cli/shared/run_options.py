@@ -53,13 +53,17 @@ Start: TypeAlias = Annotated[float, typer.Option(min=0, help=_START, rich_help_p
 End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END, rich_help_panel=READ)]
 Odom: TypeAlias = Annotated[
     str | None,
-    typer.Option(help="Topic of the poses.", rich_help_panel=READ, autocompletion=completion.POSES),
+    typer.Option(
+        help="Topic of odometry or poses, used instead of the transforms.",
+        rich_help_panel=READ,
+        autocompletion=completion.POSES,
+    ),
 ]
 PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE, rich_help_panel=READ)]
 FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help=_FIXED_FRAME, rich_help_panel=READ)]
 Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING, rich_help_panel=READ)]
 ChosenMode: TypeAlias = Annotated[
-    Mode, typer.Option(help="best: what works best; paper: as published.")
+    Mode, typer.Option(help="best: the variant that measured best; paper: as published.")
 ]
 ConfigFile: TypeAlias = Annotated[Path | None, typer.Option(help=_CONFIG)]
 Values: TypeAlias = Annotated[list[str], typer.Option("--set", help=_SET)]

@@ -30,7 +30,7 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
         typer.Option(
             "--log",
             envvar="LIDAR_CORE_LOG",
-            help="Standard error as text, or as one JSON object per line.",
+            help="Messages on standard error: as text, or as one JSON object per line.",
             rich_help_panel=LOG,
         ),
     ),
