@@ -49,7 +49,7 @@ pub enum Error {
         /// The configuration key that raises it, or another cure.
         key: &'static str,
     },
-    /// Memory that cannot be had.
+    /// Memory that is not available.
     Memory {
         /// Object that needs the memory, and its size.
         what: String,
@@ -121,7 +121,7 @@ impl fmt::Display for Error {
                 write!(f, "{what}: the limit is {limit}; raise `{key}` if this is intended")
             }
             Self::Memory { what } => {
-                write!(f, "{what}, which cannot be had; free memory, or pass less at once")
+                write!(f, "{what}, which is not available; free memory, or pass less data at once")
             }
             Self::NotPositiveDefinite { matrix } => {
                 write!(f, "matrix {matrix}: expected symmetric positive definite")

@@ -95,7 +95,7 @@ impl CirclePipeline {
             }
             let (_, scanner) = &mut pipeline.scanners[place];
             if !misses.is_sound(scanner.bearings.len()) {
-                return Err(impossible("counts of rays without return that are not possible"));
+                return Err(impossible("impossible counts of rays without return"));
             }
             scanner.hear(noise)?;
             scanner.misses = misses;

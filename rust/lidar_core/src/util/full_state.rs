@@ -123,7 +123,7 @@ pub(crate) fn opened<T: DeserializeOwned>(
 /// [`Error::Format`] for a saved state that is well formed, but that no object can have. `what`:
 /// what is wrong.
 pub(crate) fn impossible(what: &str) -> Error {
-    damaged(0, &format!("no object has such a state: {what}"))
+    damaged(0, &format!("the saved state is inconsistent: {what}"))
 }
 
 /// Check the saved number that the next new object (such as a track) will get, and return it.

@@ -210,7 +210,7 @@ impl CircleMap {
             (MapFilter::Independent(rules, history), None, Some(read)) if read.fits(rules) => {
                 *history = read;
             }
-            _ => return Err(impossible("a map of circles whose parts do not agree")),
+            _ => return Err(impossible("parts of the map of circles contradict each other")),
         }
         self.next_id = next_id;
         Ok(())

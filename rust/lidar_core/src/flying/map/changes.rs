@@ -76,7 +76,7 @@ impl Changes {
         let SavedChanges { gained, lost, settled_with, anchor, anchored, kept } = saved;
         let is_layer = |layer: &Layer| (0..EDGE).contains(&layer.z);
         if anchored.len() > blocks || !gained.iter().chain(&lost).all(is_layer) {
-            return Err(impossible("changes of blocks that are not there"));
+            return Err(impossible("changes of blocks that do not exist"));
         }
         let (search_memory, kept) = (SearchMemory::restored(anchored), kept.into_iter().collect());
         Ok(Self { gained, lost, settled_with, anchor, search_memory, neighbours: None, kept })

@@ -375,7 +375,7 @@ impl GroundMovers {
     /// [`Error::Format`] for a state that no detector has.
     pub(crate) fn restored(saved: Vec<(Place, Stay)>) -> Result<Self, Error> {
         if !saved.iter().all(|(place, _)| place.has_neighbours()) {
-            return Err(impossible("movers where no voxel is"));
+            return Err(impossible("movers in voxels that do not exist"));
         }
         Ok(Self { entered: saved.into_iter().collect(), ..Self::default() })
     }

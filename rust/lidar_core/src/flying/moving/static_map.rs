@@ -188,7 +188,7 @@ impl StaticMapper {
             || !hits.iter().all(|(_, hits)| is_counted(hits))
             || !views.iter().all(RayView::is_whole)
         {
-            return Err(impossible("views or counts of scans that cannot be"));
+            return Err(impossible("impossible views or counts of scans"));
         }
         let (points, hits) = (points.into_iter().collect(), hits.into_iter().collect());
         Ok(Self { views, n_scans, spacing_log2, points, hits })

@@ -154,7 +154,7 @@ impl Sensor {
             || !saved.body.as_ref().is_none_or(|body| body.is_whole())
             || !cells.contains(&saved.near_counts.len())
         {
-            return Err(impossible("a sensor whose parts do not agree"));
+            return Err(impossible("parts of a sensor contradict each other"));
         }
         (self.last_stamp_ns, self.last_pose) = (saved.last_stamp_ns, saved.last_pose);
         (self.body, self.learnt_scans) = (saved.body, saved.learnt_scans);

@@ -93,13 +93,13 @@ impl PointCloudTracker {
         let is_numbered = |id: i64| (0..next_id).contains(&id);
         let count = tracks.len().saturating_add(standing.len());
         if count > MAX_TRACKS || !numbers.all(is_numbered) || !more.all(is_numbered) {
-            return Err(impossible("tracks that were never numbered"));
+            return Err(impossible("tracks with IDs that were never given"));
         }
         let is_made = |track: &PointTrack| {
             track.made_of.len() <= 2 && track.made_of.iter().all(|&id| is_numbered(id))
         };
         if !visits.is_possible(next_id) || !tracks.iter().all(is_made) {
-            return Err(impossible("detections of tracks that were never numbered"));
+            return Err(impossible("detections of tracks with IDs that were never given"));
         }
         let Some(earlier) = earlier else {
             return Err(impossible("other returns than scans leave"));

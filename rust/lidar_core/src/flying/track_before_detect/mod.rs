@@ -276,7 +276,7 @@ impl TrackBeforeDetect {
             && returns.iter().all(ReturnsOfScan::is_possible)
             && hypotheses.iter().all(Hypothesis::is_possible);
         if !is_possible {
-            return Err(impossible("lone returns at places that are no numbers"));
+            return Err(impossible("impossible positions of lone returns"));
         }
         Ok(Self { seen, returns, hypotheses, lone: LoneReturns::default() })
     }

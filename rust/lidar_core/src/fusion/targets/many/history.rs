@@ -46,7 +46,7 @@ impl Past {
     pub(super) fn restored(saved: SavedPast, empty: &Tracks) -> Result<Self, Error> {
         let SavedPast { scan, assigned, births, before } = saved;
         if births.of_column.len() != scan.measurements.len() {
-            return Err(impossible("births and measurements differ in number"));
+            return Err(impossible("counts of new tracks and measurements differ"));
         }
         Ok(Self { scan, assigned, births, before: empty.restored(&before)? })
     }

@@ -165,12 +165,12 @@ impl ManyTargets {
         let history = history.collect::<Result<VecDeque<_>, Error>>()?;
         let is_known = |tracks: &Tracks| tracks.know(&saved.places);
         if !is_known(&tracks) || !history.iter().all(|past| is_known(&past.before)) {
-            return Err(impossible("tracks know places that are not there"));
+            return Err(impossible("tracks refer to positions that do not exist"));
         }
         // A number that is still to be given would name two targets.
         let next_id = next_number(saved.next_id)?;
         if !tracks.are_below(next_id) || !history.iter().all(|past| past.is_numbered(next_id)) {
-            return Err(impossible("tracks that were never numbered"));
+            return Err(impossible("tracks with IDs that were never given"));
         }
         let stamps = || history.iter().map(|past| past.scan.stamp_ns);
         if !stamps().is_sorted() || stamps().next_back() > saved.stamp_ns {

@@ -91,10 +91,10 @@ impl Tracks {
         };
         let one = |track: &TargetTrack<SavedTarget>| {
             if !track.echoes.is_sound() {
-                return Err(impossible("echoes that cannot be"));
+                return Err(impossible("impossible values of an echo"));
             }
             if !track.kinds.is_sound() {
-                return Err(impossible("a motion that cannot be"));
+                return Err(impossible("impossible values of a motion"));
             }
             with(&track.filter).map(|own| track.with_filter(own))
         };
