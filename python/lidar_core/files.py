@@ -118,9 +118,7 @@ def read_whole(path: str | Path, *, limit: int = MOST_TEXT_BYTES) -> bytes:
         try:
             content = file.read(min(mode.st_size, limit) + 1)
         except MemoryError as error:
-            raise LimitError(
-                f"{place}: {mode.st_size} bytes take more memory than available"
-            ) from error
+            raise LimitError(f"{place}: not enough memory to read {mode.st_size} bytes") from error
     if len(content) > limit:
         raise LimitError(f"{place}: more than {limit} bytes, the limit of such a file")
     return content

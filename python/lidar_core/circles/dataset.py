@@ -25,7 +25,7 @@ Part: TypeAlias = Literal["train", "validation", "test", "all"]
 MANIFEST = "dataset.json"
 _FORMAT = 1
 MOST_SAMPLES = 2**32
-"""Samples that the note of a dataset may promise."""
+"""Largest number of samples that the manifest of a dataset may state."""
 _SHARD = re.compile(r"shard-\d{1,9}\.npz")
 _KINDS = {int: "an integer", dict: "a table"}
 _WIDTHS = {"circles": (3,), "sides": (2,)}
@@ -230,7 +230,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise FormatError(f"{path}: expected a dataset of circles, got no such file") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise FormatError(f"{path}: expected the note of a dataset: {error!r}") from error
+        raise FormatError(f"{path}: expected the manifest of a dataset: {error!r}") from error
     if known != _FORMAT:
         raise FormatError(f"{path}: expected format {_FORMAT}, got {known}")
     kinds = {"seed": int, "samples": int, "config": dict, "shards": dict}

@@ -276,7 +276,7 @@ def _measures(sensor: str, measures: Sequence[str] | None, count: int) -> tuple[
     """Names of the values of a radar; None for other sensors."""
     if sensor != "radar":
         if measures is not None:
-            raise InputError(f"measures: expected none with sensor {sensor!r}")
+            raise InputError(f"measures: applies only to sensor 'radar', got sensor {sensor!r}")
         return None
     if measures is None:
         return MEASURES if count == len(MEASURES) else FLAT

@@ -167,7 +167,7 @@ def in_space(
     flat = place - origin[:, :2]
     rho = np.hypot(flat[:, 0], flat[:, 1])
     if not (rho > 0).all() or not (np.abs(angle) < np.pi / 2).all():
-        raise InputError("elevation: expected targets beside the sensor, got one above or below")
+        raise InputError("elevation: expected no target exactly above or below the sensor, got one")
     along, slope = flat / rho[:, None], np.tan(angle)
     J = np.concatenate([np.tile(np.eye(2), (rows, 1, 1)), (slope[:, None] * along)[:, None]], 1)
     cov = J @ P @ np.swapaxes(J, 1, 2)

@@ -58,7 +58,9 @@ class ScanOdometry:
         try:
             placed = self._odometry.place(scan)
         except InputError as error:
-            raise NoTransformError("KISS-ICP: a scan not later than the one before") from error
+            raise NoTransformError(
+                "KISS-ICP: expected scans in order of time, got one not later than the one before"
+            ) from error
         if placed is None:
             raise NoTransformError("KISS-ICP lost track")
         return PosedScan(scan, placed.poses, placed.stamps_ns, placed.covariance)

@@ -175,7 +175,7 @@ def test_a_model_that_is_not_the_one_of_its_card_is_refused(tmp_path):
     with pytest.raises(FormatError, match="expected SHA-256 0000"):
         CircleNetwork(tmp_path / "mine.onnx")
     (tmp_path / "mine.json").write_text("[]")
-    with pytest.raises(FormatError, match="expected the card of a model"):
+    with pytest.raises(FormatError, match="expected a model card"):
         CircleNetwork(tmp_path / "mine.onnx")
     (tmp_path / "mine.json").unlink()
     assert CircleNetwork(tmp_path / "mine.onnx").card == {}

@@ -452,7 +452,7 @@ def test_no_mcap_entity_without_a_number(tmp_path):
         entity = messages.SceneEntity(id="house", timestamp=messages.Timestamp(sec=1, nsec=0))
         channel = channels.SceneUpdateChannel("/scene", context=context)
         channel.log(messages.SceneUpdate(entities=[entity]), log_time=1)
-    with pytest.raises(FormatError, match="entity 'house': expected the number of a track"):
+    with pytest.raises(FormatError, match="entity 'house': expected a track ID"):
         read_columns(path)
 
 

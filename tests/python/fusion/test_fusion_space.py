@@ -232,7 +232,7 @@ def test_wrong_arguments_are_named():
         Measurement(0, "radar", [1.0, 2.0], measures=["bearing", "range"])
     with pytest.raises(InputError, match=r"values: expected shape \(1,\), got \(2,\)"):
         Measurement(0, "radar", [1.0, 2.0], measures=["bearing"])
-    with pytest.raises(InputError, match="measures: expected none with sensor 'lidar'"):
+    with pytest.raises(InputError, match="measures: applies only to sensor 'radar'"):
         Measurement(0, "lidar", [1.0, 2.0], measures=["bearing"])
     with pytest.raises(ConfigError, match="in the plane, or models in space"):
         FusionConfig(method="imm", imm_models=("cv", "cv-3d"))

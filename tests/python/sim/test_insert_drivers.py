@@ -307,7 +307,7 @@ def test_what_is_no_shape_is_refused():
         put(scan, radius=1.0)
     with pytest.raises(InputError, match="lidar: expected a 3D one"):
         sim.RayPattern.of_model(sim.LidarModel.preset("utm-30lx"))
-    with pytest.raises(InputError, match="scans: expected some with returns"):
+    with pytest.raises(InputError, match="scans: expected at least one scan with returns"):
         sim.RayPattern.of_scans([replace(scan, points=scan.points[:0], ring=scan.ring[:0])])
     posed = PosedScan(scan, np.tile(np.eye(4), (2, 1, 1)), np.array([0]))
     with pytest.raises(InputError, match="pose_stamps_ns: expected 2"):

@@ -160,5 +160,5 @@ def test_wrong_shapes_are_named():
         level_sight([[1.0, 2.0]], [0.0], [0.0], std=[STD], swivel_std=0.01, pitch_std=0.01)
     with pytest.raises(InputError, match=r"swivel: expected shape \(1,\)"):
         level_sight([[9.0, 0.0, 0.0]], [0.0, 0.0], [0.0], std=[STD], swivel_std=0, pitch_std=0)
-    with pytest.raises(InputError, match="beside the sensor"):
+    with pytest.raises(InputError, match="above or below the sensor"):
         in_space([[0.0, 0.0]], [np.eye(2)], [0.1], [0.1], [[0.0, 0.0, 5.0]])

@@ -268,15 +268,15 @@ def _card_of(path: Path, content: bytes) -> dict[str, Any]:
     card_path = path.with_suffix(".json")
     if not card_path.is_file():
         if path.parent == MODELS:
-            raise FormatError(f"{card_path}: the card of a shipped model is missing")
+            raise FormatError(f"{card_path}: the model card is missing; install lidar_core again")
         return {}
     try:
         card = dict(json.loads(card_path.read_text(encoding="utf-8")))
         expected = card["sha256"]
     except (ValueError, TypeError, KeyError) as error:
-        raise FormatError(f"{card_path}: expected the card of a model: {error!r}") from error
+        raise FormatError(f"{card_path}: expected a model card (JSON): {error!r}") from error
     if (got := sha256(content).hexdigest()) != expected:
-        raise FormatError(f"{path}: expected SHA-256 {expected} of its card, got {got}")
+        raise FormatError(f"{path}: expected SHA-256 {expected} of its model card, got {got}")
     return card
 
 

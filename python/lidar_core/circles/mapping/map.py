@@ -203,14 +203,14 @@ def _view(
         raise InputError("scan: expected (ranges, bearings)")
     ranges = as_rows(scan[0], name="ranges", rows=None, shape=(), dtype=np.float64)
     if (ranges < 0).any():
-        raise InputError(f"ranges: expected none < 0, got {ranges[ranges < 0][0]}")
+        raise InputError(f"ranges: expected no values < 0 [m], got {ranges[ranges < 0][0]}")
     bearings = as_finite_rows(scan[1], name="bearings", rows=len(ranges), shape=())
     try:
         near, far = (float(limit) for limit in limits)
     except (TypeError, ValueError) as error:
-        raise InputError(f"range_limits: expected two numbers, got {limits!r}") from error
+        raise InputError(f"range_limits: expected two numbers [m], got {limits!r}") from error
     if not 0 <= near < far:
-        raise InputError(f"range_limits: expected 0 <= nearest < farthest, got ({near}, {far})")
+        raise InputError(f"range_limits: expected 0 <= nearest < farthest [m], got ({near}, {far})")
     return ranges, bearings, (near, far)
 
 

@@ -116,7 +116,9 @@ def assign(cost: ArrayLike, *, gate: float) -> tuple[NDArray[np.int64], NDArray[
     """
     table = as_real(cost, name="cost").astype(np.float64)
     if table.ndim != 2 or (table < 0).any():
-        raise InputError(f"cost: expected a table of costs >= 0, got shape {table.shape}")
+        raise InputError(
+            f"cost: expected a 2D array of costs >= 0, got shape {table.shape} or a negative cost"
+        )
     if not 0 < gate < np.inf:
         raise InputError(f"gate: expected a finite number > 0, got {gate}")
     # Dearer than any change among allowed pairs: as many of them as possible are taken.

@@ -157,7 +157,7 @@ def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
 def numbers_of(tracks: Estimates) -> Rows:
     """Return the track numbers of all rows; raises InputError if the table has none."""
     if tracks.id is None:
-        raise InputError("tracks.id: expected the number of every track, got None")
+        raise InputError("tracks.id: expected the ID of every track, got None")
     return tracks.id
 
 

@@ -238,8 +238,8 @@ def _read_mcap(path: Path) -> Columns:
                 bodies = [*entity.cubes, *entity.cylinders]
                 if not entity.id.isdecimal() or len(entity.id) > 18 or not bodies:
                     raise FormatError(
-                        f"{place}: entity {entity.id!r}: expected the number of a"
-                        " track and a cube or cylinder"
+                        f"{place}: entity {entity.id!r}: expected a track"
+                        " ID as name, and a cube or cylinder"
                     )
                 stamp, position = entity.timestamp, bodies[0].pose.position
                 rows.append((stamp.seconds * 1_000_000_000 + stamp.nanos, int(entity.id)))

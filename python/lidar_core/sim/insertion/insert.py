@@ -315,7 +315,7 @@ def _free_circle(rays: _Rays, flight: InsertedFlight, rng: np.random.Generator) 
         if all(_is_free(rays, place, flight) for place in places):
             return circle
     raise InputError(
-        "scans: no free space for a flight in a circle; allow a smaller circle, or less clearance"
+        "scans: no free space for a flight in a circle; set a smaller `circle` or `clearance`"
     )
 
 

@@ -60,7 +60,7 @@ class RayPattern:
         found = [_returns(scan) for scan in scans]
         directions = [one for one, _ in found if len(one)]
         if not directions:
-            raise InputError("scans: expected some with returns, got none")
+            raise InputError("scans: expected at least one scan with returns, got none")
         rings = [ring for one, ring in found if len(one)]
         elevations = _rings(directions, rings)
         if elevations is None:

@@ -214,7 +214,7 @@ def test_merges_that_a_late_scan_brings_are_told():
         ({"scan": ([1.0], [np.nan])}, "bearings"),
         ({"scan": ([1.0], [0.0]), "range_limits": (2.0, 1.0)}, "range_limits"),
         ({"scan": ([1.0],)}, "scan: expected"),
-        ({"scan": ([-1.0], [0.0])}, "ranges: expected none < 0"),
+        ({"scan": ([-1.0], [0.0])}, "ranges: expected no values < 0"),
         ({"scan": ([1.0], [0.0]), "range_limits": "ab"}, "range_limits: expected two numbers"),
         ({"delays": [1e300]}, "delays"),
         ({"sensor": -1}, "sensor"),
