@@ -1,42 +1,46 @@
-//! Whether a track of a radar is an echo that came back twice: its waves went from the radar to a nearer target,
-//! back to the platform, to the target again and back.
+//! Test whether a track of a radar is a double echo: the wave goes from the radar to a nearer
+//! target, back to the platform, to the target again and back.
 //!
-//! Such an echo lies at the bearing of the target, at least at about twice its range, and its range changes by
-//! twice as much. What else reflects on the way adds to the range, always by the same length.
+//! Such an echo is near the bearing of the target, at about twice its range or more, and its range
+//! changes by twice as much. Another reflector on the way adds a constant length to the range.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-/// Standard deviation of the difference between the bearing of an echo and that of its target
-/// [rad]: targets are long.
+/// Standard deviation of the difference between the bearings of an echo and of its target [rad]:
+/// targets are several metres long.
 const APART: f64 = 6.0 * PI / 180.0;
-/// Standard deviations of how far an echo drifts from its target's bearing [rad] and from twice its range [m].
+/// Standard deviations of the change, over time, of the difference between echo and target: bearing
+/// [rad], and range beyond twice the range of the target [m].
 const DRIFTS: [f64; 2] = [4.0 * PI / 180.0, 15.0];
-/// Standard deviation across the line of sight of the part of a target that reflects, and of the target's place [m]:
-/// a near target takes a large angle.
+/// Standard deviation, across the line of sight, of the reflecting part of a target and of the
+/// position of the target [m]. It corresponds to a larger angle for a nearer target.
 const ACROSS: f64 = 5.0;
 /// Standard deviation of the velocity of targets along every axis [m/s].
 const SPEED: f64 = 3.0;
-/// Share of the targets that rest.
+/// Share of the targets that are at rest.
 const RESTS: f64 = 0.3;
-/// Least range of an echo over that of its target: twice, but targets are long.
+/// Least ratio of the range of an echo to that of its target: about 2, with a tolerance for long
+/// targets.
 const LEAST_RATIO: f64 = 1.8;
-/// Legs of the way of an echo, over those of the direct way.
+/// Ratio of the path length of an echo to that of the direct return.
 const LEGS: f64 = 2.0;
-/// Probability that a track beyond twice the range of a target is an echo, before the two are compared. One of twenty
-/// hides 0.5 % of the sights of other boats in simulated scenes, one of five 0.8 %, and more of the echoes.
+/// Prior probability that a track beyond twice the range of a target is an echo. In simulated
+/// scenes, a value of 0.05 hides 0.5 % of the measurements of other boats, and 0.2 hides 0.8 % and
+/// more of the echoes.
 const SHARE: f64 = 0.2;
-/// Time after which a track must move with its target to count as its echo, where what stands
-/// counts as a target [s]: what rests behind something that rests looks like an echo of it.
+/// If static objects count as targets: time after which a track counts as an echo only if it has
+/// moved with its target [s], because a static object behind another one looks like its echo.
 const PATIENCE: f64 = 10.0;
-/// Logarithm (of 20) by which following the target must then explain the sights better than rest.
+/// Least logarithm of the likelihood ratio for this decision: motion with the target to rest (a
+/// ratio of 20).
 const MOVED: f64 = 3.0;
 /// Largest number of targets with which a track is compared.
 const MOST_TARGETS: usize = 16;
-/// Largest difference of bearings at which a comparison begins, in standard deviations.
+/// Largest difference of bearings at which a comparison starts, in standard deviations.
 const FARTHEST: f64 = 5.0;
-/// Fewest sights for a verdict.
+/// Least number of measurements for a decision.
 const FEWEST: u32 = 3;
 
 /// Position relative to a radar.
@@ -49,7 +53,8 @@ pub struct PolarPlace {
 }
 
 impl PolarPlace {
-    /// Bearing and range of a place [m] as seen from another; None if these are not finite or the same.
+    /// Bearing [rad] and range [m] of `place` as seen from `from`; None if these are not finite or
+    /// equal.
     #[must_use]
     pub fn between(from: [f64; 2], place: [f64; 2]) -> Option<Self> {
         let [x, y] = [place[0] - from[0], place[1] - from[1]];
@@ -59,25 +64,26 @@ impl PolarPlace {
     }
 }
 
-/// Sights of a track when a scan measured it, and where a target was then, measured or predicted.
+/// Positions of a track in the scans that measured it, and the measured or predicted positions of a
+/// nearer target at the same times.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EchoTrace {
     first_ns: i64,
     last_ns: i64,
     first: [PolarPlace; 2],
     last_bearing: f64,
-    /// Angle by which the track has turned about the radar since the first sight [rad].
+    /// Change of the bearing of the track since its first position [rad].
     turned: f64,
     count: u32,
     /// Sums of the difference of the bearings [rad] and of both ranges [m].
     sums: [f64; 3],
-    /// Largest changes since the first sight: of the difference of the bearings [rad], of the range
-    /// beyond twice that of the target [m], of the bearing [rad], and of the range [m].
+    /// Largest changes since the first position: of the difference of the bearings [rad], of the
+    /// range beyond twice that of the target [m], of the bearing [rad], and of the range [m].
     most: [f64; 4],
 }
 
 impl EchoTrace {
-    /// Trace that begins with the sights of a track and of a target.
+    /// Trace that starts with positions of a track and of a target.
     #[must_use]
     pub fn new(stamp_ns: i64, own: PolarPlace, target: PolarPlace) -> Self {
         Self {
@@ -92,8 +98,8 @@ impl EchoTrace {
         }
     }
 
-    /// Add a later observation at `stamp_ns` [ns]: `own` is the place of the track, `target` that of
-    /// the target at this time, both relative to the radar. Call it in the order of the times.
+    /// Add a later observation at `stamp_ns` [ns]. `own`: position of the track; `target`: position
+    /// of the target at this time; both relative to the radar. Call this in the order of the times.
     pub fn take(&mut self, stamp_ns: i64, own: PolarPlace, target: PolarPlace) {
         let [first, of_target] = self.first;
         let apart = turn(target.bearing, own.bearing);
@@ -115,15 +121,15 @@ impl EchoTrace {
             (stamp_ns, own.bearing, self.count.saturating_add(1));
     }
 
-    /// True if the track is more likely an echo of the target than a target of its own. `stands`
-    /// states whether a static object can be a target.
+    /// True if the track is more likely an echo of the target than another target. `stands`:
+    /// whether static objects count as targets.
     #[must_use]
     pub fn is_echo(&self, stands: bool) -> bool {
         self.count >= FEWEST && self.log_odds(stands) > 0.0
     }
 
-    /// Logarithm of the odds of an echo. It is negative infinity for a track that is too near, and,
-    /// where `stands` allows static targets, for a track that is a static target as well.
+    /// Logarithm of the odds of an echo. It is negative infinity for a track that is too near and,
+    /// if `stands` is true, for a track that may as well be a static target.
     #[must_use]
     pub fn log_odds(&self, stands: bool) -> f64 {
         let [apart, range, of_target] = self.sums.map(|sum| sum / f64::from(self.count));
@@ -173,15 +179,15 @@ impl TrackEchoes {
             })
     }
 
-    /// Note that another scanner has measured the track, so that it is a target and no echo.
+    /// Record that another scanner has measured the track, so that it is a target and no echo.
     pub fn deny(&mut self) {
         *self = Self { is_denied: true, ..Self::default() };
     }
 
-    /// Compare the track with nearer `targets`, each with its number and place. `measured` is the
-    /// time [ns] and place of the track; None if the scan did not measure it. Traces of unknown
-    /// targets are dropped; at most [`MOST_TARGETS`] are kept. `stands` states whether a static
-    /// object can be a target.
+    /// Compare the track with nearer `targets`, each with its ID and position. `measured`: time
+    /// [ns] and position of the track; None if the scan did not measure it. Traces of unknown
+    /// targets are removed; at most [`MOST_TARGETS`] are kept. `stands`: whether static objects
+    /// count as targets.
     pub fn compare(
         &mut self,
         measured: Option<(i64, PolarPlace)>,
@@ -210,13 +216,13 @@ impl TrackEchoes {
     }
 }
 
-/// True if a track may be an echo of a target by its place alone.
+/// True if a track may be an echo of a target by its position alone.
 fn may_be_echo(own: PolarPlace, target: PolarPlace) -> bool {
     let apart = turn(target.bearing, own.bearing).abs();
     own.range >= LEAST_RATIO * target.range && apart < FARTHEST * APART
 }
 
-/// Turn from one bearing to another, between -pi and pi [rad].
+/// Difference between two bearings, between -pi and pi [rad].
 fn turn(from: f64, to: f64) -> f64 {
     let turn = (to - from) % TAU;
     turn - if turn.abs() > PI { TAU.copysign(turn) } else { 0.0 }

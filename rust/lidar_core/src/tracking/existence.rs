@@ -1,5 +1,5 @@
-//! Joint integrated probabilistic data association: how probable it is that a track follows a
-//! target at all, whether that is hidden, and which measurement is of it.
+//! Joint integrated probabilistic data association (JIPDA): probabilities that a track has a
+//! target, that the target is hidden, and that a measurement comes from it.
 
 use super::joint_association::probabilities;
 use crate::estimation::assignment::Pair;
@@ -15,7 +15,8 @@ pub struct Presence {
     pub existence: f64,
     /// Probability that there is a target and that it is hidden.
     pub hidden: f64,
-    /// Probability that there is a target which is not hidden, but was since its last measurement.
+    /// Probability that there is a target that is observable, but was hidden at some time since its
+    /// last measurement.
     pub returned: f64,
 }
 
@@ -31,7 +32,7 @@ pub struct Sojourn {
 }
 
 impl Presence {
-    /// A target that a measurement shows with probability `existence`.
+    /// Presence of a measured target that exists with probability `existence`.
     #[must_use]
     pub fn measured(existence: f64) -> Self {
         Self { existence, hidden: 0.0, returned: 0.0 }
@@ -43,7 +44,8 @@ impl Presence {
         (self.existence - self.hidden).max(0.0)
     }
 
-    /// Probability that the target was hidden when last looked for, if there is one.
+    /// Probability, if the target exists, that it is hidden or was hidden since its last
+    /// measurement.
     #[must_use]
     pub fn hidden_share(&self) -> f64 {
         if self.existence > 0.0 { (self.hidden + self.returned) / self.existence } else { 0.0 }
@@ -83,7 +85,8 @@ impl Presence {
         Self { existence, hidden, returned: observable * self.returned / total }
     }
 
-    /// Presence of a target with two histories that exclude each other: their probabilities add up.
+    /// Presence of a target with two hypotheses that exclude each other: their probabilities add
+    /// up.
     #[must_use]
     pub fn united(&self, other: &Self) -> Self {
         let existence = self.existence + other.existence;
@@ -103,8 +106,8 @@ pub struct PredictedTrack {
     pub presence: Presence,
     /// Probability that the scan measures the target within its gate if it is observable.
     pub detection: f64,
-    /// True if the scanner is known to see the place: then a scan without the target counts
-    /// against it.
+    /// True if the scanner is known to see the place: a scan without a measurement then lowers the
+    /// probability of existence.
     pub is_in_view: bool,
 }
 
@@ -115,8 +118,8 @@ pub struct GatedPair {
     pub track: usize,
     /// Index of the measurement.
     pub measurement: usize,
-    /// Natural logarithm of the probability density of the measurement as the track predicts it,
-    /// over the density of clutter.
+    /// Natural logarithm of the ratio of the predicted probability density of the measurement to
+    /// the density of clutter.
     pub log_ratio: f64,
 }
 
@@ -125,13 +128,14 @@ pub struct GatedPair {
 pub struct JointEvidence {
     /// Presence of the target of every track.
     pub presence: Vec<Presence>,
-    /// Probability of every pair: the target exists, and the measurement is of it.
+    /// Probability of every pair: the target exists, and the measurement comes from it.
     pub pair: Vec<f64>,
-    /// True for a pair that would be likelier than a miss if there was no other.
+    /// True for a pair that alone would be more likely than a missed detection.
     pub is_likely: Vec<bool>,
-    /// Probability of every measurement that it is of no track.
+    /// Probability of every measurement that it comes from no track.
     pub unexplained: Vec<f64>,
-    /// Probability of every track that it was measured for the first time after it was hidden.
+    /// Probability of every track that this scan measured it for the first time after it was
+    /// hidden.
     pub returns: Vec<f64>,
 }
 

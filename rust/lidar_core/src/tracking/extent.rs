@@ -1,13 +1,13 @@
-//! How far the values of measurements reach, from the last ones and without regard to outliers.
+//! Range of the values of the last measurements on each axis, without outliers.
 
 use serde::{Deserialize, Serialize};
 
 /// Largest number of dimensions of a measurement.
 pub const AXES: usize = 4;
-/// Number of measurements that are kept.
+/// Number of stored measurements.
 const KEPT: usize = 128;
-/// Largest number of measurements that are taken from a scan, so that a large one does not replace all
-/// others.
+/// Largest number of measurements that are stored from one scan, so that a large scan does not
+/// replace all others.
 const OF_SCAN: usize = 32;
 /// Share of the measurements that is left out at each end of an axis; one at least.
 const OUTER: f64 = 0.05;
@@ -37,9 +37,9 @@ impl Recent {
 
     /// Lower and upper bound of each axis; None before three measurements.
     ///
-    /// The outer twentieth at each end is left out, and the rest is stretched by the share left out:
-    /// for evenly distributed values the bounds are those of all, and a few far ones move them
-    /// hardly.
+    /// The outer 5 % at each end are left out, and the remaining range is enlarged to compensate.
+    /// For uniformly distributed values, the bounds are those of all values. A few outliers hardly
+    /// change them.
     #[must_use]
     pub fn bounds(&self) -> Option<[[f64; 2]; AXES]> {
         let count = self.places.len();

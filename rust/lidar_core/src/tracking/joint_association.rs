@@ -14,10 +14,10 @@ const LARGEST: f64 = 600.0;
 
 /// Association probability of every pair.
 ///
-/// The cost of a pair is minus the logarithm of a likelihood ratio: the track was measured so, over
-/// the track was missed and the measurement is clutter. Tracks with common measurements form a
-/// group, whose joint events are enumerated: a measurement belongs to one track at most, and a
-/// track has one measurement at most. Groups with more than [`MOST_EVENTS`] use belief
+/// The cost of a pair is minus the logarithm of a likelihood ratio: the measurement comes from the
+/// track, to the track was missed and the measurement is clutter. Tracks with common measurements
+/// form a group, whose joint events are enumerated: a measurement belongs to one track at most, and
+/// a track has one measurement at most. Groups with more than [`MOST_EVENTS`] use belief
 /// propagation instead, whose marginal probabilities are approximate where measurements and tracks
 /// form loops.
 ///
@@ -93,8 +93,8 @@ impl Links {
 
     /// Marginal probabilities of a group by belief propagation, in the order of its pairs.
     ///
-    /// Tracks and measurements tell each other in turn how much of a pair is left for the other;
-    /// the messages converge for every group.
+    /// Tracks and measurements exchange messages about the remaining weight of each pair; the
+    /// messages converge for every group.
     fn approximate(&self, group: &TrackOptions, pairs: &[Pair]) -> Vec<f64> {
         // Longer than other functions: both directions of the messages and their weights share the
         // tables of the group.
@@ -151,8 +151,9 @@ struct Others {
 }
 
 impl Others {
-    /// Replace the sums by those of `values`. They are formed from the sums before and after each
-    /// value, not from the total less the value: values differ by more than a double holds.
+    /// Replace the sums by those of `values`. They are computed from the sums before and after each
+    /// value, not as the total minus the value, because the values may differ by more orders of
+    /// magnitude than a double can represent.
     fn fill(&mut self, values: impl Iterator<Item = f64>) {
         let Self { sums, values: kept } = self;
         kept.clear();

@@ -1,7 +1,7 @@
-//! Spatial index: which of many places lie in a window.
+//! Spatial index: search for the positions inside a rectangle.
 
-/// Places in the plane, in strips of equal numbers of places: a place far from all others makes no
-/// cell too large.
+/// Positions in the plane, in strips with equal numbers of positions, so that an outlier does not
+/// enlarge the cells.
 ///
 /// With N places there are about sqrt(N) strips of sqrt(N) places, so that a window visits the
 /// strips that it touches and in each, by bisection, only places at its height.
@@ -43,7 +43,7 @@ impl Rectangle {
 }
 
 impl NearIndex {
-    /// Index of finite places, each with its number.
+    /// Index of finite positions, each with its index.
     #[must_use]
     pub fn new(mut places: Vec<([f64; 2], usize)>) -> Self {
         let by = |k: usize| {
@@ -62,7 +62,7 @@ impl NearIndex {
         Self { strips: strips.collect() }
     }
 
-    /// Append the numbers of all places in the window, in no particular order.
+    /// Append the indices of all positions in the rectangle, in no particular order.
     pub fn collect(&self, window: &Rectangle, found: &mut Vec<usize>) {
         let Rectangle { low, high } = window;
         let begin = self.strips.partition_point(|strip| strip.last < low[0]);

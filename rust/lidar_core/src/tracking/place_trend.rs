@@ -1,14 +1,14 @@
-//! Change of a measured place with time: a line through the last measurements, and its uncertainty.
+//! Velocity of a measured position: a line through the last measurements, and its uncertainty.
 
 use serde::{Deserialize, Serialize};
 
-/// Largest number of measurements that are kept. None counts after that: of a target that changes its
-/// motion, far away, a small weight would still decide.
+/// Largest number of stored measurements. Older ones have no weight: if a target changes its
+/// motion, even a small weight of far measurements would have a large effect.
 const KEPT: usize = 12;
-/// Number of measurements as which the told noise counts: it may be wrong, and bodies scatter by
-/// their size.
+/// Weight of the configured noise, as a number of measurements. The configured noise may be wrong,
+/// and returns of large bodies scatter.
 const TOLD: f64 = 1.0;
-/// Largest correlation of successive errors that is allowed for.
+/// Largest correlation of successive errors that is taken into account.
 const MOST_ALIKE: f64 = 0.9;
 
 /// Slope of a line through places along one axis.
@@ -22,10 +22,10 @@ pub struct Slope {
     pub freedom: f64,
 }
 
-/// Noise of places along one axis.
+/// Noise of positions along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PlaceNoise {
-    /// Variance of one place, as of errors that are not alike [m^2].
+    /// Variance of one position, for uncorrelated errors [m^2].
     pub(crate) variance: f64,
     /// Degrees of freedom of the variance.
     pub(crate) freedom: f64,
@@ -34,28 +34,28 @@ pub(crate) struct PlaceNoise {
 /// The line through the places along one axis.
 struct FittedLine {
     velocity: f64,
-    /// Sum of the squares of the times from their mean [s^2].
+    /// Sum of the squared differences of the times from their mean [s^2].
     spread: f64,
     noise: PlaceNoise,
 }
 
-/// A place that was measured.
+/// A measured position.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct PlaceAt {
     stamp_ns: i64,
     /// Measured place [m].
     place: [f64; 3],
-    /// Variance along every axis that the sensor is told to have [m^2].
+    /// Configured variance of the sensor along every axis [m^2].
     told: [f64; 3],
 }
 
 /// The last places of a target.
 ///
-/// # Source
-/// Least squares; the scatter of the places themselves says how noisy they are. Errors of successive
-/// measurements may be alike, as those of a body that shows one of its ends and then the other: by their
-/// correlation r, which the squares of steps tell (von Neumann, "Distribution of the ratio of the mean
-/// square successive difference to the variance", 1941), the variance is (1 + r) / (1 - r) as large.
+/// # Source Least squares; the noise is estimated from the scatter of the positions. Errors of
+/// successive measurements may be correlated, for example if a body shows one of its ends and later
+/// the other one. The correlation r is estimated from the squared successive differences (von
+/// Neumann, "Distribution of the ratio of the mean square successive difference to the variance",
+/// 1941). The variance is then multiplied by (1 + r) / (1 - r).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaceTrend {
     /// Places, the oldest first.
@@ -78,7 +78,7 @@ impl PlaceTrend {
         stamp_ns.saturating_sub(last) as f64 * 1e-9
     }
 
-    /// Number of places that are kept.
+    /// Number of stored positions.
     #[must_use]
     pub fn count(&self) -> usize {
         self.places.len()
@@ -92,13 +92,14 @@ impl PlaceTrend {
         Some(Slope { velocity, variance: noise.variance / spread, freedom: noise.freedom })
     }
 
-    /// Noise of the places along one of three axes, as their scatter shows it; before, as told.
+    /// Noise of the positions along one of three axes, from their scatter; as configured if there
+    /// are too few positions.
     pub(crate) fn noise(&self, axis: usize) -> PlaceNoise {
         let told = PlaceNoise { variance: self.told(axis), freedom: TOLD };
         self.line(axis).map_or(told, |line| line.noise)
     }
 
-    /// Mean of the told variances along one axis [m^2].
+    /// Mean of the configured variances along one axis [m^2].
     fn told(&self, axis: usize) -> f64 {
         let sum: f64 = self.places.iter().map(|one| one.told[axis]).sum();
         sum / self.places.len().max(1) as f64
@@ -135,8 +136,8 @@ impl PlaceTrend {
 }
 
 impl Slope {
-    /// Logarithm of the density of this velocity, up to a constant, of something whose own velocity is zero
-    /// on average, with this variance [m^2/s^2]: Student's t.
+    /// Logarithm of the probability density of this velocity (Student's t), up to a constant, for
+    /// an object whose true velocity has zero mean and this variance [m^2/s^2].
     #[must_use]
     pub fn log_density(&self, variance: f64) -> f64 {
         let all = self.variance + variance;

@@ -1,49 +1,50 @@
-//! Whether a target stands: the motions that explain its places, each with its probability.
+//! Decision whether a target is static: probabilities of several kinds of motion.
 
 use super::kind::LEAST;
 use super::place_trend::PlaceNoise;
 use serde::{Deserialize, Serialize};
 
-/// Number of motions: stands for good, rests for a while, moves at one of several speeds.
+/// Number of kinds of motion: static, resting between two motions, moving at one of several speeds.
 const MOTIONS: usize = 2 + SPEEDS.len();
-/// Standard deviation of the velocity of what stands or rests [m/s]: poses of the platform drift.
+/// Standard deviation of the velocity of static and resting targets [m/s]: poses of the platform
+/// drift.
 const WANDERS: f64 = 0.05;
-/// Standard deviations of the velocity of what moves, over that of new targets: few are as fast as they may be.
+/// Standard deviations of the velocity of moving targets, as multiples of that of new targets: few
+/// targets are as fast as possible.
 const SPEEDS: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
-/// Least standard deviation of the velocity of what moves [m/s]: what is slower wanders.
+/// Least standard deviation of the velocity of moving targets [m/s]: slower motion counts as drift.
 const SLOWEST: f64 = 0.1;
-/// Share of the time for which what moves rests.
+/// Share of the time for which moving targets rest.
 const RESTS: f64 = 0.3;
-/// Mean time between two changes of the motion of what moves [s].
+/// Mean time between two changes of the motion of moving targets [s].
 const CHANGES: f64 = 10.0;
-/// Mean time for which a target stands for good, and after which what moves comes to stand for good
-/// [s].
+/// Mean time for which a target is static, and after which a moving target becomes static [s].
 const STANDS: f64 = 300.0;
-/// Mean time for which a velocity is kept while the motion does not change [s]: targets turn.
+/// Correlation time of the velocity while the kind of motion does not change [s]: targets turn.
 const KEEPS: f64 = 30.0;
-/// Largest logarithm of the ratio of likelihoods of one place: it may be wrong.
+/// Largest logarithm of the likelihood ratio from one position, because it may be an outlier.
 const MOST: f64 = 3.0;
 /// Time, in units of [`KEEPS`], below which differences of exponentials lose their digits.
 const SHORT: f64 = 0.01;
-/// How far a probability of a restored state may be out of its range, by rounding.
+/// Tolerance of the probabilities of a restored state, for rounding errors.
 const ROUNDING: f64 = 1e-6;
 
-/// Place and velocity along one axis.
+/// State along one axis: position and velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct AxisMotion {
-    /// Expected place [m].
+    /// Expected position [m].
     place: f64,
     /// Expected velocity [m/s].
     velocity: f64,
-    /// Variance of the place [m^2], covariance [m^2/s], variance of the velocity [m^2/s^2].
+    /// Variance of the position [m^2], covariance [m^2/s], variance of the velocity [m^2/s^2].
     spread: [f64; 3],
 }
 
 /// Probabilities of the motions of a target.
 ///
-/// Each motion has its Kalman filter, and Bayes' rule weighs their predictions. The velocity of what moves is
-/// drawn once and then kept: where every stretch of the way drew it anew, a slow target would stand, because
-/// each stretch alone says little.
+/// Each kind of motion has a Kalman filter, and Bayes' rule weights their predictions. The velocity
+/// of a moving target changes slowly. With a velocity that is independent in every step, a slow
+/// target would count as static, because each step alone is weak evidence.
 ///
 /// # Source
 /// Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
@@ -55,7 +56,7 @@ pub(crate) struct MotionBelief {
     axes: [[AxisMotion; 2]; MOTIONS],
 }
 
-/// Shares of rest and of the speeds among the motions of what moves; of what stands for good, none.
+/// Shares of rest and of the speeds among the motions of moving targets; zero for static.
 fn shares() -> [f64; MOTIONS] {
     let speed = (1.0 - RESTS) / SPEEDS.len() as f64;
     std::array::from_fn(|motion| match motion {
@@ -65,7 +66,7 @@ fn shares() -> [f64; MOTIONS] {
     })
 }
 
-/// Variances of the velocity by motion; `speed` is that of new targets.
+/// Variances of the velocity by kind of motion [m^2/s^2]; `speed`: that of new targets.
 fn velocities(speed: f64) -> [f64; MOTIONS] {
     std::array::from_fn(|motion| match motion {
         0 | 1 => WANDERS * WANDERS,
@@ -74,8 +75,9 @@ fn velocities(speed: f64) -> [f64; MOTIONS] {
 }
 
 impl MotionBelief {
-    /// Belief at the first place, known to `variance` along x and y [m^2]; the target stands with probability
-    /// `stands`, and `speed` is the variance of the speed of new targets [m^2/s^2].
+    /// Belief at the first position [m], with its variances along x and y [m^2]. `stands`: prior
+    /// probability that the target is static; `speed`: variance of the speed of new targets
+    /// [m^2/s^2].
     pub(crate) fn new(stands: f64, place: [f64; 2], variance: [f64; 2], speed: f64) -> Self {
         let probability = shares().map(|share| (1.0 - stands) * share);
         let axes = velocities(speed).map(|velocity| {
@@ -86,13 +88,13 @@ impl MotionBelief {
         belief
     }
 
-    /// Probability that the target stands for good.
+    /// Probability that the target is static.
     pub(crate) fn stands(&self) -> f64 {
         self.probability[0]
     }
 
-    /// True if the probabilities and states are possible: not of a forged state, nor after places
-    /// beyond what numbers hold.
+    /// True if the probabilities and states are possible. They are not in a forged state, or after
+    /// positions that overflow.
     pub(crate) fn is_sound(&self) -> bool {
         let is_share = |p: &f64| (-ROUNDING..=1.0 + ROUNDING).contains(p);
         let sum: f64 = self.probability.iter().sum();
@@ -101,8 +103,8 @@ impl MotionBelief {
             && self.axes.iter().flatten().all(AxisMotion::is_sound)
     }
 
-    /// Take in a place [m] after `dt` > 0 [s], with its noise along x and y; `speed` is the
-    /// variance of the speed of new targets [m^2/s^2].
+    /// Update the belief with a position [m] after `dt` > 0 [s], with its noise along x and y.
+    /// `speed`: variance of the speed of new targets [m^2/s^2].
     pub(crate) fn see(&mut self, dt: f64, place: [f64; 2], noise: [PlaceNoise; 2], speed: f64) {
         let velocities = velocities(speed);
         self.renew(dt, &velocities);
@@ -123,8 +125,8 @@ impl MotionBelief {
         self.probability.iter_mut().for_each(|p| *p /= sum);
     }
 
-    /// Let motions change during `dt`: a new motion begins at the place of the old one, with a velocity of its
-    /// own.
+    /// Let the kind of motion change during `dt` [s]: a new motion starts at the position of the
+    /// old one, with another velocity.
     fn renew(&mut self, dt: f64, velocities: &[f64; MOTIONS]) {
         let changes = -libm::expm1(-dt / CHANGES);
         let ends = -libm::expm1(-dt / STANDS);
@@ -155,8 +157,9 @@ impl MotionBelief {
     }
 }
 
-/// Probabilities that a motion goes on, that it begins while the target moves, and while it stands, given
-/// those that a motion changes and that a target begins or ceases to stand for good.
+/// Probabilities that a kind of motion continues, that it starts while the target is moving, and
+/// that it starts while the target is static. `changes`: probability that the motion changes;
+/// `ends`: probability that the target becomes static or no longer is.
 fn arrivals(motion: usize, [changes, ends]: [f64; 2], share: f64) -> [f64; 3] {
     match motion {
         0 => [1.0 - ends, ends, 0.0],
@@ -165,8 +168,8 @@ fn arrivals(motion: usize, [changes, ends]: [f64; 2], share: f64) -> [f64; 3] {
 }
 
 impl AxisMotion {
-    /// State at a place with its variance [m, m^2] and a velocity that is zero on average, with the
-    /// variance `velocity` [m^2/s^2].
+    /// State at a position with its variance [m, m^2], and a velocity of zero with the variance
+    /// `velocity` [m^2/s^2].
     fn drawn([place, variance]: [f64; 2], velocity: f64) -> Self {
         Self { place, velocity: 0.0, spread: [variance, 0.0, velocity] }
     }
@@ -189,8 +192,8 @@ impl AxisMotion {
         Self { place, velocity, spread }
     }
 
-    /// State after `dt` [s]; `velocity` is the variance of the velocity in the long run, which
-    /// fades within [`KEEPS`] [m^2/s^2].
+    /// State after `dt` [s]. `velocity`: stationary variance of the velocity [m^2/s^2], whose
+    /// correlation time is [`KEEPS`].
     fn predicted(&self, dt: f64, velocity: f64) -> Self {
         let steps = dt / KEEPS;
         let [lost, lost_twice] = [1.0, 2.0].map(|times| -libm::expm1(-times * steps));
@@ -213,8 +216,8 @@ impl AxisMotion {
         }
     }
 
-    /// Correct by a measured place. Returns the logarithm of its density, up to a constant: Student's t, since
-    /// the noise is an estimate.
+    /// Correct with a measured position [m]. Returns the logarithm of its density, up to a constant
+    /// (Student's t, because the noise is estimated).
     fn correct(&mut self, place: f64, noise: PlaceNoise) -> f64 {
         let [pp, pv, vv] = self.spread;
         let variance = (pp + noise.variance).max(f64::MIN_POSITIVE);

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Fisher information of the prior, to which each measurement adds 1/2 at most: a few measurements
-/// outweigh it.
+/// Fisher information of the prior. Each measurement adds at most 1/2, so a few measurements
+/// outweigh the prior.
 const PRIOR: f64 = 2.0;
-/// Largest squared ratio of an innovation to its standard deviation that counts: one outlier says
-/// no more than three standard deviations.
+/// Largest squared ratio of an innovation to its standard deviation that is used: a larger one
+/// counts as three standard deviations.
 const MOST_SQUARED: f64 = 9.0;
 /// Largest logarithm of the variance's factor: a standard deviation is at most 8 times as large or
 /// as small as configured.
@@ -16,7 +16,7 @@ const KNOWN: f64 = 8.0;
 /// Steps of Newton's method for one measurement.
 const STEPS: usize = 4;
 
-/// Variance of one measured value, as a factor on the configured variance.
+/// Estimated variance of one measured value, as a factor on the configured variance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseFactor {
     /// Natural logarithm of the factor.
@@ -56,11 +56,12 @@ impl NoiseFactor {
         self.information > KNOWN
     }
 
-    /// Add an innovation; `memory` is the number of measurements after which one counts 1/e.
+    /// Add an innovation. `memory`: number of measurements after which the weight of a measurement
+    /// is 1/e.
     ///
-    /// The posterior mode of the logarithm: likelihood of a normal innovation whose variance is the
-    /// sum of both parts, with bounded influence, on a prior that fades towards the configured
-    /// variance.
+    /// The result is the posterior mode of the logarithm of the factor. The innovation is normal,
+    /// with the sum of both variances and bounded influence of outliers. The prior decays towards
+    /// the configured variance.
     ///
     /// # Source
     /// Mehra, "On the identification of variances and adaptive Kalman filtering", 1970; bounded

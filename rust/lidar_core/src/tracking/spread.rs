@@ -1,23 +1,23 @@
-//! Spread of the measurements of one target: uncertainty of a place within it.
+//! Spread of the measurements of one target: uncertainty of a position within its extent.
 
 use serde::{Deserialize, Serialize};
 
-/// Number of scans with measurements after which one counts 1/e.
+/// Number of scans with measurements after which the weight of a scan is 1/e.
 const MEMORY: f64 = 80.0;
-/// Share of the spread by which a place within the target is uncertain: of a body that is measured
-/// evenly it would be all, of one measured at its two ends only a third. Half was chosen on the six
-/// scenarios of Autoferry that `lidar-core reproduce fusion-real` scores.
+/// Share of the spread that is added to the covariance of the position. It would be 1 for a body
+/// that is measured evenly over its length, and a third for one measured at its two ends. One half
+/// was chosen with the six Autoferry scenarios of `lidar-core reproduce fusion-real`.
 const SHARE: f64 = 0.5;
-/// Least variance in one direction over that in the other one. Only the near side of a body returns, half a
-/// width from its middle: of a boat four times as long as wide that is 3 (1/4)^2 of the variance of its length.
+/// Least ratio of the variance across a body to the variance along it. Only the near side of a body
+/// gives returns, half a width from its centre. For a boat four times as long as wide, this ratio
+/// is 3 (1/4)^2.
 const NARROWEST: f64 = 3.0 / 16.0;
 
-/// Spread of the measurements around a target's place.
+/// Spread of the measurements around the position of a target.
 ///
-/// # Source
-/// The scatter of a random matrix: Koch, "Bayesian approach to extended object and cluster tracking
-/// using random matrices", 2008; here noise is part of the spread, since sensors do not say how
-/// much of it is of the body.
+/// # Source The scatter of a random matrix: Koch, "Bayesian approach to extended object and cluster
+/// tracking using random matrices", 2008; here the noise of the sensor is part of the spread,
+/// because it cannot be separated from the extent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredSpread {
     /// Mean of the products xx, xy and yy of the offsets [m^2].
@@ -26,7 +26,7 @@ pub struct MeasuredSpread {
 }
 
 impl MeasuredSpread {
-    /// Add the measurements of a scan, relative to the place of the target [m].
+    /// Add the measurements of a scan, relative to the position of the target [m].
     pub fn take(&mut self, offsets: &[[f64; 2]]) {
         if offsets.is_empty() {
             return;
@@ -41,7 +41,7 @@ impl MeasuredSpread {
         }
     }
 
-    /// Covariance of a place within the target relative to the middle of the measurements [m^2].
+    /// Covariance of a position within the target relative to the mean of the measurements [m^2].
     #[must_use]
     pub fn covariance(&self) -> [[f64; 2]; 2] {
         let [xx, xy, yy] = self.mean.map(|value| SHARE * value);

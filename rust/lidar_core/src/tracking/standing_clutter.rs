@@ -3,71 +3,71 @@
 use super::near::{NearIndex, Rectangle};
 use serde::{Deserialize, Serialize};
 
-/// Least age of the measurements that count [ns]: by then, what moves has left its place.
+/// Least age of the measurements that are used [ns]: moving targets have left their place by then.
 const OLDER_NS: i64 = 10_000_000_000;
-/// Number of scans without a measurement with which every place begins.
+/// Prior of every place: this number of scans without a measurement.
 const PRIOR: f64 = 10.0;
-/// Time for which scans are kept [ns]; the more measurements they have, the fewer of them are kept.
+/// Time for which scans are stored [ns]. Scans with many measurements are stored at a lower rate.
 const KEPT_NS: i64 = 60_000_000_000;
-/// Largest number of scans of a scanner that are kept.
+/// Largest number of stored scans of a scanner.
 const MOST_SCANS: usize = 300;
-/// Largest number of measurements of a scanner that are kept.
+/// Largest number of stored measurements of a scanner.
 const MOST_PLACES: usize = 4096;
-/// Largest number of dropped entries of a log: saved states have more only if they are forged.
+/// Largest number of removed entries of a log: only forged saved states have more.
 const FARTHEST: u64 = u64::MAX / 2;
 
-/// Measurements of a scanner, kept once for all states of a tracker that know parts of them.
+/// Measurements of a scanner, stored once for all states of a tracker that refer to parts of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaceLog {
     /// Times of scans [ns], in order.
     scans: Vec<i64>,
     /// Times and places [m] of measurements, in the order of their times.
     places: Vec<(i64, [f64; 2])>,
-    /// Numbers of scans and of places that were dropped before these.
+    /// Counts of the scans and of the measurements that were removed before these.
     dropped: [u64; 2],
 }
 
-/// Part of a [`PlaceLog`] that one state of a tracker knows: its last measurements.
+/// Part of a [`PlaceLog`] to which one state of a tracker refers: its last measurements.
 ///
-/// States of different times share their common entries. So a tracker that keeps many of them, for
-/// late scans, needs no more memory than the measurements themselves.
+/// States of different times share their common entries. A tracker that stores many states for late
+/// scans therefore needs hardly more memory than the measurements themselves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StandingClutter {
-    /// Numbers of the first scan and of the one after the last, counted from the first ever.
+    /// Indices of the first scan and of the one after the last, counted from the first scan ever.
     scans: [u64; 2],
-    /// Numbers of the first place and of the one after the last, counted from the first ever.
+    /// Indices of the first measurement and of the one after the last, counted from the first ever.
     places: [u64; 2],
 }
 
 impl PlaceLog {
-    /// Drop entries older than `oldest`, the oldest state that is still kept.
+    /// Remove entries older than `oldest`, the oldest stored state.
     pub fn forget(&mut self, oldest: &StandingClutter) {
         drop_front(&mut self.scans, &mut self.dropped[0], oldest.scans[0]);
         drop_front(&mut self.places, &mut self.dropped[1], oldest.places[0]);
     }
 
-    /// Drop entries that are not in `newest`, the newest state.
+    /// Remove entries that are not in `newest`, the newest state.
     pub fn end_with(&mut self, newest: &StandingClutter) {
         let count = |end: u64, dropped: u64| end.saturating_sub(dropped) as usize;
         self.scans.truncate(count(newest.scans[1], self.dropped[0]));
         self.places.truncate(count(newest.places[1], self.dropped[1]));
     }
 
-    /// Number of places that are kept.
+    /// Number of stored measurements.
     #[must_use]
     pub fn len(&self) -> usize {
         self.places.len()
     }
 
-    /// True if no place is kept.
+    /// True if no measurement is stored.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()
     }
 }
 
-/// Drop the values before number `first`, if they are at least half of all; the first value has the
-/// number `dropped`. So each value is moved once or twice.
+/// Remove the values before index `first`, if they are at least half of all values. `dropped`:
+/// index of the first value. Each value is moved at most twice in this way.
 fn drop_front<T>(values: &mut Vec<T>, dropped: &mut u64, first: u64) {
     let count = first.saturating_sub(*dropped);
     if 2 * count >= values.len() as u64 {
@@ -76,7 +76,7 @@ fn drop_front<T>(values: &mut Vec<T>, dropped: &mut u64, first: u64) {
     }
 }
 
-/// The values with these numbers, of which the first one is number `dropped`.
+/// The values with the indices `first` to `end`. `dropped`: index of the first stored value.
 fn window<T>(values: &[T], dropped: u64, [first, end]: [u64; 2]) -> &[T] {
     let place = |number: u64| number.saturating_sub(dropped) as usize;
     values.get(place(first)..place(end)).unwrap_or_default()
@@ -126,11 +126,11 @@ impl StandingClutter {
         self.places[0] += by_age.max(by_number) as u64;
     }
 
-    /// Density of clutter [1/m^2] at each place, for a scan at `stamp_ns`; `places` come with half
-    /// the width [m] of the window that is looked at.
+    /// Density of clutter [1/m^2] at each place, for a scan at `stamp_ns` [ns]. `places`: positions
+    /// [m], each with half the width of its window [m].
     ///
-    /// The mean of a gamma distribution: measurements in the window over the scans since the first
-    /// of them, [`PRIOR`] more, and the area.
+    /// It is the mean of a gamma distribution: the number of measurements in the window, divided by
+    /// the area and by the number of scans since the first of them plus [`PRIOR`].
     #[must_use]
     pub fn densities(&self, log: &PlaceLog, stamp_ns: i64, places: &[([f64; 2], f64)]) -> Vec<f64> {
         let until = stamp_ns.saturating_sub(OLDER_NS);

@@ -7,27 +7,28 @@ use serde::{Deserialize, Serialize};
 
 /// Weight of the configured density of clutter [measurements].
 const CLUTTER_PRIOR: f64 = 1.0;
-/// Weight of the configured probability of detection [looks].
+/// Weight of the configured probability of detection [scans of a target].
 const DETECTION_PRIOR: f64 = 5.0;
 /// Weight of the configured share of new targets [measurements].
 const SHARE_PRIOR: f64 = 20.0;
-/// Number of scans after which one counts 1/e.
+/// Number of scans after which the weight of a scan is 1/e.
 const MEMORY: f64 = 300.0;
 /// Weight of the configured lifetime [ends of tracks].
 const END_PRIOR: f64 = 0.5;
 /// Weight of the configured time until something hides a target [times].
 const HIDING_PRIOR: f64 = 0.1;
-/// Number of targets after which the speed of one counts 1/e.
+/// Number of targets after which the weight of the speed of a target is 1/e.
 const SPEEDS: f64 = 50.0;
 /// Least variance of the speed of new targets, as a share of the configured one.
 const SLOWEST: f64 = 1.0 / 9.0;
-/// Number of first scans in which a target is found that was there before: they say nothing about
-/// arrivals.
+/// Number of first scans in which targets are found that were there before: these do not count as
+/// new targets.
 const FIRST_SCANS: f64 = 5.0;
 /// Smallest and largest estimated probability of detection.
 const DETECTION: [f64; 2] = [0.05, 0.99];
 
-/// Probability from which on a measurement that no track explains counts as clutter where it lies.
+/// Probability that no track explains a measurement, from which on the measurement is stored as
+/// clutter.
 const UNEXPLAINED: f64 = 0.5;
 
 /// Configured values with which a scanner starts.
@@ -46,13 +47,14 @@ pub struct ScannerPrior {
 pub struct Surroundings {
     /// The last measurements.
     all: Recent,
-    /// The last measurements of clutter: where targets are dense, few of all are.
+    /// The last measurements of clutter: with many targets, only few of all measurements are
+    /// clutter.
     strays: Recent,
     /// Width of the space that the measurements take, by axis, in their units.
     widths: [f64; AXES],
     scans: f64,
     clutter: f64,
-    /// Number of the measurements in `clutter` that are now thought to be the first of a target.
+    /// Expected number of measurements in `clutter` that were the first one of a target.
     first: f64,
     looks: f64,
     hits: f64,
@@ -89,7 +91,7 @@ impl Surroundings {
         self.clutter += clutter;
     }
 
-    /// Count measurements of earlier scans that turn out to be clutter.
+    /// Count measurements of earlier scans that were clutter.
     pub fn count_false(&mut self, count: f64) {
         self.clutter += count;
     }
@@ -105,7 +107,7 @@ impl Surroundings {
         (self.clutter - self.first).max(0.0)
     }
 
-    /// Count a look at a target that is observable with probability `observable`, and was measured
+    /// Count a scan of a target that is observable with probability `observable` and was measured
     /// with probability `hit`.
     pub fn count_look(&mut self, observable: f64, hit: f64) {
         self.looks += observable;
@@ -174,7 +176,7 @@ pub struct Population {
 }
 
 impl Population {
-    /// Count the stay of a target for `dt` [s].
+    /// Count the existence of a target for `dt` [s].
     pub fn count_stay(&mut self, presence: &Presence, dt: f64) {
         self.stayed += presence.existence * dt;
         self.visible += presence.observable() * dt;
@@ -197,21 +199,22 @@ impl Population {
         self.speeds = kept * self.speeds + 1.0;
     }
 
-    /// Variance of the speed of new targets per axis [m^2/s^2]; `variance` is that before any
-    /// target. Among slow ones a ninth of it stays, so that a fast one is still found.
+    /// Variance of the speed of new targets per axis [m^2/s^2]. `variance`: initial value. The
+    /// result is at least a ninth of it, so that a fast target among slow ones is found.
     #[must_use]
     pub fn speed(&self, variance: f64) -> f64 {
         let mean = (variance + self.squared) / (1.0 + self.speeds);
         mean.max(SLOWEST * variance)
     }
 
-    /// Mean time for which a target stays [s]; `lifetime` is that before any track has ended.
+    /// Mean time for which a target exists [s]. `lifetime`: initial value, before any track has
+    /// ended.
     #[must_use]
     pub fn lifetime(&self, lifetime: f64) -> f64 {
         (END_PRIOR * lifetime + self.stayed) / (END_PRIOR + self.ends)
     }
 
-    /// Mean time until something hides a target [s]; `visible` is that before any target.
+    /// Mean time until something hides a target [s]. `visible`: initial value.
     #[must_use]
     pub fn visible(&self, visible: f64) -> f64 {
         (HIDING_PRIOR * visible + self.visible) / (HIDING_PRIOR + self.returns)
