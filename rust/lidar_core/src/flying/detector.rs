@@ -599,8 +599,8 @@ impl FlyingObjectDetector {
         true
     }
 
-    /// Forget map, tracks and poses. The numbers of later tracks continue. What was learnt about the sensors is kept,
-    /// unless other sensors need the room.
+    /// Forget map, tracks and poses. The IDs of later tracks continue. What was learnt about the
+    /// sensors is kept, unless other sensors need the room.
     ///
     /// # Errors
     /// Only errors that [`FlyingObjectDetector::new`] could also have had.

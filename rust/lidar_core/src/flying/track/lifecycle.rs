@@ -67,8 +67,7 @@ fn is_beside(occupied: &dyn Occupancy, place: [f64; 3]) -> bool {
     occupied.any_within([place[0], place[1], place[2] + RAISED], BESIDE)
 }
 
-/// Enter a set of detections into all tracks. Returns the numbers of the tracks that it has
-/// confirmed.
+/// Enter a set of detections into all tracks. Returns the IDs of the tracks that it has confirmed.
 pub(super) fn confirm(
     tracks: &mut [PointTrack],
     set: &SetOfDetections<'_>,
@@ -192,9 +191,9 @@ pub(super) fn explain(
     merged
 }
 
-/// Remember the places of detections that fed or began the tracks `shown`, unless their target
-/// flies or moves on the ground. What a flying target left before that was known is forgotten. What
-/// is on the ground passes once, and does not come and go.
+/// Store the places of detections that fed or started the tracks `shown`, unless their target flies
+/// or moves on the ground. Stored places of a target that turns out to fly are removed. A target on
+/// the ground passes once: its detections do not appear and disappear at one place.
 pub(super) fn remember(
     visits: &mut Visits,
     tracks: &[PointTrack],

@@ -50,12 +50,12 @@ pub(super) struct Measurement {
     pub(super) row: Option<u32>,
 }
 
-/// What a detection says about the existence of its track's target.
+/// Evidence of a detection about the existence of its track's target.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Evidence {
     /// Whether the detection is certain.
     pub(super) is_sure: bool,
-    /// Whether only its track tells that it flies.
+    /// Whether it counts as flying only because of its track.
     pub(super) is_led: bool,
     /// Whether surfaces around it give more returns than it has itself.
     pub(super) is_among_surfaces: bool,

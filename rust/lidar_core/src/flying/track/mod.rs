@@ -363,9 +363,9 @@ impl PointCloudTracker {
         self.buffer.is_late(stamp_ns).map(drop)
     }
 
-    /// Positions of tracks [m], also unconfirmed ones, that are more than `distance` [m] from their first detection,
-    /// and of confirmed ones of kind Flying that surely have a speed (on a small circle a target never gets far).
-    /// Each with half the diagonal of its box [m].
+    /// Positions of tracks [m], also unconfirmed ones, that are more than `distance` [m] from their
+    /// first detection, and of confirmed ones of kind Flying that certainly have a speed (on a
+    /// small circle a target never gets far). Each with half the diagonal of its box [m].
     #[must_use]
     pub fn moved_by(&self, distance: f64) -> Vec<([f64; 3], f64)> {
         let flies = |track: &PointTrack| {
@@ -385,7 +385,7 @@ impl PointCloudTracker {
         self.tracks.retain(|track| !occupied.any_within(track.position().into(), distance));
     }
 
-    /// Remove all tracks and clouds. The numbers of later tracks continue.
+    /// Remove all tracks and clouds. The IDs of later tracks continue.
     pub fn reset(&mut self) {
         self.tracks.clear();
         self.standing.clear();

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 /// detector, they are in the world frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
-    /// Number of the track. It is never given to another one.
+    /// ID of the track. It is never given to another track.
     pub id: i64,
     /// Time of the state [ns].
     pub stamp_ns: i64,

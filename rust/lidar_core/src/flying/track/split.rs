@@ -13,7 +13,7 @@ pub(super) struct Division {
     /// A track may own a part of a cluster if one of the cluster's points is within this distance.
     /// Tracks that are no further apart may follow the same target [m].
     pub(super) distance: f64,
-    /// Two tracks are surely apart if their squared Mahalanobis distance is larger.
+    /// Two tracks are certainly apart if their squared Mahalanobis distance is larger.
     pub(super) gate: f64,
     /// Smallest number of points of a part. A cluster with a smaller part stays whole.
     pub(super) min_points: usize,
@@ -50,8 +50,8 @@ impl TimedPoint {
 }
 
 impl Division {
-    /// Divide every cluster that lies near several confirmed tracks which are surely apart: each
-    /// point goes to the nearest of these tracks.
+    /// Split every cluster near several confirmed tracks that are certainly apart: each point goes
+    /// to the nearest of these tracks.
     ///
     /// `labels` are those of [`crate::geometry::cluster::label`]. New parts get new labels.
     pub(super) fn divide(
@@ -103,8 +103,8 @@ impl Division {
         parts
     }
 
-    /// Confirmed tracks near the cluster that may own a part of it: each is surely apart from those
-    /// before it.
+    /// Confirmed tracks near the cluster that may own a part of it: each is certainly apart from
+    /// those before it.
     fn owners<'a>(
         &self,
         places: &[TimedPoint],
@@ -133,7 +133,7 @@ impl Division {
         owners
     }
 
-    /// Whether two tracks are surely apart `delay` seconds after the stamp: by distance and by
+    /// Whether two tracks are certainly apart `delay` seconds after the stamp: by distance and by
     /// Mahalanobis distance.
     fn are_apart(&self, one: &SearchRegion, other: &SearchRegion, delay: f64) -> bool {
         let [(one, spread), (other, more)] = [one, other].map(|region| region.place_at(delay));

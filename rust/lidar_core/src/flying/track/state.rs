@@ -25,8 +25,8 @@ const NEW_POINTS: f64 = 0.3;
 /// of scans: every scan shows the same parts of the target, so the error of the centre is the same in all.
 const SHAPE_SHARE: f64 = 0.03;
 
-/// Squared Mahalanobis distance of a velocity from zero (three degrees of freedom) above which the track surely has a
-/// speed: errors alone exceed it once in 10,000 times.
+/// Squared Mahalanobis distance of a velocity from zero (three degrees of freedom) above which the
+/// track certainly has a speed: errors alone exceed it once in 10,000 times.
 const HAS_SPEED: f64 = 21.1;
 
 /// A track further than this from its first detection does not hang there [m].
@@ -46,7 +46,8 @@ pub(super) const UNNUMBERED: i64 = -1;
 pub(super) struct PointTrack {
     pub(super) id: i64,
     pub(super) estimate: Gaussian<9>,
-    /// Covariance of the state if time had passed only while the track should have been visible.
+    /// Covariance of the state if only the time counted in which the track should have been
+    /// visible.
     pub(super) aged: Matrix9,
     pub(super) stamp_ns: i64,
     pub(super) born_ns: i64,
@@ -69,7 +70,8 @@ pub(super) struct PointTrack {
     pub(super) first: Evidence,
     /// Evidence of the earlier of the two detections with which the track began; None if it began with one.
     pub(super) before: Option<Evidence>,
-    /// Numbers of the tracks of the two single detections with which it began. Empty once it is confirmed.
+    /// IDs of the tracks of the two single detections with which it started. Empty once it is
+    /// confirmed.
     pub(super) made_of: Vec<i64>,
     /// What the newest scan shows of the track.
     pub(super) sight: Sight,
@@ -215,7 +217,8 @@ impl PointTrack {
         self.estimate.mean.fixed_rows::<3>(3).into_owned()
     }
 
-    /// Whether the track is surely away from its first detection, further than leaves sway in the wind.
+    /// Whether the track is certainly away from its first detection, further than leaves sway in
+    /// the wind.
     pub(super) fn is_away(&self) -> bool {
         let spread = motion::position_block(&self.estimate.covariance).trace() / 3.0;
         let reach = AWAY + 2.0 * spread.max(0.0).sqrt();

@@ -1,9 +1,9 @@
 //! Probability that the target of a track exists, and probabilities of its kinds.
 //!
-//! Two causes besides a target make detections: something that stands still and has just come into
-//! view, such as a part of a surface, and returns that come and go, such as rain, dust and leaves.
-//! Every set of detections gives the likelihood of what was seen of a track under each of the three
-//! causes. The rate of new tracks without a target is learnt from the tracks that end.
+//! Besides a target, there are two causes of detections: a static object that has just come into
+//! view, such as a part of a surface, and returns that appear and disappear, such as rain, dust and
+//! leaves. Every set of detections gives the likelihood of the observation of a track under each of
+//! the three causes. The rate of new tracks without a target is learnt from the tracks that end.
 //!
 //! The same evidence shows whether the target is at rest: see [`Kinds`].
 
@@ -56,7 +56,7 @@ pub(in crate::flying::track) enum Sight {
 }
 
 /// Likelihoods of an observation under each cause: a target; a target that gives no returns for a
-/// while; something that stands; something that comes and goes. Only their ratios count.
+/// while; a static object; returns that appear and disappear. Only their ratios count.
 pub(super) type CauseLikelihoods = [f64; 4];
 
 impl Sight {
@@ -70,8 +70,8 @@ impl Sight {
     }
 
     /// Whether the observation is evidence for this track. Points at its place that may belong to
-    /// anything (`Followed`) tell nothing once it has moved. Too few points for a detection (`Few`)
-    /// tell something only then.
+    /// any object (`Followed`) are no evidence once the track has moved. Too few points for a
+    /// detection (`Few`) are evidence only then.
     pub(super) fn tells(self, has_moved: bool) -> bool {
         match self {
             Self::Followed => !has_moved,
@@ -155,7 +155,7 @@ impl TrackBelief {
     }
 
     /// Probability that the target exists. `is_among_strays`: there are more points around the
-    /// track that belong to no track than its own. It is then rather one of these points.
+    /// track that belong to no track than its own. It is then probably one of these points.
     pub(in crate::flying::track) fn existence(&self, is_among_strays: bool) -> f64 {
         let odds = if is_among_strays { AMONG_STRAYS } else { 1.0 };
         self.presence.weighed(odds, odds).existence
@@ -196,8 +196,8 @@ impl TrackBelief {
         }
     }
 
-    /// Enter one detection: how often something came and went at its place before, 0 to 1, and
-    /// whether the track stays beside structure.
+    /// Enter one detection: how often detections appeared and disappeared at its place before, 0 to
+    /// 1, and whether the track stays beside structure.
     pub(in crate::flying::track) fn visit(&mut self, share: f64, hangs: bool) {
         self.kinds.visit(share, hangs);
     }

@@ -1,17 +1,19 @@
 //! Probabilities of the kinds of a track's target (flying, on the ground, static, clutter, unknown).
 //!
-//! Every set of detections tells whether the target stands. Its size and its fill (share of its outline that returns
-//! rays) are the same in all detections, so they are averaged and weighed once. Insects are smaller than the targets.
-//! Dust and leaves return few of many rays. Rays pass below what flies, and not below what stands on the ground.
+//! Every set of detections is evidence whether the target is static. Its size and its fill (share
+//! of its outline that returns rays) are the same in all detections, so they are averaged and
+//! weighed once. Insects are smaller than the targets. Dust and leaves return few of many rays.
+//! Rays pass below flying targets, and not below objects that stand on the ground.
 
 use crate::tracking::kind::{KINDS, KindBelief};
 use serde::{Deserialize, Serialize};
 
 /// Prior probabilities of the kinds of a new track, in the order of `TrackKind::ALL`, as in all tables of this file.
 const SHARES: [f64; KINDS] = [0.03, 0.6, 0.05, 0.07, 0.25];
-/// Likelihoods, per kind, that a detection seems to be part of a surface: higher for what stands or is on the ground.
+/// Likelihoods, per kind, that a detection seems to be part of a surface: higher for static objects
+/// and objects on the ground.
 const JOINED: [f64; KINDS] = [1.0, 0.5, 5.0, 5.0, 0.5];
-/// Largest number of detections that count: the errors of detections of one target are alike.
+/// Largest number of detections that count: the errors of detections of one target are correlated.
 const MOST: f64 = 20.0;
 /// Standard deviation of the logarithm of a value in one detection around the value of the target.
 const NOISE: f64 = 0.4;
@@ -40,8 +42,8 @@ const OVER_UNSEEN: [f64; KINDS] = [0.2, 0.03, 1.5, 1.0, 0.03];
 /// Standard deviation of the acceleration of a target that moves steadily (`STEADY`) or manoeuvres (`AGILE`) [m/s^2].
 const STEADY: f64 = 1.0;
 const AGILE: f64 = 4.0;
-/// Share of each kind that manoeuvres all the time: people and vehicles hardly ever do. The accelerations of what
-/// stands are errors of the estimate, which tell nothing.
+/// Share of each kind that manoeuvres all the time: people and vehicles hardly ever do. The
+/// accelerations of static objects are errors of the estimate and no evidence.
 const AGILE_SHARES: [f64; KINDS] = [0.5, 0.5, 0.02, 0.5, 0.5];
 /// Estimates of an acceleration that are closer in time use mostly the same measurements, so they count in proportion
 /// to the time between them [s].
@@ -51,8 +53,9 @@ const KNOWN_SHARE: f64 = 0.95;
 /// Largest absolute value of `Kinds::agility`. Without this limit, the distant past would outweigh all that follows.
 const MOST_AGILITY: f64 = 8.0;
 
-/// Likelihoods, per kind, if something came and went at the places of all detections before the track began. Few
-/// targets come to just such places. A smaller share of detections counts for less.
+/// Likelihoods, per kind, if detections appeared and disappeared at the places of all detections
+/// before the track began. Few targets come to just such places. A smaller share of detections
+/// counts for less.
 const RECURS: [f64; KINDS] = [0.2, 0.02, 1.0, 1.0, 1.0];
 /// Likelihoods, per kind, if the target stayed beside structure in all detections and does not manoeuvre: leaves,
 /// wires and flags hang on something and sway. Few targets begin beside structure, stay there and hardly accelerate.

@@ -19,10 +19,11 @@ use serde::{Deserialize, Serialize};
 const MARGIN: f64 = 0.15;
 /// The object is gone if rays have passed through its place for this time [s] without a hit.
 const GONE: f64 = 0.25;
-/// Prior probabilities of the kinds of what stands in free air, in the order of `TrackKind::ALL`.
-/// For most such objects the kind remains undecided until they move.
+/// Prior probabilities of the kinds of an object that stands in free air, in the order of
+/// `TrackKind::ALL`. For most such objects the kind remains undecided until they move.
 const SHARES: [f64; KINDS] = [0.6, 0.2, 0.0, 0.2, 0.0];
-/// Mean time for which a target hovers [s]. What stands for much longer hangs there.
+/// Mean time for which a target hovers [s]. An object that stands for much longer probably hangs
+/// there.
 const HOVERS: f64 = 60.0;
 /// Probability that the object exists: it was seen in most scans of the burn-in.
 const EXISTENCE: f64 = 0.99;
@@ -64,7 +65,7 @@ pub(in crate::flying::track) struct UnmovedTarget {
 }
 
 impl UnmovedTarget {
-    /// The object of detection `index` of a set, with the track number `id`.
+    /// The object of detection `index` of a set, with the track ID `id`.
     pub(in crate::flying::track) fn new(
         id: i64,
         detections: &Detections<'_>,
@@ -144,7 +145,7 @@ impl UnmovedTarget {
         !self.is_there && track.born_ns >= self.born_ns && away <= self.radius() + REACH
     }
 
-    /// Whether `track` is surely away from the object's place.
+    /// Whether `track` is certainly away from the object's place.
     fn is_away(&self, track: &PointTrack) -> bool {
         let covariance = self.covariance + position_block(&track.estimate.covariance);
         let std = (covariance.trace() / 3.0).max(0.0).sqrt();
@@ -169,8 +170,8 @@ pub(in crate::flying::track) fn expected_at(
     standing.iter().filter(may_move).map(UnmovedTarget::expected)
 }
 
-/// Look for the objects in a scan and remove those that have gone. Returns the numbers of the
-/// removed ones.
+/// Search for the objects in a scan and remove those that are gone. Returns the IDs of the removed
+/// objects.
 pub(in crate::flying::track) fn look(
     standing: &mut Vec<UnmovedTarget>,
     scan: &CloudScan<'_>,
@@ -199,9 +200,9 @@ pub(in crate::flying::track) fn look(
     gone
 }
 
-/// Confirm the tracks that follow an object which has surely left its place, if their probability
-/// of existence reaches `report`: the object was known before. Adds the numbers of these tracks to
-/// `confirmed`.
+/// Confirm the tracks that follow an object which has certainly left its place, if their
+/// probability of existence reaches `report`: the object was known before. Adds the IDs of these
+/// tracks to `confirmed`.
 pub(in crate::flying::track) fn follow(
     standing: &[UnmovedTarget],
     tracks: &mut [PointTrack],
@@ -218,8 +219,8 @@ pub(in crate::flying::track) fn follow(
     }
 }
 
-/// Give the number of an object that has left its place to the confirmed track that follows it.
-/// Returns pairs of the number that stays and the number that goes.
+/// Give the ID of an object that has left its place to the confirmed track that follows it. Returns
+/// pairs of the ID that stays and the ID that ends.
 pub(in crate::flying::track) fn hand_over(
     standing: &mut Vec<UnmovedTarget>,
     tracks: &mut [PointTrack],

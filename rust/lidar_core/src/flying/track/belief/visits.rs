@@ -1,4 +1,4 @@
-//! Places where detections came and went, without a flying target that explains them.
+//! Places where detections appeared and disappeared, without a flying target that explains them.
 //!
 //! Leaves in the wind, flags and wires are seen at the same places again and again, each time for a
 //! moment. A target comes to a place where nothing was before. So for every detection of a track it
@@ -26,7 +26,7 @@ const MOST: usize = 4096;
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Visit {
     stamp_ns: i64,
-    /// Number of the track that it fed.
+    /// ID of the track that it fed.
     id: i64,
     place: [f64; 3],
 }
@@ -71,16 +71,15 @@ impl Visits {
         self.last.retain(|visit| visit.id != id);
     }
 
-    /// Replace numbers of tracks after a merge: each pair is the number that stays and the number
-    /// that goes.
+    /// Replace IDs of tracks after a merge: each pair is the ID that stays and the ID that ends.
     pub(in crate::flying::track) fn rename(&mut self, merged: &[[i64; 2]]) {
         if !merged.is_empty() {
             self.last.iter_mut().for_each(|visit| visit.id = renamed(visit.id, merged));
         }
     }
 
-    /// Whether a saved state may contain these detections, if the tracker has given only numbers
-    /// below `next_id`.
+    /// Whether a saved state may contain these detections, if the tracker has given only IDs below
+    /// `next_id`.
     pub(in crate::flying::track) fn is_possible(&self, next_id: i64) -> bool {
         self.last.len() <= MOST && self.last.iter().all(|visit| (0..next_id).contains(&visit.id))
     }
@@ -90,8 +89,7 @@ impl Visits {
     }
 }
 
-/// Number of a track after a merge. `merged`: pairs of the number that stays and the number that
-/// goes.
+/// ID of a track after a merge. `merged`: pairs of the ID that stays and the ID that ends.
 pub(in crate::flying::track) fn renamed(id: i64, merged: &[[i64; 2]]) -> i64 {
     merged.iter().fold(id, |id, &[stays, gone]| if id == gone { stays } else { id })
 }

@@ -13,13 +13,14 @@ const AMONG_SURFACES: CauseLikelihoods = [0.18, 0.18, 1.0, 0.6];
 const HAS_MOVED: CauseLikelihoods = [0.9, 0.9, 0.03, 0.6];
 /// Likelihood ratio for the position of a detection, at distance zero and for the largest gate:
 /// targets are found near the prediction (chi-squared distribution of the squared Mahalanobis
-/// distance), while what comes and goes is anywhere in the gate. `NEAR_BOUNDS` limits the ratio,
-/// since neither targets fit that well nor is the rest that scattered.
+/// distance), while other detections are uniformly distributed in the gate. `NEAR_BOUNDS` limits
+/// the ratio, because real targets fit less well, and other detections are less scattered.
 const NEAREST: f64 = 25.0;
 /// Limits of the likelihood ratio for the position of a detection.
 const NEAR_BOUNDS: [f64; 2] = [0.4, 2.5];
 /// Upper limit of that ratio for the third detection of a fast target, whose track began with two.
-/// What comes and goes hardly ever gives three detections on a straight line that are metres apart.
+/// Returns that appear and disappear hardly ever give three detections on a straight line that are
+/// metres apart.
 const NEAR_THIRD: f64 = 10.0;
 /// Likelihoods of the causes for two detections that only a fast target explains. Few targets are
 /// that fast.
@@ -88,7 +89,7 @@ pub(in crate::flying::track) fn weigh(
     track.belief = belief;
 }
 
-/// Whether a track is surely away from its first detection and nothing is left there.
+/// Whether a track is certainly away from its first detection and nothing is left there.
 fn has_moved(track: &PointTrack) -> bool {
     let spread = position_block(&track.estimate.covariance).trace() / 3.0;
     let reach = MOVED + 2.0 * spread.max(0.0).sqrt();
