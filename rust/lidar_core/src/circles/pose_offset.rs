@@ -195,7 +195,8 @@ impl PoseOffset {
         Some(poses.iter().map(moved).collect())
     }
 
-    /// Take in a scan with its pose as given, and the circles of what stands, in the level frame.
+    /// Update the estimate with a scan: its pose as given, and the circles of standing elements in
+    /// the level frame.
     pub(super) fn add<'a>(
         &mut self,
         stamp_ns: i64,

@@ -10,7 +10,8 @@ const MEDIAN: f64 = 0.674_489_750_196_081_7;
 const SQUARES: f64 = 20.0;
 /// Least number of differences by which a scan is judged.
 const FEWEST: usize = 12;
-/// Differences that tell as much as one independent one: neighbours share rays.
+/// Number of differences with as much information as one independent difference: neighbours share
+/// rays.
 const SHARED: f64 = 8.0;
 /// Weight of the configured noise, in independent differences.
 const PRIOR: f64 = 4.0;
@@ -59,7 +60,7 @@ impl RangeNoise {
         self.variance.sqrt().clamp(least, self.configured * FACTOR)
     }
 
-    /// True if scans tell more than the configuration.
+    /// True if the scans give more information than the configuration.
     pub(super) fn is_known(&self) -> bool {
         self.weight > 2.0 * PRIOR
     }
@@ -69,7 +70,7 @@ impl RangeNoise {
         self.configured > 0.0 && self.used > 0.0 && self.variance >= 0.0 && self.weight > 0.0
     }
 
-    /// Take in the surfaces of a scan.
+    /// Update the statistics with the surfaces of a scan.
     pub(super) fn add(&mut self, scan: &PolarScan, segments: &Segments) {
         let mut found = Vec::new();
         for number in 0..segments.len() {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Longest time that three positions may span [s]: in a longer one an acceleration counts as noise.
 const LONGEST: f64 = 0.5;
-/// Largest stated variance of a position that tells of noise beyond it [m^2].
+/// Largest stated variance of a position that is used to estimate additional noise [m^2].
 const SHARP: f64 = 0.03 * 0.03;
 /// Largest variance of one sample [m^2]: a change of the visible part is no noise.
 const LARGEST: f64 = 0.08 * 0.08;

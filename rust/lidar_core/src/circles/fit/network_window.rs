@@ -13,7 +13,8 @@ use std::f64::consts::FRAC_PI_2;
 
 /// Number of slots for rays; in windows with more hits, neighbouring rays share a slot.
 pub const SLOTS: usize = 32;
-/// Values per slot: difference of range, two coordinates on the first guess, 1 if it is used.
+/// Values per slot: difference of range, two coordinates on the initial circle, 1 if the slot is
+/// used.
 pub const SLOT_NUMBERS: usize = 4;
 /// Number of values that describe the window as a whole.
 pub const CONTEXT: usize = 21;
@@ -24,7 +25,7 @@ pub const ANSWER: usize = 9;
 const SCALES: [f64; 2] = [0.03, 1.0];
 /// Largest difference of range in the input, in units of the frame.
 const MOST_DIFFERENCE: f64 = 4.0;
-/// Largest half angle of a first guess [rad]: the scanner is outside of it.
+/// Largest half angle of an initial circle [rad]: the scanner is outside of it.
 const MOST_HALF_ANGLE: f64 = 1.55;
 /// Distances to the far and to the near range limit [m] above which the input no longer grows.
 const LIMIT_REACH: [f64; 2] = [1.0, 0.3];
@@ -57,7 +58,7 @@ pub struct WindowFrame {
     pub bearing: f64,
     /// Unit of length of the window [m].
     pub scale: f64,
-    /// First guess: distance of the centre, which is on the x axis, and radius [m].
+    /// Initial circle: distance of the centre, which is on the x axis, and radius [m].
     pub guess: [f64; 2],
     /// Number of rays that returned.
     pub n_hits: usize,
@@ -185,8 +186,8 @@ fn unit_range(off: f64, sine: f64) -> f64 {
     libm::cos(off) - (sine * sine - aside * aside).max(0.0).sqrt()
 }
 
-/// Fill the slots with differences from the first guess; returns their root mean square in units of
-/// the frame.
+/// Fill the slots with differences from the initial circle; returns their root mean square in units
+/// of the frame.
 fn fill_slots(hits: &Hits, frame: &WindowFrame, sine: f64, slots: &mut [f32]) -> f64 {
     let count = hits.rays.len();
     let used = count.min(SLOTS);

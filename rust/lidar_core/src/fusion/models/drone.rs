@@ -12,9 +12,10 @@ use nalgebra::{SMatrix, SVector, Vector2, Vector5, Vector6};
 
 /// Largest error of a gyro that is believed [rad/s], and largest time by which it is late [s].
 const GYRO_LIMITS: [f64; 2] = [0.5, 0.2];
-/// Variances of both before a target has been seen: gyros that nobody has calibrated are wrong by
-/// some degrees per second, and drivers stamp by the arrival of a packet. A wider prior of the bias
-/// lets a target that turns pass for one: the filter then ends beside the truth and is sure of it.
+/// Variances of both before a target has been seen: gyros without calibration have errors of some
+/// degrees per second, and drivers use the arrival of a packet as stamp. With a wider prior, the
+/// filter may take the turn of a target for a bias of the gyro: the estimate is then wrong, with a
+/// small covariance.
 const GYRO_PRIOR: [f64; 2] = [0.05 * 0.05, 0.05 * 0.05];
 
 /// CTRV relative to the moving sensor; a gyro without bias and delay gives the turn rate of the

@@ -43,7 +43,7 @@ pub struct Platform {
     pub lever: [f64; 3],
 }
 
-/// Longest time between two readings of a gyro that tell the turn rate between them [s].
+/// Longest time between two readings of a gyro between which the turn rate is interpolated [s].
 const GYRO_GAP: f64 = 0.5;
 /// Time [s] over which the change of the turn rate is smoothed: differences of readings are noisy.
 const SMOOTHED: f64 = 0.1;

@@ -114,7 +114,8 @@ impl Sensing {
         m.covariance().unwrap_or_else(|| Matrix3::from_diagonal(&[range, bearing, rate].into()))
     }
 
-    /// Covariance of range, bearing, elevation and range rate; zero for what is not measured.
+    /// Covariance of range, bearing, elevation and range rate; zero for values that are not
+    /// measured.
     pub(super) fn all_radar_noise(&self, m: &Measurement) -> Matrix4<f64> {
         let (places, count) = (m.measures().places(), m.measures().count());
         let own = m.covariance::<4>();
@@ -128,7 +129,7 @@ impl Sensing {
     }
 }
 
-/// All four values of a radar; zero what it does not measure.
+/// All four values of a radar; zero for values that it does not measure.
 pub(super) fn all_values(m: &Measurement) -> [f64; 4] {
     let mut all = [0.0; 4];
     for (place, value) in m.measures().places().into_iter().zip(m.values()) {

@@ -34,9 +34,9 @@ pub trait Observer<const N: usize> {
 
 /// Plane or space, as sensors see it.
 pub trait Sights: World + TellPose {
-    /// First sight of a target, in the world if the platform has a pose there; None for a
-    /// measurement that does not tell a position. With `with_noise` its covariance is that of the
-    /// measurement.
+    /// First position of a target from a measurement, in the world if the pose of the platform is
+    /// known; None for a measurement without a position. With `with_noise` its covariance is that
+    /// of the measurement.
     fn first_sight(
         m: &Measurement,
         sensing: &Sensing,
@@ -47,8 +47,8 @@ pub trait Sights: World + TellPose {
 
 /// Plane or space, in which sensors see a target that moves by M.
 pub trait SeenIn<const N: usize, M>: Sights {
-    /// Let `observer` compute with a measurement near the state `s`; None if the measurement tells
-    /// nothing about it.
+    /// Let `observer` process a measurement near the state `s`; None if it contains no information
+    /// about the state.
     fn see<T: Observer<N>>(
         motion: &M,
         s: &SVector<f64, N>,

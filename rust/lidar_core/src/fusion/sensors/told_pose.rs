@@ -10,13 +10,13 @@ use nalgebra::{Matrix6, Vector3};
 
 /// Plane or space, with the pose that its filters take from a measurement of the platform.
 pub trait TellPose {
-    /// Let the platform have the pose of `m`. A missing velocity is computed from the last pose.
+    /// Set the pose of the platform from `m`. A missing velocity is computed from the last pose.
     fn tell_pose(platform: &mut Platform, m: &Measurement, sensing: &Sensing);
 }
 
 impl TellPose for Plane {
-    /// Let the platform have the pose of `m`. Of a pose in space, only place, heading and motion in
-    /// the plane count.
+    /// Set the pose of the platform from `m`. Of a pose in space, only position, heading and motion
+    /// in the plane are used.
     fn tell_pose(platform: &mut Platform, m: &Measurement, sensing: &Sensing) {
         let (v, stamp_ns) = (m.values(), m.stamp_ns());
         let (values, covariance) = if m.sensor() == Sensor::SpacePose {
@@ -58,8 +58,8 @@ fn motion_since(
 }
 
 impl TellPose for Space {
-    /// Let the platform have the pose of `m`. A pose in the plane is that of a level platform at
-    /// the height zero.
+    /// Set the pose of the platform from `m`. A pose in the plane is that of a level platform at
+    /// height zero.
     fn tell_pose(platform: &mut Platform, m: &Measurement, sensing: &Sensing) {
         let (v, stamp_ns) = (m.values(), m.stamp_ns());
         let triple = |first: usize| v.get(first..first + 3).map(Vector3::from_column_slice);

@@ -5,7 +5,7 @@ use crate::estimation::chi2;
 use crate::fusion::filter::engine::Innovation;
 use crate::fusion::models::platform::GyroUse;
 
-/// Number of measurements over which the NIS is averaged to tell that a filter is lost.
+/// Number of measurements over which the NIS is averaged for the test whether a filter is lost.
 const LOSS_WINDOW: f64 = 10.0;
 
 /// Rules for the life of a target.
