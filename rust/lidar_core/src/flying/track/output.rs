@@ -123,7 +123,7 @@ pub(crate) struct FoundTarget {
     pub(crate) n_returns: u32,
 }
 
-/// Changes of the tracks by one call, as numbers of tracks.
+/// Changes of the tracks by one call, as IDs of tracks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stats {
     /// Whether the cloud was older than the newest one. Such a cloud is kept for late detections
@@ -139,7 +139,7 @@ pub struct Stats {
     pub confirmed: Vec<i64>,
     /// Removed tracks.
     pub removed: Vec<i64>,
-    /// Merged tracks: pairs of the number that stays and the number that goes.
+    /// Merged tracks: pairs of the ID that stays and the ID that ends.
     pub merged: Vec<[i64; 2]>,
     /// Number of measurements that were not used because a covariance was not positive definite.
     pub rejected: usize,
