@@ -162,7 +162,7 @@ pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
 
 /// Remove the tracks of single detections from which a confirmed track of a fast target was made:
 /// the fast target explains both detections. A track of `born` takes the number of the eldest of
-/// them that was reported. Returns pairs of the number that stays and the number that goes.
+/// them that was reported. Returns pairs of the ID that stays and the ID that ends.
 pub(super) fn explain(
     tracks: &mut Vec<PointTrack>,
     born: &[i64],
@@ -210,8 +210,8 @@ pub(super) fn remember(
     }
 }
 
-/// Merge tracks that follow the same target. Returns pairs of the number that stays and the number
-/// that goes.
+/// Merge tracks that follow the same target. Returns pairs of the ID that stays and the ID that
+/// goes.
 ///
 /// The elder track keeps its number, but a confirmed track has priority over an unconfirmed one.
 /// The state is that of the track that was measured last; where one track follows a part of a large
