@@ -54,8 +54,11 @@ def seen_from(points, origin, passing):
     return sight, (points - centroid) @ axes.T, (crossing - centroid) @ axes.T
 
 
-def outline(points, origin, passing):
-    """Share of the ellipse of the points that is hit; whether rays pass below, None if unknown."""
+def outline(points, origin, passing, hiding):
+    """Share of the ellipse of the points that is hit; whether rays pass below, None if unknown.
+
+    `hiding`: rays that end in front. With more of them below than rays that pass, none passes.
+    """
     _, hits, rays = seen_from(points, origin, passing)
     middle = (hits.min(axis=0) + hits.max(axis=0)) / 2
     reach = np.linalg.norm(hits - middle, axis=1).max() + MARGIN
@@ -71,7 +74,16 @@ def outline(points, origin, passing):
     ]
     filled = inside[0] / sum(inside) if sum(inside) else 1.0
     half = max(np.ptp(hits[:, 0]) / 4, gap)  # the middle half, or what a gap leaves
-    level = rays[np.abs(rays[:, 0] - (hits[:, 0].min() + hits[:, 0].max()) / 2) <= half, 1]
+    in_line = [
+        those[np.abs(those[:, 0] - (hits[:, 0].min() + hits[:, 0].max()) / 2) <= half, 1]
+        for those in (rays, seen_from(points, origin, hiding)[2])
+    ]
+    level, bottom = in_line[0], hits[:, 1].min()
+    passes, hides = [
+        ((ups >= bottom - MARGIN) & (ups < bottom - BELOW_GAPS * gap)).sum() for ups in in_line
+    ]
+    if hides > passes:
+        return filled, False
     if (level < hits[:, 1].min() - BELOW_GAPS * gap).any():
         return filled, True
     above = level[level > hits[:, 1].max()]
@@ -211,12 +223,13 @@ def ends_at_edge(points, origins, passing, hiding):
     return False
 
 
-def target_outline(points, origins, passing):
-    """What `outline` says; `origins` of the hits, `passing` as `Rays`."""
+def target_outline(points, origins, passing, hiding):
+    """What `outline` says; `origins` of the hits, `passing` and `hiding` as `Rays`."""
     points = np.asarray(points, float)
     middle, reach = region(points)
     passing = passing.those(passing.distance(middle) <= reach + MARGIN)
-    return outline(points, np.mean(np.broadcast_to(origins, points.shape), axis=0), passing)
+    origin = np.mean(np.broadcast_to(origins, points.shape), axis=0)
+    return outline(points, origin, passing, hiding)
 
 
 def target_center(points, origins, passing, std):

@@ -225,7 +225,7 @@ class Detector:
         sides = near.those(past & beside), near.those(hides)
         self.is_at_edge = center.ends_at_edge(own, origins, *sides)
         found = center.target_center(own, origins, near.those(past), self.c.range_std)
-        self.outline = center.target_outline(own, origins, near.those(past))
+        self.outline = center.target_outline(own, origins, near.those(past), near.those(hides))
         return *found, is_cut
 
     def claim(self, cloud, labels, verdicts, origin, delays, stamp):

@@ -2,7 +2,7 @@
 
 use super::filled::filled_share;
 use super::sphere::Start;
-use super::target_observation::TargetObservation;
+use super::target_observation::{MARGIN, TargetObservation, TargetRay};
 use super::{Center, Matrix3, Vector3};
 use crate::estimation::kalman::symmetrised;
 use crate::flying::large_targets::shape_weight;
@@ -216,15 +216,16 @@ impl SeenExtent {
         };
         let reach = hits.iter().map(|&hit| off(hit)).fold(0.0, f64::max);
         let distance = (centroid - origin).norm();
-        let passing: Vec<[f64; 2]> = observation
-            .passing
-            .iter()
-            .filter(|ray| ray.direction.dot(sight) > 0.0)
-            .map(|ray| ray.origin + ray.direction * (distance / ray.direction.dot(sight)))
-            .map(flat)
-            .collect();
+        let crossings = |rays: &[TargetRay]| -> Vec<[f64; 2]> {
+            let ahead = rays.iter().filter(|ray| ray.direction.dot(sight) > 0.0);
+            ahead
+                .map(|ray| ray.origin + ray.direction * (distance / ray.direction.dot(sight)))
+                .map(flat)
+                .collect()
+        };
+        let passing = crossings(&observation.passing);
         let within = |radius: f64| passing.iter().filter(|&&ray| off(ray) < radius).count() as f64;
-        let window = reach + super::target_observation::MARGIN;
+        let window = reach + MARGIN;
         let count = hits.len() as f64;
         let ray_gap = window * (PI / (count + within(window))).sqrt();
         // So many rays fill a disc that reaches half a gap beyond the points.
@@ -237,20 +238,34 @@ impl SeenExtent {
             least_gap: ray_gap.min(own_gap),
             solid_share,
             filled_share: filled_share(&hits, &passing, ray_gap),
-            is_free_below: is_free_below(&hits, &passing, ray_gap),
+            is_free_below: is_free_below(&hits, &passing, &crossings(&observation.hiding), ray_gap),
         }
     }
 }
 
-/// Whether rays pass below the hits. `hits` and `passing` are in a plane across the line of sight
-/// [m], with the second axis up. No rays pass below something that stands on the ground, or that
-/// the lower edge of the field of view cuts off. None if few rays pass above too, since the rays
-/// are then too far apart to tell, or if rays pass only just below.
-fn is_free_below(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> Option<bool> {
+/// Whether rays pass below the hits. `hits`, `passing` and `hiding` (the ends of rays in front) are in a
+/// plane across the line of sight [m], with the second axis up. No rays pass below something that stands
+/// on the ground, or that the lower edge of the field of view cuts off. If more rays just below end in
+/// front than pass, those that pass go through a mirror image, through glass or between leaves, and show
+/// nothing. None if few rays pass above too, since the rays are then too far apart to tell, or if
+/// rays pass only just below.
+fn is_free_below(
+    hits: &[[f64; 2]],
+    passing: &[[f64; 2]],
+    hiding: &[[f64; 2]],
+    ray_gap: f64,
+) -> Option<bool> {
     let bounds = |axis: usize| ends(hits.iter().map(|hit| hit[axis]));
     let ([left, right], [low, high]) = (bounds(0), bounds(1));
     let half = (0.5 * MIDDLE * (right - left)).max(ray_gap);
     let in_line = |ray: &&[f64; 2]| (ray[0] - 0.5 * (left + right)).abs() <= half;
+    let just_below = low - MARGIN..low - BELOW_GAPS * ray_gap;
+    let count = |rays: &[[f64; 2]]| {
+        rays.iter().filter(in_line).filter(|ray| just_below.contains(&ray[1])).count()
+    };
+    if count(hiding) > count(passing) {
+        return Some(false);
+    }
     let level = passing.iter().filter(in_line).map(|ray| ray[1]);
     let lowest = level.clone().fold(f64::MAX, f64::min);
     if lowest < low - BELOW_GAPS * ray_gap {
@@ -282,20 +297,26 @@ mod tests {
         let beside = |ray: &[f64; 2]| !hits.contains(ray);
         let passing: Vec<[f64; 2]> = rows(0.0).into_iter().filter(beside).collect();
         assert!(passing.iter().any(|ray| ray[0].abs() < 0.11 && ray[1] < -0.0004));
-        assert_eq!(is_free_below(&hits, &passing, 0.02), Some(false));
+        assert_eq!(is_free_below(&hits, &passing, &[], 0.02), Some(false));
         // Rows below it are, if they reach down far enough.
         for (low, is_free) in [(-0.02, None), (-0.08, None), (-0.12, Some(true))] {
             let passing: Vec<[f64; 2]> = rows(low).into_iter().filter(beside).collect();
-            assert_eq!(is_free_below(&hits, &passing, 0.02), is_free, "{low}");
+            assert_eq!(is_free_below(&hits, &passing, &[], 0.02), is_free, "{low}");
         }
         // Rays on both sides of a thing that is wider than the gaps between them are not below it.
         let wide: Vec<[f64; 2]> = (-10..=10).map(|x| [0.02 * f64::from(x), 0.0]).collect();
         let mut passing = rows(0.04);
         passing.extend((-5..=0).flat_map(|up| [-0.21, 0.21].map(|x| [x, 0.02 * f64::from(up)])));
-        assert_eq!(is_free_below(&wide, &passing, 0.02), Some(false));
+        assert_eq!(is_free_below(&wide, &passing, &[], 0.02), Some(false));
         passing.push([0.09, -0.12]);
-        assert_eq!(is_free_below(&wide, &passing, 0.02), Some(true));
+        assert_eq!(is_free_below(&wide, &passing, &[], 0.02), Some(true));
+        // Where more rays end in front, those that pass go through a mirror image or between leaves.
+        let in_front = |count: usize| vec![[0.05, -0.12]; count];
+        assert_eq!(is_free_below(&wide, &passing, &in_front(1), 0.02), Some(true));
+        assert_eq!(is_free_below(&wide, &passing, &in_front(2), 0.02), Some(false));
+        let aside_or_far_below: Vec<_> = [[0.3, -0.12], [0.05, -0.5]].repeat(2);
+        assert_eq!(is_free_below(&wide, &passing, &aside_or_far_below, 0.02), Some(true));
         // Three rays above tell nothing.
-        assert_eq!(is_free_below(&hits, &[[0.0, 0.1], [0.0, 0.2], [0.0, 0.3]], 0.02), None);
+        assert_eq!(is_free_below(&hits, &[[0.0, 0.1], [0.0, 0.2], [0.0, 0.3]], &[], 0.02), None);
     }
 }

@@ -36,6 +36,8 @@ pub(crate) struct TargetObservation {
     pub(crate) hits: Vec<TargetHit>,
     /// Rays that passed the target, beside it or through its gaps.
     pub(crate) passing: Vec<TargetRay>,
+    /// Rays near the target that end in front of it, and certainly not on the robot itself.
+    pub(super) hiding: Vec<TargetRay>,
     /// Whether rays beside the points ended nearer to the sensor, so that a part of the target may
     /// be hidden.
     pub(crate) is_cut: bool,
@@ -197,7 +199,8 @@ impl TargetObservation {
         sorted.extend(passing.iter().filter(is_near));
         let n_near = sorted.len();
         sorted.extend(passing.iter().filter(|ray| !is_near(ray)));
-        Self { hits, passing: sorted, is_cut: n_blocked >= ENOUGH_BLOCKED, is_at_edge, n_near }
+        let is_cut = n_blocked >= ENOUGH_BLOCKED;
+        Self { hits, passing: sorted, hiding, is_cut, is_at_edge, n_near }
     }
 
     pub(super) fn near_passing(&self) -> &[TargetRay] {
