@@ -1,4 +1,4 @@
-//! Update of the map by the marks of one scan. Only here does a scan change values of voxels.
+//! Update of the map by the marks of one scan. A scan changes values of voxels only in this module.
 //!
 //! Source: Vrba et al., eqs 9 and 12.
 
@@ -33,7 +33,7 @@ pub(super) struct MarkedBlock {
 }
 
 /// Apply the marks of a scan to `map`. Returns three numbers of voxels: with marks, with a changed
-/// value, and forgotten to make room. `marked` is memory for the work: empty before and after.
+/// value, and forgotten to make room. `marked`: working memory, empty before and after the call.
 ///
 /// # Errors
 /// [`Error::Limit`] if the map has no room for the scan alone; the map is unchanged then.
@@ -72,8 +72,8 @@ pub(super) fn update_blocks(
     taken.map(|forgotten| [voxels, changed, forgotten])
 }
 
-/// Make room for the scan if the map's budget has none: the map forgets what is farthest from the
-/// scan, since the surroundings matter more than where the robot has been. Returns the number of
+/// Make room for the scan if the budget of the map has none: the map forgets the blocks farthest
+/// from the scan, because the present surroundings of the robot matter most. Returns the number of
 /// observed voxels that were forgotten.
 fn find_room(map: &mut VoxelMap, marked: &mut [MarkedBlock]) -> Result<usize, Error> {
     let missing = marked.iter().filter(|marked| marked.home.is_none()).count();

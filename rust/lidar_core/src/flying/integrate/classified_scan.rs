@@ -72,12 +72,13 @@ impl<'a> ClassifiedScan<'a> {
 /// Counts of one scan's update of the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IntegrateStats {
-    /// Points that were used: background, flying, unknown. Moving points count as unknown.
+    /// Number of points that were used, by class: background, flying, unknown. Moving points count
+    /// as unknown.
     pub points: [usize; 3],
-    /// Entries without information: class invalid, not finite, or without a direction.
+    /// Number of entries without information: class invalid, not finite, or without a direction.
     pub skipped: usize,
-    /// Number of rays, with and without return: those that were cast, and those that a cast ray
-    /// stands for.
+    /// Number of rays, with and without return. A cast ray that represents several rays counts for
+    /// all of them.
     pub rays: usize,
     /// Number of rays without return among `rays`.
     pub no_return_rays: usize,

@@ -5,7 +5,8 @@
 //! of directions. A ray belongs to the face of the axis along which it goes furthest. Every
 //! direction has a bit for each layer of voxels across this axis, counted from the eye. The bit is
 //! set if the layer has a live cell in this direction. Cells are enlarged by the eye and by more
-//! than the rounding of the walk of a ray: a bit too many costs time, and none is missing.
+//! than the rounding of the walk of a ray: a superfluous bit only costs time, and no bit is
+//! missing.
 
 use super::accumulate::live_cells::{LiveCells, cubes};
 use super::accumulate::window::Window;
@@ -27,7 +28,7 @@ const BLOCKS_AT_A_TIME: usize = 256;
 pub(crate) struct CubeMap {
     sight: EyeView,
     layers: Layers,
-    /// Layers that the other threads draw.
+    /// Layers that the other threads fill in.
     others: Vec<Layers>,
     /// Indices of the blocks with live cells that rays may reach.
     near: Vec<u32>,
@@ -37,7 +38,7 @@ pub(crate) struct CubeMap {
 
 impl CubeMap {
     /// Fill the map with the `live` cells of a window, as `rays` may reach them. Returns false if
-    /// the map does not pay, and must not be used.
+    /// the map would cost more time than it saves. It must not be used then.
     pub(super) fn fill(
         &mut self,
         pool: Option<&ThreadPool>,

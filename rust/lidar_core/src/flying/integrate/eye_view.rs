@@ -132,8 +132,9 @@ impl EyeView {
     }
 }
 
-/// Number of a direction. `face`: twice the axis along which the ray goes furthest, plus 1 if it
-/// goes down. The other numbers are its cells on the grid of the face, along the next two axes.
+/// Index of a direction. `face`: twice the index of the axis along which the ray goes furthest,
+/// plus 1 if the ray goes down this axis. `u`, `v`: cell on the grid of the face, along the next
+/// two axes.
 #[inline(always)]
 pub(super) fn direction(face: u32, [u, v]: [u32; 2]) -> u32 {
     const EDGE: u32 = GRID as u32;

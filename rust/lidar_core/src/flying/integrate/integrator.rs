@@ -26,8 +26,8 @@ use crate::util::budget::{check_memory, check_scan_memory};
 use crate::util::cancel;
 use crate::util::threads::Workers;
 
-/// Number of blocks that a scan may touch whatever the budget of the map is, because blocks outside
-/// the operating volume are not stored. They take 256 MiB.
+/// Number of blocks that a scan may always touch, even if the budget of the map is smaller: blocks
+/// outside the operating volume are not stored. The marks of these blocks take 256 MiB.
 const LEAST_SCRATCH: usize = 1 << 17;
 /// Memory of a block of the window, without the memory of the threads [bytes].
 const ROOM_OF_BLOCK: usize = 16;
@@ -38,12 +38,13 @@ pub struct Integrator {
     plan: Plan,
     cells: LiveCells,
     live: CubeMap,
-    /// One accumulator per thread. The first one takes the sums of the others.
+    /// One accumulator per thread. The sums of the others are added to the first one.
     accumulators: Vec<Accumulator>,
     blocks: Vec<MarkedBlock>,
     /// True while the accumulators hold marks of a scan.
     is_open: bool,
-    /// True if rays also skip voxels where the search for these may take longer than the visits.
+    /// True if rays skip voxels even where the search for these voxels may take longer than
+    /// visiting them.
     passes_always: bool,
 }
 

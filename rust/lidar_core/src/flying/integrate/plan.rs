@@ -20,9 +20,10 @@ use std::ops::Range;
 #[derive(Default)]
 pub(crate) struct Plan {
     pub(crate) rays: Vec<Ray>,
-    /// Voxel and row of every point.
+    /// Voxel of every point, and index of the point in the scan.
     points: Vec<(Voxel, u32)>,
-    /// Number of rows of the scan.
+    /// Number of entries of the scan. An entry is a point, a ray without return, or without
+    /// information.
     pub(crate) rows: usize,
     /// Lowest and highest corner of the voxels of the rays. None without rays.
     span: Option<[Voxel; 2]>,
@@ -99,7 +100,7 @@ impl Plan {
         self.span.or(self.points.first().map(|&(voxel, _)| [voxel; 2]))
     }
 
-    /// Voxel of every point, with the content that follows from the class of its row. Points of
+    /// Voxel of every point, with the content that follows from the class of the point. Points of
     /// class Invalid are left out.
     pub(crate) fn classified(
         &self,
@@ -139,8 +140,8 @@ impl Plan {
         noted
     }
 
-    /// Append the entries of a bundle to the plan. Without branches, since the kinds of entries
-    /// cannot be predicted.
+    /// Append the entries of a bundle to the plan. The code has no branches, because the kinds of
+    /// the entries are not predictable.
     #[inline(always)]
     fn push(&mut self, flags: &EntryFlags, [x, y, z]: &[[i32; LANES]; 3], index: &Indices) {
         let (mut points, mut rays) = ([([0; 3], 0); LANES], [Ray { index: 0, count: 1 }; LANES]);

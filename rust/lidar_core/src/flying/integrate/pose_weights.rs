@@ -1,10 +1,10 @@
 //! Update of the map under an uncertain pose: which voxels rays must not clear, and which voxels
 //! background points may be in.
 //!
-//! A point may be before or behind its measured position, so its ray ends earlier. A point of the
-//! background may be in its voxel or in one near by: the share of each voxel is the probability
-//! that the point is in it (Vrba et al., eqs 41-46). Shares are computed along each axis of the
-//! map, for a point in the middle of its voxel, so that all points of a voxel have the same shares.
+//! The true position of a point may be nearer or farther than the measured one, so its ray ends earlier. A background
+//! point may be in the measured voxel or in a voxel near it: the share of each voxel is the probability that the point
+//! is in it (Vrba et al., eqs 41-46). Shares are computed along each axis of the map, for a point in the middle of its
+//! voxel, so that all points of a voxel have the same shares.
 
 use super::accumulate::accumulator::Accumulator;
 use super::accumulate::mark::{Content, POINT_UNITS};
@@ -126,8 +126,8 @@ pub(super) fn mark_points(
     mark_shares(map, accumulator, error, background);
 }
 
-/// Mark points of the background, given by their voxels, in all voxels in which they may be, with
-/// the shares of these. Voxels that hold other points keep the marks of those.
+/// Mark background points, given by their voxels, in all voxels in which they may be. The share of a voxel is the
+/// weight of the point there. Voxels that contain other points keep the marks of these points.
 fn mark_shares(
     map: &VoxelMap,
     accumulator: &mut Accumulator,
@@ -177,7 +177,7 @@ pub struct PoseParameters {
     pub position_std: [f64; 3],
     /// Standard deviations of the angles about x, y, z [rad], for scans that come without a covariance.
     pub angle_std: [f64; 3],
-    /// How the update of the map uses the uncertainty. None: it ignores it.
+    /// How the update of the map uses the uncertainty. None: the update ignores the uncertainty.
     pub weighting: Option<PoseWeighting>,
     /// Number of standard deviations by which rays with a return end earlier, if `weighting` is
     /// set.
@@ -197,7 +197,7 @@ impl Default for PoseParameters {
 }
 
 impl PoseParameters {
-    /// Parameters with which the map update takes all poses as certain, as in the paper.
+    /// Parameters for a map update that treats all poses as certain, as in the paper.
     #[must_use]
     pub fn paper() -> Self {
         Self { weighting: None, ..Self::default() }
@@ -244,7 +244,7 @@ impl PoseParameters {
         Some(PoseSpread { world_from_lidar, map_from_world, covariance })
     }
 
-    /// Errors that the update of the map uses. None if it ignores them, or if `spread` is unknown.
+    /// Errors that the update of the map uses. None if the update ignores them, or if `spread` is unknown.
     fn error(&self, spread: Option<&PoseSpread>, range_std: f64) -> Option<PoseError> {
         let &PoseSpread { world_from_lidar, map_from_world, covariance } = spread?;
         Some(PoseError {

@@ -26,7 +26,7 @@ pub(crate) type Flags = [bool; LANES];
 /// A ray that is cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ray {
-    /// Row of the ray in the scan.
+    /// Index of the ray in the scan.
     pub(crate) index: u32,
     /// Number of rays that it stands for.
     pub(crate) count: u32,
@@ -117,7 +117,8 @@ impl Source<'_> {
         start
     }
 
-    /// Let rays without return go along their direction, up to `reach` or the maximum range.
+    /// Set the ends of rays without return: along their direction, up to `reach` or the maximum
+    /// range.
     #[inline(always)]
     fn aim_without_return(&self, index: &Indices, along: &mut [Numbers; 3], margin: &mut Numbers) {
         let (Some(directions), Some(flags)) = (self.scan.directions, self.scan.no_return) else {
@@ -142,8 +143,8 @@ impl Source<'_> {
         }
     }
 
-    /// Let rays end before their points by the margin [m], and no further than `max_range` (eq.
-    /// 20).
+    /// Set the ends of rays: before their points by the margin [m], and no further than `max_range`
+    /// (eq. 20).
     #[inline(always)]
     fn shorten(
         &self,

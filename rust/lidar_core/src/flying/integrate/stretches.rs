@@ -24,7 +24,7 @@ struct Crossing {
 /// Part of a ray, from one crossing to another.
 #[derive(Clone, Copy)]
 struct Stretch {
-    /// Number of its ray, counted over all bundles.
+    /// Index of its ray, counted over all bundles.
     ray: u32,
     from: Crossing,
     /// Crossing into the first voxel behind the stretch. None: it goes on to the end of the ray.
@@ -94,7 +94,7 @@ impl Stretches {
         }
     }
 
-    /// Bundle of the stretches from number `first` on.
+    /// Bundle of the stretches from index `first` on.
     #[inline(always)]
     pub(super) fn bundle(&self, window: &Window, first: usize) -> Bundle {
         let mut bundle = Bundle::NONE;
@@ -170,7 +170,7 @@ struct Layered {
     pace: Lanes,
     /// Number of walls between layers that the ray crosses.
     walls: Lanes,
-    /// Number of the ray's direction in the map of directions.
+    /// Index of the ray's direction in the map of directions.
     direction: Lanes,
 }
 

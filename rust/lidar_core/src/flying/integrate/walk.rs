@@ -84,8 +84,8 @@ impl WithSimd for Merge<'_> {
 }
 
 /// Sum the lengths of `rays` into the first accumulator; there is one accumulator per thread.
-/// `Accumulator::check` tells afterwards whether they fit into `most` blocks. The sums must not be
-/// used if the call was asked to stop.
+/// `Accumulator::check` reports afterwards whether they fit into `most` blocks. The sums must not
+/// be used if the call was asked to stop.
 pub(crate) fn cast_all(
     pool: Option<&ThreadPool>,
     accumulators: &mut [Accumulator],
@@ -133,8 +133,8 @@ pub(crate) fn cast_all(
     }
 }
 
-/// The next rays for a thread. Threads take from both ends, since rays far apart in a scan have few
-/// common voxels.
+/// The next rays for a thread. Threads take rays from both ends of the list, because rays far apart
+/// in a scan have few common voxels.
 fn take<'a>(chunks: &Mutex<Chunks<'a, Ray>>, thread: usize) -> Option<&'a [Ray]> {
     let mut chunks = chunks.lock().unwrap_or_else(PoisonError::into_inner);
     if thread.is_multiple_of(2) { chunks.next() } else { chunks.next_back() }

@@ -149,8 +149,8 @@ impl Accumulator {
         self.walked += visits;
     }
 
-    /// Limit the sums of rays to the largest count, and note the rows with marks. `meets` tells
-    /// which blocks of the window rays may have met.
+    /// Limit the sums of rays to the largest count, and note the rows with marks. `meets`: whether
+    /// rays may have met the block at an index of the window.
     pub(in crate::flying::integrate) fn settle(&mut self, meets: impl Fn(usize) -> bool) {
         match self.window {
             Some(window) if window.is_whole() => {

@@ -1,4 +1,4 @@
-//! Marks of whole blocks, and which of their rows hold any.
+//! Marks of whole blocks, and which of their rows contain marks.
 
 use super::mark::{MAX_COUNT, Mark};
 use crate::flying::map::block_shape::{EDGE, VOLUME};
@@ -27,7 +27,8 @@ impl DenseBlocks {
         self.met.len()
     }
 
-    /// Have at least this number of slots. Memory pages that are not touched cost nothing.
+    /// Make at least this number of slots. Memory pages that are not touched take no physical
+    /// memory.
     pub(crate) fn reserve(&mut self, slots: usize) {
         if self.len() < slots {
             // `vec![0; n]` takes zeroed pages from the system, which cost nothing until they are touched;
@@ -78,8 +79,8 @@ impl DenseBlocks {
         dispatch(Settle { dense: self, slots });
     }
 
-    /// Add the marks of `other`. `sources`: for each own slot, the slot of `other`; others have no
-    /// counterpart. Both must be settled.
+    /// Add the marks of `other`. `sources`: for each own slot, the slot of `other`, or a number
+    /// beyond its slots if `other` does not have the block. Both must be settled.
     pub(crate) fn absorb(&mut self, other: &Self, sources: &[u32]) {
         let add = |((marks, met), &source): ((&mut [Mark; VOLUME], &mut u64), &u32)| {
             let Some(&more) = other.met.get(source as usize) else { return };
@@ -93,7 +94,7 @@ impl DenseBlocks {
         self.par_blocks().zip(sources).for_each(add);
     }
 
-    /// Set the marks of all rows that hold any to 0.
+    /// Set the marks of all rows that contain marks to 0.
     pub(crate) fn clear(&mut self, pool: Option<&ThreadPool>) {
         let clear = |(marks, met): (&mut [Mark; VOLUME], &mut u64)| {
             let rows: &mut [MarkRow] = marks.as_chunks_mut().0;
@@ -114,7 +115,7 @@ impl DenseBlocks {
     }
 }
 
-/// Numbers of the set bits, in ascending order.
+/// Indices of the set bits, in ascending order.
 #[inline(always)]
 pub(crate) fn rows_of(mut bits: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {

@@ -19,7 +19,7 @@ pub(crate) struct LiveCells {
     n_cubes: usize,
 }
 
-/// Cost of drawing a cube into the map of directions, in visits of a ray.
+/// Cost of entering a cube into the map of directions, in visits of a ray.
 const VISITS_PER_CUBE: usize = 32;
 /// Bits of the first brick of 2 x 2 x 2 cells in a block.
 const BRICK: CellBits = 0x0033_0033;
@@ -90,8 +90,9 @@ impl LiveCells {
         self.blocks[index] = live;
     }
 
-    /// True if skipping pays: at least one known cell in sixteen is skipped, and more visits are
-    /// saved than the search for live cells costs. `visits`: largest number of visits of the rays.
+    /// True if skipping saves time: at least one known cell in sixteen is skipped, and more visits
+    /// are saved than the search for live cells costs. `visits`: largest number of visits of the
+    /// rays.
     pub(in crate::flying::integrate) fn is_worth_it(&self, visits: f64) -> bool {
         let passed = visits * self.n_inert as f64 / self.n_known.max(1) as f64;
         16 * self.n_inert > self.n_known && passed > (VISITS_PER_CUBE * self.n_cubes) as f64

@@ -8,8 +8,8 @@ use crate::util::key_hasher::KeyHasher;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Marks of points outside the window, row by row. So a stray return neither widens the window nor
-/// takes a whole block.
+/// Marks of points outside the window, stored row by row, so that a stray return neither widens the
+/// window nor needs the memory of a whole block.
 #[derive(Default)]
 pub(crate) struct SparseBlocks {
     slots: HashMap<Place, u32, BuildHasherDefault<KeyHasher>>,

@@ -10,16 +10,16 @@ const MAX_WINDOW: u64 = 1 << 23;
 /// Largest number of blocks along an axis. For longer rays, rounding would move walls by a part of
 /// a voxel (docs/adr/0002).
 const MAX_ALONG: u64 = 1 << 11;
-/// Largest number of blocks of a window that is in memory as a whole. It takes 64 MiB, of which
-/// only what rays meet is ever used.
+/// Largest number of blocks of a window that is in memory as a whole. It takes 64 MiB of address
+/// space. Only the memory of blocks that rays meet is used.
 const MAX_WHOLE: usize = 1 << 15;
 
 /// The box of blocks around the rays of one scan.
 ///
 /// A voxel's place in the window is a word of bits: its place in the block in the lowest bits, then
-/// the index of the block, each along all axes. So a step along an axis is one addition. The
-/// lengths along the axes are therefore rounded up to powers of two, except for the axis whose bits
-/// come last.
+/// the index of the block, each along all axes. So a step along an axis is one addition. For this,
+/// the lengths along the axes are rounded up to powers of two, except for the axis whose bits come
+/// last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Window {
     low: [i32; 3],
