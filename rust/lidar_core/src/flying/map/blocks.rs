@@ -11,14 +11,14 @@ use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
-/// Share of the budget (one in this many) that is given up at once if a scan finds no room: the blocks farthest from
+/// If a scan finds no room, the map removes up to the budget divided by this number at once: the blocks farthest from
 /// the scan.
 const SPARE: usize = 8;
 
 /// Value of a voxel that no point and no ray has met.
 pub(crate) const NEVER: f32 = f32::NAN;
 
-/// Values of up to 512 voxels: those of the rows that points or rays have met.
+/// Values of the voxels of a block. Only the rows that points or rays have met are stored.
 #[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Block {
     pub(crate) place: Place,
@@ -26,7 +26,8 @@ pub(crate) struct Block {
     pub(crate) tentative: Bits,
     /// Voxels that are confidently occupied.
     pub(crate) confident: Bits,
-    /// Voxels that rays cannot change. They are not saved, since bytes may be wrong and a scan finds them again.
+    /// Voxels that rays cannot change. They are not saved: the bytes of a file may be wrong, and a scan finds these
+    /// voxels again.
     #[serde(skip)]
     pub(crate) inert: Inert,
     /// One bit for every row that is stored.
@@ -271,12 +272,12 @@ impl Blocks {
 
     /// Blocks to remove so that there is room for `missing` more. Empty if there is room already.
     ///
-    /// Blocks farthest from the box between `low` and `high` go first; at the same distance, in the order of their
-    /// places. Outside the box, an eighth of the budget goes at once, so that few scans have to make room. Blocks
-    /// that `is_needed` names, and blocks with permanent voxels, stay.
+    /// Blocks farthest from the box between `low` and `high` come first. Blocks at the same distance are in the order
+    /// of their places. Up to an eighth of the budget outside the box is removed at once, so that only few scans have
+    /// to make room. Blocks with permanent voxels, and blocks for which `is_needed` is true, stay.
     ///
     /// # Errors
-    /// [`Error::Limit`] if there are not enough blocks that may go.
+    /// [`Error::Limit`] if there are not enough blocks that may be removed.
     pub(crate) fn farthest(
         &self,
         missing: usize,
@@ -353,7 +354,7 @@ impl Blocks {
     }
 }
 
-/// Reads single voxels. It remembers the last block, since neighbouring voxels share it.
+/// Reads single voxels. It stores the last block, because neighbouring voxels share it.
 pub(crate) struct Cursor<'a> {
     blocks: &'a Blocks,
     last: Option<(Place, Option<&'a Block>)>,

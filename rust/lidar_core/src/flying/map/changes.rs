@@ -29,7 +29,7 @@ pub(crate) struct Changes {
     /// None: there was no removal.
     pub(super) settled_with: Option<Separation>,
     /// A voxel of a group with enough confident voxels. None: there was no such group. It stays
-    /// when the map forgets the voxel's block, because the group was not seen to go.
+    /// when the map forgets the voxel's block, because no scan has shown that the group is gone.
     pub(super) anchor: Option<Voxel>,
     /// Memory of the searches for groups, used again.
     pub(super) search_memory: SearchMemory,

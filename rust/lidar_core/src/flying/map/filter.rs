@@ -14,7 +14,8 @@ pub(crate) struct Levels {
 
 impl Levels {
     /// Store a value in a block. Returns true if groups of occupied voxels may have changed or
-    /// become weaker: a state has changed, and not that of an occupied voxel to a higher one.
+    /// become weaker: the state of the voxel has changed, except for a change of an occupied voxel
+    /// to a higher state.
     #[inline]
     pub(crate) fn store(self, block: &mut Block, offset: usize, value: f32) -> bool {
         let old = block.value(offset);

@@ -1,6 +1,6 @@
 //! Search for groups of occupied voxels with too few confidently occupied ones.
 //!
-//! Voxels are taken a layer of a block at a time, as the bits of a word.
+//! Each step handles the voxels of one layer of a block, as the bits of a word.
 
 use super::block_shape::{Bits, has};
 use super::blocks::{Block, Blocks, Place};
@@ -61,7 +61,8 @@ const CACHED_BLOCKS: usize = 1 << 11;
 /// Slot of a block in the map's pool, and the block.
 type BlockInSlot<'a> = (u32, &'a Block);
 
-/// Cache of blocks with occupied voxels. It pays because a search goes from neighbour to neighbour.
+/// Cache of blocks with occupied voxels. It saves time because a search goes from neighbour to
+/// neighbour.
 struct BlockCache<'a> {
     blocks: &'a Blocks,
     known: [(Place, Option<BlockInSlot<'a>>); CACHED_BLOCKS],
@@ -243,8 +244,8 @@ impl<'a> Search<'a> {
         if self.trusts_last { anchored[z] } else { anchored[z] & met[z] }
     }
 
-    /// Add the new ones of some open voxels to the group, and the voxels connected with them in
-    /// their layer. Returns true if one of the open voxels is anchored.
+    /// Add open voxels to the group if no search has met them, and the voxels connected with them
+    /// in their layer. Returns true if one of the open voxels is anchored.
     #[inline]
     fn meet(
         &mut self,

@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Layer {
     pub(crate) place: Place,
-    /// Which of the block's layers along z, 0 to 7.
+    /// Index of the layer along z in its block, 0 to 7.
     pub(crate) z: i32,
-    /// One bit per voxel: a byte per row along x, its number is y.
+    /// One bit per voxel: byte y contains the row along x at y.
     pub(crate) bits: u64,
 }
 
@@ -24,7 +24,7 @@ impl Layer {
         Self { place: Place::of(voxel), z: offset as i32 >> 6, bits: 1 << (offset & 63) }
     }
 
-    /// True if both are of the same layer of the same block, whichever voxels they contain.
+    /// True if both are of the same layer of the same block, even if they contain different voxels.
     #[inline]
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.place == other.place && self.z == other.z

@@ -6,8 +6,7 @@ use crate::Error;
 use crate::error::require;
 use crate::geometry::transform::Transform;
 
-/// Largest coordinate in the world that is accepted [m]. Beyond it, numbers do not resolve a
-/// millimetre.
+/// Largest coordinate in the world that is accepted [m]. Beyond it, `f64` does not resolve 0.1 mm.
 const FARTHEST: f64 = 1e12;
 
 /// A map whose frame is near the robot, so that world coordinates may be large.

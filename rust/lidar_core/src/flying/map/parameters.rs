@@ -23,11 +23,12 @@ pub enum RayUnit {
 pub enum Rays {
     /// All rays (exact).
     All,
-    /// Of the rays that end in the same voxel only the first, weighted with their number.
+    /// Only the first of the rays that end in the same voxel, weighted with the number of these
+    /// rays.
     OnePerEnd,
 }
 
-/// Which voxels rays skip, without a look at each voxel.
+/// Which voxels rays skip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Skip {
     /// No voxels: every ray visits every voxel that it crosses.
@@ -58,19 +59,19 @@ pub struct MapParameters {
     /// Smallest values of the states uncertain, tentatively occupied and confidently occupied (eq.
     /// 7).
     pub thresholds: [f32; 3],
-    /// Further thresholds that `state` counts (eq. 6).
+    /// Additional thresholds that [`state`](super::voxel_map::VoxelMap::state) counts (eq. 6).
     pub extra_thresholds: Vec<f32>,
     /// Largest distance up to which rays clear voxels, d_max of eq. 20 [m].
     pub max_range: f64,
-    /// Distance before their points at which rays with a return end [m].
+    /// Distance in front of its point at which a ray with a return ends [m].
     pub end_margin: f64,
     /// Which rays of a scan are cast.
     pub rays: Rays,
-    /// Which voxels rays skip. This changes only the time, so files do not store it.
+    /// Which voxels rays skip. This changes only the computing time, so files do not store it.
     pub skip: Skip,
     /// If true, a value that rays have pulled to within 64 steps of `f32` from `g_free` becomes
-    /// `g_free`. Otherwise rounding would hold it there for ever: one step short of it or, where
-    /// few rays pass, dozens of steps.
+    /// `g_free`. Otherwise rounding would keep the value at one step from `g_free` for ever or,
+    /// where few rays pass, at dozens of steps.
     pub settles: bool,
     /// Unit of the ray length in the ray weight.
     pub ray_unit: RayUnit,

@@ -2,9 +2,10 @@
 //! robot fills.
 //!
 //! Layout (little endian), after the blocks of the map: edge of a voxel f64 \[m\] and number of
-//! voxels along an edge of the cube around the sensor u32, so that another grid is noticed; number
-//! of sensors u32. For each sensor, in ascending order of names: name (length u32, UTF-8), whether
-//! turns have confirmed it u8, voxels (number u32, each u32, ascending).
+//! voxels along an edge of the cube around the sensor u32, so that the reader notices another grid;
+//! number of sensors u32. For each sensor, in ascending order of names: name (length u32, UTF-8),
+//! whether turns of the robot have confirmed the voxels (u8, 0 or 1), voxels (their number u32,
+//! then the index of each u32, ascending).
 
 use super::reader::{Reader, format_error};
 use crate::Error;
@@ -25,7 +26,7 @@ pub struct SavedBody {
     /// Whether turns of the robot have confirmed that the voxels are the robot, and not an object
     /// that moves along with it.
     pub is_decided: bool,
-    /// Numbers of the voxels in the cube around the sensor, ascending: (x * edge + y) * edge + z.
+    /// Indices of the voxels in the cube around the sensor, ascending: (x * edge + y) * edge + z.
     pub voxels: Vec<u32>,
 }
 

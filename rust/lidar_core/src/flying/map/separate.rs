@@ -4,7 +4,7 @@
 //! Source: Vrba et al., sec. III-D, eq. 23. The removal is incremental: a group is searched only if
 //! one of its voxels has changed its state, or if a neighbour is no longer occupied. A search ends
 //! as soon as it finds enough confident voxels, or a voxel of a group that had enough at the last
-//! removal. So the cost follows the changes, not the size of the map.
+//! removal. So the cost depends on the number of changes, not on the size of the map.
 
 use super::blocks::{Block, Place};
 use super::changes::Changes;
@@ -31,8 +31,8 @@ impl VoxelMap {
     }
 
     /// Like [`VoxelMap::remove_separate`], but removes nothing until some group has enough
-    /// confident voxels. Otherwise a new background would be pulled down faster than a sparse
-    /// sensor can build it up.
+    /// confident voxels. Otherwise the removal would lower the values of a new background faster
+    /// than a sparse sensor can raise them.
     ///
     /// # Errors
     /// As [`VoxelMap::remove_separate`].
@@ -120,9 +120,9 @@ impl VoxelMap {
         count
     }
 
-    /// Make observed voxels occupied, and their groups part of the background, however small the
-    /// groups are: what stands still from the beginning is no flying object. Rays may clear the
-    /// voxels later.
+    /// Make observed voxels occupied, and their groups part of the background, even if the groups
+    /// are small: an object that stands still from the beginning is no flying object. Rays may
+    /// clear the voxels later.
     pub(crate) fn keep(&mut self, voxels: &[Voxel]) {
         let (g_occ, confident) = (self.parameters().g_occ, self.confident_from());
         for &voxel in voxels {

@@ -46,7 +46,7 @@ impl VoxelMap {
         })
     }
 
-    /// The parameters it was made with.
+    /// Parameters of the map.
     #[must_use]
     pub fn parameters(&self) -> &MapParameters {
         &self.parameters
@@ -58,8 +58,8 @@ impl VoxelMap {
         &self.lattice
     }
 
-    /// Number of voxels in all blocks. This is what the budget `max_voxels` limits. Rows that no
-    /// scan has visited count, but take no memory.
+    /// Number of voxels in all blocks. The budget `max_voxels` limits this number. Rows of voxels
+    /// that no scan has visited count, but take no memory.
     #[must_use]
     pub fn stored_voxels(&self) -> usize {
         self.blocks.len() * VOLUME

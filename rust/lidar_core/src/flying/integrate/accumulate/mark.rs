@@ -42,7 +42,7 @@ pub(crate) fn tag_and_count(mark: Mark) -> (u32, u32) {
 
 /// The mark after points of class `content` were added: `units` points, or units of weight. A
 /// stronger content replaces a weaker one. The count is limited to `MAX_COUNT`. The code has no
-/// branches, because their outcome is not predictable.
+/// branches, because their outcomes would not be predictable.
 #[inline(always)]
 pub(in crate::flying::integrate) fn with_points(mark: Mark, content: Content, units: u32) -> Mark {
     // A weaker mark lies below `none`, so the maximum drops its count. A stronger one lies above
