@@ -27,11 +27,12 @@ pub(crate) struct Classification {
     /// Uncertain voxels that the searches of a flying cluster have explored. Empty unless pockets
     /// are to be made free.
     pub(crate) explored: Vec<Voxel>,
-    /// Share of free voxels among the neighbours of a flying cluster's voxels that can be seen.
+    /// Share of free voxels among those neighbours of a flying cluster's voxels that the sensor can
+    /// see.
     pub(crate) clearance: f64,
     /// Whether it flies because a track predicts it near structure.
     pub(crate) is_expected: bool,
-    /// Whether it has moved into free space over space that was never seen: it may stand on
+    /// Whether it has moved into free space above space that was never observed: it may stand on
     /// something.
     pub(crate) is_over_unseen: bool,
 }

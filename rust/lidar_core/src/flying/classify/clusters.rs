@@ -6,12 +6,12 @@ use crate::geometry::transform::{minus, norm};
 /// Clusters of a labelled cloud, in the order of their labels.
 #[derive(Default)]
 pub(crate) struct Clusters {
-    /// Rows of the points of all clusters, cluster by cluster.
+    /// Indices of the points of all clusters, cluster by cluster.
     rows: Vec<u32>,
     /// End of each cluster in `rows`.
     ends: Vec<u32>,
     shapes: Vec<Shape>,
-    /// Number of the cluster of points that are background, whatever is linked to them.
+    /// Index of the cluster of points that are background without regard to the points linked to them.
     joined: Option<usize>,
 }
 
@@ -31,8 +31,8 @@ impl Clusters {
         self.fill_with(points, labels, || 0..labels.len() as u32);
     }
 
-    /// Set the clusters from the labels of a cloud, of which only some `rows` become members. The other
-    /// rows belong to the cluster `joined`, which is background.
+    /// Set the clusters from the labels of a cloud. Only the points with the indices `rows` become members. The other
+    /// points belong to the cluster `joined`, which is background.
     pub(crate) fn fill_some(
         &mut self,
         points: &[[f32; 3]],
@@ -80,7 +80,7 @@ impl Clusters {
         self.shapes.len()
     }
 
-    /// True for the cluster of points that are background, whatever is linked to them.
+    /// True for the cluster of points that are background without regard to the points linked to them.
     pub(crate) fn is_joined(&self, index: usize) -> bool {
         self.joined == Some(index)
     }
@@ -97,7 +97,7 @@ impl Clusters {
     }
 }
 
-/// A cluster: rows of its points, its box, and its centroid [m].
+/// A cluster: indices of its points, its box, and its centroid [m].
 #[derive(Clone, Copy)]
 pub(crate) struct Cluster<'a> {
     pub(crate) members: &'a [u32],
@@ -139,7 +139,7 @@ impl Shape {
     }
 }
 
-/// Row of a point and number of its cluster. None if it is in no cluster.
+/// Index of a point and index of its cluster. None if the point is in no cluster.
 fn label_of((row, (point, &label)): (u32, (&[f32; 3], &i32))) -> Option<(u32, usize)> {
     let label = usize::try_from(label).ok()?;
     point.iter().all(|value| value.is_finite()).then_some((row, label))

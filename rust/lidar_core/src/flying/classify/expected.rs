@@ -26,7 +26,7 @@ const LARGEST: f64 = 1.6;
 /// A scan, with the targets that are looked for in it.
 #[derive(Clone, Copy)]
 pub(crate) struct ExpectedIn<'a> {
-    /// Expected targets near structure. Others are found without this.
+    /// Expected targets near structure. Other targets are found without this list.
     targets: &'a [ExpectedTarget],
     pub(crate) points: &'a [[f32; 3]],
     /// Time of every point after the stamp [s]. None: all are of the stamp.
@@ -57,8 +57,8 @@ impl<'a> ExpectedIn<'a> {
         Self { targets, points, delays, map }
     }
 
-    /// Rows of the points that may belong to a target: near its predicted position, and in
-    /// unoccupied voxels or where the target has stood itself.
+    /// Indices of the points that may belong to a target: near its predicted position, and in
+    /// unoccupied voxels or where the target itself has stood.
     pub(crate) fn rows(self) -> Vec<usize> {
         let mut cursor = Cursor::new(&self.map.blocks);
         let is_chosen = |&row: &usize| {
@@ -73,7 +73,7 @@ impl<'a> ExpectedIn<'a> {
         (0..self.points.len()).filter(is_chosen).collect()
     }
 
-    /// Number of the cluster of every target that has one: the cluster with most points among those
+    /// Index of the cluster of every target that has one: the cluster with most points among those
     /// that may be the target and for which `is_allowed` is true.
     pub(crate) fn clusters<'c>(
         self,
@@ -110,8 +110,8 @@ impl<'a> ExpectedIn<'a> {
             > least * cluster.members.len() as f64
     }
 
-    /// True if `place` is inside the box of a target at the time of a row, enlarged by `margin`
-    /// [m].
+    /// True if `place` is inside the box of a target at the time of the point `row`, enlarged by
+    /// `margin` [m].
     fn holds(self, target: &ExpectedTarget, place: [f64; 3], row: usize, margin: f64) -> bool {
         let delay = self.delays.map_or(0.0, |delays| f64::from(delays[row]));
         (0..3).all(|axis| {

@@ -1,4 +1,4 @@
-//! Points that are background by rule A, whatever cluster they belong to ("explained" by the map).
+//! Points that are background by rule A ("explained" by the map), whichever cluster they belong to.
 
 use crate::flying::map::block_shape::EDGE;
 use crate::flying::map::blocks::{Cursor, Place, offset_of};
@@ -19,7 +19,7 @@ const MARGIN: f64 = 1e-3;
 
 /// Points that the map explains: an occupied voxel is near, so the cluster of each is background.
 ///
-/// Nothing else is needed of such clusters. So all explained points can be one cluster. The other
+/// Only the class of such clusters is used. So all explained points can be one cluster. The other
 /// clusters, their order and their classes do not change.
 #[derive(Default)]
 pub(crate) struct Explained {
@@ -27,10 +27,11 @@ pub(crate) struct Explained {
 }
 
 impl Explained {
-    /// For each point of a scan, whether the map before the scan explains it. Rows `expected`,
-    /// which may be of targets, count as not explained. None if clusters must be found as a whole:
-    /// if the number or the voxels of a cluster's points, or a later map, decide its class, if
-    /// voxels are too large for rule A, or if the map explains less than half of the points.
+    /// For each point of a scan, whether the map before the scan explains it. Points `expected`
+    /// (indices), which may belong to targets, count as not explained. None if clusters must be
+    /// found as a whole: if the class of a cluster depends on its number of points, on its voxels
+    /// or on a later map, if voxels are too large for rule A, or if the map explains at most half
+    /// of the points.
     pub(crate) fn find(
         &mut self,
         points: &[[f32; 3]],

@@ -52,8 +52,9 @@ pub(crate) fn check_steps(
     Ok(steps)
 }
 
-/// Search of Algorithm 1 over uncertain voxels. Nodes are marked when they are pushed. The order
-/// does not change whether there is a way out; outward first finds it sooner than breadth first.
+/// Search of Algorithm 1 over uncertain voxels. Nodes are marked when they are pushed. The order of
+/// the search does not change the result. A search that goes outward first finds a way out sooner
+/// than a breadth-first search.
 pub(crate) struct Flood<'a> {
     map: &'a VoxelMap,
     cursor: Cursor<'a>,
@@ -91,7 +92,8 @@ impl<'a> Flood<'a> {
         Self { map, cursor, radius, open_border, expand_own, memory, watch }
     }
 
-    /// A search with another distance [m]. It is limited by the cost of the search.
+    /// A search with another distance [m]. The distance is limited to 128 voxels, because the cost
+    /// grows with its cube.
     pub(crate) fn wider(
         map: &'a VoxelMap,
         distance: f64,
@@ -112,7 +114,7 @@ impl<'a> Flood<'a> {
         !starts.is_empty() && !starts.iter().any(&mut leads_out)
     }
 
-    /// Take the uncertain voxels that the searches have explored.
+    /// Remove and return the uncertain voxels that the searches have explored.
     pub(crate) fn take_explored(&mut self) -> Vec<Voxel> {
         distinct(std::mem::take(&mut self.memory.explored))
     }

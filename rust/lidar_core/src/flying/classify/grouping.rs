@@ -80,7 +80,7 @@ impl Grouper {
 #[derive(Default)]
 struct Nearby {
     points: Vec<[f32; 3]>,
-    /// Number of the cluster of every point.
+    /// Index of the cluster of every point.
     owners: Vec<u32>,
     cells: Vec<Voxel>,
     around: Dilated,
@@ -120,8 +120,8 @@ impl Nearby {
     }
 }
 
-/// Cells with their 26 neighbours, as a bitmap of hashes. It may contain other cells, too, but
-/// misses none.
+/// Cells with their 26 neighbours, as a bitmap of hashes. It may contain other cells too, but none
+/// of these cells is missing.
 #[derive(Default)]
 struct Dilated {
     bits: Vec<u64>,
@@ -130,7 +130,7 @@ struct Dilated {
 impl Dilated {
     const SIZE_BITS: u32 = 18;
 
-    /// Contain exactly these cells. Sorts them.
+    /// Replace the content by these cells and their neighbours. Sorts `cells`.
     fn restart(&mut self, cells: &mut Vec<Voxel>) {
         cells.sort_unstable();
         cells.dedup();

@@ -9,15 +9,15 @@ use crate::flying::sky::ON_GROUND;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{minus, norm};
 
-/// Height up to which things count as patches of ground, if they are as low as the lowest returns
+/// Height up to which objects count as patches of ground, if they are as low as the lowest returns
 /// [m].
 const FLAT: f64 = 0.1;
-/// Points within this distance of a small cluster may belong to the same target. Between this and
-/// the second distance there may be no points beside it [m].
+/// Points within this distance of a small cluster may belong to the same target [m]. A cluster is
+/// alone if no points are between this distance and [`ALONE_RADIUS`].
 const OWN_RADIUS: f64 = 0.75;
-/// Distance within which no points of something else may be beside a small cluster [m].
+/// Distance within which no points of other objects may be beside a small cluster [m].
 const ALONE_RADIUS: f64 = 2.0;
-/// Largest distance of a mirror image from the mirrored position of what it shows [m]. The floor is
+/// Largest distance of a mirror image from the mirrored position of its object [m]. The floor is
 /// not quite flat.
 const MIRROR_ERROR: f64 = 0.75;
 

@@ -1,6 +1,6 @@
 //! Clusters of a scan, and their classes.
 //!
-//! Longer than other files, so that the fields of the classifier stay private to it.
+//! Longer than other files: only this file may use the private fields of the classifier.
 
 use super::classifier::{Classification, Classifier, ClusterRules, reclassify};
 use super::clusters::{Cluster, Clusters};
@@ -37,7 +37,8 @@ pub(crate) struct ScanToClassify<'a> {
     pub(crate) parameters: &'a FlyingParameters,
     /// Targets that tracks predict near structure.
     pub(crate) expected: &'a [ExpectedTarget],
-    /// Rows of points beside what moved in the air, ascending. The map may wrongly show that these are background.
+    /// Indices of points beside objects that moved in the air, ascending. The map may wrongly show these points as
+    /// background.
     pub(crate) in_air: &'a [usize],
     pub(crate) pool: Option<&'a ThreadPool>,
 }
@@ -62,16 +63,17 @@ pub(crate) struct ScanClassifier {
     classifications: Vec<Classification>,
     /// Class of each cluster on the map after the scan.
     later: Vec<Classification>,
-    /// Rows of points that may belong to targets that tracks predict near structure, ascending.
+    /// Indices of points that may belong to targets that tracks predict near structure, ascending.
     expected: Vec<usize>,
-    /// Numbers of the clusters that count as flying only because a track predicts them.
+    /// Indices of the clusters that count as flying only because a track predicts them.
     claimed: Vec<usize>,
-    /// Class of every row.
+    /// Class of every point of the scan.
     class: Vec<PointClass>,
 }
 
 impl ScanClassifier {
-    /// Find the clusters of a scan and their classes on the map before it. Returns the times that both took [ms].
+    /// Find the clusters of a scan and their classes on the map before it. Returns the times of the clustering and of
+    /// the classification [ms].
     ///
     /// # Errors
     /// [`Error::Parameter`] for values that cannot work, [`Error::Interrupted`].
@@ -100,7 +102,8 @@ impl ScanClassifier {
         Ok([cluster_ms, clock.lap()])
     }
 
-    /// Make clusters flying that tracks predict near structure. By the rules they are background.
+    /// Set the class of clusters that tracks predict near structure to flying. By the rules, these clusters are
+    /// background.
     fn claim(&mut self, input: &ScanToClassify<'_>) {
         let Self { clusters, classifications, claimed, expected, .. } = self;
         claimed.clear();
@@ -135,13 +138,12 @@ impl ScanClassifier {
         }
     }
 
-    /// Numbers of the clusters that count as flying because a track predicts them, although structure is near.
+    /// Indices of the clusters that count as flying because a track predicts them, although structure is near.
     pub(crate) fn claimed(&self) -> &[usize] {
         &self.claimed
     }
 
-    /// For each thing of unknown class and the size of a target (together with everything beside it), the rows of its
-    /// points.
+    /// Indices of the points of each unknown cluster whose group (all clusters near it) has the size of a target.
     pub(crate) fn unknown_things(&self, input: &ScanToClassify<'_>) -> Vec<&[u32]> {
         let (scan, parameters) = (input.scan, &input.parameters.classify);
         let (points, origin) = (scan.points.as_slice(), scan.pose.translation);
@@ -156,11 +158,12 @@ impl ScanClassifier {
         (0..self.classifications.len()).filter(is_thing).map(members).collect()
     }
 
-    /// Classify again the clusters whose points mostly belong to something that moves in the air (`rows`, ascending),
-    /// with nothing close below. If they were background, only their own points of earlier scans are the reason, so
-    /// they become unknown. If they were unknown because a path leads into space that was never observed, such as the
-    /// space behind a table, they become flying if free space is around them. The same holds for what moves above
-    /// such space (`over_unseen`, ascending); it may stand on something.
+    /// Classify clusters of objects that move in the air again. More than half of the points of such a cluster are in
+    /// `rows` (indices of points that move, with nothing close below, ascending) or in `over_unseen` (the same, above
+    /// space that was never observed: such an object may stand on something). A background cluster of `rows` becomes
+    /// unknown, because only its own points of earlier scans made it background. An unknown cluster of either list
+    /// becomes flying if free space is around it: it may be unknown only because a path leads into space that was never
+    /// observed, such as the space behind a table.
     pub(crate) fn lift(&mut self, input: &ScanToClassify<'_>, rows: &[u32], over_unseen: &[u32]) {
         // Longer than other functions: all conditions for one cluster.
         if rows.is_empty() && over_unseen.is_empty() {
@@ -240,17 +243,17 @@ impl ScanClassifier {
         self.class.extend(scan.points.iter().map(class_without_cluster));
     }
 
-    /// Add the class of a row that was appended to the scan.
+    /// Add the class of a point that was appended to the scan.
     pub(crate) fn add_row(&mut self, class: PointClass) {
         self.class.push(class);
     }
 
-    /// Make the cluster `index` one of a flying object.
+    /// Set the class of the cluster `index` to flying.
     pub(crate) fn make_flying(&mut self, index: usize) {
         self.classifications[index].class = PointClass::Flying;
     }
 
-    /// Set the class of every row to that of its cluster. Points in no cluster are unknown or invalid.
+    /// Set the class of every point to that of its cluster. Points in no cluster are unknown or invalid.
     pub(crate) fn class_rows(&mut self, scan: &Prepared) {
         let Self { labeller, classifications, class, .. } = self;
         let of_row = |(point, &label): (&[f32; 3], &i32)| match usize::try_from(label) {
@@ -261,7 +264,7 @@ impl ScanClassifier {
         class.extend(scan.points.iter().zip(labeller.labels()).map(of_row));
     }
 
-    /// Numbers of the flying clusters whose points are mostly inside the given voxels (sorted), in ascending order.
+    /// Indices of the flying clusters whose points are mostly inside the given voxels (sorted), in ascending order.
     pub(crate) fn flying_in(
         &self,
         voxels: &[Voxel],
@@ -283,7 +286,7 @@ impl ScanClassifier {
         (0..self.classifications.len()).filter(stands).collect()
     }
 
-    /// Class of every row.
+    /// Class of every point of the scan.
     pub(crate) fn class(&self) -> &[PointClass] {
         &self.class
     }
@@ -298,14 +301,14 @@ impl ScanClassifier {
         &self.classifications
     }
 
-    /// Number of the cluster that contains a row. None if the row is in no cluster.
+    /// Index of the cluster that contains the point `row`. None if the point is in no cluster.
     pub(crate) fn cluster_of(&self, row: u32) -> Option<usize> {
         usize::try_from(self.labeller.labels()[row as usize]).ok()
     }
 
-    /// True if a point belongs to a cluster that only its small number of points keeps from being a flying object:
-    /// free voxels surround it on the map of `input`, and no other points are around it. A crown of a tree that few
-    /// rays hit has many such clusters.
+    /// True if the point `row` belongs to a cluster that would be a flying object if it had more points: free voxels
+    /// surround it on the map of `input`, and no other points are near it. The last condition excludes the crown of a
+    /// tree that few rays hit, which has many such clusters.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a distance that cannot be searched.
@@ -366,8 +369,8 @@ impl ScanClassifier {
     }
 }
 
-/// Largest angle between returns of one thing [rad], from the angle between the rays, for sensors without rows whose
-/// sky is estimated: for these no setting can give it. 0 for other sensors.
+/// Largest angle between returns of one object [rad], computed from the mean density of the rays for sensors without
+/// rows of rays whose sky is estimated. For these sensors, no parameter can state the angle. 0 for other sensors.
 fn gap_between_rays(scan: &Prepared) -> f64 {
     let observation = scan.sky_observation.as_ref().filter(|_| scan.sky == SkySource::Density);
     let density = observation.map_or(0.0, |observation| observation.mean_density());

@@ -5,9 +5,10 @@ use crate::geometry::transform::{dot, minus, norm};
 
 /// Shadow of the points of one cluster, as seen from the sensor.
 ///
-/// A target that comes straight towards the sensor hides the same voxels in every scan: some were
-/// never observed, and through others it flew itself. No ray clears them. Algorithm 1 as published
-/// walks through these voxels and never detects the target. In best mode they do not connect.
+/// A target that comes straight towards the sensor hides the same voxels in every scan. Some of
+/// them were never observed, and the target itself flew through others. No ray clears them.
+/// Algorithm 1 as published walks through these voxels and never detects the target. In best mode
+/// they do not connect.
 pub(crate) struct Shadow<'a> {
     origin: [f64; 3],
     lattice: Lattice,

@@ -16,7 +16,7 @@ fn part(start: f32) -> impl Iterator<Item = [f32; 3]> {
     (0..OF_PART).map(move |at| [start + step(at % 4), 8.0, 1.0 + step(at / 4)])
 }
 
-/// Numbers of points of the unknown things in a scan of parts that begin at `starts` [m], in a map
+/// Number of points of each unknown object in a scan of parts that begin at `starts` [m], in a map
 /// without any information.
 fn unknown_things(starts: &[f32]) -> Result<Vec<usize>, Error> {
     let parameters = FlyingParameters::default();
