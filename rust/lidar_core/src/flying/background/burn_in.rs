@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 const LONGEST_STEP: f64 = 0.5;
 /// Longest time that counts for a pause, as a multiple of the usual time between scans.
 const LONGEST_TIMES: f64 = 2.0;
-/// Smallest number of scans. Fewer do not show what stands still.
+/// Smallest number of scans. Fewer scans do not show which objects stand still.
 const FEWEST_SCANS: u32 = 3;
 /// Largest length of the burn-in, as a multiple of the number of scans of the usual sensor, however
 /// fast scans come.
@@ -119,8 +119,8 @@ impl BurnIn {
     }
 
     /// Number of scans with points in a voxel that make it background, for a burn-in of `length`
-    /// scans: the proportion of `standing_scans`, but at least three, since something that moves
-    /// may be twice at one place.
+    /// scans: the proportion of `standing_scans`, but at least three, because a moving object may
+    /// be at one place twice.
     pub(crate) fn standing(seed: &SeedParameters, length: u32) -> u32 {
         let share = f64::from(seed.standing_scans) / f64::from(seed.burn_in_scans.max(1));
         let part = (share * f64::from(length) - 1e-9).ceil() as u32;

@@ -11,7 +11,7 @@ pub struct SeedParameters {
     pub burn_in_scans: u32,
     /// Time between two scans for which `burn_in_scans` is meant [s]. With other sensors, the
     /// burn-in has as many scans as fit into the same time, at least 3. None: it has
-    /// `burn_in_scans` scans at any rate.
+    /// `burn_in_scans` scans at any scan rate.
     pub burn_in_period: Option<f64>,
     /// Diagonal beyond which clusters are background during the burn-in [m].
     pub burn_in_extent: f64,

@@ -1,5 +1,5 @@
-//! Jumps of the pose (relocalisation, GNSS step). The scan is held, that is not used, until the
-//! caller decides.
+//! Jumps of the pose (relocalisation, GNSS step). A scan after a jump is held: it is not used until
+//! the caller decides.
 
 use crate::flying::classify::occupied_nearby::{OccupiedNearby, is_observed_free};
 use crate::flying::map::blocks::Cursor;
@@ -32,9 +32,9 @@ pub(crate) struct PoseCheck {
 
 impl PoseCheck {
     /// The gate `PoseMismatch` if the scan contradicts the map: more than the share `limit` of the
-    /// observed voxels with returns is free, and further than `close_distance` [m] from anything
-    /// occupied. Voxels count and not returns, since a near target may give most returns. None if
-    /// the scan fits, without a limit, or while there is no background.
+    /// observed voxels with returns is free, and further than `close_distance` [m] from any
+    /// occupied voxel. Voxels are counted instead of returns, because a near target may give most
+    /// returns. None if the scan fits, without a limit, or while there is no background.
     pub(crate) fn check(
         &mut self,
         points: &[[f32; 3]],

@@ -23,14 +23,17 @@ use std::hash::BuildHasherDefault;
 /// does not matter.
 const UNITS_PER_METRE: f64 = 65_536.0;
 
-/// Largest probability that a standing object misses the scans in which rays show nothing at its
-/// place. Below it, the object has come or gone.
+/// Smallest probability that chance explains all scans without points before the first and after
+/// the last points of a voxel. If the probability is smaller, an object has moved into or out of
+/// the voxel.
 const NOT_BY_CHANCE: f64 = 0.01;
-/// Share of the voxels of a moving cluster that something has entered. Voxels of a large cluster
-/// cover others all the time.
+/// Smallest share of the voxels of a moving cluster that it has entered during the burn-in. In a
+/// large cluster, some voxels always hide others, so a few of them seem entered even if the cluster
+/// is static.
 const COME_SHARE: f64 = 0.3;
 
-/// Search for what stands still during the burn-in. It stores the points of every voxel so far.
+/// Search for static points during the burn-in. It stores a summary of the points of every voxel so
+/// far.
 #[derive(Clone, Default)]
 pub(crate) struct StaticPoints {
     voxels: HashMap<Place, PointsOfVoxel, BuildHasherDefault<KeyHasher>>,
@@ -52,8 +55,8 @@ pub(crate) struct PointsOfVoxel {
 }
 
 impl StaticPoints {
-    /// Find the free voxels that a scan of the burn-in is about to enter. Call it before the map
-    /// update.
+    /// Find the free voxels in which this scan of the burn-in is the first with points. Call it
+    /// before the map update.
     pub(crate) fn look(
         &mut self,
         points: &[[f32; 3]],
@@ -74,9 +77,9 @@ impl StaticPoints {
         self.entered.dedup();
     }
 
-    /// Add a scan of the burn-in and its clusters. After the last scan, all that stood still
-    /// becomes background in `map`, except within `distance` [m] of the boxes of tracks that moved.
-    /// Returns its voxels, ascending. For earlier scans the result is empty; scans after the
+    /// Add a scan of the burn-in and its clusters. After the last scan, all voxels of static points
+    /// become background in `map`, except within `distance` [m] of the boxes of tracks that moved.
+    /// Returns these voxels, ascending. For earlier scans the result is empty; scans after the
     /// burn-in change nothing.
     pub(crate) fn take(
         &mut self,
@@ -139,8 +142,8 @@ impl StaticPoints {
     }
 
     /// Voxels, ascending, that had points in at least `scans` scans of a burn-in of `of` scans,
-    /// whose points moved by at most `shift` [m] between its halves, and into or out of which
-    /// nothing moved.
+    /// whose points moved by at most `shift` [m] between its halves, and which no object has
+    /// entered or left.
     fn voxels(&self, scans: u32, shift: f64, of: u32, map: &VoxelMap) -> Vec<Voxel> {
         let mut cursor = Cursor::new(&map.blocks);
         let mut stands = |place: &Place, points: &PointsOfVoxel| {
@@ -241,10 +244,10 @@ impl PointsOfVoxel {
             && halves.iter().all(|(_, count)| (0..=i64::from(MOST) << 30).contains(count))
     }
 
-    /// Whether something has moved into or out of the voxel in a burn-in of `of` scans. Scans
-    /// without points before the first, and after the last, count as evidence if rays have shown
-    /// the voxel free (`is_free`: at the end). It has moved if they are too many for misses by
-    /// chance.
+    /// Whether an object has moved into or out of the voxel in a burn-in of `of` scans. Scans
+    /// without points, before the first scan with points and after the last, count as evidence if
+    /// rays have shown the voxel free (`is_free`: at the end). An object has moved if chance hardly
+    /// explains so many scans without points.
     fn has_moved(&self, of: u32, is_free: bool) -> bool {
         let span = self.last_scan - self.first_scan + 1;
         let before = if self.was_free { self.first_scan - 1 } else { 0 };
