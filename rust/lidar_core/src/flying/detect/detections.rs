@@ -21,7 +21,7 @@ use crate::geometry::transform::{Transform, dot, minus, norm};
 /// sky supports is less certain than free space that returns have shown.
 const ONLY_SKY: f64 = 0.7;
 /// Distance that a sensor must have moved across the line of sight since its last scan, to count as
-/// looking past nearer things [m]. The poses of a sensor at rest have errors of centimetres from
+/// looking past nearer objects [m]. The poses of a sensor at rest have errors of centimetres from
 /// scan to scan.
 const LOOKS_PAST: f64 = 0.1;
 
@@ -40,11 +40,11 @@ pub(crate) struct ScanToDetect<'a> {
 pub(crate) struct ScanDetections {
     pub(crate) detections: Vec<Detection>,
     pub(crate) teammates: Vec<(i64, Detection)>,
-    /// Rows of points that are on teammates.
+    /// Indices of points that are on teammates.
     pub(crate) hidden: Vec<u32>,
 }
 
-/// Detections and teammates of a scan, in the frame of the map. `classifications`: numbers of
+/// Detections and teammates of a scan, in the frame of the map. `classifications`: indices of
 /// clusters, with their classes.
 pub(crate) fn detect<'c>(
     input: &ScanToDetect<'_>,
@@ -119,7 +119,7 @@ fn centered(
 }
 
 /// True if the sensor has moved across the line of sight to a cluster since its last scan, so that
-/// the edges of nearer things have moved in front of the cluster.
+/// the edges of nearer objects have moved in front of the cluster.
 fn looks_past(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let sight = minus(cluster.centroid, scan.pose.translation);
     let along = dot(scan.moved, sight) / norm(sight).max(f64::MIN_POSITIVE);
@@ -140,9 +140,9 @@ fn centers<'a>(
     input.view.centers_of(&rows)
 }
 
-/// For each row of a scan, whether it belongs to a flying cluster. Empty if no search for holes is
-/// needed: rays without return are given, or the air is full of droplets, which take returns away
-/// everywhere.
+/// For each point of a scan, whether it belongs to a flying cluster. Empty if no search for holes
+/// is needed: rays without return are given, or the air is full of droplets, so that returns are
+/// missing everywhere.
 fn flying_rows<'a>(
     scan: &Prepared,
     clusters: impl Iterator<Item = (Cluster<'a>, &'a Classification)>,

@@ -1,4 +1,4 @@
-//! Hand-over of a scan and its detections to the tracker, and flying points that follow from its
+//! Input of a scan and its detections to the tracker, and additional flying points on confirmed
 //! tracks.
 
 use super::detection::Detection;
@@ -19,14 +19,14 @@ use std::borrow::Cow;
 /// Rounding error by which the centroid of a cluster may be outside its bounding box [m].
 const ROUNDING: f64 = 1e-3;
 
-/// For every cluster that a confirmed track follows, one row of the scan; and those of tracks on
-/// the ground.
+/// Index of one point of every cluster that a confirmed track follows (`rows`), and of those among
+/// them that are on the ground.
 pub(crate) struct Followed {
     pub(crate) rows: Vec<u32>,
     pub(crate) on_ground: Vec<u32>,
 }
 
-/// What shows that clusters with too few points for a detection are in free space.
+/// Evidence that clusters with too few points for a detection are in free space.
 pub(crate) struct Hints<'a> {
     pub(crate) classifier: &'a ScanClassifier,
     pub(crate) before_detect: &'a TrackBeforeDetect,
@@ -56,8 +56,8 @@ impl Occupancy for BesideClaimed<'_> {
     }
 }
 
-/// Give the scan, its detections and its hints to the tracker. Returns rows of the clusters that
-/// confirmed tracks follow.
+/// Give the scan, its detections and its hints to the tracker. Returns the index of one point of
+/// each cluster that a confirmed track follows.
 ///
 /// # Errors
 /// As [`PointCloudTracker::new_point_cloud`] and [`PointCloudTracker::new_detections`].
@@ -179,10 +179,10 @@ pub(crate) fn watch(
     });
 }
 
-/// Make the unknown clusters that confirmed tracks follow flying objects, and add them to the
-/// detections: a target that flew into space of which little is known still flies. `rows`: one row
-/// of each cluster. Clusters outside the operating volume are left out, though their tracks go on
-/// for a while.
+/// Set the class of unknown clusters that confirmed tracks follow to flying, and add them to the
+/// detections: a target that flew into space of which little is known still flies. `rows`: index of
+/// one point of each cluster. Clusters outside the operating volume are left out, although their
+/// tracks continue for a while.
 pub(crate) fn add_followed(
     input: &ScanToDetect<'_>,
     map: &VoxelMap,

@@ -1,15 +1,15 @@
 //! Holes in a scan: directions beside a cluster from which nothing returns, up to a surface.
 //!
-//! A cluster that seems to fly may be part of something that swallows light: the body of a person whose dark legs
-//! return nothing, or a bright part of a dark car. Rays past a real target return from behind it, up to its edges. If
-//! they do not, and the hole ends at a surface at the range of the cluster, the hole is probably the missing part.
+//! A cluster that seems to fly may be part of an object that absorbs light: the body of a person whose dark legs return
+//! nothing, or a bright part of a dark car. Rays past a real target return from behind it, up to its edges. If they do
+//! not, and the hole ends at a surface at the range of the cluster, the hole is probably the missing part.
 
 use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// Returns that are nearer or further away than the cluster by more than this belong to something else [m].
+/// Returns that are nearer or further away than the cluster by more than this belong to another object [m].
 const DEPTH: f64 = 1.0;
 /// Length of the longest hole [m]: a leg, or the side of a car.
 const LONGEST: f64 = 1.5;
@@ -31,8 +31,8 @@ const ODDS: f64 = 20.0;
 /// Square of the cosine of the largest angle, 37 degrees, up to which returns aside are looked at.
 const AHEAD_SQUARED: f64 = 0.64;
 
-/// True if a hole connects a cluster with a surface at its range. `is_flying`: for every row of the scan, whether it
-/// belongs to something that seems to fly, which is no surface.
+/// True if a hole connects a cluster with a surface at its range. `is_flying`: for every point of the scan, whether it
+/// belongs to an object that seems to fly and is therefore no surface.
 pub(crate) fn is_joined(scan: &Prepared, cluster: &Cluster<'_>, is_flying: &[bool]) -> bool {
     // Longer than other functions: four sides are asked alike; the closures share the edges of the
     // cluster.
@@ -185,7 +185,7 @@ fn is_dark(count: f64, usual: f64) -> bool {
 struct Seen {
     /// Position to the right of the cluster's middle and above it, in the plane across the line of sight [m].
     place: [f64; 2],
-    /// Whether it is nearer or further away than the cluster, and so belongs to something else.
+    /// Whether it is nearer or further away than the cluster, and so belongs to another object.
     is_else: bool,
     /// Whether it is at the range of the cluster and does not seem to fly.
     is_surface: bool,

@@ -1,4 +1,4 @@
-//! Detections from flying clusters: centre, covariance, visibility, hand-over to the tracker.
+//! Detections from flying clusters: centre, covariance, visibility, input to the tracker.
 
 pub mod center;
 pub mod detection;

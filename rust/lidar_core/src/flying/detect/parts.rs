@@ -26,7 +26,7 @@ pub(crate) struct UnitedClusters<'c> {
 
 impl<'c> UnitedClusters<'c> {
     /// Unite the flying clusters of `points` that are parts of one large target, as seen from
-    /// `origin`; clusters of another class stay as they are. `classifications`: numbers of
+    /// `origin`; clusters of another class stay as they are. `classifications`: indices of
     /// clusters, with their classes. No united cluster is longer than `longest` [m]. None: nothing
     /// is united.
     pub(crate) fn of(
@@ -77,7 +77,7 @@ impl<'c> UnitedClusters<'c> {
 }
 
 /// Each part of a large target among the `flying` clusters, and the cluster to which it belongs, as
-/// pairs of cluster numbers.
+/// pairs of cluster indices.
 fn hosts(
     points: &[[f32; 3]],
     origin: [f64; 3],
@@ -179,7 +179,7 @@ const WAYS: [[i8; 3]; 13] = [
     [1, -1, -1],
 ];
 
-/// Extent of some points along each of [`WAYS`] [m]. A box along the axes would change its length
+/// Extent of some points along each of [`WAYS`] [m]. The length of an axis-aligned box would change
 /// as the target turns.
 #[derive(Clone, Copy)]
 struct TargetSpan {
@@ -217,8 +217,8 @@ impl TargetSpan {
     }
 }
 
-/// The cluster to which a part belongs in the end, through other parts. A cluster that is no part
-/// belongs to itself.
+/// Index of the cluster to which the cluster `index` belongs, directly or through other parts. A
+/// cluster that is no part belongs to itself.
 fn top_of(host: &[(usize, usize)], mut index: usize) -> usize {
     while let Some(&(_, whole)) = host.iter().find(|(part, _)| *part == index) {
         index = whole;

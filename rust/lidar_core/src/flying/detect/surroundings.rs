@@ -38,19 +38,19 @@ const JUST_BELOW: f64 = 0.1;
 /// of a person.
 const FEWEST_PASSING: usize = 2;
 
-/// Something in front of a cluster is nearer by at least this [m].
+/// Returns are in front of a cluster if they are nearer by at least this [m].
 const IN_FRONT: f64 = 1.0;
-/// Depth below the cluster in which something in front of it is looked for [m]. At 10 m it contains
-/// two rows of a sensor with rows 2 degrees apart.
+/// Depth below the cluster in which objects in front of it are searched for [m]. At 10 m this depth
+/// contains two rows of a sensor with rows 2 degrees apart.
 const SEEN_BELOW: f64 = 0.8;
-/// Something is upright if some of its returns are above each other by at least this [m], and by
-/// more than they are in front of each other. The ground in front of a cluster is not upright, even
-/// if it rises towards the cluster.
+/// An object is upright if some of its returns differ in height by at least this [m], and by at
+/// least the difference of their horizontal distances. The ground in front of a cluster is not
+/// upright, even if it rises towards the cluster.
 const UPRIGHT: f64 = 0.05;
 
 /// True if a cluster has more returns of surfaces around it than returns of its own. `is_flying`:
-/// for every row of the scan, whether it belongs to something that seems to fly, which is no
-/// surface.
+/// for every point of the scan, whether it belongs to an object that seems to fly and is therefore
+/// no surface.
 pub(crate) fn is_among_surfaces(
     scan: &Prepared,
     cluster: &Cluster<'_>,
@@ -66,17 +66,18 @@ pub(crate) fn is_among_surfaces(
     around.take(cluster.members.len() + 1).count() > cluster.members.len()
 }
 
-/// True if rays are cast below a cluster, or below what continues it downwards, and hardly any of
-/// them returns: a wet or dark ground, or fog, takes them. Then nothing shows whether the cluster
-/// stands on something. False if the field of view ends below it, or if the sky is not estimated.
+/// True if rays are cast below a cluster, or below the returns that continue it downwards, and
+/// hardly any of them returns: wet or dark ground, or fog, absorbs them. Then no return shows
+/// whether the cluster stands on something. False if the field of view ends below it, or if the sky
+/// is not estimated.
 pub(crate) fn are_rays_lost_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let sky = scan.sky_observation.as_ref();
     sky.is_some_and(|sky| are_lost_below(scan, cluster, |direction| sky.density_at(direction)))
 }
 
-/// True if something continues the cluster downwards at its range, and rays pass below the end of
-/// that: the next row of a sparse sensor has met the same target. Something that stands on the
-/// ground continues down to the ground.
+/// True if returns continue the cluster downwards at its range, and rays pass below the lowest of
+/// these returns: the next row of a sparse sensor has met the same target. An object that stands on
+/// the ground continues down to the ground.
 pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };
     let below: Vec<ReturnBelow> = edge.below(scan).collect();
@@ -87,7 +88,7 @@ pub(crate) fn is_free_below_rest(scan: &Prepared, cluster: &Cluster<'_>) -> bool
     end < edge.low && below.iter().filter(passes).count() >= FEWEST_PASSING
 }
 
-/// True if something upright in front of a cluster hides the space below it: a screen, the side of
+/// True if an upright object in front of a cluster hides the space below it: a screen, the side of
 /// a table or a car.
 pub(crate) fn is_hidden_below(scan: &Prepared, cluster: &Cluster<'_>) -> bool {
     let Some(edge) = LowerEdge::of(scan, cluster) else { return false };

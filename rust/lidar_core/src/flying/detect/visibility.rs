@@ -19,11 +19,11 @@ use std::ops::Range;
 const ROOM: f64 = 1e-6;
 /// Number of rays that are tested side by side.
 const LANES: usize = 32;
-/// Number of rows that are tested before it is checked whether enough rays were found.
+/// Number of rays that are tested before it is checked whether enough rays were found.
 const ROWS_AT_A_TIME: usize = 4096;
 const ROWS_PER_CHUNK: usize = 16_384; // fixed: chunk borders must not move with the thread count
 
-/// The rays of one scan, for questions about targets.
+/// The rays of one scan, as needed to decide whether targets were visible.
 pub(crate) struct ScanView<'a> {
     scan: &'a Prepared,
     /// Radius of the smallest target that must be visible [m].
@@ -46,8 +46,8 @@ impl<'a> ScanView<'a> {
         Self { scan, target_radius, range_std, spread, pool }
     }
 
-    /// Centre of every target, given the rows of its points, of which there must be at least one.
-    /// The pose counts as exact.
+    /// Centre of every target, given the indices of its points, of which there must be at least
+    /// one. The pose counts as exact.
     pub(crate) fn centers_of(&self, targets: &[&[u32]]) -> Vec<Center> {
         self.observations(targets)
             .iter()
@@ -71,7 +71,7 @@ impl<'a> ScanView<'a> {
     }
 
     /// Vector along the ray `row` (not normalised), and its squared length up to the return or to
-    /// the known free reach. None if the row has no information.
+    /// the known free reach. None if there is no information about the ray.
     #[inline(always)]
     fn way(&self, row: usize) -> Option<([f64; 3], f64)> {
         if self.scan.no_return[row] {
@@ -91,7 +91,8 @@ impl<'a> ScanView<'a> {
         self.scan.reach.as_ref().map_or(f64::INFINITY, |reach| f64::from(reach[row]))
     }
 
-    /// Unit direction and length [m] of the ray `row`. None if the row has no information.
+    /// Unit direction and length [m] of the ray `row`. None if there is no information about the
+    /// ray.
     fn ray(&self, row: usize) -> Option<([f64; 3], f64)> {
         if self.scan.no_return[row] {
             let way = wide(self.scan.directions.as_ref()?[row]);
@@ -161,7 +162,7 @@ impl RaySource for ScanView<'_> {
 }
 
 impl ScanView<'_> {
-    /// For every region, the rays of the given rows that come near it.
+    /// For every region, the rays among `rows` that come near it.
     fn around_in(&self, rows: Range<usize>, regions: &[TargetRegion]) -> Vec<PassingRays> {
         let casts = |row: usize| !self.scan.no_ray.as_ref().is_some_and(|no_ray| no_ray[row]);
         let is_own = |row: usize| self.scan.maybe_own.get(row).copied().unwrap_or(false);
@@ -194,8 +195,8 @@ impl ScanView<'_> {
         around
     }
 
-    /// Rows (at most one chunk) whose rays come near one of the balls. A few other rows may be
-    /// among them.
+    /// Indices of rays among `rows` (at most one chunk) that come near one of the balls. A few
+    /// other rays may be among them.
     fn rows_near(
         &self,
         rows: Range<usize>,
@@ -231,7 +232,7 @@ struct FindNearRays<'a> {
     balls: &'a [TestedBall],
 }
 
-/// One bit for every row of a chunk.
+/// One bit for every ray of a chunk.
 type RowBits = [u32; ROWS_PER_CHUNK / LANES];
 
 impl WithSimd for FindNearRays<'_> {

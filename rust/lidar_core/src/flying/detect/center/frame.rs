@@ -27,9 +27,9 @@ const CLOSED_SHIFT: f64 = 0.40;
 const OPEN_SHIFTS: [f64; 2] = [0.12, 0.25];
 /// Sine of the elevation, above or below, from which on the whole disc of a frame is visible.
 const WHOLE_DISC: f64 = 0.25;
-/// Standard deviation of the distance between centroid and centre along the sight, as a share of
-/// the radius: for one point, and the largest value. Points are samples from the depth of the
-/// target, and some may be on one side of it.
+/// Standard deviation of the distance between centroid and centre along the line of sight, as a
+/// share of the radius: for one point, and the largest value. Points are samples from the depth of
+/// the target, and some may be on one side of it.
 const SHIFT_STD: [f64; 2] = [0.5, 0.2];
 /// Height of a frame's centre above the centroid if it is seen from its own height, as a share of
 /// the radius: skids hang below it.
@@ -243,12 +243,12 @@ impl SeenExtent {
     }
 }
 
-/// Whether rays pass below the hits. `hits`, `passing` and `hiding` (the ends of rays in front) are in a
-/// plane across the line of sight [m], with the second axis up. No rays pass below something that stands
-/// on the ground, or that the lower edge of the field of view cuts off. If more rays just below end in
-/// front than pass, those that pass go through a mirror image, through glass or between leaves, and show
-/// nothing. None if few rays pass above too, since the rays are then too far apart to tell, or if
-/// rays pass only just below.
+/// Whether rays pass below the hits. `hits`, `passing` and `hiding` (the ends of rays in front of
+/// the target) are in a plane across the line of sight [m], with the second axis up. No rays pass
+/// below an object that stands on the ground, or that the lower edge of the field of view cuts off.
+/// If more rays just below end in front than pass, the passing rays are no evidence: they go through
+/// a mirror image, through glass or between leaves. None if few rays pass above too, because the
+/// rays are then too far apart for a decision, or if rays pass only just below.
 fn is_free_below(
     hits: &[[f64; 2]],
     passing: &[[f64; 2]],

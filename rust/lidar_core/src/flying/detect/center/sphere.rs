@@ -15,13 +15,13 @@ const RADIUS_MEAN: f64 = 0.3;
 const RADIUS_STD: f64 = 0.25;
 /// Smallest and largest radius [m].
 const RADIUS_RANGE: [f64; 2] = [0.02, 2.0];
-/// Standard deviation of the centre around the start of the fit [m]. A few points say nothing about
-/// some directions.
+/// Standard deviation of the centre around the start of the fit [m]. A few points do not determine
+/// the centre in all directions.
 const PLACE_STD: f64 = 0.5;
 /// Standard deviation of the depth at which a passing ray may enter the ball [m].
 const PASSING_STD: f64 = 0.01;
-/// Smallest cosine of the angle of incidence that is used. At grazing incidence a range says no
-/// more about the surface.
+/// Smallest cosine of the angle of incidence that is used. At grazing incidence, a range gives no
+/// further information about the surface.
 const LEAST_COSINE: f64 = 0.3;
 /// Standard deviation of the centre as a share of the radius, since no target is a perfect ball.
 const SHAPE_STD: f64 = 0.01;

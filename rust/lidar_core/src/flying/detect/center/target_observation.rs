@@ -11,7 +11,8 @@ const NEAR: f64 = 0.15;
 /// Number of rays ending in front of a target that show that a part of it may be hidden. A single
 /// one may be a speck of dust.
 const ENOUGH_BLOCKED: usize = 2;
-/// Number of sectors around a target. In each, the nearest ray beside the target is looked for.
+/// Number of sectors around a target. The search finds the nearest ray beside the target in each
+/// sector.
 const SECTORS: usize = 8;
 
 /// A ray of a sensor: start point [m] and direction.
@@ -29,7 +30,7 @@ pub(crate) struct TargetHit {
     pub(crate) point: Vector3<f64>,
 }
 
-/// What one scan shows of a target.
+/// Observation of a target by one scan.
 #[derive(Clone, Debug)]
 pub(crate) struct TargetObservation {
     /// Rays that hit the target; at least one.
@@ -68,15 +69,15 @@ pub(crate) struct PassingRays {
     pub(crate) hiding: Vec<TargetRay>,
 }
 
-/// Source of the rays of a scan: by row, and by region.
+/// Source of the rays of a scan: by the index of a point, and by region.
 pub(crate) trait RaySource {
-    /// The ray of a row with a point.
+    /// The ray of the point with the index `row`.
     fn hit(&self, row: usize) -> TargetHit;
     /// For every region, the rays that come within [`MARGIN`] of it.
     fn around(&self, regions: &[TargetRegion]) -> Vec<PassingRays>;
 
-    /// What the scan shows of each target, given the rows of its points, of which there must be at
-    /// least one.
+    /// Observation of each target, given the indices of its points, of which there must be at least
+    /// one.
     fn observations(&self, targets: &[&[u32]]) -> Vec<TargetObservation> {
         let hits: Vec<Vec<TargetHit>> = targets
             .iter()
