@@ -18,7 +18,8 @@ const GATE: f64 = 15.0;
 /// Largest amount that one return adds to the score. It is limited because false returns are not
 /// spread evenly.
 const MOST: f64 = 3.4;
-/// Score of a hypothesis before its first two returns. Few pairs of returns are of one target.
+/// Score of a hypothesis before its first two returns. Only few pairs of returns come from one
+/// target.
 const START: f64 = -4.0;
 /// Score below which a hypothesis ends; `LOST`: time without a return after which it ends [s].
 const LEAST: f64 = -6.0;
@@ -28,7 +29,8 @@ const LOST: f64 = 1.0;
 const CERTAIN: f64 = 10.0;
 /// Smallest number of returns of a certain target.
 const FEWEST_RETURNS: u32 = 5;
-/// Largest score. Because of it, a target that comes to rest or ends is soon noticed.
+/// Largest score. Because of this limit, the score of a target that stops or disappears soon falls
+/// below the bounds.
 const HIGHEST: f64 = 20.0;
 /// Distance [m], and number of standard deviations (`STDS`), by which a certain target must have
 /// moved.
@@ -191,9 +193,9 @@ impl Hypothesis {
             && (is_seen_at_rest || !self.may_slide(way, position))
     }
 
-    /// Whether the point may be where a row of a moving sensor meets a pole or a cable: it moves
-    /// although nothing else does. Such a point moves straight up or down, or is nearly always in
-    /// the same row.
+    /// Whether the point may be where a row of rays of a moving sensor meets a pole or a cable: the
+    /// point moves although the object is static. Such a point moves straight up or down, or is
+    /// nearly always in the same row.
     fn may_slide(&self, way: [f64; 3], std: f64) -> bool {
         let fewest = ROW_CHANGES.max((CHANGES_SHARE * f64::from(self.n_returns)).ceil() as u32);
         let level = libm::hypot(way[0], way[1]);

@@ -46,9 +46,9 @@ pub(super) struct LoneReturn {
 #[derive(Default)]
 pub(super) struct LoneReturns {
     pub(super) found: Vec<LoneReturn>,
-    /// Rows of their points, ascending.
+    /// Indices of their points, ascending.
     rows: Vec<u32>,
-    /// Numbers of the clusters with few points, sorted along x.
+    /// Indices of the clusters with few points, sorted along x.
     small: Vec<u32>,
     is_small: Vec<bool>,
 }
@@ -115,8 +115,8 @@ impl LoneReturns {
         small.sort_by(|&one, &other| first(one).total_cmp(&first(other)).then(one.cmp(&other)));
     }
 
-    /// Numbers of the small clusters that have no others beside them. The returns of the others are
-    /// added to the ranges of `scan`.
+    /// Indices of the small clusters that have no others beside them. The returns of the other small clusters are added
+    /// to the ranges of `scan`.
     fn take_alone(&self, input: &ScanOfFew<'_>, scan: &mut SeenScan, gap: f64) -> Vec<u32> {
         let mut alone = Vec::new();
         for at in 0..self.small.len() {
@@ -132,8 +132,7 @@ impl LoneReturns {
         alone
     }
 
-    /// What is beside the small cluster at index `at` of the sorted list. `gap`: angle between rays
-    /// [rad].
+    /// Surroundings of the small cluster at index `at` of the sorted list. `gap`: angle between rays [rad].
     fn place_among(&self, input: &ScanOfFew<'_>, at: usize, gap: f64) -> Among {
         let cluster = |at: usize| input.clusters.get(self.small[at] as usize);
         let own_cluster = cluster(at);
@@ -155,13 +154,13 @@ impl LoneReturns {
     }
 }
 
-/// What is beside a small cluster.
+/// Surroundings of a small cluster.
 enum Among {
     /// Nothing is beside it.
     Alone,
     /// Another cluster of the same target, which is used in its place.
     Represented,
-    /// More is beside it than one target gives.
+    /// More returns are near it than one target gives.
     Others,
 }
 

@@ -118,7 +118,8 @@ impl TrackBeforeDetect {
         self.lone.holds(row)
     }
 
-    /// Weigh all hypotheses with the newest scan. Returns the targets of those that are now certain; removes these.
+    /// Weigh all hypotheses with the newest scan. Returns the targets of the hypotheses that are now certain, and
+    /// removes these hypotheses.
     ///
     /// `tracked`: positions of tracks [m]. Returns near them belong to the tracks.
     pub(crate) fn weigh(

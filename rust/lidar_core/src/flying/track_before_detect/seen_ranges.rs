@@ -14,8 +14,8 @@ const FACE: usize = EDGE * EDGE;
 const CELLS: usize = 6 * FACE;
 /// Side of a cell on a face at distance 1.
 const SIDE: f64 = 2.0 / EDGE as f64;
-/// Time for which scans are kept [s]; `MOST`: largest number of kept scans. Of a fast sensor not
-/// all are kept.
+/// Time for which scans are kept [s]; `MOST`: largest number of kept scans. Not all scans of a fast
+/// sensor are kept.
 const KEPT: f64 = 1.2;
 /// Largest number of kept scans.
 const MOST: usize = 12;
