@@ -1,11 +1,11 @@
 //! The robot itself in the scans of its LiDAR: returns that stay in place in the sensor's frame while the sensor
 //! moves.
 //!
-//! Returns near the sensor are counted per voxel of the sensor's frame. A voxel that has returns wherever the sensor
-//! is belongs to the robot, if it is connected with the near zone, does not continue into the distance (ground, walls
-//! along the path), and is not on the ground. While the sensor moves straight on, something that accompanies it
-//! closely looks the same. So no result is final: a voxel without returns is removed again. After a turn of more than
-//! 30 degrees the result counts as decided.
+//! Returns near the sensor are counted per voxel of the sensor's frame. A voxel that has returns wherever the sensor is
+//! belongs to the robot, if it is connected with the near zone, does not continue into the distance (ground, walls
+//! along the path), and is not on the ground. While the sensor moves straight on, an object that accompanies it closely
+//! looks the same. So no result is final: a voxel without returns is removed again. After a turn of more than 30
+//! degrees the result counts as decided.
 
 use super::body_voxels::{GAP, VOLUME, WORDS, around, beside, center_of, has, voxel_of};
 use crate::geometry::lattice::wide;
@@ -22,7 +22,7 @@ const FARTHEST: f64 = 5.5;
 /// Distance [m] (`NEXT_TURN`: turn [rad]) after which the sensor counts as being at another place.
 const NEXT_PLACE: f64 = 0.2;
 const NEXT_TURN: f64 = 3.0 * PI / 180.0;
-/// Number of places, and distance moved (`ENOUGH_WAY` [m]), that are needed before anything is concluded.
+/// Number of places, and distance moved (`ENOUGH_WAY` [m]), that are needed before a voxel counts as part of the robot.
 const ENOUGH_PLACES: u32 = 5;
 const ENOUGH_WAY: f64 = 1.0;
 /// Number of places between two searches for the robot.
@@ -33,11 +33,11 @@ const DECIDING_TURN: f64 = 30.0 * PI / 180.0;
 const HELD_SHARE: f64 = 0.6;
 /// The same share for known voxels of the robot. It is smaller, since parts of the robot may be hidden.
 const KEPT_SHARE: f64 = 0.2;
-/// Parts within this distance of the sensor need not be rigid [m], such as arms and cables of a robot, or a roof that
-/// the speed of the sensor smears. No target comes so near.
+/// Parts within this distance of the sensor need not be rigid [m]: arms and cables of a robot, or a roof whose returns
+/// are smeared by the speed of the sensor. No target comes so near.
 const BESIDE_SENSOR: f64 = 1.5;
 /// Smallest rigidity of a part: the mean count of a return's voxel, over returns on the part and beside it, divided by
-/// the largest count. A robot is rigid. Something that flies along leaves some voxels and enters others. Voxels with
+/// the largest count. A robot is rigid. An object that flies along leaves some voxels and enters others. Voxels with
 /// few returns (`RARE_SHARE`) do not count: those are droplets.
 const RIGID_SHARE: f64 = 0.6;
 const RARE_SHARE: f64 = 0.1;
@@ -48,10 +48,12 @@ const SAME_SHARE: f64 = 0.3;
 const GROUND: f64 = 0.35;
 /// One return in this many is assumed to be below the ground.
 const LOWEST: usize = 50;
-/// Fewest scans for conclusions before the sensor has moved. `STILL_SCANS`: number at which all counts are halved.
+/// Fewest scans before voxels count as possible parts of the robot while the sensor has not moved. `STILL_SCANS`:
+/// number at which all counts are halved.
 const FIRST_SCANS: u32 = 5;
 const STILL_SCANS: u32 = 50;
-/// Number of places from which on places are further apart, by the factor `RARER`: they show little that is new.
+/// Number of places after which further places must be further apart, by the factor `RARER`, because they give little
+/// new information.
 const MANY_PLACES: u32 = 100;
 const RARER: f64 = 5.0;
 
@@ -231,7 +233,7 @@ impl Body {
         (self.scans, self.maybe) = (Vec::new(), Vec::new());
     }
 
-    /// Search for a possible robot in the returns from the first places. A sensor that drives off shows no more yet.
+    /// Search for a possible robot in the returns from the first places, before the sensor has moved far enough.
     fn search_first_places(&mut self) {
         let places = std::mem::take(&mut self.places);
         let found = beside(&self.found(&places, self.n_places));
@@ -243,7 +245,7 @@ impl Body {
         }
     }
 
-    /// Search for what may be the robot, before the sensor has moved.
+    /// Search for voxels that may be of the robot, before the sensor has moved.
     fn search_still(&mut self) {
         let scans = std::mem::take(&mut self.scans);
         self.check_recalled(&scans, self.n_scans);

@@ -1,4 +1,4 @@
-//! Voxels around a sensor, in its frame, in which the robot itself is looked for.
+//! Voxels around a sensor, in its frame, in which the detector searches for the robot itself.
 
 use crate::flying::map::saved_body::{EDGE, SIZE};
 

@@ -5,10 +5,10 @@ use crate::Error;
 use crate::geometry::motion::{PointPoses, ScanPoses};
 use crate::geometry::transform::Transform;
 
-/// Pose of the sensor at the time of every row, in the frame of the map.
+/// Pose of the sensor at the time of every entry of a scan, in the frame of the map.
 #[derive(Default)]
 pub(crate) struct Poses {
-    /// Poses of the rows. Not used if all rows share `middle`.
+    /// Poses of the entries. Not used if all entries share `middle`.
     rows: PointPoses,
     differ: bool,
     /// Pose of the sensor at the middle time of the scan, in the frame of the map.
@@ -39,7 +39,7 @@ impl Poses {
         Ok(())
     }
 
-    /// Pose of every row. None if all rows share one pose.
+    /// Pose of every entry. None if all entries share one pose.
     pub(super) fn of_rows(&self) -> Option<impl Iterator<Item = &Transform>> {
         self.differ.then(|| (0..self.rows.points()).map(|row| self.rows.at(row)))
     }

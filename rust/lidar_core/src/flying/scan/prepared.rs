@@ -16,14 +16,15 @@ use crate::util::cancel;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-/// Number of points for which a second thread pays.
+/// Number of points from which on a second thread saves time.
 const POINTS_PER_TASK: usize = 8192;
 
-/// A scan in the frame of the map. It keeps its memory for the next scan. Rows from `rows` on are rays without return
-/// that were added.
+/// A scan in the frame of the map. It keeps its memory for the next scan. Each index is one entry: a point, a ray
+/// without return, or no information. Entries from the index `rows` on were added to the raw scan: rays without return
+/// and known points.
 #[derive(Default)]
 pub(crate) struct Prepared {
-    /// Number of rows of the raw scan.
+    /// Number of entries of the raw scan.
     pub(crate) rows: usize,
     /// Coordinates of the points [m]. NaN where there is nothing to classify.
     pub(crate) points: Vec<[f32; 3]>,
@@ -41,9 +42,9 @@ pub(crate) struct Prepared {
     /// Motion of the sensor since its last scan, frame of the map [m]. Zero if that is not known.
     pub(crate) moved: [f64; 3],
     pub(crate) rebuilt: usize,
-    /// Class of every row before classification.
+    /// Class of every entry before classification.
     pub(crate) unknown: Vec<PointClass>,
-    /// For each row, whether its point may be on the robot. Empty if no point may be.
+    /// For each entry, whether its point may be on the robot. Empty if no point may be.
     pub(crate) maybe_own: Vec<bool>,
     /// Source of the rays without return; `sky_share`: share of all rays that go into the sky.
     pub(crate) sky: SkySource,
@@ -151,14 +152,14 @@ impl Prepared {
         Ok(())
     }
 
-    /// Exclude rows whose returns are of droplets in the air.
+    /// Exclude points that are droplets in the air.
     fn take_out(&mut self, is_droplet: &[bool]) {
         for (point, _) in self.points.iter_mut().zip(is_droplet).filter(|(_, is_one)| **is_one) {
             *point = [f32::NAN; 3];
         }
     }
 
-    /// Share of the sensor's rays that gave the points of `rows`. Several points may be of one ray.
+    /// Share of the sensor's rays that gave the points with the indices `rows`. Several points may be of one ray.
     pub(crate) fn share_of_rays(&self, rows: &[u32], returns_per_ray: usize) -> f64 {
         let in_scan = self.rows / returns_per_ray.max(1);
         let mut rays: Vec<usize> = rows.iter().map(|&row| row as usize % in_scan.max(1)).collect();
@@ -180,7 +181,7 @@ impl Prepared {
         observation.directions.iter().map(turned).zip(observation.reach.iter().copied()).collect()
     }
 
-    /// Mark the rows that may be on the robot, before the sensor has moved far enough.
+    /// Mark the points that may be on the robot, before the sensor has moved far enough.
     fn take_body(&mut self, raw: &RawScan<'_>, sensor: &Sensor) {
         self.maybe_own.clear();
         if let Some(body) = sensor.body.as_ref().filter(|body| body.may_be_found()) {
@@ -192,7 +193,7 @@ impl Prepared {
         }
     }
 
-    /// Start point of the ray `row` [m, frame of the map].
+    /// Start point of the ray with the index `row` [m, frame of the map].
     #[inline]
     pub(crate) fn origin(&self, row: usize) -> [f64; 3] {
         self.origins.as_ref().map_or(self.pose.translation, |origins| origins[row])
@@ -222,7 +223,7 @@ impl Prepared {
         }
     }
 
-    /// Of several returns of a ray, only the farthest one casts a ray: the path to the nearer ones is part of it.
+    /// Cast only one ray to the farthest of several returns of a ray: the path to the nearer returns is part of it.
     fn take_farthest_returns(&mut self, points: &[[f32; 3]], returns: usize) {
         if returns <= 1 {
             self.no_ray = None;
@@ -270,7 +271,7 @@ impl Prepared {
         }
     }
 
-    /// Append a point that is known without having been measured.
+    /// Append a known point that was not measured.
     pub(crate) fn append_known(&mut self, point: [f32; 3]) {
         let origins = self.origins.get_or_insert_with(|| {
             vec![self.pose.translation; self.points.len()] // so far in one point

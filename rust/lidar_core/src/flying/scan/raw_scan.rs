@@ -27,14 +27,15 @@ pub struct RawScan<'a> {
 }
 
 impl RawScan<'_> {
-    /// True if a row has information. Drivers leave the times of other rows at 0.
+    /// True if the entry `row` has information: it is a point, or a ray without return. Drivers
+    /// leave the times of other entries at 0.
     pub(crate) fn is_informative(&self, row: usize) -> bool {
         self.no_return.is_some_and(|flags| flags[row])
             || self.points[row].iter().all(|value| value.is_finite())
     }
 
-    /// Middle between the first and the last time of rows with information [ns]. None without times
-    /// or such rows.
+    /// Middle between the first and the last time of entries with information [ns]. None without
+    /// times or such entries.
     pub(crate) fn middle_ns(&self) -> Option<i64> {
         let times = self.point_time_ns?;
         let rows = (0..times.len()).filter(|&row| self.is_informative(row));

@@ -1,4 +1,4 @@
-//! Memory of the detector for one LiDAR: last stamp, the robot itself, rays.
+//! State of the detector for one LiDAR: last stamp, the robot itself, rays.
 
 use super::body::Body;
 use super::raw_scan::RawScan;
@@ -27,7 +27,7 @@ pub struct SensorParameters {
     pub self_box: Option<[[f64; 3]; 2]>,
     /// Directions towards the robot itself. Their rays are not used.
     pub blind_sectors: Vec<Sector>,
-    /// For each row of the cloud, whether its ray hits the robot. None: not known.
+    /// For each index of a point in the cloud, whether the ray with this index hits the robot. None: not known.
     pub self_mask: Option<Vec<bool>>,
     /// Number of first scans from which the directions towards the robot are learnt. 0: they are not learnt.
     pub learn_mask_scans: u32,
@@ -66,7 +66,7 @@ impl Default for SensorParameters {
 }
 
 impl SensorParameters {
-    /// Every return is used, however near, and neither the robot nor the sky is looked for.
+    /// Every return is used, however near, and neither the robot nor the sky is searched for.
     #[must_use]
     pub fn paper() -> Self {
         Self {
@@ -184,7 +184,7 @@ impl Sensor {
         }
     }
 
-    /// True if the return `point` [m, lidar frame] of row `row` is on the robot itself, or too near.
+    /// True if the return `point` [m, lidar frame] with the index `row` is on the robot itself, or too near.
     pub(crate) fn is_own(&self, row: usize, point: [f64; 3]) -> bool {
         let p = &self.parameters;
         let range = norm(point);
@@ -202,7 +202,7 @@ impl Sensor {
             || (!p.mask_empty_only && self.is_named(row, point))
     }
 
-    /// True if the ray of row `row` in `direction` (lidar frame) hits the robot itself.
+    /// True if the ray with the index `row` and the direction `direction` (lidar frame) hits the robot itself.
     pub(crate) fn is_masked(&self, row: usize, direction: [f64; 3]) -> bool {
         self.is_learnt(direction) || self.is_named(row, direction)
     }
@@ -224,7 +224,8 @@ impl Sensor {
                 .is_some_and(|&count| 5 * count >= self.parameters.learn_mask_scans.max(1))
     }
 
-    /// Remembered direction of a row, for clouds without directions. None if the row never had a return.
+    /// Stored direction of the ray with the index `row`, for clouds without directions. None if this ray never had a
+    /// return.
     pub(crate) fn direction(&self, row: usize) -> Option<[f32; 3]> {
         self.directions.get(row).copied().filter(|direction| direction[0].is_finite())
     }
@@ -240,7 +241,8 @@ impl Sensor {
         sky.is_known_at(scan.stamp_ns) && observation.has_returns()
     }
 
-    /// Source of the rays without return of a scan, if they are found. `Unknown` if they are given.
+    /// Source of the rays without return of a scan, if the detector finds them. `Unknown` if the caller gives them, or
+    /// if the sky is not known yet.
     pub(crate) fn sky_source(&self, stamp_ns: i64) -> SkySource {
         match &self.sky {
             Some(sky) if !sky.is_known_at(stamp_ns) => SkySource::Unknown,
@@ -250,7 +252,7 @@ impl Sensor {
         }
     }
 
-    /// Use what an earlier run found of the robot.
+    /// Use the voxels of the robot that an earlier run found.
     pub(crate) fn recall(&mut self, saved: &SavedBody) {
         if let Some(body) = &mut self.body {
             body.recall(&saved.voxels, saved.is_decided);
@@ -294,8 +296,8 @@ impl Sensor {
         self.learn(raw.stamp_ns, raw.points, raw.no_return, pose, observation, needs_directions);
     }
 
-    /// Vector from the pose of the last scan to `pose`, frame of the map [m]. Zero if there was no scan, or if it is
-    /// too long ago.
+    /// Vector from the pose of the last scan to `pose`, frame of the map [m]. Zero if there was no last scan, or if it
+    /// is too old.
     pub(super) fn moved(&self, pose: &Transform, stamp_ns: i64) -> [f64; 3] {
         let is_recent = self.since_last(stamp_ns).is_some_and(|seconds| seconds <= LONGEST_PAUSE);
         match self.last_pose.filter(|_| is_recent) {
@@ -352,7 +354,7 @@ impl Sensor {
 /// Number of cells along the edge of a face of the cube of directions: 2 degrees each.
 const FACE_CELLS: usize = 48;
 
-/// Number of the cell of a direction, which need not be a unit vector, on the six faces of a cube.
+/// Index of the cell of a direction, which need not be a unit vector, on the six faces of a cube.
 fn cell_of(direction: [f64; 3]) -> usize {
     let mut axis = 0;
     for other in 1..3 {

@@ -1,4 +1,4 @@
-//! Memory of the detector for all its LiDARs.
+//! State of the detector for all its LiDARs.
 
 use super::prepared::Prepared;
 use super::raw_scan::RawScan;
@@ -22,7 +22,7 @@ pub(crate) struct Sensors {
 /// Points of a scan that are on the robot itself.
 #[derive(Default)]
 pub(crate) struct OwnBody {
-    /// Rows of the points, ascending.
+    /// Indices of the points, ascending.
     pub(crate) rows: Vec<u32>,
     /// Share of the rays that end on the robot.
     pub(crate) share: f64,
@@ -41,7 +41,7 @@ impl Sensors {
     /// The sensor `name`, which is added if it is new.
     ///
     /// # Errors
-    /// [`Error::Limit`] if there would be more sensors than are remembered.
+    /// [`Error::Limit`] if there would be more sensors than the detector can store.
     pub(crate) fn meet(
         &mut self,
         name: &str,
@@ -108,8 +108,8 @@ impl Sensors {
         bodies
     }
 
-    /// Use what an earlier run found of the robot, for every sensor that has not found the robot
-    /// itself.
+    /// Use the voxels of the robot that an earlier run found, for every sensor that has not found
+    /// the robot itself.
     pub(crate) fn recall(&mut self, bodies: Vec<SavedBody>) {
         for body in &bodies {
             if let Some(sensor) = self.known.get_mut(&body.sensor) {
@@ -186,7 +186,7 @@ impl Sensors {
 /// Check that `len` sensors are not too many. `name`: the last of them, for the error message.
 ///
 /// # Errors
-/// [`Error::Limit`] if there are more sensors than are remembered.
+/// [`Error::Limit`] if there are more sensors than the detector can store.
 fn check_count(len: usize, name: &str) -> Result<(), Error> {
     if len <= MAX_SENSORS {
         return Ok(());
