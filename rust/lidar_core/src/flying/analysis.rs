@@ -248,8 +248,8 @@ pub(crate) fn pose_jacobian(pose: &Transform, point: [f64; 3]) -> [[f64; 6]; 3] 
     })
 }
 
-/// Covariance `J C J'` from a covariance of the pose (eq. 41), exactly symmetric. Further columns
-/// of J are ignored.
+/// Covariance `J C J'` from a covariance `C` of the pose (eq. 41), exactly symmetric. Columns of
+/// `J` beyond the six of the pose are ignored.
 pub(crate) fn propagated<const N: usize>(
     jacobian: &[[f64; N]; 3],
     covariance: &[[f64; 6]; 6],

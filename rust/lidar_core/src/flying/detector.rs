@@ -1,6 +1,6 @@
 //! The detector: it takes raw scans and returns point classes, detections and tracks.
 //!
-//! Longer than other files, so that the fields of the detector stay private to it: parts in other files would share
+//! Longer than other files: only this file may use the private fields of the detector. Parts in other files would share
 //! its whole state.
 
 use super::background::burn_in::BurnIn;
@@ -49,7 +49,7 @@ pub struct FlyingObjectDetector {
     teammates: Vec<Teammate>,
     scans: u32,
     burn_in: BurnIn,
-    /// Whether tracks are reported, as after the last scan that was used.
+    /// Whether tracks are reported: true if the gate of the last used scan was open.
     is_reporting: bool,
     // Stages in the order of their calls; memory of a scan is used again by the next one.
     scan: Prepared,
@@ -256,7 +256,7 @@ impl FlyingObjectDetector {
         ground.filter(|_| self.scans == 0)
     }
 
-    /// Update the map with the scan, and classify again on the updated map if the parameters say so. `cast`: result
+    /// Update the map with the scan, and classify again on the updated map if the parameters require it. `cast`: result
     /// of casting the rays; None if they were not cast yet.
     fn update_map(
         &mut self,
@@ -293,7 +293,7 @@ impl FlyingObjectDetector {
         Ok(stats)
     }
 
-    /// Store what an accepted scan has shown. Returns the numbers of the clusters in free space that have become
+    /// Store the observations of an accepted scan. Returns the indices of the clusters in free space that have become
     /// background because they stand still.
     fn accept(&mut self, raw: &RawScan<'_>, burn_in: BurnIn, gate: ReportingGate) -> Vec<usize> {
         let Self { parameters, local, sensors, scan, classifier, static_points, tracker, .. } =

@@ -53,7 +53,7 @@ pub struct Frame {
     /// Share of the sensor's rays that end on the robot itself. Rays without return count if they
     /// are in the scan, or known from the search for the sky.
     pub own_body: f64,
-    /// Rows of the points on the robot itself, ascending.
+    /// Indices of the points on the robot itself, ascending.
     pub own_rows: Vec<u32>,
     /// Whether turns have confirmed that the voxels of the body are the robot itself.
     pub own_body_is_decided: bool,
@@ -64,7 +64,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame without objects. `class`: class of every row of `scan`.
+    /// A frame without objects. `class`: class of every point of `scan`.
     pub(super) fn of(stamp_ns: i64, scan: &Prepared, class: &[PointClass]) -> Self {
         Self {
             stamp_ns,
@@ -95,7 +95,7 @@ impl Frame {
         self
     }
 
-    /// Set the class of the points (rows) of ground movers.
+    /// Set the class of the points of ground movers, given by their indices.
     pub(super) fn with_movers(mut self, rows: &[u32]) -> Self {
         for &row in rows.iter().filter(|_| self.gate == ReportingGate::Open) {
             self.point_class[row as usize] = PointClass::Moving;

@@ -24,8 +24,8 @@ pub struct FlyingParameters {
     pub map: MapParameters,
     /// Parameters of the clustering of points (eqs 13-15).
     pub clustering: Clustering,
-    /// Gaps that the sensor sees under at most this angle are inside a cluster too [rad]. 0: the
-    /// angle does not count.
+    /// Two points are also in one cluster if the sensor sees the gap between them under at most
+    /// this angle [rad]. 0: only the distance counts.
     pub cluster_angle: f64,
     /// If true, the centres of voxels are clustered instead of points.
     pub cluster_voxels: bool,
@@ -59,8 +59,8 @@ pub struct FlyingParameters {
     /// Distance from the sensor beyond which the map forgets voxels [m]. None: it forgets none for
     /// this reason.
     pub forget_distance: Option<f64>,
-    /// Largest distance up to which targets of one or two returns per scan, and targets beyond the
-    /// range of the map, are looked for [m]. None: they are not looked for.
+    /// Largest distance up to which the detector searches for targets of one or two returns per
+    /// scan, and for targets beyond the range of the map [m]. None: no such search.
     pub few_returns_distance: Option<f64>,
 }
 
@@ -119,8 +119,8 @@ impl FlyingParameters {
         has_kinds && !self.classify.after_update
     }
 
-    /// Largest distance of targets that no single scan detects [m]. None if they are not looked
-    /// for, or if tracks have no probabilities.
+    /// Largest distance of targets that no single scan detects [m]. None if there is no search for
+    /// them, or if tracks have no probabilities.
     pub(super) fn few_returns(&self) -> Option<f64> {
         let has_kinds = matches!(self.tracker.confirmation, Confirmation::Existence { .. });
         self.few_returns_distance.filter(|_| has_kinds)
