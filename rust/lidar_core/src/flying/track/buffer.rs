@@ -6,7 +6,8 @@ use crate::util::full_state::impossible;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Largest ratio of a cloud's memory to the needed memory. A larger one is not used again.
+/// Largest ratio of a cloud's memory to the needed memory. Memory with a larger ratio is not used
+/// again.
 const MOST_SPARE: usize = 4;
 
 #[derive(Debug, Default, Serialize, Deserialize)]

@@ -5,8 +5,8 @@ use super::parameters::{MeasurementForm, TrackerParameters};
 use nalgebra::{Matrix3, Vector3};
 use std::cmp::Ordering;
 
-/// Clusters of the points in `rows`, given by their `labels`, that are small enough and far enough
-/// from the background. They are sorted by position.
+/// Clusters of the points with the indices `rows`, given by their `labels`, that are small enough
+/// and far enough from the background. They are sorted by position.
 ///
 /// The result does not depend on the order of the points, not even in its last bit.
 ///
@@ -74,7 +74,7 @@ fn order<T: Copy + PartialOrd>(one: &[T; 3], other: &[T; 3]) -> Ordering {
 
 #[derive(Clone)]
 struct CandidateCluster {
-    /// Rows of its points in the scan, sorted by coordinates.
+    /// Indices of its points in the scan, sorted by coordinates.
     rows: Vec<u32>,
     low: [f32; 3],
     high: [f32; 3],

@@ -1,4 +1,5 @@
-//! Detections as they come in: checks, and one hypothesis for each (newDetections of Algorithm 2).
+//! Sets of detections: checks, and one hypothesis for each detection (newDetections of Algorithm
+//! 2).
 
 use super::belief::existence::SURE;
 use super::belief::kinds::TargetShape;
@@ -9,7 +10,7 @@ use crate::Error;
 use nalgebra::{Matrix3, Vector3};
 
 /// Largest absolute coordinate of a position, and largest side of an object, that is accepted [m].
-/// No place on Earth is beyond it.
+/// Every place on Earth is within it.
 const LARGEST: f64 = 1e9;
 /// Largest time of a measurement after the stamp of its scan that is accepted [s].
 const MAX_DELAY: f64 = 10.0;

@@ -1,4 +1,4 @@
-//! Life of a track from birth to removal: numbers, confirmation, merging, deletion.
+//! Life of a track from its start to its removal: IDs, confirmation, merging, removal.
 
 use super::association::pairs::AlongX;
 use super::belief::existence::{DELETED, ExpectedClutter, FalseBirths, KEPT};
@@ -23,7 +23,7 @@ const BESIDE: f64 = 2.0;
 const RAISED: f64 = 1.0;
 
 /// Remove tracks that have become too uncertain, or that were not measured for too long. Returns
-/// their numbers.
+/// their IDs.
 ///
 /// # Source
 /// Vrba et al., Algorithm 2, lines 15-17.
@@ -128,7 +128,7 @@ pub(super) fn confirm(
 }
 
 /// Remove unconfirmed tracks that no recent set of detections contained, or, with confirmation by
-/// existence, all tracks whose target is improbable. Returns their numbers.
+/// existence, all tracks whose target is improbable. Returns their IDs.
 pub(super) fn remove_unconfirmed(
     tracks: &mut Vec<PointTrack>,
     births: &mut FalseBirths,
@@ -146,7 +146,7 @@ pub(super) fn remove_unconfirmed(
     }
 }
 
-/// Give numbers to the tracks that have none. Returns the new numbers.
+/// Give IDs to the tracks that have none. Returns the new IDs.
 pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
     let mut born = Vec::new();
     for track in tracks.iter_mut().filter(|track| track.id == UNNUMBERED) {
@@ -161,8 +161,8 @@ pub(super) fn number(tracks: &mut [PointTrack], next_id: &mut i64) -> Vec<i64> {
 }
 
 /// Remove the tracks of single detections from which a confirmed track of a fast target was made:
-/// the fast target explains both detections. A track of `born` takes the number of the eldest of
-/// them that was reported. Returns pairs of the ID that stays and the ID that ends.
+/// the fast target explains both detections. A track of `born` takes the ID of the oldest of them
+/// that was reported. Returns pairs of the ID that stays and the ID that ends.
 pub(super) fn explain(
     tracks: &mut Vec<PointTrack>,
     born: &[i64],
@@ -211,10 +211,10 @@ pub(super) fn remember(
 }
 
 /// Merge tracks that follow the same target. Returns pairs of the ID that stays and the ID that
-/// goes.
+/// ends.
 ///
-/// The elder track keeps its number, but a confirmed track has priority over an unconfirmed one.
-/// The state is that of the track that was measured last; where one track follows a part of a large
+/// The older track keeps its ID, but a confirmed track has priority over an unconfirmed one. The
+/// state is that of the track that was measured last; where one track follows a part of a large
 /// target, it is that of the large one.
 pub(super) fn merge(tracks: &mut Vec<PointTrack>, merging: &Merging) -> Vec<[i64; 2]> {
     let mut merged = Vec::new();

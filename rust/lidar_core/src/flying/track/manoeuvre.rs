@@ -1,5 +1,4 @@
-//! Adaptation of the process noise: how much more a target manoeuvres than the motion model
-//! expects.
+//! Adaptation of the process noise to a target that manoeuvres more than the motion model expects.
 
 use serde::{Deserialize, Serialize};
 

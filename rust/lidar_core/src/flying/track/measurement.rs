@@ -22,12 +22,12 @@ pub(super) struct CloudScan<'a> {
 }
 
 impl CloudScan<'_> {
-    /// Time of the point `row` after the stamp [s].
+    /// Time of the point with the index `row` after the stamp [s].
     pub(super) fn delay(&self, row: u32) -> f32 {
         self.delays.map_or(0.0, |delays| delays[row as usize])
     }
 
-    /// Points in these rows of the cloud [m].
+    /// Points of the cloud with these indices [m].
     pub(super) fn points_of(&self, rows: &[u32]) -> Vec<[f32; 3]> {
         rows.iter().map(|&row| self.points[row as usize]).collect()
     }
@@ -46,7 +46,7 @@ pub(super) struct Measurement {
     pub(super) n_points: usize,
     /// Whether a part of the target may be hidden.
     pub(super) is_cut: bool,
-    /// Row in the cloud of one of its points; None for a detection.
+    /// Index in the cloud of one of its points; None for a detection.
     pub(super) row: Option<u32>,
 }
 
@@ -142,8 +142,8 @@ impl SearchRegion {
         (offset.y.norm() <= self.radius).then_some(Offset { least_cost: cost, ..offset })
     }
 
-    /// The state after a hard turn, if the state without a turn cannot explain what was measured of this track:
-    /// its squared Mahalanobis distance is beyond `gate`. Otherwise None.
+    /// The state after a hard turn, if the state without a turn cannot explain the measurement of this track: its
+    /// squared Mahalanobis distance is beyond `gate`. Otherwise None.
     pub(super) fn turned_by(
         &self,
         found: &Measurement,
@@ -194,7 +194,7 @@ impl SearchRegion {
         covariance
     }
 
-    /// Length that is hidden of a cluster along an axis [m]; zero where it is seen whole.
+    /// Hidden length of a cluster along an axis [m]; zero if the whole side is visible.
     fn hidden_length(&self, cluster: &Measurement, hiding: Option<Hiding>, axis: usize) -> f64 {
         let (size, extent) = (self.size[axis], cluster.extent[axis]);
         let is_short = hiding.is_some_and(|hiding| extent < hiding.share * size);

@@ -1,5 +1,5 @@
 //! Tracker of several targets in point clouds: Kalman tracks, scan buffer, life cycle. Longer than other files: it
-//! holds all that uses the private state of the tracker.
+//! contains all functions that use the private state of the tracker.
 //!
 //! Source: Vrba, Walter & Saska, "On Onboard LiDAR-based Flying Object Detection", sec. III-F and Algorithm 2.
 //! Extensions: see [`TrackerParameters`].
@@ -193,7 +193,8 @@ impl PointCloudTracker {
         Ok(stats)
     }
 
-    /// Every track, also unconfirmed ones, predicted to `stamp_ns`, in the order of numbers. Changes nothing.
+    /// Every track, also unconfirmed ones, predicted to `stamp_ns`, in the order of their IDs. The tracker does not
+    /// change.
     #[must_use]
     pub fn tracks_at(&self, stamp_ns: i64) -> Vec<Track> {
         let TrackerParameters { motion, measurement, .. } = self.parameters();
@@ -236,8 +237,8 @@ impl PointCloudTracker {
         all
     }
 
-    /// Watch objects that stand in free space: detections at the end of the burn-in, whose points are background from
-    /// then on.
+    /// Store objects that stand in free space, to notice if they move: detections at the end of the burn-in, whose
+    /// points are background from then on.
     pub(crate) fn watch(&mut self, found: &Detections<'_>) {
         for index in 0..found.positions.len() {
             self.standing.push(UnmovedTarget::new(self.next_id, found, index));
@@ -245,8 +246,8 @@ impl PointCloudTracker {
         }
     }
 
-    /// Remember the positions [m] of returns that belong neither to the background nor to a flying object. Returns on
-    /// a confirmed track of kind Flying belong to this track and are left out.
+    /// Store the positions [m] of returns that belong neither to the background nor to a flying object. Returns on a
+    /// confirmed track of kind Flying belong to this track and are left out.
     pub(crate) fn remember(&mut self, stamp_ns: i64, places: impl Iterator<Item = [f32; 3]>) {
         if !matches!(self.parameters().confirmation, Confirmation::Existence { .. }) {
             return;
@@ -288,7 +289,7 @@ impl PointCloudTracker {
         if count > MAX_TRACKS { Err(detections::too_many(count)) } else { Ok(()) }
     }
 
-    /// Whether a track with the number `id` exists and is confirmed.
+    /// Whether a track with the ID `id` exists and is confirmed.
     pub(crate) fn is_confirmed(&self, id: i64) -> bool {
         self.tracks.iter().any(|track| track.id == id && track.confirmed)
     }
@@ -328,7 +329,7 @@ impl PointCloudTracker {
         self.tracks.iter().filter(is_known).map(target).chain(standing).collect()
     }
 
-    /// Begin confirmed tracks of targets that several scans together show, while there is room for more.
+    /// Start confirmed tracks of targets that were found in several scans together, up to the largest number of tracks.
     pub(crate) fn adopt(&mut self, found: &[FoundTarget], stamp_ns: i64) {
         for target in found.iter().take(MAX_TRACKS.saturating_sub(self.tracks.len())) {
             let mut track = PointTrack::of_found(target, stamp_ns, &self.updater.parameters);
@@ -347,8 +348,8 @@ impl PointCloudTracker {
             .collect()
     }
 
-    /// State that the cluster of track `id` in the newest cloud is in free space but has too few points for a
-    /// detection. It counts as evidence with the next set of detections.
+    /// Note that the cluster of track `id` in the newest cloud is in free space but has too few points for a detection.
+    /// It counts as evidence with the next set of detections.
     pub(crate) fn hint(&mut self, id: i64) {
         for track in self.tracks.iter_mut().filter(|track| track.id == id) {
             track.sight = Sight::Few;

@@ -1,4 +1,4 @@
-//! A point mass whose acceleration wanders: eqs 24-31.
+//! Motion of a point mass with random acceleration: eqs 24-31.
 
 #![allow(non_snake_case)] // textbook letters
 

@@ -104,8 +104,8 @@ pub(crate) struct ExpectedTarget {
     pub(crate) has_stood: bool,
 }
 
-/// A target that several scans together show (track-before-detect), at the stamp of the newest of
-/// them.
+/// A target that was found in several scans together (track-before-detect), at the stamp of the
+/// newest of these scans.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FoundTarget {
     /// Position of the target [m].
@@ -115,11 +115,11 @@ pub(crate) struct FoundTarget {
     /// The same three values for every axis: variance of the position [m^2], covariance of position
     /// and velocity [m^2/s], variance of the velocity [m^2/s^2].
     pub(crate) covariance: [f64; 3],
-    /// Position of its first return [m], and the time of that [ns].
+    /// Position of its first return [m].
     pub(crate) first: [f64; 3],
     /// Time of its first return [ns].
     pub(crate) first_ns: i64,
-    /// Number of scans that showed it.
+    /// Number of scans with returns of the target.
     pub(crate) n_returns: u32,
 }
 
@@ -131,7 +131,7 @@ pub struct Stats {
     pub late: bool,
     /// Tracks that were corrected by a cluster.
     pub corrected: Vec<i64>,
-    /// Row in the cloud of one point of the cluster of each corrected track.
+    /// Index in the cloud of one point of the cluster of each corrected track.
     pub rows: Vec<u32>,
     /// New tracks.
     pub born: Vec<i64>,
@@ -181,7 +181,8 @@ mod tests {
         assert_eq!(reported([track(0.5, 0.3, 50), track(0.0, 0.05, 100)]), [false, true]);
     }
 
-    /// The opposite: two targets that are known apart, and both of two that are measured or hidden.
+    /// Both tracks are reported if they are certainly apart, or if both were measured at the same
+    /// time.
     #[test]
     fn two_targets_are_reported() {
         assert_eq!(reported([track(0.0, 0.05, 100), track(0.5, 0.1, 50)]), [true; 2]);

@@ -218,7 +218,7 @@ pub struct TrackerParameters {
     /// counts. Used with global association only.
     pub rejoin_acceleration: Option<f64>,
     /// A cluster within this distance of several tracks, which are further than this from each
-    /// other, is divided among them [m]. None: clusters stay whole. Used with global association
+    /// other, is split between them [m]. None: clusters stay whole. Used with global association
     /// only.
     pub split_distance: Option<f64>,
     /// Rule that confirms tracks.

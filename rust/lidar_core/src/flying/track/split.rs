@@ -1,4 +1,4 @@
-//! Division of clusters that contain several targets, and union of several clusters of one large
+//! Split of clusters that contain several targets, and union of several clusters of one large
 //! target.
 
 use super::association::pairs::AlongX;
@@ -7,7 +7,7 @@ use crate::estimation::kalman;
 use crate::flying::large_targets::{LARGE, PART_GAP};
 use nalgebra::Vector3;
 
-/// Parameters for the division of a cluster into several targets.
+/// Parameters for the split of a cluster into several targets.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Division {
     /// A track may own a part of a cluster if one of the cluster's points is within this distance.
@@ -145,7 +145,8 @@ impl Division {
 
 /// Join the clusters inside the box in which a confirmed track predicts a large target, if they are
 /// together no longer than `longest` [m] and nearer to no other track. Without this, a track that
-/// takes the tip of a wing for the whole wing would jump by half its length.
+/// is corrected by the tip of a wing instead of the whole wing would jump by half the length of the
+/// wing.
 pub(super) fn unite(
     labels: &mut [i32],
     points: &[[f32; 3]],
@@ -192,7 +193,7 @@ pub(super) fn unite(
     }
 }
 
-/// Rows of the points of every cluster; index: label, below `count`.
+/// Indices of the points of every cluster, by the label of the cluster, for labels below `count`.
 fn rows_of(labels: &[i32], count: i32) -> Vec<Vec<usize>> {
     let mut rows = vec![Vec::new(); usize::try_from(count).unwrap_or(0)];
     for (row, &label) in labels.iter().enumerate() {

@@ -39,15 +39,14 @@ const MOST_POSSIBLE: f64 = 1e100;
 /// With it, targets at 14 m/s^2 are followed at 5 scans per second. Other values were not tried.
 const HARD_TURN: f64 = 9.8;
 
-/// Number of a hypothesis, which gets its own number when it becomes a track.
+/// ID of every hypothesis. A hypothesis gets an ID of its own when it becomes a track.
 pub(super) const UNNUMBERED: i64 = -1;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct PointTrack {
     pub(super) id: i64,
     pub(super) estimate: Gaussian<9>,
-    /// Covariance of the state if only the time counted in which the track should have been
-    /// visible.
+    /// Covariance of the state if it grew only while the track should have been visible.
     pub(super) aged: Matrix9,
     pub(super) stamp_ns: i64,
     pub(super) born_ns: i64,
@@ -73,11 +72,12 @@ pub(super) struct PointTrack {
     /// IDs of the tracks of the two single detections with which it started. Empty once it is
     /// confirmed.
     pub(super) made_of: Vec<i64>,
-    /// What the newest scan shows of the track.
+    /// Observation of the track in the newest scan.
     pub(super) sight: Sight,
     /// Squared Mahalanobis distance of its cluster in the newest scan; None if it has none.
     pub(super) nis: Option<f64>,
-    /// Factor for the process noise: how much more the target manoeuvres than the motion model expects.
+    /// Factor for the standard deviations of the process noise: it is larger than 1 for a target that manoeuvres more
+    /// than the motion model expects.
     pub(super) manoeuvre: Manoeuvre,
     /// Belief about the target: whether it exists, and of which kind it is.
     pub(super) belief: TrackBelief,
@@ -156,7 +156,7 @@ impl PointTrack {
         }
     }
 
-    /// A confirmed track of a target that several scans together show (track-before-detect).
+    /// A confirmed track of a target that was found in several scans together (track-before-detect).
     pub(super) fn of_found(
         target: &FoundTarget,
         stamp_ns: i64,
@@ -354,14 +354,14 @@ impl PointTrack {
         self.stray_points = AROUND_KEPT * self.stray_points + stray as f64;
     }
 
-    /// Whether the process noise may adapt: the target has moved and most probably flies. What sways or drifts in the
-    /// wind also deviates from its prediction, but must not be followed more closely for it.
+    /// Whether the process noise may adapt: the target has moved and most probably flies. An object that sways or
+    /// drifts in the wind also deviates from its prediction, but its track must not follow it more closely.
     fn may_manoeuvre(&self) -> bool {
         self.belief.has_moved() && self.belief.kinds().kind() == TrackKind::Flying
     }
 
-    /// Whether a hard turn is possible: the target most probably flies, and has moved or surely has a speed. A target
-    /// on a small circle is never away from its first detection.
+    /// Whether a hard turn is possible: the target most probably flies, and has moved or certainly has a speed. A
+    /// target on a small circle is never away from its first detection.
     fn may_turn_hard(&self) -> bool {
         self.may_manoeuvre() || self.has_speed() && self.belief.kinds().kind() == TrackKind::Flying
     }
@@ -377,8 +377,8 @@ impl PointTrack {
     }
 
     /// Number of returns expected from `rays` through the track's position. For a track that was confirmed it is at
-    /// most its usual number of returns: a flat target of few returns may lie between two rows, so missing it says
-    /// less than missing a target of many returns.
+    /// most its usual number of returns: a flat target of few returns may lie between two rows of rays, so a scan
+    /// without returns is weaker evidence than for a target of many returns.
     pub(super) fn expected_returns(&self, rays: usize) -> usize {
         if !self.was_confirmed || self.usual_points == 0.0 || rays < ENOUGH_RAYS {
             return rays;
@@ -419,7 +419,8 @@ impl PointTrack {
         Ok(())
     }
 
-    /// Take the state that follows from a prior and a measurement; the squared Mahalanobis distance of the measurement.
+    /// Set the state that follows from a prior and a measurement. Returns the squared Mahalanobis distance of the
+    /// measurement.
     fn update_from(
         &mut self,
         prior: &Gaussian<9>,

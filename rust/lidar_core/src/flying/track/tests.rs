@@ -95,8 +95,8 @@ fn one_cluster_corrects_one_track_only() -> Result<(), Error> {
     Ok(())
 }
 
-/// Probability of existence after every set of detections of a target with `confidence` and `speed` [m/s]; `seen`
-/// tells which sets contain it. `left`: positions along x of points that stay [m].
+/// Probability of existence after every set of detections of a target with `confidence` and `speed` [m/s]; `seen`:
+/// which sets contain it. `left`: positions along x of points that stay [m].
 fn existence_of(confidence: f64, speed: f64, left: &[f32], seen: &str) -> Result<Vec<f64>, Error> {
     let confirmation = Confirmation::Existence { report: 0.9 };
     let mut tracker = PointCloudTracker::new(TrackerParameters { confirmation, ..best() }, 1)?;
@@ -147,8 +147,8 @@ fn a_target_that_is_gone_becomes_improbable() -> Result<(), Error> {
     Ok(())
 }
 
-/// Numbers of the tracks that begin when a target which was hidden for 0.8 s comes back `aside` [m] of its straight
-/// path. `acceleration`: `rejoin_acceleration` of the parameters.
+/// IDs of the tracks that begin when a target which was hidden for 0.8 s comes back `aside` [m] of its straight path.
+/// `acceleration`: `rejoin_acceleration` of the parameters.
 fn born_behind_cover(acceleration: Option<f64>, aside: f64) -> Result<Vec<i64>, Error> {
     let motion = Motion {
         form: NoiseForm::Continuous,
@@ -320,8 +320,8 @@ fn a_track_among_more_stray_points_than_its_own_is_not_confirmed() -> Result<(),
     Ok(())
 }
 
-/// Numbers of tracks after some sets of detections of two objects that are `apart` [m]. The first has the sides
-/// `sides` [m], the second 0.3 m.
+/// IDs of tracks after some sets of detections of two objects that are `apart` [m]. The first has the sides `sides`
+/// [m], the second 0.3 m.
 fn tracks_of_two(apart: f64, sides: [f64; 3]) -> Result<Vec<i64>, Error> {
     let mut tracker = PointCloudTracker::new(best(), 1)?;
     for set in 0..4 {
@@ -395,8 +395,8 @@ fn what_stands_is_unknown_and_then_static_and_gone_once_it_has_left() -> Result<
     Ok(())
 }
 
-/// Numbers of the confirmed tracks after one detection `away` [m] from an object that stood. `is_held`: whether the
-/// map still holds the object.
+/// IDs of the confirmed tracks after one detection `away` [m] from an object that stood. `is_held`: whether the map
+/// still holds the object.
 fn after_standing(away: f64, is_held: bool) -> Result<Vec<i64>, Error> {
     let mut tracker = PointCloudTracker::new(TrackerParameters::default(), 1)?;
     let small = [[[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]];
@@ -426,8 +426,8 @@ fn what_has_left_its_place_is_a_target_at_once_and_what_is_there_is_not() -> Res
     Ok(())
 }
 
-/// Numbers and existence of the tracks of a target of 30 m/s that flies `step` [m] from scan to scan. A rolling scan
-/// meets it `delay` [s] after its stamp.
+/// IDs and probabilities of existence of the tracks of a target of 30 m/s that flies `step` [m] from scan to scan. The
+/// rays of a scan meet it `delay` [s] after the stamp of the scan.
 fn passer(delay: f64, scans: i64, step: f64) -> Result<Vec<(i64, f64)>, Error> {
     passer_of(TrackerParameters::default(), delay, scans, step)
 }
@@ -531,8 +531,8 @@ fn a_target_on_a_small_circle_moves_and_one_that_hovers_does_not() -> Result<(),
     Ok(())
 }
 
-/// The single detections of a fast target give no tracks beside its own. Its number is that of the first of them that
-/// was reported.
+/// The single detections of a fast target give no tracks beside its own. Its ID is that of the first of them that was
+/// reported.
 #[test]
 fn the_parts_of_a_fast_target_end_when_it_is_confirmed() -> Result<(), Error> {
     let confirmation = |report| Confirmation::Existence { report };

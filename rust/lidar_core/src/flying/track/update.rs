@@ -28,7 +28,7 @@ use std::f64::consts::TAU;
 #[derive(Debug, Default)]
 pub(super) struct UpdateOutcome {
     pub(super) corrected: Vec<i64>,
-    /// For each corrected track, the row in the cloud of one point of its cluster.
+    /// For each corrected track, the index in the cloud of one point of its cluster.
     pub(super) rows: Vec<u32>,
     /// Number of measurements that were not used because their innovation covariance could not be
     /// factorised.
@@ -295,8 +295,9 @@ impl Updater {
 }
 
 /// True if a track is away from its first detection for the first time, and the scan shows that
-/// nothing is left there. A track that jumps along the leaves of a tree leaves some behind. One
-/// that follows a gap along what lies behind it leaves a place that no ray sees any more.
+/// nothing is left there. Both conditions exclude false tracks. A track that jumps between the
+/// leaves of a tree leaves other leaves behind. A track that follows a gap in front of a background
+/// leaves a place that no ray reaches any more.
 fn has_left(track: &PointTrack, scan: &CloudScan<'_>) -> bool {
     let holds =
         |point: &[f32; 3]| (Vector3::from(point.map(f64::from)) - track.born_at).norm() <= CLEARED;

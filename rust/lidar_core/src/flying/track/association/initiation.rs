@@ -27,9 +27,8 @@ impl Way {
 }
 
 impl PointTrack {
-    /// The motion from the only detection of track `other` to this new detection. None if a target
-    /// cannot have flown it, if `other` has more than one detection, or if the newest scan still
-    /// shows something at `other`.
+    /// The motion from the only detection of track `other` to this new detection. None if no target can have flown this
+    /// motion, if `other` has more than one detection, or if the newest scan still shows returns at `other`.
     pub(super) fn way_from(&self, other: &PointTrack) -> Option<Way> {
         let is_left = !matches!(other.sight, Sight::Followed | Sight::Few);
         if self.stamp_ns != self.born_ns || other.n_detections != 1 || !is_left {

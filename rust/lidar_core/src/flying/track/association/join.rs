@@ -98,8 +98,8 @@ impl Updater {
         Ok(self.feed(tracks, &waiting, hypotheses, &track_of))
     }
 
-    /// The track at `now_ns` [ns], as it waits for detections. A confirmed track that was not found
-    /// in the newest scan is lost: its search region is wider.
+    /// The track, predicted to `now_ns` [ns] for the association with detections. A confirmed track
+    /// that was not found in the newest scan is lost: its search region is wider.
     fn waiting(&self, track: &PointTrack, now_ns: i64, scanned_ns: Option<i64>) -> PendingTrack {
         let is_lost = scanned_ns.is_some_and(|scanned_ns| track.seen_ns < scanned_ns);
         let mut waiting = track.clone();
@@ -151,10 +151,10 @@ impl Updater {
         matches
     }
 
-    /// True if the hypothesis shows the target of a known track a second time: a rolling scan may
-    /// meet a target, or a part of it, at its start and again at its end. Such a hypothesis is no
-    /// further from the track than two points of one cluster may be, or it is beside the box of a
-    /// large target and is a part of it.
+    /// True if the hypothesis shows the target of a known track a second time: the rays of one scan
+    /// may meet a target, or a part of it, at the start of the scan and again at its end. Such a
+    /// hypothesis is no further from the track than two points of one cluster may be, or it is
+    /// beside the box of a large target and is a part of it.
     fn is_seen_twice(&self, hypothesis: &PointTrack, tracks: &[PointTrack]) -> bool {
         let model = &self.parameters.motion;
         let is_fresh = hypothesis.stamp_ns == hypothesis.born_ns;

@@ -1,11 +1,11 @@
-//! Search for neighbouring positions without a look at all pairs.
+//! Search for neighbouring positions without a comparison of all pairs.
 
 use nalgebra::Vector3;
 
 /// Relative margin for rounding errors.
 const MARGIN: f64 = 1e-9;
 
-/// Positions sorted along x. Each keeps its number: its index in the input.
+/// Positions sorted along x. Each is stored with its index in the input.
 pub(in crate::flying::track) struct AlongX {
     sorted: Vec<(f64, usize)>,
 }
@@ -17,7 +17,7 @@ impl AlongX {
         Self { sorted }
     }
 
-    /// Numbers of the positions whose x lies between `low - reach` and `high + reach` [m].
+    /// Indices of the positions whose x lies between `low - reach` and `high + reach` [m].
     pub(in crate::flying::track) fn near(
         &self,
         low: f64,

@@ -1,4 +1,4 @@
-//! Questions of the tracker about the map and the scan.
+//! Interfaces through which the tracker uses the map and the scan.
 
 use crate::flying::detect::center::Center;
 
@@ -26,7 +26,7 @@ pub trait Visibility: Sync {
         self.rays(position, radius, ENOUGH_RAYS) >= ENOUGH_RAYS
     }
 
-    /// Centre of every target, given the rows of its points in the scan. None if it is not known
+    /// Centre of every target, given the indices of its points in the scan. None if it is not known
     /// which rays passed beside the targets.
     fn centers(&self, targets: &[&[u32]]) -> Option<Vec<Center>> {
         let _ = targets;

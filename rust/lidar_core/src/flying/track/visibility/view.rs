@@ -4,7 +4,7 @@ use super::occupancy::Visibility;
 use crate::geometry::lattice::wide;
 use crate::geometry::transform::{dot, minus, norm};
 
-/// Largest radius around a track's position in which rays are looked at [m].
+/// Largest radius around a track's position in which rays are counted [m].
 const LOOK_RADIUS: f64 = 0.5;
 
 /// A cloud and the position of the sensor. A target position is hidden if most returns in its
