@@ -40,11 +40,11 @@ pub struct Detection {
     pub filled_share: f64,
     /// Whether rays pass below it. None if unknown.
     pub is_free_below: Option<bool>,
-    /// Whether it has moved over space that was never seen, or something in front of it hides the
-    /// space below it. It may then stand on something.
+    /// Whether it has moved above space that was never observed, or an object in front of it hides
+    /// the space below it. It may then stand on another object.
     pub is_over_unseen: bool,
-    /// Whether it ends at the edge of something nearer that the moving sensor looks past. It may
-    /// then be a part of something behind that.
+    /// Whether it ends at the edge of a nearer object past which the moving sensor looks. It may
+    /// then be a part of an object behind that edge.
     pub is_uncovered: bool,
 }
 

@@ -7,7 +7,7 @@ use crate::flying::classify::clusters::Cluster;
 use crate::flying::scan::prepared::Prepared;
 use crate::geometry::lattice::wide;
 
-/// Returns are of something else in front of a cluster if they are nearer by more than this [m].
+/// Returns belong to another object in front of a cluster if they are nearer by more than this [m].
 const IN_FRONT: f64 = 0.3;
 
 /// Share of the rays inside the outline of a cluster that hit it, if only the mean density of the

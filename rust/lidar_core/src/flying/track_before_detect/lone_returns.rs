@@ -14,7 +14,7 @@ const MOST_POINTS: usize = 12;
 const OWN: f64 = 0.75;
 /// The same distance as [`OWN`], in distances between rays. The larger one counts.
 const OWN_GAPS: f64 = 1.2;
-/// Distance within which nothing else may be [m].
+/// Distance within which no other returns may be [m].
 const ALONE: f64 = 2.0;
 /// The same distance as [`ALONE`], in distances between rays. The larger one counts.
 const ALONE_GAPS: f64 = 2.5;

@@ -45,9 +45,9 @@ pub struct Center {
     pub filled_share: f64,
     /// Whether rays pass below the target. None if unknown.
     pub is_free_below: Option<bool>,
-    /// Whether something nearer may hide a part of the target.
+    /// Whether a nearer object may hide a part of the target.
     pub is_cut: bool,
-    /// Whether the target ends at the edge of something nearer, to a side or above.
+    /// Whether the target ends at the edge of a nearer object, to a side or above.
     pub is_at_edge: bool,
 }
 

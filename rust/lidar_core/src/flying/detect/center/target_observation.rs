@@ -42,8 +42,8 @@ pub(crate) struct TargetObservation {
     /// Whether rays beside the points ended nearer to the sensor, so that a part of the target may
     /// be hidden.
     pub(crate) is_cut: bool,
-    /// Whether the target ends at the edge of something nearer: the nearest ray beside it, to a
-    /// side or above, ends in front of it.
+    /// Whether the target ends at the edge of a nearer object: the nearest ray beside it, to a side
+    /// or above, ends in front of it.
     pub(crate) is_at_edge: bool,
     /// Number of `passing` rays near the points. These are the first ones.
     n_near: usize,
