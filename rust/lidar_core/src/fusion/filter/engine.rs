@@ -18,16 +18,18 @@ use serde::{Deserialize, Serialize};
 pub const MAX_STATES: usize = 9;
 /// Largest number of values of an innovation that are recorded.
 pub const MAX_INNOVATION: usize = 4;
-/// Number of values that are recorded of the five of the paper's radar.
+/// Number of recorded values of the paper's radar measurement, which has five values.
 const OF_PAPER: usize = 3;
 
 /// Difference of a measurement from its prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Innovation {
-    /// Measured minus expected values: of position [m]; or of a radar; or of the turn rate; or the
-    /// first three of the paper's five states.
+    /// Measured minus expected values: a position [m]; or the values of a radar (range [m], bearing
+    /// and elevation [rad], range rate [m/s], as far as measured); or a turn rate [rad/s]; or the
+    /// first three of the five values of the paper's radar.
     pub values: [f64; MAX_INNOVATION],
-    /// Number of measured values; the paper has five, but only three are kept.
+    /// Number of measured values. The paper's radar has five values, of which only three are
+    /// stored.
     pub count: usize,
     /// Normalised innovation squared: chi-square with `count` degrees of freedom.
     pub nis: f64,
@@ -38,7 +40,7 @@ pub struct Innovation {
 }
 
 impl Innovation {
-    /// Innovation of the difference `y` with its distance `far` from zero.
+    /// Innovation of the difference `y`, whose Mahalanobis distance from zero is `far`.
     #[must_use]
     pub fn new<const K: usize>(y: &[f64], far: &Mahalanobis<K>) -> Self {
         let (mut values, mut variances) = ([0.0; MAX_INNOVATION], [0.0; MAX_INNOVATION]);
@@ -51,8 +53,8 @@ impl Innovation {
         Self { values, count: y.len(), nis, log_determinant, variances }
     }
 
-    /// The values that results store: all of them, but of a measurement with more than
-    /// [`MAX_INNOVATION`] (the radar of the published model) the first three.
+    /// The values that results store: all values, or the first three of a measurement with more
+    /// than [`MAX_INNOVATION`] values (the radar of the published model).
     #[must_use]
     pub fn recorded(&self) -> &[f64] {
         let count = if self.count > MAX_INNOVATION { OF_PAPER } else { self.count };
@@ -71,7 +73,8 @@ pub struct Output {
     pub covariance: [[f64; MAX_STATES]; MAX_STATES],
 }
 
-/// Decides by its innovation if a measurement may correct a state.
+/// Function that decides by the innovation of a measurement whether the measurement may correct a
+/// state.
 pub type AcceptInnovation<'a> = &'a mut dyn FnMut(&Innovation) -> bool;
 
 /// A filter without memory: the caller holds the state.
@@ -105,8 +108,8 @@ pub trait Engine: Clone + Send + Sync + 'static {
         believe: AcceptInnovation<'_>,
     ) -> Result<Option<Innovation>, Error>;
 
-    /// Visit the weight and the innovation of a measurement for each part of the state; a state
-    /// without parts is one.
+    /// Call `visit` with the weight and the innovation of a measurement for each part of the state.
+    /// Every model of interacting models is a part. Any other state counts as one part of weight 1.
     ///
     /// # Errors
     /// [`Error::NotPositiveDefinite`] as of [`Engine::update`].

@@ -22,11 +22,11 @@ const LEAST_WEIGHT: f64 = 1e-6;
 ///
 /// # Source
 /// Blom & Bar-Shalom, "The interacting multiple model algorithm", 1988; states that a model does
-/// not have are mixed with those of the model they go to (Yuan, Lian & Han, 2011).
+/// not have are taken from the model into which it is mixed (Yuan, Lian & Han, 2011).
 #[derive(Clone)]
 pub struct Imm<W, const S: usize> {
     modes: Vec<Arc<dyn Mode<W>>>,
-    /// Mean time for which a target follows a model that has none of its own [s].
+    /// Mean time for which a target follows a model that does not state a time itself [s].
     sojourn: f64,
 }
 
@@ -37,7 +37,7 @@ type CorrectedModes<W> = Result<Option<(Arc<dyn Mode<W>>, Innovation)>, Error>;
 
 /// One motion model together with its state.
 pub trait Mode<W: World>: Send + Sync {
-    /// Mean time for which a target follows this model [s]; None for that of the filter.
+    /// Mean time for which a target follows this model [s]; None: the time of the filter.
     fn sojourn(&self) -> Option<f64>;
     /// How often a new target follows this model, relative to the others.
     fn of_new(&self) -> f64;
@@ -163,7 +163,7 @@ impl<const S: usize, W: Sights<Wide = Gaussian<S>>> Imm<W, S> {
         Self { modes, sojourn }
     }
 
-    /// Every model with the weight that it has before measurements.
+    /// Every model with its weight before any measurement.
     fn begun(&self, make: impl Fn(&dyn Mode<W>) -> Arc<dyn Mode<W>>) -> Modes<W> {
         let all: f64 = self.modes.iter().map(|mode| mode.of_new()).sum();
         self.modes.iter().map(|mode| (mode.of_new() / all, make(&**mode))).collect()
@@ -252,7 +252,7 @@ impl<const S: usize, W: Sights<Wide = Gaussian<S>>> Engine for Imm<W, S> {
         Ok(Some(innovation))
     }
 
-    /// Every model is a part: which of them is the likeliest depends on the measurement.
+    /// Every model is a part: the most likely model depends on the measurement.
     fn innovations(
         &self,
         state: &mut Modes<W>,

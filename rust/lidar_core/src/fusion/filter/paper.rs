@@ -1,4 +1,4 @@
-//! The filter as printed: equations 7-9 and 11-28, errors included.
+//! The filter of the paper as printed: equations 7-9 and 11-28, including their errors.
 //!
 //! The matrices contradict the equations of motion, the noise is neither symmetric nor positive,
 //! and the radar is read as if it measured the state. This filter serves only for comparison.
@@ -23,8 +23,8 @@ const LIDAR: f64 = 0.0222;
 /// Variances of the radar, eq. 28.
 const RADAR: [f64; 5] = [0.088, 0.00088, 0.088, 0.0088, 0.08];
 
-/// Interpretation of the radar measurement, eq. 26. x and y are always range and bearing in
-/// Cartesian form.
+/// Interpretation of the radar measurement, eq. 26. Its x and y are always computed from range and
+/// bearing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
     /// v is the range rate, theta the bearing, w zero.
@@ -55,7 +55,8 @@ pub struct Paper {
     pub speed: f64,
     /// Elevation phi of the platform over the target [rad].
     pub elevation: f64,
-    /// Standard deviations of eq. 23: acceleration, turn rate, turn rate of the platform.
+    /// Standard deviations of the noises of eq. 23: on the acceleration, the turn rate, and the
+    /// turn rate of the platform.
     pub std: [f64; 3],
     /// Variances before the second measurement.
     pub prior: Prior,

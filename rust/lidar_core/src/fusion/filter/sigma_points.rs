@@ -20,8 +20,8 @@ pub struct Sigma<const N: usize, M> {
     pub base: Single<N, M>,
     /// Distance and weights of the points.
     pub rule: SigmaRule,
-    /// Compare the predicted points, those of the noise included, with measurements; otherwise new
-    /// points are drawn from the predicted covariance.
+    /// If true, measurements are compared with the predicted sigma points, including those of the
+    /// noise. If false, new sigma points are drawn from the predicted covariance.
     pub carries: bool,
 }
 
@@ -73,9 +73,9 @@ impl<const N: usize> Observer<N> for SigmaCorrected<'_, '_, N> {
 
     /// Correct the prior by a measurement.
     ///
-    /// One triangle absorbs the joint deviations of measurement and state: its upper left block is
-    /// the root of S, the block below is the gain times that root, the lower right block is the
-    /// root of the posterior covariance.
+    /// The joint deviations of measurement and state are reduced to one triangular matrix: its
+    /// upper left block is the root of S, the block below is the gain times that root, the lower
+    /// right block is the root of the posterior covariance.
     fn observe<const K: usize, V: SeenValues<N, K>>(self, seen: &V) -> Self::Output {
         let Self { rule, prior, believe } = self;
         let (points, mean) = (prior.points(rule), prior.rooted.mean);
@@ -212,7 +212,7 @@ impl<const N: usize, M: SeenMotion<N>> Engine for Sigma<N, M> {
         SigmaState::new(Rooted::new(mean, &covariance))
     }
 
-    /// The points that were carried along are dropped: they stand for the covariance before.
+    /// The predicted sigma points are dropped, because they represent the previous covariance.
     fn loosen(&self, state: &mut SigmaState<N>, factor: f64) {
         state.rooted.root *= libm::sqrt(factor);
         state.points.clear();
@@ -222,7 +222,7 @@ impl<const N: usize, M: SeenMotion<N>> Engine for Sigma<N, M> {
         output(&state.gaussian(), M::HEADING)
     }
 
-    /// Mean and root, then weight and place of every point that was carried along.
+    /// Mean and root, then weight and state of every predicted sigma point.
     fn numbers(&self, state: &SigmaState<N>) -> Vec<f64> {
         let Rooted { mean, root } = state.rooted;
         let mut numbers = Gaussian { mean, covariance: root }.numbers();

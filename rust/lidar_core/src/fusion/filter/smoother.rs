@@ -10,14 +10,14 @@ use nalgebra::{SMatrix, SVector};
 /// Largest number of states of a model in the plane.
 const IN_PLANE: usize = 6;
 
-/// One row of a run: state of the filter, its time, and the transition from the row before.
+/// One step of a run: state of the filter, its time, and the transition from the previous step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunRow {
     /// Time of the state [ns].
     pub stamp_ns: i64,
     /// Output of the filter; None before the target has been seen.
     pub output: Option<Output>,
-    /// Transition from the row before to this one; None where a target starts.
+    /// Transition from the previous step to this one; None where a target starts.
     pub link: Option<Link>,
 }
 
@@ -43,7 +43,8 @@ pub fn smoothed(rows: &[RunRow], lag_ns: Option<i64>) -> Vec<Option<Output>> {
         .collect()
 }
 
-/// Smoothed states of rows `first` to `end`, given the measurements of the rows before `end`.
+/// Smoothed states of the steps from `first` to before `end`, given the measurements of the steps
+/// before `end`.
 fn back_from(rows: &[RunRow], end: usize, first: usize) -> Vec<Option<Output>> {
     let mut states: Vec<Option<Output>> = rows[first..end].iter().map(|row| row.output).collect();
     for index in (first + 1..end).rev() {

@@ -23,7 +23,7 @@ pub struct ConstantAcceleration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CoordinatedTurn;
 
-/// State of a target seen first; the velocity across the line of sight is unknown.
+/// State of a target after its first measurement; the velocity across the line of sight is unknown.
 fn first_cv(first: &First, prior: &Prior) -> Gaussian<4> {
     let [vx, vy] = direction(first.heading).map(|part| part * first.speed);
     let [x, y, _] = first.position;

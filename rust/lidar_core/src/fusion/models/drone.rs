@@ -10,12 +10,13 @@ use super::world::{Plane, extended};
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{SMatrix, SVector, Vector2, Vector5, Vector6};
 
-/// Largest error of a gyro that is believed [rad/s], and largest time by which it is late [s].
+/// Largest bias [rad/s] and largest delay [s] of a gyro that the filter assumes. Larger estimates
+/// are limited to these.
 const GYRO_LIMITS: [f64; 2] = [0.5, 0.2];
-/// Variances of both before a target has been seen: gyros without calibration have errors of some
-/// degrees per second, and drivers use the arrival of a packet as stamp. With a wider prior, the
-/// filter may take the turn of a target for a bias of the gyro: the estimate is then wrong, with a
-/// small covariance.
+/// Variances of bias [rad^2/s^2] and delay [s^2] before a target has been seen: gyros without
+/// calibration have errors of some degrees per second, and drivers use the arrival time of a packet
+/// as stamp. With a wider prior, the filter may take the turn of a target for a bias of the gyro:
+/// the estimate is then wrong, with a small covariance.
 const GYRO_PRIOR: [f64; 2] = [0.05 * 0.05, 0.05 * 0.05];
 
 /// CTRV relative to the moving sensor; a gyro without bias and delay gives the turn rate of the

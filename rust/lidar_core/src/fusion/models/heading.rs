@@ -58,7 +58,7 @@ pub(super) fn polar_from(cv: &Gaussian<4>) -> Gaussian<4> {
     capped(Gaussian { mean, covariance }, 3, ANY_HEADING)
 }
 
-/// Position, speed and heading of a target seen first.
+/// Position, speed and heading of a target after its first measurement.
 pub(super) fn polar_first(first: &First, prior: &Prior) -> Gaussian<4> {
     let [x, y, _] = first.position;
     // Without a measured speed the line of sight does not show where the target is heading.

@@ -27,11 +27,11 @@ pub struct SpaceAcceleration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClimbingCtrv;
 
-/// States of [`ClimbingCtrv`] that are those of [`Ctrv`].
+/// Indices of the states of [`ClimbingCtrv`] that [`Ctrv`] has too.
 const LEVEL: [usize; 5] = [0, 1, 3, 4, 5];
 /// Indices of the states height and climb.
 const UP: [usize; 2] = [2, 6];
-/// Entries of [x, y, z, vx, vy, vz, ax, ay, az] that are those of the plane.
+/// Indices of the entries of [x, y, z, vx, vy, vz, ax, ay, az] that exist in the plane too.
 const LEVEL_WIDE: [usize; 6] = [0, 1, 3, 4, 6, 7];
 
 /// Transition of positions, velocities and further derivatives, three of each, over `dt` [s].
@@ -54,7 +54,7 @@ fn input_integral<const N: usize>(dt: f64) -> SMatrix<f64, N, INPUTS> {
     })
 }
 
-/// State of a target seen first; the velocity across the line of sight is unknown.
+/// State of a target after its first measurement; the velocity across the line of sight is unknown.
 fn first_velocity(first: &First, prior: &Prior) -> Gaussian<6> {
     let ([c, sine], [flat, up]) = (direction(first.heading), direction(first.elevation));
     let [x, y, z] = first.position;

@@ -8,14 +8,14 @@ use super::world::Plane;
 use crate::estimation::kalman::Gaussian;
 use nalgebra::{SMatrix, SVector, Vector2, Vector4};
 
-/// Duration of an acceleration, after which the target is at rest again [s]: it moves the place and
-/// leaves no velocity.
+/// Duration of an acceleration, after which the target is at rest again [s]: the acceleration
+/// changes the position and leaves no velocity.
 const REST: f64 = 0.02;
 
 /// Share of stops among changes of motion, relative to changes to another model.
 const STOPS: f64 = 0.1;
 
-/// A place that hardly moves: [x, y, vx, vy] with vx = vy = 0.
+/// A target at rest whose position hardly changes: [x, y, vx, vy] with vx = vy = 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StandingTarget;
 
@@ -89,8 +89,8 @@ impl StateConversion<4> for StandingTarget {
         ConstantVelocity.cartesian(state, other)
     }
 
-    /// The tendency is less for an uncertain place: a wide place that does not grow would fit
-    /// measurements of different objects.
+    /// The tendency is smaller for an uncertain position: a large covariance that does not grow
+    /// would fit measurements of different objects.
     fn tendency(&self, at: &Gaussian<6>, prior: &Prior) -> f64 {
         let widest = at.covariance[(0, 0)].max(at.covariance[(1, 1)]);
         STOPS * (prior.position / widest).min(1.0)

@@ -20,7 +20,7 @@ pub type WideOf<M, const N: usize> = <<M as Motion<N>>::World as World>::Wide;
 
 /// A model that can convert its state to and from position, velocity and acceleration.
 pub trait StateConversion<const N: usize>: Motion<N> {
-    /// Mean time for which a target follows this model [s]; None for that of the filter.
+    /// Mean time for which a target follows this model [s]; None: the time of the filter.
     const SOJOURN: Option<f64> = None;
     /// How often a new target follows this model, relative to the others.
     const OF_NEW: f64 = 1.0;

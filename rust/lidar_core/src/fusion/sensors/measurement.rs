@@ -16,9 +16,9 @@ const PACKED: usize = MAX_NOISY * (MAX_NOISY + 1) / 2;
 pub enum Sensor {
     /// Position of the target: x, y, or x, y, z [m].
     Lidar,
-    /// Range [m], bearing counter-clockwise from x [rad], elevation above the plane of x and y [rad], range rate
-    /// [m/s], positive when the range grows; as many of them as [`PolarValues`] says. Or range, bearing, range rate
-    /// and the target's true speed [m/s] and heading [rad], which only reading C of the paper's model uses.
+    /// Range [m], bearing counter-clockwise from x [rad], elevation above the plane of x and y [rad], range rate [m/s],
+    /// positive when the range grows; those of them that [`PolarValues`] states. Or range, bearing, range rate and the
+    /// target's true speed [m/s] and heading [rad], which only reading C of the paper's model uses.
     Radar,
     /// The platform: turn rate [rad/s]; or that and the velocity of its origin in its own axes
     /// [m/s].
@@ -35,7 +35,7 @@ pub enum Sensor {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PolarValues {
     given: [bool; 4],
-    /// Places of the given values; what follows them is zero.
+    /// Indices of the given values, followed by zeros.
     places: [u8; 4],
     count: u8,
 }
@@ -91,7 +91,8 @@ impl PolarValues {
     }
 }
 
-/// One measurement. Its values need not be finite: a filter rejects such ones and counts them.
+/// One measurement. Its values need not be finite: a filter rejects measurements with values that are not finite, and
+/// counts them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SavedMeasurement", into = "SavedMeasurement")]
 pub struct Measurement {
@@ -145,12 +146,12 @@ const fn packed_at(row: usize, column: usize) -> usize {
 }
 
 impl Measurement {
-    /// A measurement; without `covariance`, row by row, the filter's configuration has it. A radar
-    /// of three values measures range, bearing and range rate; of four, also the elevation.
+    /// A measurement. `covariance`: row by row; None: the covariance in the configuration of the filter applies. Three
+    /// values of a radar are range, bearing and range rate; four values include the elevation.
     ///
     /// # Errors
-    /// [`Error::Length`] for a number of values that the sensor does not have, [`Error::Value`]
-    /// for a covariance where none is used or that is not positive definite.
+    /// [`Error::Length`] for a number of values that the sensor does not have, [`Error::Value`] for a covariance of a
+    /// measurement that uses none, or for one that is not positive definite.
     pub fn new(
         stamp_ns: i64,
         sensor: Sensor,

@@ -22,7 +22,8 @@ pub struct Sensing {
     pub convert_radar: bool,
 }
 
-/// Sensors of 0.15 m (LiDAR), 0.3 m, 0.03 rad and 0.3 m/s (radar) on a platform of exact poses.
+/// Standard deviations of 0.15 m (LiDAR), of 0.3 m, 0.03 rad and 0.3 m/s (radar), and of 0.01 rad/s
+/// (gyro), on a platform with exact poses.
 impl Default for Sensing {
     fn default() -> Self {
         let variance = |std: f64| std * std;
