@@ -65,7 +65,7 @@ struct OuterRays<'a> {
     scan: &'a PolarScan,
     /// Outermost ray.
     ray: usize,
-    /// True if the rays beyond have larger numbers.
+    /// True if the rays beyond have larger indices.
     up: bool,
     /// True if the scan covers a full turn, so that its first ray is the neighbour of its last.
     wraps: bool,
@@ -90,8 +90,8 @@ impl OuterRays<'_> {
 }
 
 impl Arc {
-    /// Fill this arc with segment `number` of a scan. `wraps` is true if the scan covers a full
-    /// turn, so that its first ray is the neighbour of its last.
+    /// Fill this arc with the segment with the index `number` of a scan. `wraps` is true if the
+    /// scan covers a full turn, so that its first ray is the neighbour of its last.
     ///
     /// # Errors
     /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.

@@ -32,7 +32,8 @@ pub enum FitMethod {
     Pratt,
     /// Least squares of Kasa's expression over the mean squared gradient.
     Taubin,
-    /// Expected circle, given the ranges and the rays that passed beside it.
+    /// Expected circle, given the ranges and the rays that passed beside it: the mean of all possible circles, weighted
+    /// by their probability.
     Expected,
     /// Most likely circle, given the ranges and the rays that passed beside it.
     MostLikely,
@@ -52,12 +53,13 @@ pub struct FitParameters {
     pub method: FitMethod,
     /// Standard deviation of a range [m].
     pub range_std: f64,
-    /// Half the beam width within which a circle returns it [rad].
+    /// Half the width of a beam [rad]: a circle returns the beam if it reaches into this width.
     pub beam_half_width: f64,
     /// Smallest and largest radius [m]. With `Expected`, a circle beside which free space begins may be three
     /// times as large.
     pub radius: [f64; 2],
-    /// Radius up to which all circles are equally likely; larger ones are rarer [m].
+    /// Radius [m] up to which the prior probability of all radii is equal. Above it, the probability falls with the
+    /// radius.
     pub usual_radius: f64,
     /// Smallest and largest range of the scan [m]; surfaces outside look like rays without return.
     pub range_limits: [f64; 2],

@@ -5,7 +5,7 @@ fn parameters(method: FitMethod) -> FitParameters {
     FitParameters { method, range_std: 1e-4, ..FitParameters::default() }
 }
 
-/// A circle at (4, 0) with a radius of 0.3 m before nothing, one ray every 0.25 degrees.
+/// A circle at (4, 0) with a radius of 0.3 m in front of empty space, one ray every 0.25 degrees.
 fn scan() -> PolarScan {
     let bearings: Vec<f64> =
         (-40..=40).map(|step| f64::from(step) * 0.25_f64.to_radians()).collect();

@@ -1,4 +1,4 @@
-//! Merging of the parts of one surface that something nearer hides in between.
+//! Merging of the parts of one surface if a nearer object hides the surface between them.
 
 use super::parameters::SegmentParameters;
 use super::sweep::HitSweep;
@@ -10,7 +10,7 @@ pub(super) struct Run {
     pub(super) end: usize,
 }
 
-/// For every run the number of the first run of its object. Two runs are one object if everything
+/// For every run, the index of the first run of its object. Two runs are one object if everything
 /// between them is nearer or unknown, their ends are close, and one circle or line fits both.
 pub(super) fn merged(
     sweep: &HitSweep<'_>,
@@ -40,7 +40,7 @@ pub(super) fn merged(
     roots
 }
 
-/// Number of the next run that may continue run `first` behind something nearer; None without one.
+/// Index of the next run that may continue run `first` behind a nearer object; None without one.
 fn continuation(
     sweep: &HitSweep<'_>,
     runs: &[Run],

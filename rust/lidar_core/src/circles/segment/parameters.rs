@@ -51,8 +51,8 @@ pub struct SegmentParameters {
     pub bound: Bound,
     /// Largest number of rays without return between neighbours in polar space.
     pub max_gap: usize,
-    /// Largest distance between the ends of two parts of one surface that something nearer hides in
-    /// part, to be one segment [m]; 0: parts are never merged.
+    /// Largest distance [m] between the ends of two parts of one surface, partly hidden by a nearer
+    /// object, at which both parts are one segment. 0: parts are never merged.
     pub merge_distance: f64,
     /// Largest root mean square distance of merged parts from one circle or line [m].
     pub merge_deviation: f64,

@@ -125,7 +125,7 @@ impl HitSweep<'_> {
         if corner { Side::Occluded } else { self.side(ray, after, parameters) }
     }
 
-    /// Number of the ray after `ray`, or of the one before it; None at an end of the field of view.
+    /// Index of the ray after `ray`, or of the ray before it; None at an end of the field of view.
     fn neighbour(&self, ray: u32, after: bool) -> Option<u32> {
         let last = self.scan.len() as u32 - 1;
         match (after, ray) {

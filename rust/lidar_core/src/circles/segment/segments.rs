@@ -17,10 +17,10 @@ pub enum Side {
 /// Groups of rays, one per object, eq. 6. Segments count from 0 here, labels from 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Segments {
-    /// Label of every ray: 0 for none, else the number of its segment plus 1 (m of eq. 6).
+    /// Label of every ray: 0 for none, else the index of its segment plus 1 (m of eq. 6).
     pub labels: Vec<i32>,
-    /// Rays of all segments, one segment after the other, each in the order of its sweep. In a full
-    /// circle a segment may cross the seam, from the last ray to the first.
+    /// Indices of the rays of all segments, one segment after the other, each in the order of its
+    /// sweep. In a full circle a segment may cross the seam, from the last ray to the first.
     pub rays: Vec<u32>,
     /// Start of each segment in `rays`; one more entry at the end.
     pub starts: Vec<usize>,
@@ -52,7 +52,8 @@ impl Segments {
         self.starts.push(self.rays.len());
     }
 
-    /// Rays of segment `number` that ended on its object; other rays may lie between them.
+    /// Indices of the rays of the segment with the index `number` that ended on its object; other
+    /// rays may lie between them.
     #[must_use]
     pub fn rays_of(&self, number: usize) -> &[u32] {
         let bounds = (self.starts.get(number), self.starts.get(number + 1));

@@ -7,7 +7,7 @@ pub(crate) struct HitSweep<'a> {
     pub(crate) scan: &'a PolarScan,
     /// Ranges before the scan was limited to a volume.
     pub(crate) seen: &'a [f64],
-    /// Numbers of the rays with a return.
+    /// Indices of the rays with a return.
     pub(crate) hits: Vec<u32>,
     /// True if the ray after the last one is the first one.
     pub(crate) wraps: bool,

@@ -1,7 +1,7 @@
 //! Straight surfaces: one, or two at a right angle.
 //!
-//! Their misfit may be far above any bound before it falls: rays pass a line that is turned wrongly, and
-//! change from face to face of a corner on the way. So both are fitted to the end.
+//! During a fit, their misfit may be far above any bound before it falls: rays miss a line with a wrong bearing, and
+//! rays change from one face of a corner to the other. So the search is never ended early for these two shapes.
 
 use super::solve::{FittedShape, Solved, solve};
 use crate::circles::fit::arc::{Arc, Hit};

@@ -1,9 +1,9 @@
 //! Shape of a segment of a scan: circle, ellipse, rectangle or line, with its parameters.
 //!
-//! The paper takes everything for a circle and leaves other shapes to future work (sec. VII).
-//! Here every shape is fitted to the ranges, and Schwarz's criterion chooses: misfit in variances
-//! plus the number of parameters times the logarithm of the number of rays. Circles and ellipses
-//! also have to end where the object ends; ends of lines and faces are parameters.
+//! The paper treats every object as a circle and leaves other shapes to future work (sec. VII). Here every shape is
+//! fitted to the ranges, and Schwarz's criterion chooses: misfit in variances plus the number of parameters times the
+//! logarithm of the number of rays. Circles and ellipses also have to end where the object ends; ends of lines and
+//! faces are parameters.
 
 mod ellipse;
 mod line;
@@ -58,7 +58,7 @@ impl ShapeKind {
 pub struct ShapeEstimate {
     /// Kind of the shape.
     pub kind: ShapeKind,
-    /// Parameters as listed at the kind; unused ones are 0.
+    /// Parameters in the order stated at [`ShapeKind`]; unused ones are 0.
     pub parameters: [f64; 5],
     /// Covariance of the parameters, in their units.
     pub covariance: [[f64; 5]; 5],
@@ -96,8 +96,8 @@ pub struct ShapeFitter {
 
 /// Least number of rays for a shape other than a circle.
 const LEAST_HITS: usize = 6;
-/// Decrease of the misfit from the circle, to first order, above which an ellipse is fitted, in
-/// logarithms of the number of rays: its two further parameters must bring 2.
+/// Decrease of the misfit from the circle, to first order, above which an ellipse is fitted, in logarithms of the
+/// number of rays: its two additional parameters cost 2 in the criterion.
 const LEAST_GAIN: f64 = 1.8;
 
 impl ShapeFitter {
