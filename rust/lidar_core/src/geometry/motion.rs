@@ -108,7 +108,7 @@ pub struct PointPoses {
 }
 
 impl PointPoses {
-    /// Compute the pose of every point from its time [ns]. Rows without information may have any
+    /// Compute the pose of every point from its time [ns]. Entries without information may have any
     /// time. `name`: name of the times in error messages.
     ///
     /// # Errors

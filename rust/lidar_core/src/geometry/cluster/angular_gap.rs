@@ -39,8 +39,8 @@ pub struct AngularGap {
 /// Like [`label`](super::label), but two points are also linked if their distance is at most
 /// `max_angle` times the range of the nearer one.
 ///
-/// Except for the numbers of the clusters, the result does not depend on the order of the points.
-/// It does not depend on the threads of `pool`.
+/// Except for the labels of the clusters, the result does not depend on the order of the points. It does not depend on
+/// the threads of `pool`.
 ///
 /// # Errors
 /// Errors of [`label`](super::label), and [`Error::Parameter`] for an angle out of range or an
@@ -160,9 +160,9 @@ struct Bands {
     fixed: f64,
     /// Upper end of every band [m].
     ends: Vec<f64>,
-    /// Number of the band of every point. [`NO_BAND`] if the point is not finite.
+    /// Index of the band of every point. [`NO_BAND`] if the point is not finite.
     band_of: Vec<u16>,
-    /// Rows of finite points, by band.
+    /// Indices of finite points, by band.
     rows: Vec<u32>,
     /// End of every band's entries in `rows`.
     row_ends: Vec<usize>,
@@ -255,7 +255,7 @@ struct BandPoints {
 }
 
 impl BandPoints {
-    /// Link the points of a band with each other and with further points. `sets` takes the links.
+    /// Link the points of a band with each other and with further points. The links are added to `sets`.
     fn link(
         &mut self,
         points: &[[f32; 3]],

@@ -28,13 +28,13 @@ const JOINED: i32 = -3;
 pub(crate) struct JoinedLabeller {
     whole: SeenLabeller,
     labels: Vec<i32>,
-    /// Rows that are searched, ascending: points that are not joined, and joined points near them.
+    /// Indices of the points that are searched, ascending: points that are not joined, and joined points near them.
     rows: Vec<u32>,
     points: Vec<[f32; 3]>,
     cells: ReachCells,
     /// Label of each cluster of the searched points.
     named: Vec<i32>,
-    /// Rows that are not joined, with their labels.
+    /// Indices of the points that are not joined, with their labels.
     others: Vec<(u32, i32)>,
     /// Label of the joined points. None if none is joined, or if the last cloud was labelled without joined points.
     joined: Option<i32>,
@@ -148,14 +148,15 @@ impl JoinedLabeller {
         if self.joined.is_some() { &self.labels } else { self.whole.labels() }
     }
 
-    /// Label of the joined points of the last cloud, and the rows that were searched. None if all rows were searched.
+    /// Label of the joined points of the last cloud, and the indices of the points that were searched. None if all
+    /// points were searched.
     pub(crate) fn searched(&self) -> Option<(usize, &[u32])> {
         self.joined.map(|label| (label as usize, self.rows.as_slice()))
     }
 }
 
-/// Set of cells around points, as a bitmap of hashes. The cells grow with the range as reaches do. The set may seem
-/// to contain other cells, too, but misses none.
+/// Set of cells around points, as a bitmap of hashes. The cells grow with the range as reaches do. The set may seem to
+/// contain other cells too, but none of its cells is missing.
 #[derive(Default)]
 struct ReachCells {
     origin: [f64; 3],
@@ -234,7 +235,7 @@ impl ReachCells {
     }
 }
 
-/// Search for the rows to label, many at a time on the vector unit of the machine.
+/// Search for the points to label, many at a time on the vector unit of the machine.
 struct SearchedRows<'a> {
     cells: &'a ReachCells,
     points: &'a [[f32; 3]],

@@ -23,7 +23,7 @@ pub(crate) struct OctantGrid {
     octants: f64,
     /// Number of bits of a cube's index along every axis.
     pub(crate) bits: [u32; 3],
-    /// Number of bits of a point's row.
+    /// Number of bits of the index of a point.
     pub(super) index_bits: u32,
 }
 
@@ -56,7 +56,7 @@ impl OctantGrid {
         self.bits.iter().sum::<u32>() + OCTANT_BITS
     }
 
-    /// Row of the point to which a sort entry belongs.
+    /// Index of the point to which a sort entry belongs.
     #[inline]
     pub(crate) fn row<K: Key>(&self, entry: K) -> usize {
         (entry.low() & ((1 << self.index_bits) - 1)) as usize
@@ -79,8 +79,8 @@ impl OctantGrid {
     }
 }
 
-/// A sort key with the row of its point below it: 64 bits where the extent of the cloud allows
-/// this, otherwise 128.
+/// A sort key with the index of its point in the bits below it: 64 bits where the extent of the
+/// cloud allows this, otherwise 128.
 pub(super) trait Key:
     Copy
     + Ord

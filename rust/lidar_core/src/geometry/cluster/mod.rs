@@ -18,7 +18,7 @@ pub const NOISE: i32 = -1;
 /// Memory for one point: keys, group and label, each with what is needed to sort it [bytes].
 const ROOM_OF_POINT: usize = 128;
 
-/// Group number of points that are not finite.
+/// Group of points that are not finite.
 pub(super) const NO_GROUP: u32 = u32::MAX;
 
 /// Parameters of Euclidean clustering.

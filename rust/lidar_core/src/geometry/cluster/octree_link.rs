@@ -53,7 +53,7 @@ pub(super) struct Linker {
 }
 
 impl Linker {
-    /// For every point, the row of one point of its group, the same for the whole group.
+    /// For every point, the index of one point of its group, the same for the whole group.
     /// [`NO_GROUP`] if the point is not finite. The distances of `reach` must be between 0.8661
     /// times `largest` [m] and `largest`.
     ///
@@ -94,12 +94,12 @@ struct Cube<K> {
     key: K,
     /// Octants that contain points, as bits.
     octants: u64,
-    /// Number of the first of these octants, among all occupied octants.
+    /// Index of the first of these octants, among all occupied octants.
     first: u32,
 }
 
 impl<K> Cube<K> {
-    /// Number of the octant with place `octant` in the cube, among all occupied octants.
+    /// Index of the octant with place `octant` in the cube, among all occupied octants.
     #[inline(always)]
     fn number(&self, octant: u32) -> u32 {
         self.first + (self.octants & ((1 << octant) - 1)).count_ones()
@@ -109,7 +109,7 @@ impl<K> Cube<K> {
 /// Sorted points, with the runs of each octant ("groups") and of each cube.
 #[derive(Default)]
 struct Groups<K> {
-    /// Keys and row indices of the finite points, sorted by key; `spare`: memory for sorting.
+    /// Keys and indices of the finite points, sorted by key; `spare`: memory for sorting.
     order: Vec<K>,
     spare: Vec<K>,
     /// The finite points [m], sorted by key.
@@ -120,7 +120,7 @@ struct Groups<K> {
 }
 
 impl<K: Key> Groups<K> {
-    /// Link the points. Writes to `group_of`, for each point, the row of one point of its group.
+    /// Link the points. Writes to `group_of`, for each point, the index of one point of its group.
     fn link(
         &mut self,
         points: &[[f32; 3]],
