@@ -42,7 +42,7 @@ impl Beams {
         self.angle_min + self.angle_increment * f64::from(ray)
     }
 
-    /// Numbers of the rays within `half_angle` of `bearing` [rad]: a first run of them, and one
+    /// Indices of the rays within `half_angle` of `bearing` [rad]: a first run of rays, and one
     /// after the seam.
     fn runs(&self, bearing: f64, half_angle: f64) -> [Range<u32>; 2] {
         let mut runs = [0..0, 0..0];

@@ -18,7 +18,7 @@ use std::ops::{Range, RangeInclusive};
 const SAMPLES_PER_CHUNK: u64 = 4096;
 /// Number of drawn circles without a hit after which the scanner counts as blind.
 const MOST_DRAWS: usize = 100_000;
-/// Largest number of places of a lattice.
+/// Largest number of places of a lattice (circles, seen or not), and of samples.
 pub const MOST_CIRCLES: u64 = 100_000_000;
 
 /// Circles that a scanner sees.
@@ -36,7 +36,7 @@ pub enum Source<'a> {
     },
 }
 
-/// Largest distance behind a circle at which a ray ends that meets circle and background [m].
+/// Largest distance behind a circle at which a ray that meets circle and background ends [m].
 const MIXED_DEPTH: f64 = 0.1;
 
 /// Disturbances of the ranges of a circle. Pairs are the ends of a uniform distribution, from which
@@ -45,10 +45,10 @@ const MIXED_DEPTH: f64 = 0.1;
 pub struct Disturbance {
     /// Standard deviation of a range [m].
     pub range_std: [f64; 2],
-    /// Half the width of a ray [rad]: it returns if its edge hits the circle.
+    /// Half the width of a ray [rad]: the ray returns if its edge hits the circle.
     pub beam_half_width: [f64; 2],
-    /// Share of samples with one side hidden by something nearer; one in four of them has both
-    /// sides hidden.
+    /// Share of samples with one side hidden by a nearer object; one in four of them has both sides
+    /// hidden.
     pub occluded_share: f64,
     /// Share of the ends of circles at which the last ray hits circle and background at once.
     pub mixed_share: f64,
@@ -71,7 +71,7 @@ pub struct Samples {
     pub first_ray: Vec<u32>,
     /// Number of rays in the window.
     pub n_rays: Vec<u32>,
-    /// What lies beside both ends of the window: numbers of [`Side`] in its order.
+    /// What lies beside both ends of the window: index of a [`Side`] in the order of its variants.
     pub sides: Vec<[u8; 2]>,
     /// Ranges of all windows [m]; +inf is a miss between hits.
     pub ranges: Vec<f32>,
@@ -119,7 +119,7 @@ pub fn lattice(
     Ok(circles)
 }
 
-/// Make the samples `numbers`. A sample depends only on the seed and on its number.
+/// Make the samples with the indices `numbers`. A sample depends only on the seed and on its index.
 ///
 /// # Errors
 /// [`Error::Parameter`] if the beams cover no angle, [`Error::Value`] for a given circle that the
@@ -223,7 +223,7 @@ impl SampleGenerator<'_> {
         }
     }
 
-    /// Hide a part of the circle by something nearer.
+    /// Hide a part of the circle by a nearer object.
     fn hide(&self, window: &mut CircleWindow, sides: &mut [Side; 2], stream: &mut Stream) {
         let [whether, which, first, second] = stream.uniforms();
         if whether >= self.disturbance.occluded_share || window.ranges.len() < 2 {

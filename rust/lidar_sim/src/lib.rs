@@ -1,9 +1,9 @@
 //! LiDAR simulator: shapes, movers, ray patterns, noise.
 //!
-//! A [`scene::Scene`] holds bodies at rest under a bounding-volume tree and movers on
-//! [`trajectory::Trajectory`]s. [`simulate::scan`] lets a [`ray_patterns::Lidar`] on a trajectory of
-//! its own look at it: every ray has its own time, every random number depends on nothing but
-//! seed, scan and ray, so that the result is the same for any number of threads.
+//! A [`scene::Scene`] holds bodies at rest under a bounding-volume tree and movers on [`trajectory::Trajectory`]s.
+//! [`simulate::scan`] simulates a [`ray_patterns::Lidar`] that moves through the scene on a trajectory of its own.
+//! Every ray has its own time. Every random number depends only on seed, scan and ray, so that the result is the same
+//! for any number of threads.
 
 use lidar_core::Error;
 
@@ -22,7 +22,7 @@ pub mod simulate;
 pub mod surface;
 pub mod trajectory;
 
-/// The error for a parameter that has another value than expected.
+/// Error for a parameter that is out of its range.
 pub(crate) fn refused(
     name: &'static str,
     expected: &'static str,

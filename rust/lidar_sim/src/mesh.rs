@@ -8,7 +8,7 @@ use lidar_core::util::budget;
 
 /// Largest number of faces of one mesh.
 pub const MAX_FACES: usize = 20_000_000;
-/// Memory that a face may take, with its corners, boxes and the tree [bytes].
+/// Memory that a face may take, including its corners, its boxes and its part of the tree [bytes].
 const ROOM_OF_FACE: usize = 640;
 
 /// Triangle mesh with a tree of its own.
@@ -23,11 +23,11 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Make a mesh of vertices [m] and faces, which are triples of numbers of vertices.
+    /// Make a mesh of vertices [m] and faces. A face is a triple of indices of vertices.
     ///
     /// # Errors
-    /// [`Error::Value`] if a vertex is not finite or beyond 1e15 m, there is no face, or a face names no vertex;
-    /// [`Error::Limit`] above [`MAX_FACES`], [`Error::Memory`].
+    /// [`Error::Value`] if a vertex is not finite or beyond 1e15 m, there is no face, or an index of a face has no
+    /// vertex; [`Error::Limit`] above [`MAX_FACES`], [`Error::Memory`].
     pub fn new(vertices: Vec<[f64; 3]>, faces: Vec<[u32; 3]>) -> Result<Self, Error> {
         let bad = |name, expected, index, got| Error::Value { name, expected, index, got };
         let is_near = |v: &[f64; 3]| v.iter().all(|c| c.abs() <= FARTHEST); // false for NaN

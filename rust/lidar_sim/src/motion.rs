@@ -59,11 +59,12 @@ pub struct RandomMotion<'a> {
 impl RandomMotion<'_> {
     /// Random motion through `scene`.
     ///
-    /// The curve is a uniform cubic B-spline: it stays in the convex hull of its control points
-    /// and its derivatives in those of their differences, so that bounds on these bound it.
+    /// The curve is a uniform cubic B-spline: it stays in the convex hull of its control points,
+    /// and its derivatives stay in the convex hulls of the differences of these points. Limits of
+    /// the points and their differences are therefore limits of the curve.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if a value is out of range, or nothing free was found in the box,
+    /// [`Error::Parameter`] if a value is out of range, or no free path was found in the box,
     /// [`Error::Interrupted`].
     pub fn trajectory(&self, scene: &Scene) -> Result<Trajectory, Error> {
         self.check()?;
@@ -192,7 +193,8 @@ impl RandomMotion<'_> {
         (0..3).all(|axis| (min[axis]..=max[axis]).contains(&point[axis]))
     }
 
-    /// True if the place is far enough from everything, also half way to the next sample.
+    /// True if the place is far enough from all bodies and moving objects, also half way to the
+    /// next sample.
     fn is_free(&self, scene: &Scene, place: [f64; 3], seconds: f64) -> bool {
         let stamp_ns = (seconds * 1e9) as i64;
         let between = 0.5 * self.speed_max * STEP / SAMPLES as f64;

@@ -1,4 +1,4 @@
-//! The adapter to parry: the only file that names parry or glam.
+//! Adapter to the crate parry: only this file uses parry or glam.
 //!
 //! parry's tree is single precision. It only chooses candidates, with boxes grown by more than
 //! its rounding error; every hit and distance is computed by the caller in double precision.
@@ -48,13 +48,13 @@ impl BoundingBox {
     }
 }
 
-/// Bounding-volume tree over numbered boxes.
+/// Bounding-volume tree over boxes with indices.
 #[derive(Clone, Debug)]
 pub(crate) struct Tree {
     bvh: Bvh,
-    /// Middle of everything: coordinates are taken from here before they are rounded.
+    /// Centre of all boxes: coordinates are relative to it before they are rounded.
     center: [f64; 3],
-    /// Radius of the sphere around everything [m].
+    /// Radius of the sphere around all boxes [m].
     radius: f64,
 }
 
@@ -85,8 +85,9 @@ impl Tree {
         Self { bvh, center, radius }
     }
 
-    /// Nearest hit closer than `limit` [m]: its number and distance; None without one. `hit(number,
-    /// limit)` tests one candidate. Of equal distances it is always the same one.
+    /// Nearest hit closer than `limit` [m]: index of its box, and distance; None without a hit.
+    /// `hit(index, limit)` tests one candidate. For equal distances, the result is always the same
+    /// box.
     pub(crate) fn nearest(
         &self,
         ray: &CastRay,
@@ -117,7 +118,7 @@ impl Tree {
         (best.get().0 != u32::MAX).then(|| best.get())
     }
 
-    /// Smallest of `distance(number)` [m] from `point`, or `limit` if none is smaller.
+    /// Smallest of `distance(index)` [m] from `point`, or `limit` if no distance is smaller.
     pub(crate) fn clearance(
         &self,
         point: [f64; 3],

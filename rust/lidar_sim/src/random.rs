@@ -1,4 +1,5 @@
-//! Random numbers by counter: each depends on the seed and on its place, never on an order.
+//! Random numbers by counter: each depends only on the seed and on its counter, not on the order of
+//! the calls.
 
 /// Purpose of a random number. It is a part of the counter, so that purposes never share numbers.
 #[derive(Clone, Copy, Debug)]

@@ -54,7 +54,7 @@ pub enum Pattern {
     },
 }
 
-/// Width of the beam in azimuth: anything in it may return.
+/// Width of the beam in azimuth: any surface within it may return.
 #[derive(Clone, Copy, Debug)]
 pub struct Beam {
     /// Half width to either side of the ray [rad].
@@ -247,7 +247,7 @@ impl Lidar {
         }
     }
 
-    /// Reported range of a 2D LiDAR: its driver reports nothing outside the limits, also after
+    /// Reported range of a 2D LiDAR: its driver reports no range outside the limits, also after
     /// noise.
     fn limited(&self, range: f64) -> f64 {
         if range >= self.range_max {

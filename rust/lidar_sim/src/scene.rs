@@ -74,13 +74,14 @@ pub struct Scene {
     shape_from_world: Vec<Transform>,
     /// True for bodies without rotation.
     upright: Vec<bool>,
-    /// Infinite bodies and those as wide as the scene, tested by every ray before the tree.
+    /// Indices of infinite bodies and of bodies as wide as the scene. Every ray tests them before
+    /// the tree.
     wide: Vec<u32>,
-    /// Bodies of the tree, in the order of its leaves.
+    /// Indices of the bodies of the tree, in the order of its leaves.
     bounded: Vec<u32>,
     tree: Tree,
     movers: Vec<Mover>,
-    /// Object of each mover.
+    /// Index of the object of each mover.
     objects: Vec<usize>,
     air: Vec<Particles>,
     /// Bodies fixed to the sensor, in its frame, and their inverse poses.
@@ -225,7 +226,7 @@ impl Scene {
         &self.movers
     }
 
-    /// Object of each mover, from 0: successive movers with one label are one object.
+    /// Index of the object of each mover, from 0: successive movers with one label are one object.
     #[must_use]
     pub fn objects(&self) -> &[usize] {
         &self.objects
@@ -299,8 +300,8 @@ fn objects_of(movers: &[Mover]) -> Vec<usize> {
     objects
 }
 
-/// Move bodies that are at least half as wide as all together to `wide`, a few at most. In the tree
-/// nearly every ray would meet them, but late.
+/// Move a few bodies at most to `wide`: those that are at least half as wide as all bodies
+/// together. In the tree, nearly every ray would meet them, but late.
 fn take_wide(wide: &mut Vec<u32>, bounded: &mut Vec<u32>, boxes: &mut Vec<BoundingBox>) {
     let size = |bounds: &BoundingBox| norm(minus(bounds.max, bounds.min));
     let all = size(&BoundingBox::around(boxes.iter().flat_map(|bounds| [bounds.min, bounds.max])));

@@ -16,20 +16,20 @@ use rayon::prelude::*;
 pub const NO_LABEL: i32 = -1;
 /// Label of a ray that ended on rain or dust.
 pub const AIR_LABEL: i32 = -2;
-/// Label of a ray that was mirrored before it returned: there is nothing at its point.
+/// Label of a ray that was mirrored before it returned: there is no object at its point.
 pub const GHOST_LABEL: i32 = -3;
 /// Label of a ray that ended on the carrier of the sensor.
 pub const OWN_LABEL: i32 = -4;
 
 /// Largest number of surfaces that one ray passes or is mirrored by.
 const MOST_TURNS: u32 = 4;
-/// Distance behind a surface within which a ray meets nothing else [m].
+/// Distance behind a surface within which a ray meets no other surface [m].
 const STEP: f64 = 1e-6;
 
 /// Optical properties, in fog, of bodies for which none are given; met at normal incidence.
 const USUAL: Surface = Surface { reflectivity: USUAL_REFLECTIVITY, mirror: 0.0, clear: 0.0 };
 
-/// Memory that a ray may take, with what is made of it for the caller [bytes].
+/// Memory that a ray may take, including the results for the caller [bytes].
 const ROOM_OF_RAY: usize = 192;
 
 /// Rays per chunk: fixed, so that the result cannot depend on the number of threads.
@@ -61,8 +61,8 @@ pub struct SimulatedScan {
     pub ranges: Vec<f64>,
     /// Label of the body that every ray hit; [`NO_LABEL`] for rays without a range.
     pub labels: Vec<i32>,
-    /// For every object ([`Scene::objects`]) the number of rays that would hit it within range if
-    /// nothing else were there.
+    /// For every object ([`Scene::objects`]), the number of rays that would hit it within range if there were no other
+    /// objects.
     pub unoccluded: Vec<u32>,
 }
 
@@ -202,8 +202,8 @@ impl Task<'_> {
         self.scene.meet_carried(direction, limit).or(hit)
     }
 
-    /// Hit of a ray that may pass surfaces or be mirrored; None if the return is too weak. The
-    /// length is that of the whole way.
+    /// Hit of a ray that may pass surfaces or be mirrored; None if the return is too weak. The distance is the length
+    /// of the whole path.
     fn seen(
         &self,
         ray: &CastRay,
@@ -303,8 +303,8 @@ impl Task<'_> {
     }
 }
 
-/// The ray that goes on from a hit in another direction, a step away from the surface, which it would
-/// meet again otherwise.
+/// The ray that continues from a hit in another direction. It starts a step away from the surface, because it would
+/// meet the same surface again otherwise.
 fn turned(ray: &CastRay, distance: f64, ahead: [f64; 3]) -> CastRay {
     let start =
         |axis: usize| ray.origin[axis] + distance * ray.direction[axis] + STEP * ahead[axis];

@@ -14,7 +14,8 @@ const FADING: f64 = 0.4;
 /// Optical properties of a surface, as shares of the incident light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
-    /// Share scattered back at normal incidence; it falls with the cosine (Lambert).
+    /// Share scattered back at normal incidence. The share is proportional to the cosine of the
+    /// angle of incidence (Lambert).
     pub reflectivity: f64,
     /// Share mirrored at normal incidence, rising to 1 at grazing incidence; 0 for none at any
     /// angle.
