@@ -13,15 +13,17 @@ FitMethod: TypeAlias = Literal["ml", "mode", "taubin", "pratt", "kasa"]
 class FitConfig(Config):
     """Fit of circles to groups of rays.
 
-    "ml" and "mode" compare circles with the ranges and with the rays that passed beside the object;
-    "ml" reports the expected circle, "mode" the most likely one. "taubin", "pratt" and "kasa" are
-    algebraic fits to the points.
+    "ml" and "mode" compare circles with the ranges and with the rays that passed beside the object.
+    "ml" reports the mean of all possible circles, weighted by their probability. "mode" reports the
+    circle with the largest likelihood. "taubin", "pratt" and "kasa" are algebraic fits to the
+    points.
     """
 
     method: FitMethod = Field(
         default="ml",
-        description="Fit of a circle (no unit): the expected or the most likely circle under"
-        " the likelihood of ranges and misses; or an algebraic fit to the points.",
+        description="Method of the circle fit (no unit). ml: mean of all possible circles, weighted"
+        " by their probability given the ranges and the rays that passed beside the object; mode:"
+        " circle with the largest likelihood; taubin, pratt, kasa: algebraic fit to the points.",
     )
     range_std: float = Field(
         default=0.01,
@@ -34,23 +36,24 @@ class FitConfig(Config):
         default=0.0,
         ge=0,
         lt=0.1,
-        description="Half the width of a beam as far as a surface returns it: a circle seems"
-        " wider by it on both sides [rad].",
+        description="Half the width of a beam [rad]: a circle returns every beam that it reaches"
+        " into, so it appears wider by this angle on both sides.",
     )
     min_radius: float = Field(default=0.02, gt=0, le=20, description="Smallest radius [m].")
     max_radius: float = Field(
         default=1.0,
         gt=0,
         le=50,
-        description="Largest radius [m]. Where shapes are distinguished, a circle of which a side"
-        " is seen may be three times as large.",
+        description="Largest radius [m]. Where shapes are distinguished, the limit is three times"
+        " as large for a circle beside which free space is visible.",
     )
     usual_radius: float = Field(
         default=0.5,
         gt=0,
         le=20,
-        description="Circles up to this radius are all as likely, of larger ones the probability"
-        ' falls with its eighth power; for "ml" [m]. Source: sec. IV-A.',
+        description="Radius up to which all radii have the same prior probability; above it, the"
+        ' probability falls with the eighth power of the radius; used by "ml" only [m].'
+        " Source: sec. IV-A.",
     )
 
     @model_validator(mode="after")
