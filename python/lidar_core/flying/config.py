@@ -300,9 +300,10 @@ class SeparateConfig(Config):
 
 
 class SeedConfig(Config):
-    """Source of the first background. The paper does not state it; without it nothing flies.
+    """Source of the first background, which the paper does not state.
 
-    Other seeds are an a-priori map: `FlyingObjectDetector.set_occupied`, `load_map`.
+    Without a background, no cluster is classified as flying. Other sources are an a-priori map:
+    `FlyingObjectDetector.set_occupied`, `load_map`.
     """
 
     removed: ClassVar[Mapping[str, str]] = {
@@ -319,9 +320,9 @@ class SeedConfig(Config):
         default=0.1,
         gt=0,
         le=60,
-        description="`burn_in_scans` and `standing_scans` are those of a sensor with this time"
-        " between two scans: others take as many as fit into the same time, 3 at least [s]; none,"
-        " as in paper mode: scans are counted however they come.",
+        description="Time between two scans to which `burn_in_scans` and `standing_scans` refer"
+        " [s]. Sensors with another time use as many scans as fit into the same total time, at"
+        " least 3. None, as in paper mode: both numbers apply at every scan rate.",
     )
     burn_in_extent: float = Field(
         default=2.5,
