@@ -15,9 +15,9 @@ KOSCHMIEDER = 3.912
 class Rain(Config):
     """Drops everywhere: a ray ends on the first one that fills enough of its cross-section.
 
-    Drops of 3 mm are seen up to 6.6 m, of 4 mm up to 9.8 m; ten large drops per cubic metre, the
-    default, take 3 % of the rays. The ray is that of an Ouster OS1 (its data sheet); the share
-    that is enough is a typical value.
+    Drops of 3 mm are seen up to 6.6 m, of 4 mm up to 9.8 m. With ten large drops per cubic metre,
+    the default, 3 % of the rays end on drops. The cross-section of a ray is that of an Ouster OS1
+    (its data sheet); the required share is a typical value.
     """
 
     removed: ClassVar[Mapping[str, str]] = {

@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 HEIGHT = 1.0
-"""Of the sensor [m]."""
+"""Height of the sensor [m]."""
 RATE = 20.0
 """Scans per second [Hz]."""
 ENDLESS = 1000.0
@@ -68,7 +68,7 @@ def single(
     trajectory : int
         1 to 5.
     speed : float
-        Greatest speed on it; its root mean square when wandering [m/s].
+        Largest speed on the path [m/s]; on the wandering path, the root mean square of the speed.
     sensor : str
         Motion of the sensor: it hovers, or moves along x, turns, pitches and rolls.
     seed : int
@@ -190,8 +190,8 @@ def walkers(seed: int, *, height: float = 0.3, scans: int = 600) -> Scene:
 def trees(seed: int, *, scans: int = 1200) -> Scene:
     """Make thirty trunks at rest, and a robot that drives rounds among them.
 
-    Places and radii, 0.08 to 0.35 m, depend on the seed. Every trunk comes into view once a round,
-    of 28 s, and is out of it in between.
+    Places and radii, 0.08 to 0.35 m, depend on the seed. A round takes 28 s. Every trunk is in view
+    once per round, and out of view in between.
     """
     rng = np.random.default_rng([20240613, seed])
     sensor = Loop(center=(0, 0, HEIGHT), straight=8, radius=4, speed=1.5)
@@ -209,8 +209,8 @@ def trees(seed: int, *, scans: int = 1200) -> Scene:
 def cluttered(seed: int, *, scans: int = 600) -> Scene:
     """Make a room full of boxes and thin posts, and a robot that drives rounds among them.
 
-    Pieces of the walls show for moments in the gaps between them. Places and sizes depend on the
-    seed: ten boxes of 0.2 to 1 m, eighteen posts with radii of 0.015 to 0.15 m.
+    Parts of the walls are visible for moments in the gaps between the objects. Places and sizes
+    depend on the seed: ten boxes of 0.2 to 1 m, eighteen posts with radii of 0.015 to 0.15 m.
     """
     rng = np.random.default_rng([20240618, seed])
     sensor = Loop(center=(0, 0, HEIGHT), straight=3, radius=1, speed=0.8)

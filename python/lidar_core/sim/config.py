@@ -15,7 +15,7 @@ from lidar_core.sim.types import Quaternion, Vector
 
 
 class Body(Config):
-    """A shape at rest. Its place in the list of bodies is its label in the truth."""
+    """A shape at rest. Its label in the truth is its index in the list of bodies."""
 
     shape: Shape = Field(description="Surface (see the kinds for units).")
     position: Vector = Field(default=(0, 0, 0), description="Origin of the shape's frame [m].")
@@ -29,7 +29,7 @@ class Body(Config):
 
 
 class Target(Config):
-    """A moving shape. Its label in the truth: number of bodies + its place in the list."""
+    """A moving shape. Its label in the truth is the number of bodies plus its index in the list."""
 
     shape: Solid = Field(description="Surface (see the kinds for units).")
     motion: Motion = Field(description="Motion of the target (see the kinds for units).")
@@ -76,7 +76,7 @@ class Scene(Config):
     start_ns: int = Field(default=0, ge=0, le=2**62, description="Start of the first scan [ns].")
 
     def idealised(self) -> Self:
-        """Return the same scene in clear air, where everything returns and all rays are known.
+        """Return the same scene in clear air, where every surface returns and all rays are known.
 
         Rays without return in its scans hit nothing: with the same seed they show which missing
         returns of this scene are sky.

@@ -1,4 +1,4 @@
-"""Conversion to the output of a driver: dropped rows, rows of zeros, no directions, no mask."""
+"""Conversion to the output of a driver: dropped points, zeros, no directions, no mask."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from lidar_core.sim.truth import SimulatedScan
 def delivered(made: SimulatedScan, lidar: LidarModel) -> SimulatedScan:
     """Convert a scan with all rays known to the output of the driver of `lidar`.
 
-    Labels stay in line with the rows; the truth of the targets does not change.
+    Each label stays with its point; the truth of the targets does not change.
     """
     if lidar.ideal:
         return made

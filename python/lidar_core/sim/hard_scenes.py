@@ -31,9 +31,9 @@ FLIERS: dict[str, Solid] = {
     "quadcopter": Quadcopter(radius=0.3),
 }
 HEIGHT = 1.9
-"""Of the LiDAR on a car above the ground [m]."""
+"""Height of the LiDAR on a car above the ground [m]."""
 ROAD, GAP = 10.0, 20.0
-"""From the middle of the road to the houses, and from one house to the next [m]."""
+"""Distance from the middle of the road to the houses, and from one house to the next [m]."""
 
 
 def moving_car(
@@ -86,7 +86,7 @@ def dark_street(
 def windy_trees(
     seed: int = 0, *, scans: int = 200, sensor: str = "vlp-16", sparse: bool = True
 ) -> Scene:
-    """Make a meadow with trees in wind: few small leaves, or dense crowns; nothing flies."""
+    """Make a meadow with trees in wind and no flying objects: few small leaves, or dense crowns."""
     rng = np.random.default_rng([20240607, seed, 3])
     leaves, size = (60, 0.06) if sparse else (900, 0.1)
     trees = []

@@ -27,11 +27,11 @@ class Spinning(Config):
 
 
 class Rosette(Config):
-    """One ray after the other; turns and swings without common measure never repeat.
+    """One ray after the other, along a pattern of turns and swings that never repeats.
 
-    The swing is a triangle wave in elevation; with `azimuth_half_deg`, the azimuth is also one
-    instead of turning. The pattern imitates the scans of non-repetitive sensors, not a maker's
-    formula.
+    The swing is a triangle wave in elevation. With `azimuth_half_deg`, the azimuth is a triangle
+    wave too and does not turn. The pattern imitates the scans of non-repetitive sensors, not a
+    maker's formula.
     """
 
     removed: ClassVar[Mapping[str, str]] = {

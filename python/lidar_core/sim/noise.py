@@ -11,7 +11,7 @@ from lidar_core.sim.truth import SimulatedScan
 
 
 class PoseNoise(Config):
-    """Error of a self-localisation: of position and of attitude, alike along every axis."""
+    """Error of a self-localisation: of position and of attitude, equal along every axis."""
 
     position_std: float = Field(
         default=0.05, ge=0, le=100, description="Standard deviation per axis [m]."

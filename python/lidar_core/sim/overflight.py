@@ -39,7 +39,7 @@ COLUMNS: dict[str, type] = {
 YAW_PERIOD = 8.0
 """Period of the drone's yaw [s]."""
 RATE = 20.0
-"""Rows per second; LiDAR and radar take turns [Hz]."""
+"""Measurements per second [Hz]; LiDAR and radar measure alternately."""
 PITCH_PERIOD = 3.0
 """Period of the drone's pitch [s]."""
 TURN_PERIOD = 12.0
@@ -210,7 +210,7 @@ def overfly(config: Overflight, *, seed: int) -> Overflown:
 def _walk(
     config: Overflight, seconds: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position [m] and velocity [m/s] (K, 3) of the target, on arcs from row to row."""
+    """Position [m] and velocity [m/s] (K, 3) of the target, on arcs between measurements."""
     swings = 2 * np.pi / TURN_PERIOD
     heading = config.target_turn_rate / swings * np.sin(swings * seconds)
     flat = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)

@@ -23,7 +23,7 @@ from lidar_core.sim.simulator import Simulator
 from lidar_core.sim.truth import SimulatedScan, SimulatedSweep
 
 Made: TypeAlias = SimulatedScan | SimulatedSweep
-"""What a simulator makes, in 3D or in 2D."""
+"""Scan of a simulator with its truth, of a 3D or of a 2D LiDAR."""
 
 WORLD_FRAME = "world"
 POSE_TOPIC = "tf"
@@ -72,7 +72,7 @@ class Recorded:
         Scans and poses; targets per scan (`TargetTruth`, of a 2D LiDAR `ObjectTruth`, and where
         the sensor was, as CSV); the scene; version, seed, hash.
     scans, points, target_hits : int
-        Scans, points in all, points on targets.
+        Number of scans, of all points, and of points on targets.
     """
 
     recording: Path
@@ -108,7 +108,7 @@ def record(
     """Simulate `scene` into the recording `path`.
 
     The files NAME.truth.csv, NAME.scene.toml and NAME.run.toml beside it belong to the same run: no
-    other process may write there meanwhile.
+    other process may write these files at the same time.
 
     Parameters
     ----------

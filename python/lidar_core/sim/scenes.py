@@ -36,7 +36,7 @@ __all__ = [
 DRONE_RADIUS = 0.325
 """Radius of the sphere that stands for a drone [m]."""
 DRAWS = 20_000
-"""Places to try for houses, poles or trees, before there is said to be no room."""
+"""Number of places that are tried for houses, poles or trees before an error."""
 IsClear: TypeAlias = Callable[[float, float, float], bool]
 """Whether a body of some radius may stand at x, y [m]."""
 

@@ -41,7 +41,7 @@ class Simulator:
     Raises
     ------
     ConfigError
-        A value is out of range, or a random motion finds no room.
+        A value is out of range, or a random motion finds no free path.
     """
 
     def __init__(

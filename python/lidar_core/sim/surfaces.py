@@ -49,7 +49,7 @@ CONCRETE = Surface(reflectivity=0.35)
 ASPHALT = Surface(reflectivity=0.15)
 LEAVES = Surface(reflectivity=0.3)
 PLASTIC = Surface(reflectivity=0.2)
-"""Of drones."""
+"""Surface of drones."""
 DARK = Surface(reflectivity=0.02)
 """Black walls and cars: returns from near by only."""
 WET = Surface(reflectivity=0.04, mirror=0.02)
@@ -60,7 +60,7 @@ GLASS = Surface(reflectivity=0.01, mirror=0.08, clear=0.95)
 """Windows: most light passes, some is mirrored, hardly any comes back."""
 
 Answers: TypeAlias = list[Surface | None]
-"""One per surface of a scene; none: every ray that meets it returns."""
+"""Optical properties of each surface of a scene; None: every ray that hits the surface returns."""
 
 
 def __dir__() -> list[str]:

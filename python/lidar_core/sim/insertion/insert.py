@@ -33,7 +33,7 @@ PLACES_TO_TRY, STEPS_ROUND = 4000, 48
 
 
 SPEED_PERIOD = 6.0
-"""From fastest to fastest [s]."""
+"""Period of the speed: time from one maximum to the next [s]."""
 SCAN_RATE = 10.0
 """Scans per second [Hz]."""
 TILT_DEG = 20.0
@@ -70,7 +70,7 @@ class InsertedFlight(Config):
 
 @dataclass(frozen=True, slots=True)
 class _Rays:
-    """Rays of a scan: unit directions, and lengths that are infinite where nothing was met."""
+    """Rays of a scan: unit directions, and lengths [m]; infinite for rays without a hit."""
 
     directions: NDArray[np.float32]
     lengths: NDArray[np.float32]
@@ -104,7 +104,8 @@ def insert_target(
     Parameters
     ----------
     scan : Scan
-        Real scan. NaN stays without information, but in organised clouds without a mask.
+        Real scan. Entries of NaN stay without information; only in organised clouds without a mask
+        they are rays without return.
     position : array_like, shape (3,) or (N, 3), float64
         Centre [m], lidar frame; one per ray if it moves during the scan.
     radius : float, optional
@@ -120,18 +121,18 @@ def insert_target(
     range_std : float
         Standard deviation of the ranges to the solid [m].
     pattern : RayPattern, optional
-        Directions of rays whose rows the driver dropped or wrote as zeros. Without it, only rays in
-        the scan can hit the solid.
+        Directions of rays whose points the driver dropped or wrote as zeros. Without it, only rays
+        in the scan can hit the solid.
     rng : numpy.random.Generator
         Source of the noise.
 
     Returns
     -------
     scan : Scan
-        The scan with the solid. If rows were dropped, new rows are at the end, and rows of hidden
+        The scan with the solid. If the driver dropped points, new points are at the end, and hidden
         points are missing.
     is_hit : ndarray, shape (N,), bool
-        Rows of that scan that lie on it.
+        True for points of that scan on the solid.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def _insert_solid(
     pattern: RayPattern | None,
     rng: np.random.Generator,
 ) -> Inserted:
-    """Return `scan` with the solid at `centre`, which may have one row per row of the scan."""
+    """Return `scan` with the solid at `centre` [m]: one position, or one per entry of the scan."""
     rays = rays_of(scan, STANDING, pattern, rng)
     places = np.broadcast_to(centre, (len(scan.points.reshape(-1, 3)), 3))[rays.near]
     attitudes = np.broadcast_to(np.asarray(rotation, np.float64), (len(places), 4))

@@ -23,7 +23,7 @@ from lidar_core.sim.motion.motions import Scripted
 from lidar_core.sim.truth import SimulatedScan
 
 STEP_NS = 1_000_000
-"""Over which the velocity of the target is taken [ns]."""
+"""Time over which the velocity of the target is computed [ns]."""
 
 
 def with_moving_target(
@@ -49,7 +49,7 @@ def with_moving_target(
     ----------
     posed : iterable of PosedScan
         Scans with poses, as of `lidar_core.io.posed_scans`. Between single poses of successive
-        scans the sensor moves evenly.
+        scans, the sensor moves at constant velocity.
     shape : Solid, (vertices, faces), or a mesh
         Shape as for `insert_target`.
     motion : Motion
@@ -61,7 +61,8 @@ def with_moving_target(
     follows : bool
         The motion is relative to the sensor: the target moves along with it.
     deskewed : bool
-        Motion was taken out of the clouds: their points are in the sensor's frame at the stamp.
+        The motion was compensated in the clouds: their points are in the sensor's frame at the
+        stamp.
     pattern : RayPattern, optional
         Rays that the scans leave out, as for `insert_target`.
     range_min, range_max, range_std : float

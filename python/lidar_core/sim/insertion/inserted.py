@@ -21,9 +21,9 @@ Poses: TypeAlias = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 
 
 MOMENTS = 9
-"""Times of a scan at which the bearing of a solid is looked up first (count)."""
+"""Number of times in a scan at which the bearing of a solid is computed first."""
 BACKGROUND, TARGET = 0, 1
-"""Labels of what a ray met; -1 is nothing."""
+"""Labels of rays that hit the background or the target; -1: no hit."""
 
 
 class SolidTarget:
@@ -71,14 +71,14 @@ class Inserted:
     Attributes
     ----------
     scan : Scan
-        New points replace the rows of known rays, or, if the driver dropped those, are in rows at
-        the end.
+        New points replace the entries of known rays. New points of rays that the driver dropped are
+        at the end.
     is_hit : ndarray, shape (N,), bool
-        Rows that are returns of the solid.
+        True for points that are returns of the solid.
     source : ndarray, shape (N,), int64
-        Row of the recorded scan that each row was; -1 for a new one.
+        Index of each point in the recorded scan; -1 for a new point.
     rays : int
-        Rays that would hit it within range if nothing else were there.
+        Number of rays that would hit the solid within range if there were no other objects.
     """
 
     scan: Scan
@@ -158,7 +158,7 @@ def _towards(
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """Rays of a scan, and the solid in whose frame they are taken by `target_from_ray`."""
+    """Rays of a scan, and a solid; `target_from_ray`: transforms of the rays into its frame."""
 
     target: SolidTarget
     target_from_ray: NDArray[np.float64]
@@ -168,10 +168,11 @@ class Meeting:
     def of(
         self, rays: Rays, rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], int]:
-        """Return the points on the solid, which rays end on it, which show it, and how many could.
+        """Return points on the solid, rays that end on it, rays that return, and a number of rays.
 
-        A ray that ends on it does not show it if it is nearer than the least range, or if the ray
-        has a nearer return. The number counts rays that would hit it if nothing else were there.
+        A ray that ends on the solid gives no return of it if the solid is nearer than the least
+        range, or if the ray has a nearer return. The number counts rays that would hit the solid if
+        there were no other objects.
         """
         distance = self.target.distances(
             np.ascontiguousarray(self.target_from_ray[:, :3, 3]),
@@ -187,9 +188,9 @@ class Meeting:
 
 
 def _first_of_each(rays: Rays, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which of the `chosen` rows is the nearest return of its ray.
+    """Return which of the `chosen` entries is the nearest return of its ray.
 
-    Returns of one ray have the same direction and are separate rows of the cloud.
+    Returns of one ray have the same direction and are separate points of the cloud.
     """
     index = np.flatnonzero(chosen)
     cell = np.round(rays.directions[index] / SAME_RAY).astype(np.int64)
@@ -208,7 +209,7 @@ def written(
     is_seen: NDArray[np.bool_],
     rays_on_it: int,
 ) -> Inserted:
-    """Return the scan with the returns of the solid in their rows, and without hidden points."""
+    """Return the scan with the returns of the solid, and without hidden points."""
     rows = scan.points.reshape(-1, 3).copy()
     hidden = rays.row[ends & ~is_seen & (rays.row >= 0)]
     taken = rays.row[is_seen & (rays.row >= 0)]
@@ -251,7 +252,7 @@ def _select_rows(
     rays: Rays,
     added: NDArray[np.int64],
 ) -> Scan:
-    """Return the rows `near` of a scan; those after the first `kept` ones become new points."""
+    """Return the entries `near` of a scan; those after the first `kept` become new points."""
     intensity = None if scan.intensity is None else scan.intensity.copy()
     if scan.points.ndim == 3 or (kept == len(scan.points) and not len(added)):
         return replace(scan, intensity=intensity)
@@ -280,7 +281,7 @@ def _select_rows(
 
 
 def labels_of(done: Inserted) -> NDArray[np.int32]:
-    """Label every row: the solid, a recorded return, or no return."""
+    """Label every entry: the solid, a recorded return, or no return."""
     points = done.scan.points.reshape(-1, 3)
     is_point = is_return(points) & np.isfinite(points).all(axis=1)
     other = np.where(is_point, BACKGROUND, -1)

@@ -51,7 +51,7 @@ class RayDensity:
     ) -> NDArray[np.float64]:
         """Draw the directions of rays missing in `known` (M, 3); `total` is their number, if given.
 
-        Cells whose surroundings hold nearly as many rays as expected lack none.
+        Cells have no missing rays if their surroundings contain nearly as many rays as expected.
         """
         counts = _count_per_cell(known)
         rays = self.rays * self._pace(counts)

@@ -13,7 +13,7 @@ from lidar_core.sim.insertion.ray_density import RayDensity, angles_of, unit
 from lidar_core.sim.lidar import LidarModel, Planar, Spinning
 
 NEAREST_RETURN = 0.05
-"""Rows nearer than this are no returns: zeros, also ones that a motion correction moved [m]."""
+"""Points nearer than this are no returns: zeros, also after a motion correction [m]."""
 MOST_ROWS, FEWEST_ROWS = 160, 4
 ROW_BIN_DEG, ROW_SHARE = 0.1, 0.9
 """Rows show as peaks of a histogram of elevations that hold this share of all returns."""
@@ -80,7 +80,7 @@ class RayPattern:
         Raises
         ------
         InputError
-            A planar one.
+            The model is planar.
         """
         pattern = lidar.pattern
         if isinstance(pattern, Planar):
@@ -160,7 +160,7 @@ def row_of(
 
 
 def is_return(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which rows (N, 3) are returns, and not NaN, zeros or nearly zeros."""
+    """Return which points (N, 3) are returns, and not NaN, zeros or nearly zeros."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.linalg.norm(points, axis=1) > NEAREST_RETURN)
 

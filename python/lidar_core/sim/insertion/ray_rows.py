@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from lidar_core.sim.insertion.ray_density import angles_of, unit
 
 LONGEST_GAP = 12
-"""Rows without return in a row of a line that are placed between their neighbours (count)."""
+"""Largest number of successive missing rays that are placed between their neighbours."""
 BEND = 2.0
-"""A gap is a straight way if it is at most so many times as wide as its steps should make it."""
+"""Largest ratio of the width of a gap to the width that its steps should give, or inverse."""
 
 
 def grid_directions(known: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -46,24 +46,25 @@ def between_neighbours(
     """Find the rays missing in short gaps of lines, evenly between the rays before and after.
 
     A rosette draws lines: consecutive rays lie side by side. The number of missing rays follows
-    from the rows of the cloud if every ray has one, else from the time, else from the width of the
-    gap.
+    from the indices in the cloud if every ray has an entry, else from the time, else from the width
+    of the gap.
 
     Parameters
     ----------
     known : ndarray, shape (M, 3), float64
         Directions in the order of the cloud.
     row, line : ndarray, shape (M,), int64
-        Row of the cloud, and line of the sensor that it belongs to.
+        Index of each ray in the cloud, and the line of the sensor that it belongs to.
     times : ndarray, shape (M,), int64, optional
         Times of the rays [ns].
     rows_are_rays : bool
-        Rays without return have rows of their own.
+        Rays without return have entries of their own in the cloud.
 
     Returns
     -------
     directions, row, near : ndarray, shapes (K, 3), (K,) and (K,)
-        The missing rays, their rows (-1 where they have none), and the known ray before.
+        Directions of the missing rays, their indices in the cloud (-1: no entry), and the index of
+        the known ray before each.
     """
     found: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]] = []
     lines = np.unique(line)

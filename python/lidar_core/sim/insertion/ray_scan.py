@@ -20,7 +20,7 @@ class SensorWay:
     stamps_ns, poses : ndarray, shapes (K,), int64, and (K, 4, 4), float64
         Poses of the sensor in the world at some times.
     deskewed : bool
-        Motion was taken out: all points are in the frame of the sensor at `Scan.stamp_ns`.
+        The motion was compensated: all points are in the frame of the sensor at `Scan.stamp_ns`.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -35,7 +35,7 @@ class SensorWay:
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """Rays in the sensor's frame at their own time; `row` is -1 where the cloud has none."""
+    """Rays in the sensor's frame at their own time; `row`: index in the cloud, -1 for none."""
 
     directions: NDArray[np.float64]
     lengths: NDArray[np.float64]
@@ -108,7 +108,7 @@ def rays_of(
 def _on_lines(
     scan: Scan, rays: Rays, empty: NDArray[np.int64], *, has_rows: bool
 ) -> tuple[Rays, NDArray[np.int64]]:
-    """Add the rays missing in short gaps of lines; return also the remaining empty rows."""
+    """Add the rays missing in short gaps of lines; return also the remaining empty entries."""
     lines = np.zeros(len(rays.row), np.int64) if scan.ring is None else rays.ring
     times = None if scan.point_time_ns is None else scan.point_time_ns.reshape(-1)[rays.row]
     directions, rows, near = between_neighbours(
@@ -130,7 +130,7 @@ def _with_missing(
     *,
     has_rows: bool,
 ) -> Rays:
-    """Add the rays that the pattern predicts; if rays have rows, they take the `empty` ones."""
+    """Add the rays that the pattern predicts; in clouds with `empty` entries, they use these."""
     known = rays.directions
     ring = rays.ring.astype(np.uint16) if has_rings else None
     lost, rows = pattern.missing(known, ring, rng, total=len(empty) if has_rows else None)
@@ -144,9 +144,9 @@ def _with_missing(
 
 
 def _rows_without_return(scan: Scan, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which rows mark a ray without return: masked, zeros, or NaN of an organised cloud.
+    """Return which entries mark a ray without return: masked, zeros, or NaN of an organised cloud.
 
-    Other rows of NaN are no information; if a mask is given, it decides.
+    Other entries of NaN are without information. If a mask is given, the mask decides.
     """
     if scan.no_return is not None:
         return scan.no_return.reshape(-1) & ~kept
@@ -166,7 +166,7 @@ def _as_fired(
 
 
 def times_of_rows(scan: Scan, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the times of the given rows [ns]."""
+    """Return the times of the points with the indices `rows` [ns]."""
     if scan.point_time_ns is None:
         return np.full(len(rows), scan.stamp_ns, np.int64)
     return scan.point_time_ns.reshape(-1)[rows].astype(np.int64)

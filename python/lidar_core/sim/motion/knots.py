@@ -9,7 +9,7 @@ Knots: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Seconds after the start (K,), and poses (K, 4, 4) there; straight lines between them."""
 
 STEP = 0.01
-"""Time between the knots of a curve [s]: at 10 m/s2 lines leave it by 0.13 mm at most."""
+"""Time between the knots of a curve [s]: at 10 m/s2, lines deviate from it by 0.13 mm at most."""
 
 
 def poses(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> NDArray[np.float64]:

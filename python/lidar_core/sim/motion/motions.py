@@ -1,4 +1,4 @@
-"""Motions of sensors and targets: written down, or random."""
+"""Motions of sensors and targets: given, or random."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self, TypeAlias
@@ -185,7 +185,7 @@ class Shuttle(Config):
 
 
 class RandomMotion(Config):
-    """A smooth random flight (cubic B-spline) that keeps clear of everything."""
+    """A smooth random flight (cubic B-spline) that keeps away from all bodies and other movers."""
 
     kind: Literal["random"] = "random"
     box_min: Vector = Field(description="Smallest coordinates of the centre [m].")

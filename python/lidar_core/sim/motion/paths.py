@@ -16,7 +16,7 @@ WANDERING_STEP = 0.005
 
 
 class FigureEight(Config):
-    """A lying eight about a point: twice along x while once along y."""
+    """A figure eight around a point: two periods along x during one period along y."""
 
     kind: Literal["figure_eight"] = "figure_eight"
     center: Vector = Field(description="Middle, where it starts [m].")
@@ -87,7 +87,7 @@ class StopAndGo(Config):
 
 
 WANDERING_TIME = 2.0
-"""Memory of a wandering velocity [s]: that of somebody who strolls about."""
+"""Correlation time of a wandering velocity [s], as of a person who strolls about."""
 LOW, HIGH = (1.5, -4.0), (7.0, 4.0)
 """Corners of the rectangle in which it wanders, in front of a scanner at the origin [m]."""
 
@@ -141,7 +141,7 @@ class Wandering(Config):
 
 
 REACH_RATE = 0.8
-"""Angular rate of the way [rad/s]."""
+"""Angular rate of the motion along the line [rad/s]."""
 PITCH_PERIOD = 4.0
 """Period of the pitch [s]."""
 ROLL_PERIOD = 5.0
@@ -151,7 +151,7 @@ YAW_RATE = 0.5
 
 
 class Swinging(Config):
-    """A vehicle about a place: it moves along a line, turns, pitches and rolls, all as sines."""
+    """A vehicle near a place: it moves along a line, turns, pitches and rolls, all as sines."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "reach_rate": "the way swings with 0.8 rad/s",

@@ -16,7 +16,7 @@ def reach_of(surfaces: Placed) -> float:
 def movers_of(
     shape: Solid, way: SimTrajectory, stamps_ns: NDArray[np.int64], seconds: NDArray[np.float64]
 ) -> list[tuple[SimShape, SimTrajectory]]:
-    """Return every surface of a shape with its own path, at `stamps_ns`, which are at `seconds`."""
+    """Return every surface of a shape with its path, at `stamps_ns`, `seconds` after the start."""
     surfaces = shape.surfaces()
     if len(surfaces) == 1:
         return [(surfaces[0][0], way)]

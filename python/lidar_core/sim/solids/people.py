@@ -14,7 +14,7 @@ from lidar_core.sim.motion.knots import poses
 
 Length: TypeAlias = Annotated[float, Field(gt=0, le=1e5)]
 Placed: TypeAlias = list[tuple[SimShape, NDArray[np.float64]]]
-"""Surfaces, and where each is in the shape's frame [m]."""
+"""Surfaces, each with its position in the shape's frame [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ NECK_RADIUS = 0.06
 ARM_RADIUS = 0.045
 """Radius of an arm [m]."""
 ARM_GAP = 0.01
-"""Between trunk and arm [m]."""
+"""Gap between trunk and arm [m]."""
 ARM_SWING_DEG = 25.0
 """Greatest angle of an arm [deg]."""
 LEG_RADIUS = 0.07

@@ -55,7 +55,7 @@ class Cylinder(Config):
 
 
 class EllipticCylinder(Config):
-    """A cylinder along z with an elliptic cross section, and without ends."""
+    """An elliptic cylinder of infinite length around the z axis of its frame."""
 
     removed: ClassVar[Mapping[str, str]] = {
         "height": "it has no ends",
@@ -191,7 +191,7 @@ Solid: TypeAlias = Annotated[
     Barrel | Box | Cylinder | EllipticCylinder | Hexacopter | Mesh | Person | Quadcopter | Sphere,
     Field(discriminator="kind"),
 ]
-"""What can move."""
+"""Shapes that can move."""
 
 Shape: TypeAlias = Annotated[
     Solid | HeightField | Plane | Tree,
