@@ -1,7 +1,7 @@
 """A server of Foxglove's WebSocket protocol on 127.0.0.1 that checks its clients.
 
-foxglove-sdk has a server, too, but it takes web pages from anywhere, and programs of other hosts'
-names. Source of the protocol: the specification foxglove.websocket.v1 of ws-protocol.
+foxglove-sdk has a server too, but that server accepts web pages of any origin, and requests to any
+host name. Source of the protocol: the specification foxglove.websocket.v1 of ws-protocol.
 """
 
 import base64
@@ -44,7 +44,7 @@ class ServedChannel:
     Attributes
     ----------
     id : int
-        Number of the channel in messages to viewers.
+        ID of the channel in messages to viewers.
     description : dict
         Description that viewers get.
     """
@@ -245,7 +245,7 @@ class _Viewer:
         self._thread.start()
 
     def subscriptions_to(self, channel: int) -> list[int]:
-        """Numbers of the viewer's subscriptions to a channel."""
+        """IDs of the viewer's subscriptions to a channel."""
         with self._changed:
             return [name for name, number in self._subscriptions.items() if number == channel]
 

@@ -40,7 +40,7 @@ class Outline:
     Attributes
     ----------
     id : int
-        Number of the element.
+        ID of the element.
     points : ndarray, shape (V, 3), float64
         Both ends of a line, or a closed path around an ellipse or rectangle; world frame [m].
     visible : bool

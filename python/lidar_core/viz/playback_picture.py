@@ -107,7 +107,7 @@ def draw_film(
     path : str or Path
         .gif, or .mp4 where ffmpeg is installed; written atomically.
     frames : int
-        Largest number of frames, which are evenly picked.
+        Largest number of frames, which are evenly spaced in time.
     rate : float
         Frames per second [Hz].
     on_frame : callable
@@ -373,7 +373,7 @@ def _draw_object(
 
 
 def _list(panel: Any, moment: Moment) -> None:
-    """Write number, place, speed and uncertainty of the objects as text."""
+    """Write ID, position, speed and uncertainty of the objects as text."""
     objects = moment.objects
     panel.set_axis_off()
     text = {"fontsize": 8.5, "family": "DejaVu Sans Mono", "color": INK, "linespacing": 1.35}

@@ -9,7 +9,7 @@ from typing import TypeAlias
 BLOCK_BYTES = 2**20
 WAKE_S = 1.0  # how soon a page that nobody writes to notices the end
 Feed: TypeAlias = Callable[[], Iterator[bytes]]
-"""Gives every page that asks the blocks of a recording; it may go on without end."""
+"""Function that gives each page the blocks of a recording; the blocks may have no end."""
 
 
 def file_feed(recording: Path) -> Feed:

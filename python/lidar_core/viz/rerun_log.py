@@ -27,20 +27,20 @@ CLASS_COLOURS = np.array([_COLOURS[one] for one in ShownClass], np.uint8)
 """Colours of points by class; INVALID is that of points without one."""
 OBJECT_COLOUR, ELLIPSE_COLOUR, VOXEL_COLOUR = (255, 90, 25), (60, 130, 240), (95, 110, 125, 90)
 SEEN_COLOUR, HIDDEN_COLOUR = (20, 160, 145), (130, 150, 150)
-"""Of walls and other shapes, in sight and out of sight."""
+"""Colours of walls and other shapes, in sight and out of sight."""
 SIGMAS = 2.0
 TRAIL = 50  # positions of an object that stay in view
 POINT_RADIUS, VOXEL_RADIUS = 0.02, 0.05
 LOOK, SHORTEST_LOOK = 1.6, 8.0
-"""Distance of the viewer's eye: over the size of what moves, and at least [m]."""
+"""Distance of the viewer's eye: ratio to the extent of moving objects, and its minimum [m]."""
 LOOK_FROM = np.array([-0.45, -0.65, 0.61])
-"""Direction from what moves to the eye."""
+"""Direction from the moving objects to the eye."""
 
 
 class RerunLog:
     """Moments of a run, logged to rerun as they come.
 
-    Clouds by class under world/points, boxes with numbers under world/objects, their 2 sigma
+    Clouds by class under world/points, boxes with IDs under world/objects, their 2 sigma
     ellipsoids, velocities (a second long) and trails beside them, walls and other shapes under
     world/shapes.
 
@@ -143,7 +143,7 @@ class RerunLog:
         self._log_or_clear(place, len(lines), strips)
 
     def _log_or_clear(self, place: str, count: int, shown: Any) -> None:
-        """Log `shown`, which has `count` things; if none, log it only to remove earlier ones."""
+        """Log `shown`, which has `count` items; if 0, log it only to remove earlier items."""
         if count or place in self._filled:
             self.stream.log(place, shown)
         (self._filled.add if count else self._filled.discard)(place)

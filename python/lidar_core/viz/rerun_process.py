@@ -14,7 +14,7 @@ from lidar_core.viz.origin_check import LOCAL
 
 PURPOSE = "the rerun viewer"
 NOWHERE = f"http://{LOCAL}:9"
-"""Proxy for whatever the program asks of others, such as its newest release: nobody listens."""
+"""Proxy without a listener for requests to other machines, such as for the newest release."""
 NO_PROXY = f"{LOCAL},localhost"
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
 

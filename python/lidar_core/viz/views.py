@@ -38,7 +38,7 @@ class FlyingView:
     recall : mapping of str to pair of ndarray
         Per name, times [ns] and share of targets found.
     moving, moving_scan : ndarray, shapes (M, 3), float64, and (M,), int64
-        Points that move on the ground, of all scans [m], and the number of their scan, from 0.
+        Points that move on the ground, of all scans [m], and the index of their scan, from 0.
     """
 
     title: str
@@ -124,7 +124,7 @@ class FusionView:
     seen : mapping of str to ndarray, shape (M, 2), float64
         Measured positions by sensor [m]; the radar's from range and bearing.
     tracks : mapping of int to PlanarLine
-        Estimates by the number of the track.
+        Estimates by the ID of the track.
     truth : mapping of int to PlanarLine
         True positions by target; empty without truth.
     nis : mapping of str to pair of ndarray, shape (N,)

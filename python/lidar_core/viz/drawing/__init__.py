@@ -1,1 +1,1 @@
-"""Shared parts of pictures: the visible part of the world, numbers of tracks, scale bars."""
+"""Shared parts of pictures: the visible part of the world, IDs of tracks, scale bars."""

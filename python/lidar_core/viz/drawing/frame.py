@@ -8,21 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 TIMES = 3.0
-"""Size of the picture over that of what moves: the rest shows where it is."""
+"""Ratio of the size of a picture to the extent of moving objects: the rest shows surroundings."""
 MOST_TIMES = 5.0
-"""The same at most, where the picture grows to show the sensor."""
+"""Largest ratio if the picture grows to show the sensor."""
 SMALLEST = 8.0
-"""Least size of what is shown [m]."""
+"""Smallest size of the shown part of the world [m]."""
 MOST_EXTENDED = 1.6
-"""Growth of a picture of a map at most, for what moves to be in its middle third."""
+"""Largest factor by which a picture of a map grows to have moving objects in its middle third."""
 THIRD = 2.8
 """One over the share from the border to the middle third, with some reserve."""
 EDGE = 1.2
-"""Room at the border, where the picture grows to show something."""
+"""Factor for a margin at the border if the picture grows to show further places."""
 LEGEND = 0.25
-"""Share of the height that a legend takes at most, on half of the width."""
+"""Largest share of the height that a legend takes, on half of the width."""
 BULK = (0.02, 0.98)
-"""Quantiles of the points that are shown where nothing moves."""
+"""Quantiles of the points between which a picture without moving objects extends."""
 
 
 @dataclass(frozen=True, slots=True)

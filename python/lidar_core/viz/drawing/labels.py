@@ -1,4 +1,4 @@
-"""Placement of numbers beside tracks so that they do not overlap."""
+"""Placement of labels (IDs) beside tracks so that they do not overlap."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 FONT = 8.5
 NUMBER = "number"
-"""Mark of numbers, by which tests find them."""
+"""Mark of labels, by which tests find them."""
 DIRECTIONS = 16
 RADII = (18.0, 27.0, 38.0, 52.0, 70.0, 92.0, 120.0, 152.0, 190.0, 232.0)
-"""Distances of a number from its place that are tried, nearest first [pixel]."""
+"""Distances of a label from its object that are tried, nearest first [pixel]."""
 GAP = 2.0
-"""Between two numbers at least [pixel]."""
+"""Smallest distance between two labels [pixel]."""
 SHORT = 30.0
-"""Farther numbers get a line to their place [pixel]."""
+"""Labels further than this from their object get a line to it [pixel]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Number beside the object that it belongs to.
+    """Label beside the object that it belongs to, such as the ID of a track.
 
     Attributes
     ----------
@@ -42,9 +42,10 @@ class Label:
 
 
 def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.float64]]) -> None:
-    """Write numbers as badges without overlap, and where possible beside the paths.
+    """Draw labels as badges without overlap, and where possible beside the paths.
 
-    Limits and size of the panel are set before. A number whose place is outside is left out.
+    Set the limits and the size of the panel before the call. A label whose object is outside is
+    left out.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def draw_labels(axes: Any, labels: Sequence[Label], ways: Sequence[NDArray[np.fl
     labels : sequence of Label
         The first ones get the better places.
     ways : sequence of ndarray, shape (N, 2)
-        Lines that numbers should not hide [m].
+        Lines that labels should not hide [m].
     """
     axes.apply_aspect()
     to_pixel = axes.transData.transform

@@ -16,15 +16,17 @@ TRACK_COLOURS = (
     *("#0369a1", "#15803d", "#7e22ce", "#be185d", "#78350f", "#0f766e", "#4d7c0f"),
     *("#0891b2", "#c026d3", "#1e3a8a", "#a16207"),
 )
-"""Of tracks, in turn: each can be told from the others, from the classes of points, and from the
-orange of walls and radar.
+"""Colours of tracks, in turn.
+
+They differ from each other, from the colours of the classes of points, and from the orange of walls
+and radar.
 """
 WAY = "way"
 """Mark of the lines of tracks, by which tests find them."""
 RING = 20.0
 """Diameter of the ring around an object [pixel]: a drone alone would be a few pixels."""
 BAR = 0.22
-"""Longest scale bar, over the width of the panel."""
+"""Largest length of a scale bar, as a share of the width of the panel."""
 GROUND = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 
 

@@ -10,15 +10,15 @@ from lidar_core.viz.drawing.frame import Window
 from lidar_core.viz.figure import PURPOSE
 
 COLOURS = ("#efeae0", "#d8cfbd", "#a89f8d")
-"""From far to near."""
+"""Colours of voxels, from far to near."""
 MOST_CELLS = 2000
-"""Cells of the image along a side: more than the picture has pixels, and its memory has a bound."""
+"""Largest number of cells of the image along a side: more than the picture has pixels."""
 
 
 def visible_rows(
     rows: NDArray[np.float64], plane: tuple[int, int], window: Window, depth: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return the rows (points) in the window whose third coordinate lies within `depth` [m]."""
+    """Return the points `rows` in the window whose third coordinate is within `depth` [m]."""
     low, high = np.empty(3), np.empty(3)
     low[list(plane)], high[list(plane)] = window.low, window.high
     low[3 - sum(plane)], high[3 - sum(plane)] = depth

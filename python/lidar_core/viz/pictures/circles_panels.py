@@ -1,4 +1,4 @@
-"""Panels beside a map of circles: speeds of what moves, and counts, over time."""
+"""Panels beside a map of circles: speeds of moving elements, and counts, over time."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from lidar_core.viz.figure import PALE
 from lidar_core.viz.views import CirclesView
 
 STANDS = "#6b7280"
-"""Colour of what did not move."""
+"""Colour of elements that did not move."""
 MOST_CURVES = 6  # speeds over time: what moved in most scans
 
 

@@ -180,9 +180,10 @@ def _is_cut(box: NDArray[np.float64], window: Window) -> bool:
 
 
 def _drawn_at_end(view: CirclesView) -> dict[int, tuple[CircleElements, int]]:
-    """Return for each element number the state and row in which a picture shows the element.
+    """Return for each element ID the map state, and the row there, that a picture shows.
 
-    First come the elements of the last map, then those with the longest paths that it lacks.
+    Elements of the last map come first. Then follow the elements with the longest paths that are
+    not in this map.
     """
     last, ways = _last_rows(view.maps), _ways(view, len(view.maps) - 1)
     there = set(view.maps[-1].id.tolist()) if view.maps else set()
@@ -311,7 +312,7 @@ def _gone_shapes(axes: Any, view: CirclesView) -> None:
 
 
 def _last_rows(states: Sequence[StateT]) -> dict[int, tuple[StateT, int]]:
-    """Return for every number the last state that contains it, and its row there."""
+    """Return for every element ID the last state that contains it, and its row there."""
     return {
         number: (state, row) for state in states for row, number in enumerate(state.id.tolist())
     }
@@ -348,7 +349,7 @@ def _arrow(
 
 
 def _ways(view: CirclesView, scan: int) -> Mapping[int, NDArray[np.float64]]:
-    """Centres of every element up to `scan`, by its number [m]."""
+    """Centres of every element up to `scan`, by its ID [m]."""
     found: dict[int, list[NDArray[np.float64]]] = {}
     for state in view.maps[: scan + 1]:
         for row, number in enumerate(state.id.tolist()):

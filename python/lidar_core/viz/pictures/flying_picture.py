@@ -165,7 +165,7 @@ def _by_class(view: FlyingView) -> list[NDArray[np.float64]]:
 
 
 def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
-    """Draw paths with 2 sigma ellipses, and a ring and the number at the last place."""
+    """Draw paths with 2 sigma ellipses, and a ring and the ID at the last position."""
     across, up = plane
     labels: list[tuple[int, Label]] = []
     ways = []
@@ -196,7 +196,7 @@ def _tracks(axes: Any, view: FlyingView, plane: tuple[int, int]) -> None:
 
 
 def _by_track(view: FlyingView) -> dict[int, list[tuple[int, int]]]:
-    """Return for each track number the scan and row of each of its states."""
+    """Return for each track ID the scan and row of each of its states."""
     found: dict[int, list[tuple[int, int]]] = {}
     for scan, tracks in enumerate(view.tracks):
         for row, number in enumerate(tracks.id.tolist()):

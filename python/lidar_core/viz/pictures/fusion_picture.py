@@ -34,7 +34,7 @@ SENSORS = {"lidar": ("#334155", "o"), "radar": ("#c2410c", "^")}
 OTHER = ("#64748b", "s")
 """Colours and markers of measurements."""
 LARGEST, SMALLEST_MARK, CROWD = 16.0, 5.0, 5000.0
-"""Areas of a marker [points^2]: of few measurements, of many, and of all together."""
+"""Areas [points^2]: of a marker of few measurements, of a marker of many, and of all markers."""
 SIGMAS, CORNERS = 2.0, 36
 ELLIPSES = 20  # along a track, at most
 SMALLEST = 4.0  # least width and height of what is shown [m]

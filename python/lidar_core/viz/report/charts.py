@@ -20,11 +20,11 @@ from lidar_core.viz.figure import figure_with_style
 SIZE, DPI = (9.5, 2.6), 90
 SHARE = 0.95
 GAP = 2.5
-"""Steps of usual length without a value that interrupt a curve."""
+"""A curve is interrupted if two values are more than this number of usual time steps apart."""
 MOST_DRAWN = 5000
-"""Values of one chart that are drawn as lines; more become one picture, which stays small."""
+"""Largest number of values of one chart that are drawn as lines; more become one small picture."""
 MOST_TARGETS = 20
-"""Curves of one chart: more cannot be told apart."""
+"""Largest number of curves of one chart: more cannot be distinguished."""
 
 
 def error_chart(

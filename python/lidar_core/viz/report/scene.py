@@ -1,4 +1,4 @@
-"""Data of the 3-D view of a report: map, points and objects over time, as small numbers."""
+"""Data of the 3-D view of a report: map, points and objects over time, as small integers."""
 
 from base64 import b64decode, b64encode
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,12 +13,12 @@ from lidar_core.viz.playback import Moment, Playback
 from lidar_core.viz.report.seen import first_seen
 
 MOST_MOMENTS = 300
-"""Times that the slider has: more are thinned evenly."""
+"""Largest number of times of the slider: more are thinned evenly."""
 MOST_POINTS = 500_000
-"""Points of all scans together. A point takes 9 characters of the page."""
+"""Largest number of points of all scans together. A point takes 9 characters of the page."""
 MOST_VOXELS = 40_000
 MOST_PLACES = 3000
-"""True places of each target."""
+"""Largest number of true positions of each target."""
 STEPS = 65_000
 """Steps per axis of a stored position, which fits 16 bits: 8 mm in a scene of 500 m."""
 

@@ -14,7 +14,7 @@ UNSEEN: Final = np.iinfo(np.uint16).max
 COARSE = 4
 """Voxels per side of the cells that stand in for voxels whose own scans were thinned away."""
 _SPAN = 1 << 20
-"""Cells per axis that have a number of their own, around the first voxel: 200 km of 0.2 m."""
+"""Cells per axis that have a key of their own, around the first voxel: 200 km of 0.2 m."""
 
 
 def first_seen(

@@ -62,7 +62,7 @@ def flat(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]
 
 
 def object_rows(run: Playback) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of the table of objects: one row per number, longest in sight first."""
+    """Header and rows of the table of objects: one row per ID, longest in sight first."""
     ways: dict[int, list[tuple[float, Any, float, float]]] = {}
     start = None
     for stamp_ns, objects in run.steps():
