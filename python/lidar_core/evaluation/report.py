@@ -28,7 +28,7 @@ class Evaluation:
     latency : Latency or None
         Time per scan.
     warnings : tuple of str
-        Reasons why scores mean nothing: no time or place in common with the truth.
+        Reasons why the scores are meaningless: no time or place in common with the truth.
     """
 
     tracks: TrackScores | None
@@ -76,7 +76,7 @@ def evaluate(
     ------
     InputError
         Tables whose columns differ in length, that hold an object twice at one time, or tracks
-        without numbers.
+        without IDs.
     MissingExtraError
         `with_identities` without trackeval.
     """

@@ -88,8 +88,8 @@ def score_detections(
 ) -> DetectionScores:
     """Score detections scan by scan; the assignment is optimal within the gate.
 
-    All targets take part in the assignment; only eligible ones count for recall and errors, so
-    that a detection of a target that need not be found is neither false nor a merit.
+    All targets take part in the assignment; only eligible targets count for recall and errors. So a
+    detection of a target that need not be found counts neither as false nor as correct.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def score_tracks(
     Raises
     ------
     InputError
-        Tables whose columns differ in length, or tracks without numbers.
+        Tables whose columns differ in length, or tracks without IDs.
     """
     config = as_config(config, EvaluationConfig)
     tracks = checked_estimates(tracks)

@@ -25,7 +25,7 @@ FARTHEST = 2.0**20
 
 @dataclass(frozen=True, slots=True)
 class StaticScores:
-    """Share of the static scene that a map contains, and share of moving things that it leaves out.
+    """Share of the static scene in a map, and share of the moving objects that are not in it.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def score_static_map(
     truth_points : array_like, shape (M, 3)
         Points of the labelled cloud [m], in the same frame.
     is_dynamic : array_like, shape (M,)
-        True for points of moving things.
+        True for points of moving objects.
     resolution : float, optional
         Edge of the voxels of the map [m]. A point of the cloud is in the map if it is within
         0.05 m of one of its points, or of one of its voxels.
@@ -97,7 +97,7 @@ def score_static_map(
     Raises
     ------
     InputError
-        Wrong shapes, coordinates that are not finite, or too far away for a lookup.
+        Wrong shapes, coordinates that are not finite, or coordinates that are too large.
 
     Notes
     -----
@@ -133,7 +133,7 @@ def read_labelled_cloud(path: str | Path) -> tuple[NDArray[np.float64], NDArray[
     Parameters
     ----------
     path : str or Path
-        PCD file with intensity 1 for points of moving things and 0 for all others, or a folder of
+        PCD file with intensity 1 for points of moving objects and 0 for all others, or a folder of
         the benchmark that contains it as gt_cloud.pcd.
 
     Raises

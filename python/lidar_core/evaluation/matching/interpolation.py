@@ -7,22 +7,23 @@ from lidar_core.io.tables.columns import Columns
 from lidar_core.util.steps import LONGEST_STEP_NS, between, nearest_row
 
 OF_SCANS = 0.75
-"""Share of the truth's times that must be those of scans: it is then a truth of the scans.
+"""Smallest share of the truth's times that are times of scans, for a truth at the scans.
 
-A truth of twice as many times has a share of 0.5; a run that lost single scans has nearly 1. A
-truth that has this share of the times of the tracks, and is not denser than the scans, is one, too:
-scans that were lost or had no track stay misses.
+A truth at the scans is not interpolated. A truth with twice as many times has a share of 0.5; a run
+that lost single scans has nearly 1. A truth with this share of the times of the tracks that is not
+denser than the scans also counts as a truth at the scans: scans that were lost or had no track stay
+misses.
 """
 SPARSER = 1.5
-"""Intervals of the truth longer than so many intervals of the scans: a sparser truth."""
+"""A truth is sparser if its intervals are longer than this number of intervals of the scans."""
 STEPS, SHORT_STEP_NS = 2.5, 100_000_000
-"""Rows of a target are near enough up to so many of its intervals, and always up to 0.1 s [ns].
+"""Longest gap to interpolate over: this number of intervals of the target, at least 0.1 s [ns].
 
 One missing row is no gap. In 0.1 s, a target that turns with 10 m/s^2 leaves the straight line by
 0.013 m (a t^2 / 8).
 """
 USUAL = 0.25
-"""Quantile of the intervals of tracks that is the interval of the scans: some scans have none."""
+"""Quantile of the intervals of tracks that is the scan interval: some scans have no tracks."""
 
 TIME = "t_ns"
 
@@ -40,9 +41,9 @@ def columns_at_scans(
     Parameters
     ----------
     columns : dict of ndarray
-        Table of the truth: t_ns, numbers of targets, and values.
+        Table of the truth: t_ns, IDs of targets, and values.
     id_name : str
-        Name of the column of the numbers.
+        Name of the column of the IDs.
     scan_ns : ndarray, shape (S,), int64
         Times of the scans [ns], increasing.
     track_ns : ndarray, shape (N,), int64
@@ -53,8 +54,8 @@ def columns_at_scans(
     Returns
     -------
     columns, is_interpolated : dict of ndarray and ndarray, shape (K,), bool, or None
-        Columns of numbers at the times of the scans, and the rows that were interpolated. None if
-        the truth is used as it is: its times are those of the scans, or it is sparser.
+        Numeric columns at the times of the scans, and the rows that were interpolated. None if the
+        truth is used as it is: its times are those of the scans, or it is sparser.
     """
     stamps, numbers = columns[TIME], columns[id_name]
     order = np.lexsort((stamps, numbers))

@@ -1,4 +1,4 @@
-"""Warnings about estimates and truth without common times or places: their scores mean nothing."""
+"""Warnings about estimates and truth without common times or places: scores are meaningless."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.util.steps import nearest_row
 
 BESIDE = 0.1
-"""Times this share of the truth's interval from the nearest one are the same, a little shifted."""
+"""Largest offset of times that count as equal but shifted, as a share of the truth's interval."""
 
 
 def overlap_warnings(

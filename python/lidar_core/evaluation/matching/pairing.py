@@ -20,7 +20,7 @@ TableT = TypeVar("TableT", Truth, Estimates)
 
 @dataclass(frozen=True, slots=True)
 class Pairing:
-    """Pairs of all scans, as row numbers of the two tables.
+    """Pairs of all scans, as row indices of the two tables.
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ def rows_of(table: TableT, which: NDArray[np.bool_] | Rows) -> TableT:
 
 
 def numbers_of(tracks: Estimates) -> Rows:
-    """Return the track numbers of all rows; raises InputError if the table has none."""
+    """Return the track IDs of all rows; raises InputError if the table has none."""
     if tracks.id is None:
         raise InputError("tracks.id: expected the ID of every track, got None")
     return tracks.id

@@ -12,14 +12,16 @@ from lidar_core.estimation import chi2_quantile
 from lidar_core.evaluation.config import EvaluationConfig
 
 ASYMMETRY = 1e-6
-"""Of a covariance, beside its largest entry: rounding to float32 is allowed."""
+"""Largest asymmetry of a covariance, relative to its largest entry: allows rounding to float32."""
 
 
 LEAST_RATIO, MOST_RATIO = 0.5, 2.0
-"""Means of NEES over its degrees of freedom outside of these are worth a warning: errors are then
-0.7 or 1.4 times as large as the covariances say."""
+"""Ratios of the mean NEES to its degrees of freedom outside of which a warning is given.
+
+Errors are then 0.7 or 1.4 times as large as the covariances state.
+"""
 FEWEST = 50
-"""Values of which a mean says something: fewer are no ground for a warning."""
+"""Smallest number of values for a warning about their mean."""
 
 
 @dataclass(frozen=True, slots=True)

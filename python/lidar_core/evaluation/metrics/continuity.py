@@ -51,7 +51,7 @@ def switches(truth: Truth, pairing: Pairing, track_id: NDArray[np.int64]) -> int
 
 
 def histories(truth: Truth) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Yield the number of every target, ascending, and its rows in order of time."""
+    """Yield the ID of every target, ascending, and its rows in order of time."""
     for number in np.unique(truth.id).tolist():
         rows = np.flatnonzero(truth.id == number)
         yield number, rows[np.argsort(truth.stamp_ns[rows], kind="stable")]

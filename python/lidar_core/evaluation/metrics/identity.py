@@ -12,7 +12,7 @@ from lidar_core.evaluation.types import Estimates, Truth
 from lidar_core.extras import require
 
 LEAST_SIMILARITY = 1e-6
-"""Of a pair: any distance below the gate; the library would pair a similarity of 0, too."""
+"""Smallest similarity of a pair, for any distance below the gate; the library would also pair 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ def score_identities(
     MissingExtraError
         trackeval is not installed.
     InputError
-        Tracks without numbers, or tables whose columns differ in length.
+        Tracks without IDs, or tables whose columns differ in length.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""OSPA and GOSPA: the distance between two sets of positions, number of objects included."""
+"""OSPA and GOSPA: distances between two sets of positions, including the number of objects."""
 
 from dataclasses import dataclass
 
