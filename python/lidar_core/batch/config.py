@@ -21,7 +21,7 @@ from lidar_core.io.tables.columns import read_columns
 Value: TypeAlias = str | int | float | bool
 OUTPUT = "output"
 MOST_JOBS = 100_000
-"""Of one group. Source: limits table of SECURITY.md."""
+"""Largest number of jobs of one group. Source: limits table of SECURITY.md."""
 _PLACE = re.compile(r"\{(\w*)\}")
 
 

@@ -12,7 +12,7 @@ from lidar_core.extras import require
 
 Executor: TypeAlias = Literal["local", "ray"]
 ATTEMPTS = 3
-"""How often a task is begun whose process dies: others end processes, too, for want of memory."""
+"""Number of starts of a task whose process dies: it may die because other programs need memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Failure:
 def completed(
     tasks: Sequence[Task], *, workers: int, executor: Executor = "local"
 ) -> Generator[tuple[int, Any], None, None]:
-    """Do all tasks; yield the number of each and its result, or a `Failure`, as they end.
+    """Do all tasks; yield the index of each and its result, or a `Failure`, as they end.
 
     A task that fails, or whose process dies `ATTEMPTS` times, does not affect the others. Closing
     the iterator, as Ctrl-C does, ends the running tasks.
@@ -56,7 +56,7 @@ def completed(
     workers : int
         Tasks at a time, >= 1.
     executor : str
-        "local": processes of this machine, started afresh and used again. "ray": the cluster that
+        "local": new processes of this machine, each used for several tasks. "ray": the cluster that
         `RAY_ADDRESS` names, else one on this machine (extra `cluster`).
 
     Raises

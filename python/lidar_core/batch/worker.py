@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 Outcome: TypeAlias = tuple[bool, Any]
 """Whether there is a result, and the result or the exception."""
 PATIENCE = 5.0
-"""How long an idle process may take to end before it is ended [s]."""
+"""Time that an idle process has to end by itself before it is killed [s]."""
 
 
 class Worker:
