@@ -14,7 +14,7 @@ from lidar_core.errors import ConfigError
 _MOVED = re.compile(r"write it as the (first|second|third) value of (each entry of )?(\w+)")
 _NUMBERS = ("first", "second", "third")
 _MOST = 1000
-"""Parameters that a file may have to lose."""
+"""Largest number of changed parameters of a file."""
 
 
 class Change(NamedTuple):
@@ -27,7 +27,7 @@ class Change(NamedTuple):
     value : Any
         Value in the file.
     told : str
-        Text for the user: replacement, or new place of the value.
+        Text for the user: the replacement, or the new place of the value.
     """
 
     place: str

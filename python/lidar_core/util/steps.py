@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LONGEST_STEP_NS = 2_000_000_000
-"""Longest time between two true places within which the places between are known [ns].
+"""Longest time between two true positions over which the truth is interpolated [ns].
 
 Source: a boat that turns with 1 m/s^2 is then up to 0.5 m off the straight line between them.
 """
@@ -33,7 +33,7 @@ def between(
     Returns
     -------
     found : ndarray, shape (K, D), float64
-        Values at these times; without meaning where they are not known.
+        Values at these times; meaningless where `is_known` is false.
     is_known : ndarray, shape (K,), bool
         True at the time of a row, and between two rows that are near enough.
     """
