@@ -16,8 +16,8 @@ const LONGEST_STEP: f64 = 0.5;
 const LONGEST_TIMES: f64 = 2.0;
 /// Smallest number of scans. Fewer scans do not show which objects stand still.
 const FEWEST_SCANS: u32 = 3;
-/// Largest length of the burn-in, as a multiple of the number of scans of the usual sensor, however
-/// fast scans come.
+/// Largest number of scans of the burn-in, as a multiple of `burn_in_scans`, also for very fast
+/// sensors.
 const MOST_TIMES: u32 = 10;
 
 /// State of the burn-in: the scans so far.

@@ -1,5 +1,5 @@
-//! Points that do not move during the burn-in. They become background, however small the objects
-//! are.
+//! Points that do not move during the burn-in. They become background, even if the objects are
+//! small.
 
 use super::burn_in::BurnIn;
 use super::parameters::SeedParameters;

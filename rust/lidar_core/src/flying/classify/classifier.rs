@@ -235,8 +235,8 @@ impl ClusterRules<'_> {
         self.in_free_space(scratch, cluster, radius).unwrap_or_else(unknown)
     }
 
-    /// True if free voxels surround a cluster as they surround a flying object, however few points
-    /// it has.
+    /// True if free voxels surround a cluster as they surround a flying object. The number of its
+    /// points does not matter.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a distance that cannot be searched.
@@ -294,7 +294,7 @@ impl ClusterRules<'_> {
     }
 
     /// The classification of a cluster as flying if it has the right size and free voxels around
-    /// it, wherever paths of uncertain voxels lead. None otherwise.
+    /// it. Paths of uncertain voxels do not matter. None otherwise.
     pub(crate) fn in_free_shell(&self, cluster: &Cluster<'_>) -> Option<Classification> {
         let p = self.parameters;
         if cluster.members.len() < p.min_points || self.is_gated(cluster, cluster.diagonal()) {

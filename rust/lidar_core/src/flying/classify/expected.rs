@@ -10,8 +10,8 @@ use crate::flying::track::{ExpectedTarget, Occupancy};
 use crate::geometry::lattice::{floor, wide};
 use crate::geometry::transform::{minus, norm};
 
-/// Distance outside the box of a target within which points may be its own [m]: it brakes before a
-/// wall.
+/// Distance outside the box of a target within which points may belong to it [m]: a target may
+/// brake in front of a wall.
 const MARGIN: f64 = 0.25;
 /// Smallest size that is assumed for a target [m].
 const SMALLEST: f64 = 0.3;
@@ -23,7 +23,7 @@ const STARTED: f64 = 0.25;
 /// Largest ratio of a cluster's sides to the size of its target.
 const LARGEST: f64 = 1.6;
 
-/// A scan, with the targets that are looked for in it.
+/// A scan, with the targets that the search expects in it.
 #[derive(Clone, Copy)]
 pub(crate) struct ExpectedIn<'a> {
     /// Expected targets near structure. Other targets are found without this list.

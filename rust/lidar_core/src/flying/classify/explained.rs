@@ -67,7 +67,8 @@ impl Explained {
 }
 
 /// Number of voxels along an axis, 0 or 1, within which an occupied voxel is always close to a
-/// point in the sense of rule A. None if not even the point's own voxel always is.
+/// point in the sense of rule A. None if even the voxel that contains the point is not always
+/// close.
 fn voxels_in_reach(voxel_size: f64, close_distance: f64) -> Option<i32> {
     // To the centre of a voxel that is so many away: half a diagonal more.
     let is_close = |steps: f64| (steps + 0.5) * 3f64.sqrt() + MARGIN < close_distance / voxel_size;

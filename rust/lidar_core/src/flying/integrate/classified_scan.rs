@@ -89,7 +89,7 @@ pub struct IntegrateStats {
     pub visits_skipped: u64,
     /// Number of voxels that contain points or that rays visited. Skipped voxels do not count.
     pub voxels: usize,
-    /// Number of voxels whose value has changed. It does not depend on what rays skip.
+    /// Number of voxels whose value has changed. It does not depend on whether rays skip voxels.
     pub voxels_changed: usize,
     /// Number of observed voxels that the map forgot, farthest from the scan first, to stay within
     /// [`MapParameters::max_voxels`](crate::flying::map::parameters::MapParameters::max_voxels).

@@ -166,7 +166,8 @@ fn edit(map: &mut VoxelMap, step: u32) -> Result<(), Error> {
     Ok(())
 }
 
-/// The map after it was written to a file and read back. The file does not hold what rays may skip.
+/// The map after it was written to a file and read back. The file does not contain which voxels
+/// rays may skip.
 fn again(map: &VoxelMap) -> Result<VoxelMap, Error> {
     let mut again = VoxelMap::from_bytes(&map.to_bytes())?;
     again.set_skip(map.parameters().skip);

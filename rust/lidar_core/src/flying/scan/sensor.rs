@@ -66,7 +66,7 @@ impl Default for SensorParameters {
 }
 
 impl SensorParameters {
-    /// Every return is used, however near, and neither the robot nor the sky is searched for.
+    /// Every return is used at any range, and neither the robot nor the sky is searched for.
     #[must_use]
     pub fn paper() -> Self {
         Self {
@@ -207,7 +207,7 @@ impl Sensor {
         self.is_learnt(direction) || self.is_named(row, direction)
     }
 
-    /// True if the configuration says that this ray hits the robot.
+    /// True if the configuration states that this ray hits the robot.
     fn is_named(&self, row: usize, direction: [f64; 3]) -> bool {
         let p = &self.parameters;
         p.self_mask.as_ref().is_some_and(|mask| mask.get(row) == Some(&true))

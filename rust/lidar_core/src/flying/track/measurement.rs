@@ -33,7 +33,7 @@ impl CloudScan<'_> {
     }
 }
 
-/// A measured position, its covariance, and the size of what was measured.
+/// A measured position, its covariance, and the size of the measured object.
 #[derive(Clone, Debug)]
 pub(super) struct Measurement {
     pub(super) position: Vector3<f64>,
@@ -88,7 +88,7 @@ impl Offset {
     }
 }
 
-/// Region in which a track looks for its target in a scan.
+/// Region in which a track searches for its target in a scan.
 pub(super) struct SearchRegion {
     /// State of the track at the stamp of the scan.
     pub(super) estimate: Gaussian<9>,

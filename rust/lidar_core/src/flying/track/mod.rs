@@ -59,7 +59,7 @@ const EXPECTED: f64 = 0.5;
 /// metres from its box.
 const EXPECTED_STDS: f64 = 2.5;
 const FARTHEST: f64 = 0.5;
-/// Returns within this distance of the box of a track may be its own [m].
+/// Returns within this distance of the box of a track may belong to it [m].
 const OF_TRACK: f64 = 0.5;
 /// Memory that a point of a cloud may need in addition to its copy [bytes].
 const ROOM_OF_POINT: usize = 64;

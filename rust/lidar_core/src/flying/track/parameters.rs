@@ -18,8 +18,8 @@ pub enum RadiusForm {
     SixthRoot,
 }
 
-/// Radius of the region in which a track looks for its target. It grows with the uncertainty of the
-/// position.
+/// Radius of the region in which a track searches for its target. It grows with the uncertainty of
+/// the position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radius {
     /// Root of the determinant.
@@ -35,7 +35,7 @@ pub struct Radius {
 /// Form of the process noise of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseForm {
-    /// The same covariance is added at every step, however long the step is (eq. 31).
+    /// The same covariance is added at every step, independent of the length of the step (eq. 31).
     Paper,
     /// White noise in continuous time: two short steps give the same result as one long step.
     Continuous,
@@ -197,7 +197,7 @@ pub struct TrackerParameters {
     /// A cluster is background if its centroid is within this distance of the centre of an occupied
     /// voxel, d_min [m].
     pub occupied_distance: f64,
-    /// Uncertainty radius, within which a track looks for its target.
+    /// Uncertainty radius, within which a track searches for its target.
     pub radius: Radius,
     /// Motion model of the targets.
     pub motion: Motion,

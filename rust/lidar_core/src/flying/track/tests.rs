@@ -471,7 +471,8 @@ fn a_fast_target_is_known_by_its_third_detection_however_late_in_the_scan() -> R
     Ok(())
 }
 
-/// The centre of a large target is never better known than its shape, however often it is seen. That of a small one is.
+/// The uncertainty of the centre of a large target stays above that of its shape after any number of scans. The
+/// uncertainty of the centre of a small target does not.
 #[test]
 fn scans_do_not_remove_what_the_shape_of_a_large_target_hides() -> Result<(), Error> {
     for (side, is_large) in [(1.5, true), (0.5, false)] {

@@ -54,7 +54,7 @@ pub(crate) struct ScanOfFew<'a> {
     pub(crate) map: &'a VoxelMap,
     pub(crate) clusters: &'a Clusters,
     pub(crate) parameters: &'a ClassifyParameters,
-    /// Largest distance of the targets that are looked for [m].
+    /// Largest distance of the targets that the search finds [m].
     pub(crate) max_distance: f64,
     pub(crate) stamp_ns: i64,
 }
@@ -82,7 +82,8 @@ struct Clutter {
 }
 
 impl Clutter {
-    /// Density of lone returns by chance in a scan [1/m^3], if `own` of the counted ones are of the target itself.
+    /// Density of lone returns by chance in a scan [1/m^3], if `own` of the counted returns belong to the target
+    /// itself.
     fn without(&self, own: u32) -> f64 {
         (self.count.saturating_sub(own as usize) as f64 + 1.0) / self.volume
     }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 /// Share of the rays inside the ellipse of two standard deviations around the hits that are hits.
 /// `hits` and `passing` are in a plane across the line of sight [m]. A disc or a bar fills its
-/// ellipse. `ray_gap`: distance between neighbouring rays [m]; it limits what the rays resolve.
+/// ellipse. `ray_gap`: distance between neighbouring rays [m]; it limits the resolution.
 pub(super) fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64) -> f64 {
     let ellipse = SpreadEllipse::of(hits, ray_gap);
     let count = |rays: &[[f64; 2]]| rays.iter().filter(|&&ray| ellipse.holds(ray)).count() as f64;

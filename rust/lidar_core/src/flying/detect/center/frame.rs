@@ -15,8 +15,8 @@ const SHARES: [f64; 2] = [0.3, 0.6];
 /// Number of gaps between rays from the outermost points to the rim of the target: open frame,
 /// closed body.
 const RIM_GAPS: [f64; 2] = [1.5, 0.75];
-/// Number of points from which on their own spacing bounds the gap between rays. If it is not known
-/// which rays passed, nothing else bounds it.
+/// Number of points from which on the spacing of the points limits the gap between rays. If it is
+/// not known which rays passed, there is no other limit.
 const SPACED: f64 = 3.0;
 /// Distance of a closed body's centre behind the centroid, as a share of the radius. For a ball it
 /// would be 0.68.

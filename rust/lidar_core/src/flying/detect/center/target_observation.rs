@@ -49,7 +49,7 @@ pub(crate) struct TargetObservation {
     n_near: usize,
 }
 
-/// Region around a target in which passing rays are looked for.
+/// Region around a target in which passing rays are searched for.
 #[derive(Clone, Debug)]
 pub(crate) struct TargetRegion {
     /// Middle of the box around its points [m].

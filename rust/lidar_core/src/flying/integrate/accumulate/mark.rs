@@ -24,8 +24,8 @@ pub(in crate::flying::integrate) const RAYS_FROM_EMPTY: usize = (u32::MAX / MOST
 pub(in crate::flying::integrate) const RAYS_FROM_FULL: usize =
     ((u32::MAX - MAX_COUNT) / MOST_UNITS) as usize;
 
-/// What a scan shows in a voxel, weakest first. Of several contents the strongest counts (first
-/// matching case of eq. 9: background, then flying or unknown, then rays).
+/// Content of a voxel in one scan, weakest first. If a scan gives several contents, the strongest
+/// one counts (first matching case of eq. 9: background, then flying or unknown, then rays).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
     Rays,
