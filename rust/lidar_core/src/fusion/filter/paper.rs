@@ -62,7 +62,8 @@ pub struct Paper {
     pub prior: Prior,
 }
 
-/// First reading of what the paper leaves open, with the deviations and prior of the filter.
+/// First interpretation of the choices that the paper leaves open, with the deviations and prior of
+/// the filter.
 impl Default for Paper {
     fn default() -> Self {
         Self {

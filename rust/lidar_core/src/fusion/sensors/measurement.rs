@@ -277,7 +277,7 @@ impl Measurement {
         Some(SMatrix::from_fn(|row, column| packed[packed_at(row, column)]))
     }
 
-    /// The measurement with independent errors of these variances, as many as [`Self::noisy`] says.
+    /// The measurement with independent errors of these variances, as many as [`Self::noisy`] returns.
     pub(in crate::fusion) fn with_variances(&self, variances: &[f64]) -> Self {
         let mut packed = [0.0; PACKED];
         for (index, variance) in variances.iter().enumerate() {

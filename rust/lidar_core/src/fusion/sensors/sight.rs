@@ -24,7 +24,7 @@ pub trait SeenValues<const N: usize, const K: usize> {
     fn noise(&self) -> SMatrix<f64, K, K>;
 }
 
-/// Computation with the values of a measurement, whatever their number.
+/// Computation with the values of a measurement, for any number of values.
 pub trait Observer<const N: usize> {
     /// Result of the computation.
     type Output;
