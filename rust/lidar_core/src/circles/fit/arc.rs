@@ -41,7 +41,7 @@ pub(in crate::circles) struct Edge {
     pub(in crate::circles) missed: Vec<f64>,
 }
 
-/// Hits of a segment, ordered by bearing, and what limits the object on both sides.
+/// Hits of a segment, ordered by bearing, and the limits of the object on both sides.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::circles) struct Arc {
     /// Direction of its middle in the scan's frame [rad].
@@ -94,7 +94,7 @@ impl Arc {
     /// scan covers a full turn, so that its first ray is the neighbour of its last.
     ///
     /// # Errors
-    /// [`Error::Value`] if it is empty, or holds a ray that did not end on anything.
+    /// [`Error::Value`] if the segment is empty, or contains a ray without a hit.
     pub(in crate::circles) fn read(
         &mut self,
         (scan, wraps): (&PolarScan, bool),

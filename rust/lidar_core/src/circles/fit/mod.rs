@@ -141,8 +141,8 @@ impl Fitter {
     /// frame of the scan.
     ///
     /// # Errors
-    /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
-    /// [`Error::Length`] if ranges and bearings differ in number.
+    /// [`Error::Value`] if a segment is empty, or contains a ray without a hit; [`Error::Length`] if ranges and
+    /// bearings differ in number.
     pub fn fit(
         &mut self,
         scan: &PolarScan,

@@ -10,8 +10,8 @@ pub(super) struct Run {
     pub(super) end: usize,
 }
 
-/// For every run, the index of the first run of its object. Two runs are one object if everything
-/// between them is nearer or unknown, their ends are close, and one circle or line fits both.
+/// For every run, the index of the first run of its object. Two runs are one object if all rays
+/// between them are nearer or unknown, their ends are close, and one circle or line fits both.
 pub(super) fn merged(
     sweep: &HitSweep<'_>,
     runs: &[Run],

@@ -126,8 +126,8 @@ impl ShapeFitter {
     /// [m, rad]; earlier contents are removed.
     ///
     /// # Errors
-    /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
-    /// [`Error::Length`] if ranges and bearings differ in number.
+    /// [`Error::Value`] if a segment is empty, or contains a ray without a hit; [`Error::Length`] if ranges and
+    /// bearings differ in number.
     pub fn fit(
         &mut self,
         scan: &PolarScan,
@@ -142,8 +142,8 @@ impl ShapeFitter {
     /// the order of the segments; earlier contents are removed.
     ///
     /// # Errors
-    /// [`Error::Value`] if a segment is empty, or holds a ray that did not end on anything;
-    /// [`Error::Length`] if ranges and bearings differ in number.
+    /// [`Error::Value`] if a segment is empty, or contains a ray without a hit; [`Error::Length`] if ranges and
+    /// bearings differ in number.
     pub fn fit_both(
         &mut self,
         scan: &PolarScan,
