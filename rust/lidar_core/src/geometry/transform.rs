@@ -129,8 +129,7 @@ pub fn norm(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
 }
 
-/// Unit vector in the direction of `a`, however long or short `a` is. None if `a` is zero or not
-/// finite.
+/// Unit vector in the direction of `a`, for any length of `a`. None if `a` is zero or not finite.
 #[must_use]
 pub fn direction_of(a: [f64; 3]) -> Option<[f64; 3]> {
     let largest = a.iter().fold(0.0, |largest, value| value.abs().max(largest));

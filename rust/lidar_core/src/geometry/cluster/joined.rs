@@ -199,7 +199,7 @@ impl ReachCells {
         self.per_metre * f64::from_bits(u64::from(1023 - size) << 52)
     }
 
-    /// Add the cells of everything that may be in reach of a point [m].
+    /// Add the cells of all places that may be in reach of a point [m].
     fn hold_around(&mut self, point: [f64; 3]) {
         let away: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.origin[axis]);
         let range = away.iter().map(|value| value * value).sum::<f64>().sqrt();

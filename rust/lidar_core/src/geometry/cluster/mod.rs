@@ -15,7 +15,7 @@ use octree_link::{Fixed, Linker};
 /// Label of points that are in no cluster.
 pub const NOISE: i32 = -1;
 
-/// Memory for one point: keys, group and label, each with what is needed to sort it [bytes].
+/// Memory for one point: keys, group and label, each with the memory for sorting [bytes].
 const ROOM_OF_POINT: usize = 128;
 
 /// Group of points that are not finite.
