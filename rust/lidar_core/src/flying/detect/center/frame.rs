@@ -243,12 +243,12 @@ impl SeenExtent {
     }
 }
 
-/// Whether rays pass below the hits. `hits`, `passing` and `hiding` (the ends of rays in front of
-/// the target) are in a plane across the line of sight [m], with the second axis up. No rays pass
-/// below an object that stands on the ground, or that the lower edge of the field of view cuts off.
-/// If more rays just below end in front than pass, the passing rays are no evidence: they go through
-/// a mirror image, through glass or between leaves. None if few rays pass above too, because the
-/// rays are then too far apart for a decision, or if rays pass only just below.
+/// Whether rays pass below the hits. `hits`, `passing` and `hiding` (rays that end in front of the
+/// target) are positions in a plane across the line of sight [m], with the second axis up. No rays
+/// pass below an object that stands on the ground, or that the lower edge of the field of view cuts
+/// off. If more rays just below end in front than pass, the result is false: the passing rays go
+/// through a mirror image, through glass or between leaves. None if few rays pass above too, because
+/// the rays are then too far apart for a decision, or if rays pass only just below.
 fn is_free_below(
     hits: &[[f64; 2]],
     passing: &[[f64; 2]],
