@@ -10,7 +10,7 @@ import sys
 import time
 import tomllib
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -1432,3 +1432,35 @@ def test_options_that_make_no_sense_are_refused_in_words(arguments, text):
     refused = CliRunner().invoke(app, ["live", *arguments])
     assert isinstance(refused.exception, ConfigError)
     assert re.search(text, str(refused.exception))
+
+
+def test_reruns_window_without_a_display_is_refused(monkeypatch):
+    from lidar_core.live.outputs import output
+
+    def refuse(*_):
+        raise AssertionError("nothing may be started")
+
+    monkeypatch.setattr(output, "has_display", lambda: False)
+    monkeypatch.setattr(output, "rerun_process", refuse)
+    with pytest.raises(ConfigError, match=r"no display: use rerun:web or rerun:FILE\.rrd"):
+        output.RerunWindowOutput()
+
+
+def test_nothing_is_sent_to_a_window_of_rerun_that_was_closed(monkeypatch):
+    from lidar_core.live.outputs import output
+
+    window = SimpleNamespace(poll=lambda: None)
+    sent = []
+    stream = SimpleNamespace(connect_grpc=lambda address: None)
+    log = SimpleNamespace(
+        stream=stream, begin=lambda: None, log=sent.append, close=lambda: sent.append("close")
+    )
+    monkeypatch.setattr(output, "has_display", lambda: True)
+    monkeypatch.setattr(output, "rerun_process", lambda arguments: nullcontext(window))
+    monkeypatch.setattr(output, "_new_log", lambda: log)
+    shown = output.RerunWindowOutput()
+    shown.publish(SimpleNamespace(moment=lambda: "first"))
+    window.poll = lambda: 0
+    shown.publish(SimpleNamespace(moment=lambda: "second"))
+    shown.close()
+    assert sent == ["first"]

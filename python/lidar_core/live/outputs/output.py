@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
+from lidar_core.errors import ConfigError
 from lidar_core.extras import require
 from lidar_core.io.files.atomic import check_place, commit, temporary_for
 from lidar_core.io.write.mcap import McapWriter
@@ -15,7 +16,7 @@ from lidar_core.viz.origin_check import LOCAL
 from lidar_core.viz.rerun_feed import LiveFeed
 from lidar_core.viz.rerun_log import RerunLog
 from lidar_core.viz.rerun_page import RerunPage
-from lidar_core.viz.rerun_process import free_port, rerun_process
+from lidar_core.viz.rerun_process import free_port, has_display, rerun_process
 
 BACKLOG = 64  # messages to a slow viewer; older ones go
 PAGE_MEMORY_BYTES = 512 * 2**20  # of a stream without end, for pages that are opened later
@@ -166,11 +167,15 @@ class RerunWindowOutput(Output):
 
     Raises
     ------
+    ConfigError
+        There is no display.
     MissingExtraError
         rerun-sdk is not installed.
     """
 
     def __init__(self) -> None:
+        if not has_display():
+            raise ConfigError("--out rerun: no display: use rerun:web or rerun:FILE.rrd")
         super().__init__("rerun, window")
         self._log, self._stack = _new_log(), ExitStack()
         port = free_port()
@@ -182,17 +187,19 @@ class RerunWindowOutput(Output):
             "--server-memory-limit",
             VIEWER_MEMORY,
         ]
-        self._stack.enter_context(rerun_process(arguments))
+        self._window = self._stack.enter_context(rerun_process(arguments))
         self._log.stream.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
         self._log.begin()
 
     def publish(self, update: Update) -> None:
-        """Show the scan and the objects."""
-        self._log.log(update.moment())
+        """Show the scan and the objects, as long as the window is open."""
+        if self._window.poll() is None:
+            self._log.log(update.moment())
 
     def close(self) -> None:
-        """Close the viewer."""
-        self._log.close()
+        """Close the viewer; if its window was closed before, nothing is sent any more."""
+        if self._window.poll() is None:
+            self._log.close()
         self._stack.close()
 
 
