@@ -204,6 +204,7 @@ class Batch:
             name: record
             for name, record in found.items()
             if record.status == "done" and record.key == key_of[name]
+            if remote is not None or _has_its_table(folder, record)
         }
         by_name = dict(zip(names, jobs, strict=True))
         return cls(folder, by_name, key_of, kept, {}, remote, _held(remote))
@@ -296,6 +297,13 @@ def _found(folder: Path, names: Sequence[str], remote: str | None) -> dict[str, 
         by_name = {PurePosixPath(address).parent.name: data for address, data in held.items()}
         read = {name: JobRecord.parsed(by_name[name]) for name in names if name in by_name}
     return {name: record for name, record in read.items() if record is not None}
+
+
+def _has_its_table(folder: Path, record: JobRecord) -> bool:
+    """Return whether the objects of a job are in tracks/; another batch may have removed them."""
+    table = Workplace(folder, record.job).tracks
+    suffixes = (".parquet", ".csv")
+    return not record.events or any(table.with_suffix(one).is_file() for one in suffixes)
 
 
 def _held(remote: str | None) -> frozenset[str]:

@@ -220,6 +220,22 @@ def test_a_job_that_begins_again_is_marked_before_its_files_go(tmp_path, monkeyp
     assert not Batch.of(tmp_path / "out", jobs, is_fresh=False).kept
 
 
+@posix
+def test_a_job_whose_table_another_batch_removed_is_not_taken_for_finished(tmp_path):
+    jobs = jobs_of(BatchConfig.read(batch_of(tmp_path, recording(tmp_path, 3), 1)), tmp_path)
+    batch = Batch.of(tmp_path / "out", jobs, is_fresh=True)
+    (name,) = batch.jobs
+    done = JobRecord(name, "walk", batch.keys[name], "done", events=[{"event": "lost"}])
+    (batch.folder / name).mkdir(parents=True)
+    done.write(batch.folder / name)
+    table = batch.folder / "tracks" / f"{name}.csv"
+    table.parent.mkdir()
+    table.write_text("")
+    assert list(Batch.of(tmp_path / "out", jobs, is_fresh=False).kept) == [name]
+    table.unlink()
+    assert not Batch.of(tmp_path / "out", jobs, is_fresh=False).kept
+
+
 def abandoned(folder, name):
     """A folder as a killed batch leaves it, some time ago."""
     made = folder / name
