@@ -23,7 +23,7 @@ SHOWN = (
     *("recording", "track_id", "kind", "event", "time"),
     *("x", "y", "z", "speed", "distance", "duration"),
 )
-"""Columns on the console, as far as the table has them; files get all."""
+"""Columns on the console besides those of the query, as far as the table has them."""
 MOST_ROWS, MOST_TEXTS = 40, 12
 QUERY = "Such as \"distance < 20 and event == 'lost'\"; columns: see `lidar-core events all TABLE`."
 TABLE = "Folder of a run or a batch, table (.parquet, .csv), or folder of tables such as tracks/."
@@ -47,8 +47,10 @@ def command(
     from tempfile import TemporaryDirectory
 
     from lidar_core.io.remote import fetched, is_remote
-    from lidar_core.runs.catalogue import matching_rows, read_table
+    from lidar_core.runs.catalogue import columns_named, matching_rows, read_table
 
+    if output is not None:
+        _check_output(output, overwrite=overwrite)
     with TemporaryDirectory(prefix="lidar-core-events-") as scratch:
         place = fetched(table, Path(scratch)) if is_remote(table) else Path(table)
         columns = read_table(place)
@@ -56,6 +58,7 @@ def command(
     count, total = (len(next(iter(one.values()), ())) for one in (rows, columns))
     out, errors = consoles(json)
     shown = [name for name in SHOWN if name in rows] or list(rows)[: len(SHOWN)]
+    shown += [name for name in rows if name in columns_named(query) and name not in shown]
     lines = aligned({name: _texts(rows[name][:MOST_ROWS]) for name in shown})
     out.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
     more = f", the first {MOST_ROWS} are shown (-o FILE.csv: all)" if count > MOST_ROWS else ""
@@ -65,7 +68,7 @@ def command(
     for note in _absent(columns, query) if total and query != "all" else ():
         tell(errors, note)
     if output is not None:
-        _write(rows, output, overwrite=overwrite)
+        _write(rows, output)
     write_json([_plain_row(rows, row) for row in range(count)] if json else [], json)
 
 
@@ -106,13 +109,17 @@ def _plain_row(rows: "Columns", row: int) -> dict[str, Any]:
     }
 
 
-def _write(rows: "Columns", output: Path, *, overwrite: bool) -> None:
+def _check_output(output: Path, *, overwrite: bool) -> None:
     from lidar_core.errors import ConfigError
-    from lidar_core.io.tables.long_table import write_long_table
 
     if output.suffix not in {".csv", ".parquet"}:
         raise ConfigError(f"output: expected a file that ends in .csv or .parquet, got {output}")
     check_new(output, overwrite=overwrite)
+
+
+def _write(rows: "Columns", output: Path) -> None:
+    from lidar_core.io.tables.long_table import write_long_table
+
     kinds = {"i": int, "u": int, "f": float, "b": bool}
     columns = {name: kinds.get(values.dtype.kind, str) for name, values in rows.items()}
     write_long_table(

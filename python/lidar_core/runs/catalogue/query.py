@@ -170,12 +170,13 @@ def _parsed(query: str) -> ast.expr:
     if len(query) > MOST_LETTERS:
         raise ConfigError(f"query: expected {MOST_LETTERS} letters at most, got {len(query)}")
     try:
-        return ast.parse(query.strip(), mode="eval").body
+        tree: ast.expr = _Dotted().visit(ast.parse(query.strip(), mode="eval").body)
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cure = _with_double_signs(query)
         if cure is not None:
             raise ConfigError(f"query: use == to compare: {cure}") from None
         raise ConfigError(f"query: cannot read {query!r}: {error}; {_EXAMPLE}") from None
+    return tree
 
 
 def _with_double_signs(query: str) -> str | None:
@@ -261,6 +262,14 @@ def _check_quotes(node: ast.Compare, columns: Columns) -> None:
             raise ConfigError(
                 f"query: no column {', '.join(sorted(words))}; texts need quotes: {cure}"
             )
+
+
+class _Dotted(ast.NodeTransformer):
+    """Transformer of a query's syntax tree that turns a.b, as in tables of results, into a name."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        value = self.visit(node.value)
+        return ast.Name(f"{value.id}.{node.attr}") if isinstance(value, ast.Name) else node
 
 
 class _Quoted(ast.NodeTransformer):

@@ -216,6 +216,16 @@ def test_queries_choose_rows(query, rows):
     assert matching_rows(TABLE, query)["track_id"].tolist() == rows
 
 
+def test_columns_of_results_have_dots():
+    table = {"detect.tracks.flying": np.array([0, 2]), "value.file": np.array(["a", "b"])}
+    assert matching_rows(table, "detect.tracks.flying > 1")["value.file"].tolist() == ["b"]
+    assert matching_rows(table, "value.file == 'a'")["detect.tracks.flying"].tolist() == [0]
+    assert columns_named("detect.tracks.flying > 1") == {"detect.tracks.flying"}
+    assert absent_texts(table, "value.file == 'c'") == [("value.file", "c", ["a", "b"])]
+    with pytest.raises(ConfigError, match=r"did you mean detect\.tracks\.flying"):
+        matching_rows(table, "detect.track.flying > 1")
+
+
 @pytest.mark.parametrize(
     ("query", "text"),
     [
@@ -224,7 +234,9 @@ def test_queries_choose_rows(query, rows):
         ("distance", "expected a comparison"),
         ("distance and event", "expected comparisons between"),
         ("__import__('os').system('true')", "cannot use"),
-        ("distance.__class__ == 3", "cannot use"),
+        ("distance.__class__ == 3", r"got 'distance\.__class__'"),
+        ("(1).real == 1", "cannot use"),
+        ("'a'.upper() == 'A'", "cannot use"),
         ("[one for one in distance] == 3", "cannot use"),
         ("distance ** 2 > 3", "cannot use"),
         ("distance is None", "cannot use"),
@@ -305,6 +317,13 @@ def test_a_list_that_is_cut_says_how_to_get_the_rest(tmp_path, rows, is_told):
     (tmp_path / "a.csv").write_text("event\n" + "lost\n" * rows)
     shown = invoke("events", "all", tmp_path / "a.csv")
     assert ("the first 40 are shown (-o FILE.csv: all)" in shown.output) == is_told
+
+
+def test_the_columns_of_the_query_are_shown(tmp_path):
+    names = [f"job.number_{number}" for number in range(20)]
+    (tmp_path / "a.csv").write_text(",".join(names) + "\n" + ",".join(map(str, range(20))) + "\n")
+    header = invoke("events", "job.number_19 > 1", tmp_path / "a.csv").output.split("\n")[0]
+    assert header.split() == [*names[:11], "job.number_19"]
 
 
 def test_words_inside_a_text_are_no_columns(tmp_path):
