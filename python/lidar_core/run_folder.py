@@ -112,7 +112,7 @@ class RunFolder:
         if not path.exists():
             return
         if not path.is_dir():
-            raise FileExistsError(f"{path}: expected a folder")
+            raise FileExistsError(f"{path}: expected a folder, got a file; choose another name")
         if all(is_temporary(one.name) for one in path.iterdir()):
             return
         is_cut = (path / UNFINISHED).exists()

@@ -77,10 +77,13 @@ class BatchGroup(Config):
         if any(set(row) != set(rows[0]) for row in rows):
             raise ValueError("rows: expected the same names in every row")
         used = {name for command in self.commands for name in _PLACE.findall(command)}
-        if used - {OUTPUT} != set(named):
+        missing, unused = sorted(used - {OUTPUT, *named}), sorted(set(named) - used)
+        if missing or unused:
+            told = [f"{{{name}}} has none" for name in missing]
+            told += [f"no command uses {{{name}}}" for name in unused]
             raise ValueError(
-                f"expected a value for every {{NAME}} of the commands and no others,"
-                f" got {sorted(named)} for {sorted(used - {OUTPUT})}"
+                "expected a value for every {NAME} of the commands and no others:"
+                f" {', '.join(told)}"
             )
         for command in self.commands:
             shlex.split(command)

@@ -134,6 +134,8 @@ def _run_jobs(
 ) -> BatchResult:
     """Do the jobs that are left, and write the tables."""
     folder = work.folder
+    if folder.is_file():
+        raise FileExistsError(f"{folder}: expected a folder, got a file; choose another name")
     folder.mkdir(parents=True, exist_ok=True)
     lock(folder)
     done, ended_by = len(work.kept), None

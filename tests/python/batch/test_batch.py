@@ -145,8 +145,8 @@ def test_jobs_are_every_combination_with_every_row(tmp_path):
     ("values", "text"),
     [
         ({"commands": []}, "at least 1 item"),
-        ({"commands": ["info {a}"]}, "expected a value for every {NAME}"),
-        ({"commands": ["info"], "grid": {"a": [1]}}, "expected a value for every {NAME}"),
+        ({"commands": ["info {a}"]}, "a value for every {NAME} .*: {a} has none$"),
+        ({"commands": ["info"], "grid": {"a": [1]}}, "every {NAME} .*: no command uses {a}$"),
         (
             {"commands": ["info {a}"], "grid": {"a": [1]}, "ranges": {"a": [0, 1]}},
             "every name once",

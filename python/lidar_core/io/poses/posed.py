@@ -281,11 +281,18 @@ class PosedScans(Generic[ScanT]):
         odometry = [t.name for t in self._recording.topics() if t.type in POSE_TYPES]
         moving = [child for (_, child), is_static in buffer.edges().items() if not is_static]
         mounting = f"'{moving[0]} {frame} x y z roll pitch yaw'" if moving else "..."
+        cures = ["a frame with fixed_frame=FRAME"] if edges else []
+        if odometry and self._options.odom is None:
+            cures.append("a topic with odom=TOPIC")
+        cures.append("a poses file with pose=FILE")
+        if self._sort is Scan:
+            cures.append('poses from the scans with pose="kiss"')
+        if edges or odometry:
+            cures.append(f"the mounting of the sensor with mounting={mounting}")
         return FormatError(
             f"{self._recording.path}: no pose for frame {frame!r} of topic {self._cloud.name!r}:"
             f" {reason}. Found transforms: {listed(edges)}; odometry topics: {listed(odometry)}."
-            " Give one of: a frame with fixed_frame=FRAME, a topic with odom=TOPIC, a poses file"
-            f" with pose=FILE, the mounting of the sensor with mounting={mounting}, or"
+            f" Give one of: {', '.join(cures)}, or"
             ' pose="static" for a sensor that does not move'
         )
 

@@ -12,7 +12,7 @@ from typer.main import get_command
 
 from lidar_core.batch import BatchJob
 from lidar_core.batch.config import OUTPUT
-from lidar_core.errors import ConfigError
+from lidar_core.errors import ConfigError, unknown
 
 COMMAND_LINE = "lidar_core.cli:app"
 """Runs the commands of a job. Found by name: the command line is built on `lidar_core.runs`."""
@@ -55,9 +55,8 @@ def check_commands(job: BatchJob) -> None:
     for command in job.commands:
         if not command or command[0] not in known:
             named = command[0] if command else ""
-            raise ConfigError(
-                f"jobs.{job.group}.commands: expected one of {', '.join(known)}, got {named!r}"
-            )
+            cure = "; leave it out" if named == "lidar-core" else ""
+            raise ConfigError(f"{unknown(f'jobs.{job.group}.commands', named, known)}{cure}")
         try:
             written = _written(command)
         except UsageError as error:
