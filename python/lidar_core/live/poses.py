@@ -17,13 +17,16 @@ from lidar_core.messages import Pose, ScanT
 
 __all__ = ["LivePoses"]
 
+SOON_NS = 5_000_000_000
+"""Odometry of two topics that begin this close to each other is ambiguous, as in a recording [ns]."""
+
 
 class LivePoses:
     """Poses of the sensor from transforms and odometry of a stream.
 
     Recordings are read twice, a stream is not: the source of the poses is chosen with the first
     scan that has one, and kept. Transforms have priority; odometry is used if they contain no
-    motion.
+    motion and one topic has odometry.
 
     Parameters
     ----------
@@ -65,6 +68,7 @@ class LivePoses:
         self._carriers: dict[str, str] = {}
         self._nameless: dict[str, list[Pose]] = {}
         self._chosen: tuple[TransformBuffer, str] | None = None
+        self._began: dict[str, int] = {}
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.on_note: Callable[[str], object] = lambda text: None
         self.dropped: Counter[str] = Counter()
@@ -78,7 +82,8 @@ class LivePoses:
         Raises
         ------
         ConfigError
-            Several frames carry it, and the stream does not state which one is meant.
+            Several frames carry it, and the stream does not state which one is meant; or a second
+            topic has odometry soon after the first one, which is already used.
         """
         if topic.type in POSE_TYPES or topic.name == self._options.odom:
             self._add_odometry(topic.name, pose, carried_frame)
@@ -181,9 +186,26 @@ class LivePoses:
             self._odometry[topic] = self._buffer()
             for fixed in self._static.values():
                 self._odometry[topic].add(fixed)
+            self._compare_with_chosen(topic, pose.stamp_ns)
         child = pose.child_frame_id or self._carrier(topic, pose, carried_frame)
         carried = Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix)
         self._add_to(self._odometry[topic], topic, carried)
+
+    def _compare_with_chosen(self, topic: str, stamp_ns: int) -> None:
+        """Refuse a second topic of odometry that begins soon after the one in use; note others."""
+        self._began.setdefault(topic, stamp_ns)
+        of_topics = {id(buffer): name for name, buffer in self._odometry.items()}
+        used = of_topics.get(id(self._chosen[0])) if self._chosen is not None else None
+        if used is None or used == topic or self._options.odom is not None:
+            return
+        if abs(stamp_ns - self._began[used]) <= SOON_NS:
+            raise ConfigError(
+                f"odom: topics {used!r} and {topic!r} have odometry; name that of the robot with"
+                f" odom={used!r} or odom={topic!r}"
+            )
+        self._note(
+            f"topic {topic!r} has odometry, too; that of {used!r} stays in use (odom=TOPIC)"
+        )
 
     def _carrier(self, topic: str, pose: Pose, frame: str) -> str:
         """Return the frame of a pose that names none; it is the same for all poses of the topic."""

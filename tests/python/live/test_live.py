@@ -138,6 +138,30 @@ def test_odometry_counts_where_transforms_move_nothing():
     assert poses.fixed_frame == "odom"
 
 
+def test_odometry_of_a_second_topic_is_refused_if_it_begins_soon_and_noted_later():
+    other = Topic("/other_car", ODOM.type, ODOM.kind)
+    poses, notes = LivePoses(PoseOptions(), LiveConfig()), []
+    poses.on_note = notes.append
+    poses.add(ODOM, pose(100, 5.0, "odom", "laser"), "")
+    assert poses.posed(laser(100)).world_from_lidar[0, 3] == 5.0
+    with pytest.raises(ConfigError, match=r"'/other_car' have odometry; .*odom='/odom'"):
+        poses.add(other, pose(200, 9.0, "odom", "laser"), "")
+    # The first topic was alone for a minute, or the user named it.
+    late = 60_000_000_000
+    calm = LivePoses(PoseOptions(), LiveConfig())
+    calm.on_note = notes.append
+    named = LivePoses(PoseOptions(odom=ODOM.name), LiveConfig())
+    for kept, stamp in ((calm, late), (named, 200)):
+        kept.add(ODOM, pose(100, 5.0, "odom", "laser"), "")
+        kept.posed(laser(100))
+        kept.add(other, pose(stamp, 9.0, "odom", "laser"), "")
+        kept.add(ODOM, pose(stamp, 6.0, "odom", "laser"), "")
+        assert kept.posed(laser(stamp)).world_from_lidar[0, 3] == 6.0
+    assert notes == [
+        "topic '/other_car' has odometry, too; that of '/odom' stays in use (odom=TOPIC)"
+    ]
+
+
 @pytest.mark.parametrize("first", ["scan", "odometry"])
 def test_transforms_that_never_change_count_whatever_comes_first(first):
     poses = LivePoses(PoseOptions(odom=ODOM.name), LiveConfig())

@@ -67,6 +67,8 @@ class NoReturnRule:
         if self.options.no_return != "auto":
             self.convention = self.options.no_return
             self.verdict = f"{self.convention}, set by the option no_return"
+            if self.convention == "max":
+                self.verdict += ": marks nothing in a 3D cloud, only in 2D scans"
         elif zeros:
             self.convention = "zero"
             self.verdict = f"zero: {zeros} of {rows} rows of a scan are zeros"

@@ -173,7 +173,13 @@ def test_the_option_overrides_the_detection(choice, mask):
         assert scan.no_return is None
     else:
         np.testing.assert_array_equal(scan.no_return, np.array(mask, bool))
-    assert "set by the option no_return" in findings.no_return["/points"]
+    assert findings.no_return["/points"] == f"{choice}, set by the option no_return"
+
+
+def test_the_mark_of_2d_scans_is_said_to_mark_nothing_in_a_cloud():
+    scan, findings = decode(rows_of(CLOUD), no_return="max")
+    assert scan.no_return is None
+    assert findings.no_return["/points"].endswith("marks nothing in a 3D cloud, only in 2D scans")
 
 
 def test_the_convention_is_kept_for_later_scans():
