@@ -18,7 +18,7 @@ from lidar_core.messages import Pose, ScanT
 __all__ = ["LivePoses"]
 
 SOON_NS = 5_000_000_000
-"""Odometry of two topics that begin this close to each other is ambiguous, as in a recording [ns]."""
+"""Odometry of two topics is ambiguous if both begin within this time [ns]."""
 
 
 class LivePoses:
@@ -203,9 +203,7 @@ class LivePoses:
                 f"odom: topics {used!r} and {topic!r} have odometry; name that of the robot with"
                 f" odom={used!r} or odom={topic!r}"
             )
-        self._note(
-            f"topic {topic!r} has odometry, too; that of {used!r} stays in use (odom=TOPIC)"
-        )
+        self._note(f"topic {topic!r} has odometry, too; that of {used!r} stays in use (odom=TOPIC)")
 
     def _carrier(self, topic: str, pose: Pose, frame: str) -> str:
         """Return the frame of a pose that names none; it is the same for all poses of the topic."""
