@@ -10,7 +10,6 @@ MARGIN, NEAR = 0.4, 0.15
 RADIUS_MEAN, RADIUS_STD, PLACE_STD = 0.3, 0.25, 0.5
 PASSING_STD, LEAST_COSINE = 0.01, 0.3
 ROWS_APART = 0.1  # rays this far apart in height are of several rows [m]
-LOOSE, OF_BODY = 0.1, 0.4  # fill of dust, whose hits and misses are mixed; coherence of a body
 FEWEST_ABOVE, BELOW_GAPS = 4, 0.5  # rays above, to miss those below; those pass by a share of a gap
 
 
@@ -55,21 +54,6 @@ def seen_from(points, origin, passing):
     return sight, (points - centroid) @ axes.T, (crossing - centroid) @ axes.T
 
 
-def coherence(hits, missed):
-    """How much more often rays beside a hit are hits than all are; None for few rays."""
-    if len(hits) < 20 or len(missed) < 10:
-        return None
-    shares, rays = [], np.concatenate([hits, missed])
-    for hit in hits[:: -(-len(hits) // 128)]:
-        squared = ((rays - hit) ** 2).sum(axis=1)
-        others = squared > 0
-        if others.any():
-            beside = others & (squared <= 1.2**2 * squared[others].min())
-            shares.append(beside[: len(hits)].sum() / beside.sum())
-    all_hits = len(hits) / len(rays)
-    return (np.mean(shares) - all_hits) / (1 - all_hits)
-
-
 def outline(points, origin, passing, hiding):
     """Share of the ellipse of the points that is hit; whether rays pass below, None if unknown.
 
@@ -85,15 +69,10 @@ def outline(points, origin, passing, hiding):
         + np.eye(2) * gap**2 / 12
     )
     inside = [
-        np.einsum("ij,jk,ik->i", off, inverse, off) <= 4
+        (np.einsum("ij,jk,ik->i", off, inverse, off) <= 4).sum()
         for off in (hits - hits.mean(axis=0), rays - hits.mean(axis=0))
     ]
-    count = [those.sum() for those in inside]
-    filled = count[0] / sum(count) if sum(count) else 1.0
-    in_order = np.lexsort(points.T[::-1])
-    found = coherence(hits[in_order][inside[0][in_order]], rays[inside[1]])
-    if found is not None:
-        filled *= LOOSE + (1 - LOOSE) * np.clip(found / OF_BODY, 0, 1)
+    filled = inside[0] / sum(inside) if sum(inside) else 1.0
     half = max(np.ptp(hits[:, 0]) / 4, gap)  # the middle half, or what a gap leaves
     in_line = [
         those[np.abs(those[:, 0] - (hits[:, 0].min() + hits[:, 0].max()) / 2) <= half, 1]
@@ -103,7 +82,7 @@ def outline(points, origin, passing, hiding):
     passes, hides = [
         ((ups >= bottom - MARGIN) & (ups < bottom - BELOW_GAPS * gap)).sum() for ups in in_line
     ]
-    if hides > passes:
+    if 0 < passes < hides:
         return filled, False
     if (level < hits[:, 1].min() - BELOW_GAPS * gap).any():
         return filled, True

@@ -855,7 +855,9 @@ class Tracker:
                 is_at = track.places is not None and track.places.is_beside
                 is_at = is_at or is_beside(track.r, occupied)
                 track.hangs.add(float(stays and is_at))
-                stands = track.places is not None and not (has_speed(track) or track.has_moved)
+                stands = track.places is not None and not (
+                    has_speed(track) or (track.has_moved and not track.places.is_beside)
+                )
                 track.stood.count = track.stood.weight = min(track.stood.count, LAST - 1)
                 track.stood.add(track.places.at(track.r) if stands else 0.0)
             report = self.c.report_existence

@@ -11,6 +11,7 @@ from lidar_core.io.messages.ros import POSE_TYPES
 from lidar_core.io.poses.nameless import LOOKED_AT, carrier_of, same_movement
 from lidar_core.io.poses.posed import KISS, SOURCES, WORLD_FRAME, pose_stamps, span_ns
 from lidar_core.io.records import Topic
+from lidar_core.io.scan_topics import listed
 from lidar_core.live.config import MAX_FRAMES, POSE_HISTORY, LiveConfig
 from lidar_core.live.scan_odometry import ScanOdometry
 from lidar_core.messages import Pose, ScanT
@@ -19,6 +20,8 @@ __all__ = ["LivePoses"]
 
 SOON_NS = 5_000_000_000
 """Odometry of two topics is ambiguous if both begin within this time [ns]."""
+FEWEST_POSES = 2
+"""A topic has odometry if it has at least this number of poses."""
 
 
 class LivePoses:
@@ -69,6 +72,7 @@ class LivePoses:
         self._nameless: dict[str, list[Pose]] = {}
         self._chosen: tuple[TransformBuffer, str] | None = None
         self._began: dict[str, int] = {}
+        self._counts: Counter[str] = Counter()
         self.fixed_frame = options.fixed_frame or WORLD_FRAME
         self.on_note: Callable[[str], object] = lambda text: None
         self.dropped: Counter[str] = Counter()
@@ -152,6 +156,9 @@ class LivePoses:
             root = self._options.fixed_frame or buffer.root_of(frame)
             if self._moves(buffer, root, frame):
                 return buffer, root
+        several = self._with_odometry()
+        if len(several) > 1 and self._options.odom is None:
+            raise _ambiguous(several)
         raise NoTransformError(self._missing(frame))
 
     def _candidates(self) -> list[TransformBuffer]:
@@ -159,8 +166,12 @@ class LivePoses:
         wanted = self._options.odom
         if wanted is not None:
             return [self._odometry[wanted]] if wanted in self._odometry else []
-        odometry = list(self._odometry.values())
-        return [self._transforms, *(odometry if len(odometry) == 1 else ())]
+        names = self._with_odometry() if len(self._odometry) > 1 else list(self._odometry)
+        return [self._transforms, *(self._odometry[name] for name in names if len(names) == 1)]
+
+    def _with_odometry(self) -> list[str]:
+        """Topics with more than a single pose."""
+        return [name for name in self._odometry if self._counts[name] >= FEWEST_POSES]
 
     def _moves(self, buffer: TransformBuffer, root: str, frame: str) -> bool:
         try:
@@ -186,23 +197,25 @@ class LivePoses:
             self._odometry[topic] = self._buffer()
             for fixed in self._static.values():
                 self._odometry[topic].add(fixed)
-            self._compare_with_chosen(topic, pose.stamp_ns)
+        self._compare_with_chosen(topic, pose.stamp_ns)
         child = pose.child_frame_id or self._carrier(topic, pose, carried_frame)
         carried = Pose(pose.stamp_ns, pose.frame_id, child, pose.matrix)
         self._add_to(self._odometry[topic], topic, carried)
 
     def _compare_with_chosen(self, topic: str, stamp_ns: int) -> None:
-        """Refuse a second topic of odometry that begins soon after the one in use; note others."""
+        """Refuse a second topic of odometry that begins soon after the one in use; note others.
+
+        One pose alone, such as a goal, is no odometry.
+        """
+        self._counts[topic] += 1
         self._began.setdefault(topic, stamp_ns)
         of_topics = {id(buffer): name for name, buffer in self._odometry.items()}
         used = of_topics.get(id(self._chosen[0])) if self._chosen is not None else None
-        if used is None or used == topic or self._options.odom is not None:
+        is_second = self._counts[topic] == FEWEST_POSES
+        if used is None or used == topic or self._options.odom is not None or not is_second:
             return
-        if abs(stamp_ns - self._began[used]) <= SOON_NS:
-            raise ConfigError(
-                f"odom: topics {used!r} and {topic!r} have odometry; name that of the robot with"
-                f" odom={used!r} or odom={topic!r}"
-            )
+        if abs(self._began[topic] - self._began[used]) <= SOON_NS:
+            raise _ambiguous([used, topic])
         self._note(f"topic {topic!r} has odometry, too; that of {used!r} stays in use (odom=TOPIC)")
 
     def _carrier(self, topic: str, pose: Pose, frame: str) -> str:
@@ -250,6 +263,13 @@ class LivePoses:
         oldest_ns = stamp_ns - round(POSE_HISTORY * 1e9)
         for buffer in (self._transforms, *self._odometry.values()):
             buffer.forget(oldest_ns)
+
+
+def _ambiguous(topics: list[str]) -> ConfigError:
+    options = " or ".join(f"odom={topic!r}" for topic in topics)
+    return ConfigError(
+        f"odom: topics {listed(topics)} have odometry; name that of the robot with {options}"
+    )
 
 
 def __dir__() -> list[str]:

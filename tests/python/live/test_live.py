@@ -144,8 +144,21 @@ def test_odometry_of_a_second_topic_is_refused_if_it_begins_soon_and_noted_later
     poses.on_note = notes.append
     poses.add(ODOM, pose(100, 5.0, "odom", "laser"), "")
     assert poses.posed(laser(100)).world_from_lidar[0, 3] == 5.0
-    with pytest.raises(ConfigError, match=r"'/other_car' have odometry; .*odom='/odom'"):
-        poses.add(other, pose(200, 9.0, "odom", "laser"), "")
+    poses.add(other, pose(200, 9.0, "odom", "laser"), "")  # one pose alone, such as a goal
+    with pytest.raises(ConfigError, match=r"/other_car have odometry; .* odom='/other_car'"):
+        poses.add(other, pose(300, 9.0, "odom", "laser"), "")
+    # Both may come before the first scan.
+    early = LivePoses(PoseOptions(), LiveConfig())
+    for stamp in (100, 200):
+        early.add(ODOM, pose(stamp, 5.0, "odom", "laser"), "")
+        early.add(other, pose(stamp, 9.0, "odom", "laser"), "")
+    with pytest.raises(ConfigError, match=r"/odom, /other_car have odometry"):
+        early.posed(laser(200))
+    goal = LivePoses(PoseOptions(), LiveConfig())
+    goal.add(other, pose(100, 9.0, "odom", "laser"), "")
+    for stamp in (100, 200):
+        goal.add(ODOM, pose(stamp, 5.0, "odom", "laser"), "")
+    assert goal.posed(laser(200)).world_from_lidar[0, 3] == 5.0
     # The first topic was alone for a minute, or the user named it.
     late = 60_000_000_000
     calm = LivePoses(PoseOptions(), LiveConfig())
@@ -155,6 +168,7 @@ def test_odometry_of_a_second_topic_is_refused_if_it_begins_soon_and_noted_later
         kept.add(ODOM, pose(100, 5.0, "odom", "laser"), "")
         kept.posed(laser(100))
         kept.add(other, pose(stamp, 9.0, "odom", "laser"), "")
+        kept.add(other, pose(stamp + 1, 9.0, "odom", "laser"), "")
         kept.add(ODOM, pose(stamp, 6.0, "odom", "laser"), "")
         assert kept.posed(laser(stamp)).world_from_lidar[0, 3] == 6.0
     assert notes == [

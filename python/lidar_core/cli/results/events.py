@@ -111,10 +111,12 @@ def _plain_row(rows: "Columns", row: int) -> dict[str, Any]:
 
 def _check_output(output: Path, *, overwrite: bool) -> None:
     from lidar_core.errors import ConfigError
+    from lidar_core.io.files.atomic import check_place
 
     if output.suffix not in {".csv", ".parquet"}:
         raise ConfigError(f"output: expected a file that ends in .csv or .parquet, got {output}")
     check_new(output, overwrite=overwrite)
+    check_place(output)
 
 
 def _write(rows: "Columns", output: Path) -> None:

@@ -284,6 +284,9 @@ def test_the_command_prints_and_writes_rows(runs, tmp_path):
     made("events", "time >= 0", tmp_path / "a.csv", "-o", tmp_path / "a.csv", "--overwrite")
     refused = invoke("events", "all", tmp_path / "a.csv", "-o", tmp_path / "a.txt")
     assert "expected a file that ends in .csv or .parquet" in str(refused.exception)
+    nowhere = invoke("events", "all", tmp_path / "a.csv", "-o", tmp_path / "no" / "b.csv")
+    assert isinstance(nowhere.exception, FileNotFoundError)
+    assert nowhere.output == ""  # refused before anything is printed
 
 
 def test_a_column_that_no_row_knows_is_named(runs, tmp_path):

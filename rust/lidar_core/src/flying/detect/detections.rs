@@ -24,11 +24,6 @@ const ONLY_SKY: f64 = 0.7;
 /// looking past nearer objects [m]. The poses of a sensor at rest have errors of centimetres from
 /// scan to scan.
 const LOOKS_PAST: f64 = 0.1;
-/// Coherence of the hits from which on a target is a body. Simulated drones and aircraft with 30 returns or more have
-/// 0.5 to 0.9, dust has -0.1 to 0.1 (OS1-128, 4 to 14 m).
-const OF_BODY: f64 = 0.4;
-/// Factor of the fill of a target whose hits are mixed with misses at random. Dense dust then has the fill of thin dust.
-const LOOSE: f64 = 0.1;
 
 /// Inputs of the detection of flying objects in a scan.
 #[derive(Clone, Copy)]
@@ -119,10 +114,6 @@ fn centered(
     // The rays into a sky that is known by its density are made up: those that passed are not known.
     if scan.sky == SkySource::Density {
         detection.filled_share = share_of_expected(scan, cluster);
-    }
-    if let Some(coherence) = center.coherence {
-        let of_body = (coherence / OF_BODY).clamp(0.0, 1.0);
-        detection.filled_share *= LOOSE + (1.0 - LOOSE) * of_body;
     }
     detection
 }

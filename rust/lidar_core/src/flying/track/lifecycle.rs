@@ -109,9 +109,11 @@ pub(super) fn confirm(
                     let is_beside = track.stood.is_beside() || is_beside(set.occupied, place);
                     let hangs = !track.is_away() && is_beside;
                     track.belief.visit(share, hangs);
-                    // What surely has a speed comes past. What left its start empty had itself
-                    // given the returns that were there before.
-                    let flies_by = track.has_speed() || track.belief.has_moved();
+                    // What surely has a speed comes past. What left its start empty, or moved
+                    // before its track began, had itself given the returns that were there
+                    // before, unless something else stood beside it.
+                    let has_left = track.belief.has_moved() && !track.stood.is_beside();
+                    let flies_by = track.has_speed() || has_left;
                     track.belief.stand(if flies_by { 0.0 } else { track.stood.at(place) });
                 }
                 let limit = if track.confirmed { KEPT * report } else { report };

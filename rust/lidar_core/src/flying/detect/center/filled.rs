@@ -2,14 +2,6 @@
 
 use std::f64::consts::PI;
 
-/// Smallest numbers of hits, and of rays that missed the target, that show its coherence.
-const FEWEST_HITS: usize = 20;
-const FEWEST_MISSED: usize = 10;
-/// Number of hits whose neighbours are looked at, at most.
-const MOST_COMPARED: usize = 128;
-/// Rays are next to a hit up to this many times the distance of the nearest one.
-const NEXT: f64 = 1.2;
-
 /// Share of the rays inside the ellipse of two standard deviations around the hits that are hits.
 /// `hits` and `passing` are in a plane across the line of sight [m]. A disc or a bar fills its
 /// ellipse. `ray_gap`: distance between neighbouring rays [m]; it limits the resolution.
@@ -18,43 +10,6 @@ pub(super) fn filled_share(hits: &[[f64; 2]], passing: &[[f64; 2]], ray_gap: f64
     let count = |rays: &[[f64; 2]]| rays.iter().filter(|&&ray| ellipse.holds(ray)).count() as f64;
     let (hit, missed) = (count(hits), count(passing));
     if hit + missed > 0.0 { hit / (hit + missed) } else { 1.0 }
-}
-
-/// Coherence of the rays inside the ellipse around the hits: 0 if a ray next to a hit is a hit as often as any other,
-/// as in dust, and 1 if all rays next to hits are hits, as on a solid body. `hits`, and rays that have `missed` the
-/// target, are in a plane across the line of sight [m]. None if too few rays show it.
-pub(super) fn coherence(hits: &[[f64; 2]], missed: &[[f64; 2]], ray_gap: f64) -> Option<f64> {
-    let ellipse = SpreadEllipse::of(hits, ray_gap);
-    let inside = |rays: &[[f64; 2]]| -> Vec<[f64; 2]> {
-        rays.iter().copied().filter(|&ray| ellipse.holds(ray)).collect()
-    };
-    let (hit, missed) = (inside(hits), inside(missed));
-    if hit.len() < FEWEST_HITS || missed.len() < FEWEST_MISSED {
-        return None;
-    }
-    let step = hit.len().div_ceil(MOST_COMPARED);
-    let shares: Vec<f64> =
-        hit.iter().step_by(step).filter_map(|&one| hits_beside(one, &hit, &missed)).collect();
-    let beside = shares.iter().sum::<f64>() / shares.len() as f64;
-    let all = hit.len() as f64 / (hit.len() + missed.len()) as f64;
-    let found = (beside - all) / (1.0 - all);
-    found.is_finite().then_some(found)
-}
-
-/// Share of hits among the rays next to `place`: those up to `NEXT` times as far away as the nearest one. Rays at the
-/// place itself, such as the hit there, do not count. None if there is no other ray.
-fn hits_beside(place: [f64; 2], hit: &[[f64; 2]], missed: &[[f64; 2]]) -> Option<f64> {
-    let squared = |ray: &[f64; 2]| (ray[0] - place[0]).powi(2) + (ray[1] - place[1]).powi(2);
-    let others = |rays: &[[f64; 2]]| -> Vec<f64> {
-        rays.iter().map(squared).filter(|&squared| squared > 0.0).collect()
-    };
-    let (hit, missed) = (others(hit), others(missed));
-    let nearest = hit.iter().chain(&missed).copied().fold(f64::INFINITY, f64::min);
-    let next = |squared: &Vec<f64>| {
-        squared.iter().filter(|&&squared| squared <= NEXT * NEXT * nearest).count() as f64
-    };
-    let (hit, missed) = (next(&hit), next(&missed));
-    (hit + missed > 0.0).then(|| hit / (hit + missed))
 }
 
 /// Share of the rays expected inside the ellipse around the hits that are hits. `density`: expected
@@ -121,36 +76,6 @@ impl SpreadEllipse {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Coherence of a square of 20 x 20 rays, 0.02 m apart, of which those hit that `is_hit` names.
-    fn coherence_of(is_hit: impl Fn(usize, usize) -> bool) -> Option<f64> {
-        let rays = (0..20).flat_map(|row| (0..20).map(move |column| (row, column)));
-        let place = |(row, column): (usize, usize)| [0.02 * column as f64, 0.02 * row as f64];
-        let (hits, missed): (Vec<_>, Vec<_>) = rays.partition(|&(row, column)| is_hit(row, column));
-        let [hits, missed] =
-            [hits, missed].map(|rays| rays.into_iter().map(place).collect::<Vec<_>>());
-        coherence(&hits, &missed, 0.02)
-    }
-
-    #[test]
-    fn a_frame_is_coherent_and_dust_is_not() {
-        let is_near =
-            |found: Option<f64>, value: f64| found.is_some_and(|found| (found - value).abs() < 0.1);
-        // Hits at random places, with two densities.
-        let mixed =
-            |row: usize, column: usize| (row * 7919 + column * 104_729 + row * column * 31) % 100;
-        assert!(is_near(coherence_of(|row, column| mixed(row, column) < 30), 0.0));
-        assert!(is_near(coherence_of(|row, column| mixed(row, column) < 60), 0.0));
-        // Four arms, and a body of half of the rays.
-        let frame =
-            coherence_of(|row, column| row.abs_diff(column) < 2 || (row + column).abs_diff(19) < 2);
-        assert!(frame.is_some_and(|found| found > 0.4), "{frame:?}");
-        let half = coherence_of(|row, _| row % 10 < 5);
-        assert!(half.is_some_and(|found| found > 0.7), "{half:?}");
-        // Few rays, and no miss, show nothing.
-        assert_eq!(coherence_of(|row, column| row < 2 && column < 5), None);
-        assert_eq!(coherence_of(|_, _| true), None);
-    }
 
     #[test]
     fn a_disc_and_a_bar_fill_it() {

@@ -1,6 +1,6 @@
 //! Model of an open frame: rotors, arms and a body, through which rays pass.
 
-use super::filled::{coherence, filled_share};
+use super::filled::filled_share;
 use super::sphere::Start;
 use super::target_observation::{MARGIN, TargetObservation, TargetRay};
 use super::{Center, Matrix3, Vector3};
@@ -53,6 +53,9 @@ const BELOW_GAPS: f64 = 0.5;
 /// stands on the ground may be just below the lower edge of the field of view, as shoulders are
 /// below a head.
 const BELOW: f64 = 0.1;
+/// Smallest number of rays that end in front of what is just below a target, for the rays that pass there to show
+/// nothing. A single one may be a drop of rain.
+const ENOUGH_HIDDEN: usize = 2;
 /// Share of a target's width, around its middle, below which rays count. Rays beside something that
 /// stands on the ground reach the ground behind it.
 const MIDDLE: f64 = 0.5;
@@ -71,8 +74,6 @@ pub(super) struct OpenFrame {
     pub(super) solid_share: f64,
     /// Share of the rays inside the ellipse around the points that hit the target.
     pub(super) filled_share: f64,
-    /// Coherence of its hits, 0 (dust) to 1 (solid). None if too few rays show it.
-    pub(super) coherence: Option<f64>,
     /// Whether rays pass below the target. None if nothing shows it.
     pub(super) is_free_below: Option<bool>,
     centroid: Vector3<f64>,
@@ -126,7 +127,6 @@ impl OpenFrame {
             least_radius,
             solid_share: outline.solid_share,
             filled_share: outline.filled_share,
-            coherence: outline.coherence,
             is_free_below: outline.is_free_below,
             centroid,
             sight,
@@ -141,15 +141,13 @@ impl OpenFrame {
     }
 
     pub(super) fn into_center(self, observation: &TargetObservation) -> Center {
-        let Self { position, radius, least_radius, filled_share, coherence, is_free_below, .. } =
-            self;
+        let Self { position, radius, least_radius, filled_share, is_free_below, .. } = self;
         Center {
             position,
             covariance: symmetrised(self.covariance),
             radius,
             least_radius,
             filled_share,
-            coherence,
             is_free_below,
             is_cut: observation.is_cut,
             is_at_edge: observation.is_at_edge,
@@ -196,7 +194,6 @@ struct SeenExtent {
     least_gap: f64,
     solid_share: f64,
     filled_share: f64,
-    coherence: Option<f64>,
     is_free_below: Option<bool>,
 }
 
@@ -244,7 +241,6 @@ impl SeenExtent {
             least_gap: ray_gap.min(own_gap),
             solid_share,
             filled_share: filled_share(&hits, &passing, ray_gap),
-            coherence: coherence(&hits, &crossings(&observation.missed), ray_gap),
             is_free_below: is_free_below(&hits, &passing, &crossings(&observation.hiding), ray_gap),
         }
     }
@@ -270,7 +266,8 @@ fn is_free_below(
     let count = |rays: &[[f64; 2]]| {
         rays.iter().filter(in_line).filter(|ray| just_below.contains(&ray[1])).count()
     };
-    if count(hiding) > count(passing) {
+    let (passed, hidden) = (count(passing), count(hiding));
+    if passed > 0 && hidden >= ENOUGH_HIDDEN && hidden > passed {
         return Some(false);
     }
     let level = passing.iter().filter(in_line).map(|ray| ray[1]);
@@ -321,6 +318,7 @@ mod tests {
         let in_front = |count: usize| vec![[0.05, -0.12]; count];
         assert_eq!(is_free_below(&wide, &passing, &in_front(1), 0.02), Some(true));
         assert_eq!(is_free_below(&wide, &passing, &in_front(2), 0.02), Some(false));
+        assert_eq!(is_free_below(&hits, &[], &in_front(5), 0.02), None); // no ray passes anywhere
         let aside_or_far_below: Vec<_> = [[0.3, -0.12], [0.05, -0.5]].repeat(2);
         assert_eq!(is_free_below(&wide, &passing, &aside_or_far_below, 0.02), Some(true));
         // Three rays above tell nothing.

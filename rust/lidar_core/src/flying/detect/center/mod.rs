@@ -43,9 +43,6 @@ pub struct Center {
     /// Fill: share of the rays inside the ellipse around the points that hit, 0 to 1. It is small
     /// for loose objects such as leaves.
     pub filled_share: f64,
-    /// Coherence of its hits: near 0 if hits and misses are mixed at random, as in dust, and towards 1 on a solid body or
-    /// frame. None if too few rays show it.
-    pub coherence: Option<f64>,
     /// Whether rays pass below the target. None if unknown.
     pub is_free_below: Option<bool>,
     /// Whether a nearer object may hide a part of the target.
@@ -147,7 +144,6 @@ impl Center {
             least_radius: weight * ball.radius.min(LARGEST_BALL * frame.least_radius)
                 + (1.0 - weight) * frame.least_radius,
             filled_share: frame.filled_share,
-            coherence: frame.coherence,
             is_free_below: frame.is_free_below,
             is_cut: observation.is_cut,
             is_at_edge: observation.is_at_edge,
