@@ -1480,7 +1480,9 @@ def test_reruns_window_without_a_display_is_refused(monkeypatch):
 
     monkeypatch.setattr(output, "has_display", lambda: False)
     monkeypatch.setattr(output, "rerun_process", refuse)
-    with pytest.raises(ConfigError, match=r"no display: use rerun:web or rerun:FILE\.rrd"):
+    with pytest.raises(
+        ConfigError, match=r"no display here: expected rerun:web or rerun:FILE\.rrd"
+    ):
         output.RerunWindowOutput()
 
 

@@ -54,7 +54,7 @@ End: TypeAlias = Annotated[float | None, typer.Option(min=0, help=_END, rich_hel
 Odom: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="Topic of odometry or poses, used instead of the transforms.",
+        help="Topic of odometry or poses.",
         rich_help_panel=READ,
         autocompletion=completion.POSES,
     ),
@@ -63,7 +63,7 @@ PoseSource: TypeAlias = Annotated[str | None, typer.Option(help=_POSE, rich_help
 FixedFrame: TypeAlias = Annotated[str | None, typer.Option(help=_FIXED_FRAME, rich_help_panel=READ)]
 Mountings: TypeAlias = Annotated[list[str], typer.Option(help=_MOUNTING, rich_help_panel=READ)]
 ChosenMode: TypeAlias = Annotated[
-    Mode, typer.Option(help="best: the variant that measured best; paper: as published.")
+    Mode, typer.Option(help="best: measured best; paper: as published.")
 ]
 ConfigFile: TypeAlias = Annotated[Path | None, typer.Option(help=_CONFIG)]
 Values: TypeAlias = Annotated[list[str], typer.Option("--set", help=_SET)]

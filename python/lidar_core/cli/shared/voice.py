@@ -30,7 +30,7 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
         typer.Option(
             "--log",
             envvar="LIDAR_CORE_LOG",
-            help="Messages on standard error: as text, or as one JSON object per line.",
+            help="Messages as text or as JSON lines.",
             rich_help_panel=LOG,
         ),
     ),

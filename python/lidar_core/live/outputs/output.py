@@ -175,7 +175,9 @@ class RerunWindowOutput(Output):
 
     def __init__(self) -> None:
         if not has_display():
-            raise ConfigError("--out rerun: no display: use rerun:web or rerun:FILE.rrd")
+            raise ConfigError(
+                "out: rerun has no display here: expected rerun:web or rerun:FILE.rrd"
+            )
         super().__init__("rerun, window")
         self._log, self._stack = _new_log(), ExitStack()
         port = free_port()
