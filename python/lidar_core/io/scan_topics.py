@@ -20,16 +20,23 @@ class _Words(NamedTuple):
     plural: str
     option: str
     command: str
+    capability: str
 
 
 WORDS: dict[type, _Words] = {
-    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud", "detect"),
-    LaserScan: _Words(frozenset({"planar", "planar+pose"}), "2D scans", "scan", "circles"),
+    Scan: _Words(frozenset({"scan", "scan+pose"}), "clouds", "cloud", "detect", "flying"),
+    LaserScan: _Words(
+        frozenset({"planar", "planar+pose"}), "2D scans", "scan", "circles", "circles"
+    ),
 }
 
 
 def scan_topics(
-    recording: "Recording", sorts: Collection[type], names: Collection[str] = ()
+    recording: "Recording",
+    sorts: Collection[type],
+    names: Collection[str] = (),
+    *,
+    is_live: bool = False,
 ) -> list[Topic]:
     """Return the topics with scans: the named ones, or all if `names` is empty.
 
@@ -41,6 +48,9 @@ def scan_topics(
         `Scan`, `LaserScan`, or both.
     names : collection of str
         Names of topics; each must exist.
+    is_live : bool
+        The scans are for a live run: for scans of the other kind, errors name its argument
+        `capability`, not a command.
 
     Raises
     ------
@@ -66,7 +76,8 @@ def scan_topics(
             [f"{t.name or NAMELESS} ({t.type}{', ' + t.note if t.note else ''})" for t in topics]
         )
         other = "".join(
-            f"; {word.plural} are for `lidar-core {word.command}`"
+            f"; {word.plural} are for "
+            + (f'capability="{word.capability}"' if is_live else f"`lidar-core {word.command}`")
             for sort, word in WORDS.items()
             if sort not in sorts and any(topic.kind in word.kinds for topic in topics)
         )

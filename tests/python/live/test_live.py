@@ -1226,7 +1226,8 @@ def test_ctrl_c_and_sigterm_end_a_replay_with_whole_files(circles, tmp_path, by)
         (
             ["--capability", "flying"],
             FormatError,
-            r"no clouds to read; found \(no topic\) \(npz laser\)",
+            r"no clouds to read; found \(no topic\) \(npz laser\), .*"
+            r"; 2D scans are for --capability circles$",
         ),
         (["--map", "a.pcd"], FormatError, r"no clouds to read; found \(no topic\) \(npz"),
     ],
@@ -1235,6 +1236,13 @@ def test_a_replay_without_what_is_wanted_is_refused(circles, arguments, error, t
     refused = CliRunner().invoke(app, ["live", "--replay", str(circles), *arguments])
     assert isinstance(refused.exception, error)
     assert re.search(text, str(refused.exception))
+
+
+def test_an_error_of_the_function_names_the_argument_capability(circles, street):
+    with pytest.raises(FormatError, match=r'; 2D scans are for capability="circles"$'):
+        lc.runs.live(None, None, None, replay=circles, capability="flying")
+    with pytest.raises(FormatError, match=r'; clouds are for capability="flying"$'):
+        lc.runs.live(None, None, None, replay=street, capability="circles")
 
 
 @pytest.mark.parametrize("out", ["mcap:{}", "rerun:{}.rrd"])

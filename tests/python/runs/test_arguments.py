@@ -121,6 +121,7 @@ def test_errors_of_functions_name_arguments(tmp_path):
     [
         ("a/run: holds an earlier run; overwrite=True replaces it", "; --overwrite replaces it"),
         ('or pose="static" for a sensor', "or --pose static for a sensor"),
+        ('are for capability="circles"', "are for --capability circles"),
         ("say which with mounting='a b 0 0 0 0 0 0'", "which with --mounting 'a b 0"),
         ('name the column with columns={"t_ns": "NAME"}', "column with --column t_ns=NAME"),
         ('with topics={"pose": ["NAME"]}', "with --topic pose=NAME"),

@@ -114,6 +114,7 @@ OPTIONS = {
             "allow_origin",
             "angle_unit",
             "association",
+            "capability",
             "checkpoint",
             "fixed_frame",
             "force",

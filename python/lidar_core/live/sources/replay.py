@@ -53,7 +53,7 @@ class ReplaySource(Source):
         ]
         with ExitStack() as stack:
             self._recording: Recording = stack.enter_context(open_recording(path, options))
-            scan_topics(self._recording, sorts, (*topics.clouds, *topics.scans))
+            scan_topics(self._recording, sorts, (*topics.clouds, *topics.scans), is_live=True)
             stack.pop_all()
         self.findings = self._recording.noticed()
         self._rate = rate
