@@ -36,7 +36,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
 
-from lidar_core.errors import ConfigError, closest
+from lidar_core.errors import ConfigError, closest, without_prefix
 from lidar_core.files import read_whole
 
 __all__ = [
@@ -322,7 +322,7 @@ _OLD = "is no parameter any more"
 
 def _problem_text(problem: Any, model: type[BaseModel]) -> str:
     """Text of a problem: what is wrong, what was received, the name that was probably meant."""
-    text, received = str(problem["msg"]).removeprefix("Value error, "), problem["input"]
+    text, received = without_prefix(problem["msg"]), problem["input"]
     place, fields = ".".join(map(str, problem["loc"])), _fields(model)
     match problem["type"]:
         case "missing":

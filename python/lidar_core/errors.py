@@ -21,7 +21,10 @@ __all__ = [
     "closest",
     "did_you_mean",
     "unknown",
+    "without_prefix",
 ]
+
+_OF_PYDANTIC = "Value error, "
 
 
 class LidarCoreError(Exception):
@@ -95,6 +98,11 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """Return the error text for an unknown name; `what` is the kind of thing that it names."""
     names = list(known)
     return f"{what}: expected one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"
+
+
+def without_prefix(message: str) -> str:
+    """Return the message of a problem that pydantic found, without its words for a ValueError."""
+    return message.removeprefix(_OF_PYDANTIC)
 
 
 def __dir__() -> list[str]:

@@ -14,7 +14,7 @@ import typer
 
 from lidar_core.cli import config, train
 from lidar_core.cli.shared.common import help_text, printing, stoppable, with_trust
-from lidar_core.cli.shared.voice import Command, print_error, voice, with_voice
+from lidar_core.cli.shared.voice import Command, Commands, print_error, voice, with_voice
 from lidar_core.errors import (
     LidarCoreError,
     OdometryWarning,
@@ -28,6 +28,7 @@ READING = ("info", "convert", "detect", "circles", "fuse", "evaluate", "view", "
 
 app = typer.Typer(
     name="lidar-core",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=True,

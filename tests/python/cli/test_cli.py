@@ -198,6 +198,18 @@ def test_wrong_usage_is_status_2(arguments):
     assert run(*arguments).returncode == 2
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["detect", "a.npz", "-o", "run"], ["live"], ["config", "show"], ["config", "fit", "a.csv"]],
+    ids=" ".join,
+)
+def test_a_misspelt_word_is_told_without_words_of_libraries(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    refused = CliRunner().invoke(app, [*command, "--mode", "pape"])
+    assert refused.exit_code == 2
+    assert "Invalid value for '--mode': 'pape' is not one of 'best', 'paper'." in refused.output
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_init_writes_a_file_that_means_the_defaults(name, tmp_path):
     model, path = model_named(name), tmp_path / "config.toml"

@@ -13,7 +13,9 @@ from io import TextIOBase
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
+
+from lidar_core.errors import without_prefix
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -140,6 +142,18 @@ class Command(TyperCommand):
         for option in self.params:
             if option.envvar is None:
                 option.show_envvar = False  # type: ignore[attr-defined]
+
+
+class Commands(TyperGroup):
+    """Group of all commands; errors of values are as short as those of the package."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Parse the arguments of a command, also of one in a group below, and run it."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = without_prefix(error.message)
+            raise
 
 
 def with_voice(command: Callable[..., None]) -> Callable[..., None]:

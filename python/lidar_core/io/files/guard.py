@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from pydantic import ValidationError
 
-from lidar_core.errors import FormatError, LidarCoreError, LimitError
+from lidar_core.errors import FormatError, LidarCoreError, LimitError, without_prefix
 
 _FILES_FAULT = (None, errno.EINVAL, errno.EOVERFLOW)
 """Numbers of an OSError that a broken file causes: bz2 gives none, a seek beyond any file these."""
@@ -44,7 +44,9 @@ def _one_line(error: Exception) -> str:
     """Return the text of an error in one line; of a validation error, its problems."""
     if isinstance(error, ValidationError):
         problems = error.errors(include_url=False, include_context=False)
-        return "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in problems)
+        return "; ".join(
+            f"{'.'.join(map(str, one['loc']))}: {without_prefix(one['msg'])}" for one in problems
+        )
     return " ".join(str(error).split()).rstrip(".")
 
 

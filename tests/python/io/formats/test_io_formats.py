@@ -12,6 +12,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapFile
+from pydantic import AfterValidator, create_model
 from pypcd4 import Encoding, PointCloud
 from ros_files import Ros
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -30,6 +32,7 @@ import lidar_core.io
 from lidar_core.errors import ConfigError, FormatError, InputError, LimitError
 from lidar_core.io import hints
 from lidar_core.io.files.compressed import unpack_zstd, zstd_data
+from lidar_core.io.files.guard import reading
 from lidar_core.messages import Pose, Scan
 
 CLOUD = np.dtype(
@@ -332,6 +335,18 @@ def test_a_header_that_lacks_lines_or_holds_nonsense_is_told_in_one_line(tmp_pat
         read_all(path)
     assert "\n" not in str(told.value)
     assert "pydantic.dev" not in str(told.value)
+
+
+def test_a_refused_value_of_a_header_is_told_without_words_of_libraries():
+    def refuse(value):
+        raise ValueError(f"expected a width, got {value}")
+
+    header = create_model("Header", width=Annotated[int, AfterValidator(refuse)])
+    with (
+        pytest.raises(FormatError, match=r"ValidationError: width: expected a width, got -1$"),
+        reading("a.pcd"),
+    ):
+        header(width=-1)
 
 
 def test_a_bag_without_its_index_names_the_command_that_makes_one(tmp_path):
