@@ -58,7 +58,8 @@ def command(
     count, total = (len(next(iter(one.values()), ())) for one in (rows, columns))
     out, errors = consoles(json)
     shown = [name for name in SHOWN if name in rows] or list(rows)[: len(SHOWN)]
-    shown += [name for name in rows if name in columns_named(query) and name not in shown]
+    named = columns_named(query)
+    shown += [name for name in rows if name in named and name not in shown]
     lines = aligned({name: _texts(rows[name][:MOST_ROWS]) for name in shown})
     out.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
     more = f", the first {MOST_ROWS} are shown (-o FILE.csv: all)" if count > MOST_ROWS else ""
