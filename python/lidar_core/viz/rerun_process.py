@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from lidar_core.extras import require
 from lidar_core.viz.origin_check import LOCAL
@@ -17,6 +17,8 @@ NOWHERE = f"http://{LOCAL}:9"
 """Proxy without a listener for requests to other machines, such as for the newest release."""
 NO_PROXY = f"{LOCAL},localhost"
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+PATIENCE_S = 5.0
+"""Time that the program has to end by itself before it is killed [s]."""
 
 
 def free_port() -> int:
@@ -69,9 +71,15 @@ def has_display() -> bool:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the viewer, which is a child of the process that rerun's package starts."""
-    if os.name == "posix":
-        os.killpg(process.pid, signal.SIGTERM)
-    else:
-        process.terminate()
-    process.wait()
+    """End the viewer, which is a child of the process that rerun's package starts.
+
+    The process has `PATIENCE_S` to end. Then it is killed, and also a viewer that outlives it.
+    """
+    for is_killed in (False, True):
+        with suppress(ProcessLookupError, PermissionError):  # all of them have ended
+            if os.name == "posix":
+                os.killpg(process.pid, signal.SIGKILL if is_killed else signal.SIGTERM)
+            else:
+                process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(PATIENCE_S)

@@ -1,6 +1,7 @@
 """Live streams: the inbox, poses as they come, the loop; robots and viewers in other processes."""
 
 import json
+import os
 import re
 import runpy
 import signal
@@ -1512,3 +1513,57 @@ def test_nothing_is_sent_to_a_window_of_rerun_that_was_closed(monkeypatch):
     shown.publish(SimpleNamespace(moment=lambda: "second"))
     shown.close()
     assert sent == ["first"]
+
+
+MUTE_VIEWER = """#!{python}
+import pathlib, signal, socket, sys, time
+if "analytics" not in sys.argv:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    port = int(sys.argv[sys.argv.index("--port") + 1])
+    with socket.create_server(("127.0.0.1", port)):
+        pathlib.Path({ready!r}).touch()
+        time.sleep(600)
+"""
+"""A viewer that takes no data, does not answer, and does not end when it is asked to."""
+
+
+@pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk is not installed")
+@pytest.mark.skipif(os.name != "posix", reason="the viewer is a script")
+def test_a_viewer_that_does_not_answer_is_killed(monkeypatch, tmp_path):
+    from lidar_core.live.outputs import output
+    from lidar_core.viz import rerun_process
+
+    script, ready, ports = tmp_path / "viewer", tmp_path / "ready", []
+    script.write_text(MUTE_VIEWER.format(python=sys.executable, ready=str(ready)))
+    script.chmod(0o755)
+    free_port = output.free_port
+    monkeypatch.setenv("RERUN_CLI_PATH", str(script))
+    monkeypatch.setattr(output, "has_display", lambda: True)
+    monkeypatch.setattr(output, "free_port", lambda: ports.append(free_port()) or ports[0])
+    for module in (output, rerun_process):
+        monkeypatch.setattr(module, "PATIENCE_S", 0.5)
+    shown = output.RerunWindowOutput()
+    until = time.monotonic() + PATIENCE_S
+    while not ready.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    closing = Thread(target=shown.close, daemon=True)
+    closing.start()
+    closing.join(PATIENCE_S)
+    assert not closing.is_alive()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", *ports))
+
+
+def test_a_window_of_rerun_that_is_closed_at_the_end_is_no_error(monkeypatch):
+    from lidar_core.live.outputs import output
+
+    def flush():
+        raise RuntimeError("gRPC connection severed")
+
+    stream = SimpleNamespace(connect_grpc=lambda address: None)
+    log = SimpleNamespace(stream=stream, begin=lambda: None, close=flush)
+    window = SimpleNamespace(poll=lambda: None)
+    monkeypatch.setattr(output, "has_display", lambda: True)
+    monkeypatch.setattr(output, "rerun_process", lambda arguments: nullcontext(window))
+    monkeypatch.setattr(output, "_new_log", lambda: log)
+    output.RerunWindowOutput().close()

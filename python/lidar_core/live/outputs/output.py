@@ -2,9 +2,10 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import Thread
 
 from lidar_core.errors import ConfigError
 from lidar_core.extras import require
@@ -16,7 +17,7 @@ from lidar_core.viz.origin_check import LOCAL
 from lidar_core.viz.rerun_feed import LiveFeed
 from lidar_core.viz.rerun_log import RerunLog
 from lidar_core.viz.rerun_page import RerunPage
-from lidar_core.viz.rerun_process import free_port, has_display, rerun_process
+from lidar_core.viz.rerun_process import PATIENCE_S, free_port, has_display, rerun_process
 
 BACKLOG = 64  # messages to a slow viewer; older ones go
 PAGE_MEMORY_BYTES = 512 * 2**20  # of a stream without end, for pages that are opened later
@@ -199,10 +200,20 @@ class RerunWindowOutput(Output):
             self._log.log(update.moment())
 
     def close(self) -> None:
-        """Close the viewer; if its window was closed before, nothing is sent any more."""
+        """Close the viewer; if its window was closed before, nothing is sent any more.
+
+        Pending data that the viewer does not take within `PATIENCE_S` are lost.
+        """
         if self._window.poll() is None:
-            self._log.close()
+            sending = Thread(target=self._send_rest, daemon=True)
+            sending.start()
+            sending.join(PATIENCE_S)
         self._stack.close()
+
+    def _send_rest(self) -> None:
+        """Send the pending data; without limit in time while a viewer that is open takes none."""
+        with suppress(RuntimeError):  # rerun's error if the window is closed meanwhile
+            self._log.close()
 
 
 class RerunPageOutput(Output):
