@@ -5,7 +5,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -25,9 +25,9 @@ from lidar_core.batch import (
 )
 from lidar_core.batch.executors import Executor
 from lidar_core.batch.results import NOTE
-from lidar_core.config import Config, checked
+from lidar_core.config import checked
 from lidar_core.errors import ConfigError
-from lidar_core.io.files.atomic import is_temporary, remove_stale, written_whole
+from lidar_core.io.files.atomic import is_temporary, remove_stale
 from lidar_core.io.remote import (
     file_versions,
     held_names,
@@ -37,9 +37,10 @@ from lidar_core.io.remote import (
     texts,
 )
 from lidar_core.io.tables.long_table import write_long_table
-from lidar_core.run_folder import build_digest, lock, note_of, unlock
+from lidar_core.run_folder import build_digest, lock, unlock
 from lidar_core.runs.catalogue import EVENTS
 from lidar_core.runs.jobs.commands import check_commands
+from lidar_core.runs.jobs.origin import ORIGIN, check_origin, write_origin
 from lidar_core.runs.jobs.passage import passage
 from lidar_core.runs.jobs.run import TRACKS, Workplace, run_job, told_error
 from lidar_core.runs.result import OnProgress, RunResult
@@ -108,7 +109,8 @@ def batch(
     ConfigError
         The file cannot be used, or a command is unknown or cannot be a job.
     FileExistsError
-        Another batch is being written there.
+        Another batch is being written there, or the folder holds finished jobs of another batch
+        file.
     """
     file, target = Path(jobs), os.fspath(output)
     if isinstance(output, Path) and is_remote(target.replace(":/", "://", 1)):
@@ -138,6 +140,11 @@ def _run_jobs(
         raise FileExistsError(f"{folder}: expected a folder, got a file; choose another name")
     folder.mkdir(parents=True, exist_ok=True)
     lock(folder)
+    try:
+        work.begin(config, file)
+    except FileExistsError:
+        unlock(folder)
+        raise
     done, ended_by = len(work.kept), None
     on_progress("batch", done, len(work.jobs))
     try:
@@ -147,7 +154,7 @@ def _run_jobs(
             on_job(record)
     except KeyboardInterrupt as interrupt:
         ended_by = interrupt
-    files = work.write({"batch": config}, file)
+    files = work.write()
     unlock(folder)
     records = tuple(work.records())
     results = str(folder / files[0]) if work.remote is None else joined(work.remote, files[0])
@@ -211,6 +218,17 @@ class Batch:
         by_name = dict(zip(names, jobs, strict=True))
         return cls(folder, by_name, key_of, kept, {}, remote, _held(remote))
 
+    def begin(self, config: BatchConfig, file: Path) -> None:
+        """Write the note about the origin of the results: batch file, command, versions.
+
+        Raises
+        ------
+        FileExistsError
+            The folder holds finished jobs of another batch file, which this batch does not have.
+        """
+        check_origin(self.folder, file, set(self.jobs))
+        write_origin(self.folder, file, config)
+
     def run(self, *, executor: Executor, workers: int) -> Iterator[JobRecord]:
         """Do the remaining jobs; yield each record as the job ends."""
         left = [name for name in self.jobs if name not in self.kept]
@@ -242,16 +260,13 @@ class Batch:
         done = sum(record.status == "done" for record in records)
         return {"jobs": len(self.jobs), "done": done, "kept": len(self.kept), "failed": failed}
 
-    def write(self, config: Mapping[str, Config], file: Path) -> tuple[str, ...]:
-        """Write the tables and their note; return the file names, results first."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with written_whole(self.folder / "batch.toml") as temporary:
-            temporary.write_text(note_of({"jobs": str(file)}, config), encoding="utf-8")
+    def write(self) -> tuple[str, ...]:
+        """Write the tables; return the names of the files of the batch, results first."""
         records = self.records()
         results = write_results(self.folder / RESULTS, records)
         rows = [[event[name] for name in EVENTS] for one in records for event in one.events]
         events = write_long_table(self.folder / EVENTS_TABLE, EVENTS, rows)
-        files = (results.name, events.name, "batch.toml")
+        files = (results.name, events.name, ORIGIN)
         if self.remote is None:
             _remove_others(self.folder / TRACKS, set(self.jobs))
         else:

@@ -184,3 +184,53 @@ def test_a_batch_runs_its_jobs_and_keeps_them(tmp_path):
     assert [record.numbers["simulate.rows"] for record in first.records] == [20, 30]
     again = runs.batch(file, tmp_path / "out", workers=1)
     assert again.summary["kept"] == 2
+
+
+def test_a_batch_does_not_replace_the_tables_of_another_batch_file(tmp_path, monkeypatch):
+    text = (
+        '[[jobs]]\nname = "NAME"\ncommands = ["simulate overflight -o {output}/f.csv'
+        ' --scans {rows}"]\ngrid = { rows = [ROWS] }\n'
+    )
+    one, other, out = tmp_path / "one.toml", tmp_path / "other.toml", tmp_path / "out"
+    one.write_text(text.replace("NAME", "one").replace("ROWS", "20"))
+    other.write_text(text.replace("NAME", "other").replace("ROWS", "20"))
+    runs.batch(one, out, workers=1)
+    before = {path: path.read_bytes() for path in out.rglob("*.*") if path.is_file()}
+    told = rf"^{out}: holds finished jobs of another batch file, {one}, .*; choose another folder"
+    for _ in range(2):  # the refused batch leaves no lock
+        with pytest.raises(FileExistsError, match=told):
+            runs.batch(other, out, workers=1)
+    assert {path: path.read_bytes() for path in out.rglob("*.*") if path.is_file()} == before
+    # The same file goes on in its folder, however its path is written and whatever it holds now.
+    one.write_text(text.replace("NAME", "one").replace("ROWS", "20, 30"))
+    monkeypatch.chdir(tmp_path)
+    edited = runs.batch("one.toml", "out", workers=1)
+    assert (edited.summary["jobs"], edited.summary["kept"]) == (2, 1)
+    # A file that has the jobs of the folder, too, replaces nothing that it does not write again.
+    copy = tmp_path / "copy.toml"
+    copy.write_text(text.replace("NAME", "one").replace("ROWS", "20, 30, 40"))
+    more = runs.batch(copy, out, workers=1)
+    assert (more.summary["jobs"], more.summary["kept"]) == (3, 2)
+    # The cure for a file with a new name, of which some jobs are no longer wanted.
+    with pytest.raises(FileExistsError, match=rf"{copy}, .* remove {out / 'batch.toml'}$"):
+        runs.batch(one, out, workers=1)
+    (out / "batch.toml").unlink()
+    assert runs.batch(one, out, workers=1).summary["kept"] == 2
+
+
+def test_a_batch_that_was_interrupted_is_not_replaced_either(tmp_path):
+    files = [tmp_path / "one.toml", tmp_path / "other.toml"]
+    for file in files:
+        command = f"simulate overflight -o {{output}}/{file.stem}.csv --scans {{rows}}"
+        file.write_text(
+            f'[[jobs]]\nname = "a"\ncommands = ["{command}"]\ngrid = {{ rows = [20, 30] }}\n'
+        )
+
+    def stop(record):
+        raise ZeroDivisionError  # as a kill, which leaves no time to write tables
+
+    with pytest.raises(ZeroDivisionError):
+        runs.batch(files[0], tmp_path / "out", workers=1, on_job=stop)
+    with pytest.raises(FileExistsError, match=rf"holds finished jobs of .*, {files[0]}, "):
+        runs.batch(files[1], tmp_path / "out", workers=1)
+    assert runs.batch(files[0], tmp_path / "out", workers=1).summary["done"] == 2
