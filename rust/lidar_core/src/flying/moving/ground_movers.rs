@@ -87,7 +87,7 @@ impl Below {
     }
 }
 
-/// Rows of points by their voxels, which are in ascending order.
+/// Indices of points by their voxels, which are in ascending order.
 struct PointsByVoxel {
     voxels: Vec<Voxel>,
     rows: Vec<u32>,
@@ -96,7 +96,7 @@ struct PointsByVoxel {
 }
 
 impl PointsByVoxel {
-    /// The points as a list of voxels and rows. `pairs` must be in ascending order.
+    /// The points as a list of voxels and indices. `pairs` must be in ascending order.
     fn of(pairs: &[(Voxel, u32)]) -> Self {
         let (mut voxels, mut starts) = (Vec::new(), Vec::new());
         for (at, (voxel, _)) in pairs.iter().enumerate() {
@@ -106,10 +106,10 @@ impl PointsByVoxel {
             }
         }
         starts.push(pairs.len());
-        Self { voxels, rows: pairs.iter().map(|&(_, row)| row).collect(), starts }
+        Self { voxels, rows: pairs.iter().map(|&(_, point)| point).collect(), starts }
     }
 
-    /// Rows of the points in the voxel at index `at`.
+    /// Indices of the points in the voxel at index `at`.
     fn rows(&self, at: usize) -> &[u32] {
         &self.rows[self.starts[at]..self.starts[at + 1]]
     }
@@ -120,11 +120,11 @@ impl PointsByVoxel {
 pub(crate) struct ScanOfMovers<'a> {
     pub(crate) points: &'a [[f32; 3]],
     pub(crate) class: &'a [PointClass],
-    /// For each row, whether its point may be on the robot itself. Empty if no point may be.
+    /// For each point, whether it may be on the robot itself. Empty if no point may be.
     pub(crate) maybe_own: &'a [bool],
     /// Position of the sensor [m, frame of the map].
     pub(crate) origin: [f64; 3],
-    /// For each thing of unknown class that is no larger than a target, the rows of its points.
+    /// For each thing of unknown class that is no larger than a target, the indices of its points.
     pub(crate) things: &'a [&'a [u32]],
 }
 
@@ -142,8 +142,8 @@ struct Things<'a> {
 impl<'a> Things<'a> {
     fn of(scan: &ScanOfMovers<'a>, lattice: &'a Lattice) -> Self {
         let ScanOfMovers { points, origin, things, .. } = *scan;
-        let in_voxel = |&row: &u32| {
-            floor(lattice.scaled(wide(points[row as usize]))).map(|voxel| (voxel, row))
+        let in_voxel = |&point: &u32| {
+            floor(lattice.scaled(wide(points[point as usize]))).map(|voxel| (voxel, point))
         };
         let by_voxel = |thing: &&[u32]| {
             let mut pairs: Vec<(Voxel, u32)> = thing.iter().filter_map(in_voxel).collect();
@@ -173,7 +173,7 @@ impl<'a> Things<'a> {
     /// True if a point of a thing is on a line of sight, before the end of the line.
     fn blocks(&self, thing: usize, line: &SightLine) -> bool {
         let rows = &self.rows[thing];
-        let is_blocked = |&row: &u32| line.is_blocked_by(wide(self.points[row as usize]));
+        let is_blocked = |&point: &u32| line.is_blocked_by(wide(self.points[point as usize]));
         rows.voxels.iter().enumerate().any(|(at, &voxel)| {
             line.passes_near(self.lattice.center(voxel)) && rows.rows(at).iter().any(is_blocked)
         })
@@ -184,11 +184,11 @@ impl<'a> Things<'a> {
 #[derive(Default)]
 pub(crate) struct GroundMovers {
     entered: HashMap<Place, Stay, BuildHasherDefault<KeyHasher>>,
-    /// Rows of the points of movers on the ground in the newest scan.
+    /// Indices of the points of movers on the ground in the newest scan.
     rows: Vec<u32>,
-    /// Rows of the points of objects that move in the air.
+    /// Indices of the points of objects that move in the air.
     in_air: Vec<u32>,
-    /// Rows of those points of movers for which it is not known whether they stand on anything.
+    /// Indices of those points of movers for which it is not known whether they stand on anything.
     over_unseen: Vec<u32>,
 }
 
@@ -243,7 +243,7 @@ impl GroundMovers {
         Ok(())
     }
 
-    /// Rows of the points beside objects that moved in the air in the newest scan with such objects.
+    /// Indices of the points beside objects that moved in the air in the newest scan with such objects.
     pub(crate) fn beside_air(&self, points: &[[f32; 3]], lattice: &Lattice) -> Vec<usize> {
         let in_air = self.entered.iter().filter(|(_, stay)| stay.is_in_air);
         let Some(newest) = in_air.clone().map(|(_, stay)| stay.last_ns).max() else {
@@ -263,8 +263,8 @@ impl GroundMovers {
                 [-1.0, 1.0].map(|side| [0, 1, 2].map(|axis| end(axis, side)))
             })
             .collect();
-        let is_inside = |row: &usize| {
-            let point = wide(points[*row]);
+        let is_inside = |index: &usize| {
+            let point = wide(points[*index]);
             boxes.iter().any(|[low, high]| {
                 (0..3).all(|axis| point[axis] >= low[axis] && point[axis] <= high[axis])
             })
@@ -272,13 +272,13 @@ impl GroundMovers {
         (0..points.len()).filter(is_inside).collect()
     }
 
-    /// Rows of the points of objects that move in the air in the newest scan, ascending.
+    /// Indices of the points of objects that move in the air in the newest scan, ascending.
     pub(crate) fn in_air(&self) -> &[u32] {
         &self.in_air
     }
 
-    /// Rows of points of movers with nothing occupied close below, where part of the space below was never seen (such
-    /// as behind a table): they may fly or stand on something. Ascending.
+    /// Indices of the points of movers with nothing occupied close below, where part of the space below was never seen
+    /// (such as behind a table): they may fly or stand on something. Ascending.
     pub(crate) fn over_unseen(&self) -> &[u32] {
         &self.over_unseen
     }
@@ -311,14 +311,14 @@ impl GroundMovers {
         space: &mut FreeSpace<'_>,
     ) -> PointsByVoxel {
         let (ScanOfMovers { points, class, maybe_own, .. }, lattice) = (*scan, map.lattice());
-        let is_own = |row: u32| maybe_own.get(row as usize).copied().unwrap_or(false);
+        let is_own = |point: u32| maybe_own.get(point as usize).copied().unwrap_or(false);
         let mut found: Vec<(Voxel, u32)> = Vec::new();
         // Points beside each other in a scan are mostly in one voxel.
         let mut last: Option<(Voxel, bool)> = None;
-        for (row, (&point, _)) in (0..)
+        for (index, (&point, _)) in (0..)
             .zip(points.iter().zip(class))
             .filter(|(_, (_, class))| matches!(class, PointClass::Background | PointClass::Unknown))
-            .filter(|(row, _)| !is_own(*row))
+            .filter(|(index, _)| !is_own(*index))
         {
             let Some(voxel) = floor(lattice.scaled(wide(point))) else { continue };
             let is_chosen = match last {
@@ -327,7 +327,7 @@ impl GroundMovers {
             };
             last = Some((voxel, is_chosen));
             if is_chosen {
-                found.push((voxel, row));
+                found.push((voxel, index));
             }
         }
         found.sort_unstable();
@@ -336,15 +336,15 @@ impl GroundMovers {
 
     /// Remove the points whose class is now `FLYING`.
     pub(crate) fn leave_flying(&mut self, class: &[PointClass]) {
-        self.rows.retain(|&row| class.get(row as usize) != Some(&PointClass::Flying));
+        self.rows.retain(|&point| class.get(point as usize) != Some(&PointClass::Flying));
     }
 
-    /// Add the points (rows) of an object that a track of kind `GROUND` follows.
-    pub(crate) fn add(&mut self, rows: &[u32]) {
-        self.rows.extend(rows);
+    /// Add the points of an object that a track of kind `GROUND` follows, by their indices.
+    pub(crate) fn add(&mut self, points: &[u32]) {
+        self.rows.extend(points);
     }
 
-    /// Rows of the points of ground movers in the newest scan.
+    /// Indices of the points of ground movers in the newest scan.
     pub(crate) fn rows(&self) -> &[u32] {
         &self.rows
     }

@@ -89,13 +89,13 @@ impl RecentReturns {
 pub(super) struct Haze {
     /// Number of returns for each cell of direction and bin of range.
     counts: Vec<u8>,
-    /// Row of every near return, and its index in `counts`.
+    /// For every near return, the index of its point and its index in `counts`.
     near: Vec<(u32, u32)>,
     /// The counts of the last scans and this one together. Empty if there is no recent scan.
     window: Vec<u16>,
     /// Cells and bins that contain a return of a surface.
     is_solid: Vec<bool>,
-    /// For each row of the scan, whether it is a droplet. Empty in clear air.
+    /// For each point of the scan, whether it is a droplet. Empty in clear air.
     is_droplet: Vec<bool>,
     /// Number of droplets in each sector.
     sectors: Vec<u32>,
@@ -136,19 +136,19 @@ impl Haze {
         self.of_bins.resize(BINS, 0);
     }
 
-    /// Add a return of the row `row`, in `cell`, at `range` [m].
+    /// Add the return of the point at index `point`, in `cell`, at `range` [m].
     #[inline]
-    pub(super) fn add(&mut self, row: usize, cell: usize, range: f64) {
+    pub(super) fn add(&mut self, point: usize, cell: usize, range: f64) {
         if range < FARTHEST {
             let bin = ((range / BIN) as usize).min(BINS - 1);
             let at = cell * BINS + bin;
             self.counts[at] = self.counts[at].saturating_add(1);
             self.of_bins[bin] += 1;
-            self.near.push((row as u32, at as u32));
+            self.near.push((point as u32, at as u32));
         }
     }
 
-    /// For each row of the scan, whether it is a droplet. Empty in clear air.
+    /// For each point of the scan, whether it is a droplet. Empty in clear air.
     pub(super) fn is_droplet(&self) -> &[bool] {
         &self.is_droplet
     }
@@ -163,8 +163,8 @@ impl Haze {
         self.sectors.clear();
         self.sectors.resize(SECTORS, 0);
         self.filled.clear();
-        for &(row, at) in self.near.iter().step_by(step) {
-            let turned = air.map_from_lidar.rotate(wide(air.points[row as usize]));
+        for &(point, at) in self.near.iter().step_by(step) {
+            let turned = air.map_from_lidar.rotate(wide(air.points[point as usize]));
             if turned[2] < air.ground || self.seems(at as usize) != Seems::Droplet {
                 continue;
             }
@@ -174,7 +174,7 @@ impl Haze {
             if (at as usize % BINS) as f64 * BIN < JUDGED_FROM {
                 continue;
             }
-            let place = air.map_from_lidar.apply(wide(air.points[row as usize]));
+            let place = air.map_from_lidar.apply(wide(air.points[point as usize]));
             let Some(voxel) = floor(air.map.lattice().scaled(place)) else { continue };
             judged += 1;
             free += usize::from(air.map.known(cursor.stored(voxel)) < air.map.uncertain_from());
@@ -221,22 +221,22 @@ impl Haze {
         }
     }
 
-    /// Mark the rows that are droplets.
+    /// Mark the points that are droplets.
     fn mark(&mut self, air: &Air<'_>) {
         self.is_solid.clear();
         self.is_solid.resize(CELLS * BINS, false);
         self.is_droplet.resize(air.points.len(), false);
-        for &(row, at) in &self.near {
-            let turned = air.map_from_lidar.rotate(wide(air.points[row as usize]));
+        for &(point, at) in &self.near {
+            let turned = air.map_from_lidar.rotate(wide(air.points[point as usize]));
             let at = at as usize;
             let is_surface =
                 turned[2] < air.ground || self.seems(at) == Seems::Surface || self.stays(at);
             self.is_solid[at] |= is_surface;
-            self.is_droplet[row as usize] = !is_surface;
+            self.is_droplet[point as usize] = !is_surface;
         }
-        for &(row, at) in &self.near {
-            if self.is_droplet[row as usize] && self.seems(at as usize) == Seems::Either {
-                self.is_droplet[row as usize] = !self.is_beside_surface(at as usize);
+        for &(point, at) in &self.near {
+            if self.is_droplet[point as usize] && self.seems(at as usize) == Seems::Either {
+                self.is_droplet[point as usize] = !self.is_beside_surface(at as usize);
             }
         }
     }
@@ -398,9 +398,9 @@ mod tests {
     fn found(points: &[[f32; 3]], map: &VoxelMap) -> (Haze, bool) {
         let mut haze = Haze::default();
         haze.clear();
-        for (row, &point) in points.iter().enumerate() {
+        for (index, &point) in points.iter().enumerate() {
             let place = wide(point);
-            haze.add(row, GRID.cell(place), crate::geometry::transform::norm(place));
+            haze.add(index, GRID.cell(place), crate::geometry::transform::norm(place));
         }
         let is_full = haze.find(&air(points, map, &RecentReturns::default()));
         (haze, is_full)
@@ -414,7 +414,7 @@ mod tests {
             let (points, n_drops, n_wall) = scan(share);
             let (haze, is_full) = found(&points, &map);
             assert!(is_full, "{share}");
-            let kept = |rows: Range<usize>| rows.filter(|&row| !haze.is_droplet()[row]).count();
+            let kept = |part: Range<usize>| part.filter(|&at| !haze.is_droplet()[at]).count();
             assert!(10 * kept(0..n_drops) < n_drops, "{share}: {} of {n_drops}", kept(0..n_drops));
             let (wall, ball) = (n_drops..n_drops + n_wall, n_drops + n_wall..points.len());
             assert!(wall.len() > 500 && ball.len() >= 10);
@@ -429,8 +429,8 @@ mod tests {
         let map = free_map()?;
         let (points, n_drops, _) = scan(0.06);
         let keeps =
-            |row: usize, point: &[f32; 3]| row >= n_drops || point[1] > 0.8 * point[0].abs();
-        let of_a_bush = points.iter().enumerate().filter(|&(row, point)| keeps(row, point));
+            |index: usize, point: &[f32; 3]| index >= n_drops || point[1] > 0.8 * point[0].abs();
+        let of_a_bush = points.iter().enumerate().filter(|&(index, point)| keeps(index, point));
         let bush: Vec<[f32; 3]> = of_a_bush.map(|(_, &point)| point).collect();
         assert!(bush.len() > points.len() / 10);
         assert!(!found(&bush, &map).1 && found(&bush, &map).0.is_droplet().is_empty());
