@@ -45,9 +45,11 @@ class CircleDetector:
 
     Notes
     -----
-    "ml" reports the expected circle, given the ranges, the rays that passed beside the object,
-    the edges of the field of view and the range limits, with centres and radii evenly
-    distributed beforehand. Its covariance is that of the same distribution.
+    "ml" reports the mean of all possible circles, weighted by their probability given the ranges,
+    the rays that passed beside the object, the edges of the field of view and the range limits. All
+    centres have the same prior probability, and so have all radii up to `FitConfig.usual_radius`.
+    The covariance is that of the same distribution. "mode" reports the circle with the largest
+    likelihood.
 
     Networks that take the window of each object, in the window's own frame, also estimate the
     covariance. The paper's network (Table I) works with one scanner only, and gives all circles the
