@@ -2,7 +2,6 @@
 
 import ast
 import operator
-import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,13 @@ from lidar_core.errors import ConfigError, FormatError, unknown
 from lidar_core.io.tables.columns import Columns, read_columns
 from lidar_core.run_folder import RUN_FILE, table_in
 from lidar_core.runs.catalogue.objects import events_of
+from lidar_core.runs.catalogue.syntax import (
+    text_of,
+    ticked,
+    tree_of,
+    with_double_signs,
+    without_ticks,
+)
 
 MOST_LETTERS, MOST_DEPTH = 2000, 40
 """Of a query."""
@@ -91,17 +97,23 @@ def matching_rows(columns: Columns, query: str) -> Columns:
     columns : dict of ndarray
         The table.
     query : str
-        Names of columns, numbers and texts with < <= > >= == != in, + - * /, and, or, not.
+        Names of columns, numbers and texts with < <= > >= == != in, + - * /, and, or, not. Names
+        that are no words with dots, such as circles-1.elements, are given between backticks.
 
     Raises
     ------
     ConfigError
         The query is not valid, or names an unknown column.
     """
-    tree = _parsed(query)
     count = len(next(iter(columns.values()), ()))
-    with np.errstate(all="ignore"):
-        chosen = _value(tree, columns, query, 0)
+    try:
+        with np.errstate(all="ignore"):
+            chosen = _value(_parsed(query), columns, query, 0)
+    except ConfigError as error:
+        bare = without_ticks(query, columns)
+        if bare is None:
+            raise
+        raise ConfigError(f"query: {bare} needs backticks: {ticked(bare)}") from error
     if np.asarray(chosen).dtype != np.bool_:
         raise ConfigError(f"query: expected a comparison, got {query!r}; {_EXAMPLE}")
     rows = np.broadcast_to(np.asarray(chosen), (count,))
@@ -170,27 +182,14 @@ def _parsed(query: str) -> ast.expr:
     if len(query) > MOST_LETTERS:
         raise ConfigError(f"query: expected {MOST_LETTERS} letters at most, got {len(query)}")
     try:
-        tree: ast.expr = _Dotted().visit(ast.parse(query.strip(), mode="eval").body)
+        return tree_of(query)
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        cure = _with_double_signs(query)
+        cure = with_double_signs(query)
         if cure is not None:
             raise ConfigError(f"query: use == to compare: {cure}") from None
         raise ConfigError(f"query: cannot read {query!r}: {error}; {_EXAMPLE}") from None
-    return tree
 
 
-def _with_double_signs(query: str) -> str | None:
-    """Return the query with == in place of every single =; None if that is no valid query."""
-    cure = _SINGLE_SIGN.sub(lambda found: found[1] or "==", query.strip())
-    try:
-        ast.parse(cure, mode="eval")
-    except (SyntaxError, ValueError, MemoryError, RecursionError):
-        return None
-    return cure if cure != query.strip() else None
-
-
-_SINGLE_SIGN = re.compile(r"""('[^']*'|"[^"]*"|[<>=!]=)|=""")
-"""A single =, or what is left as it is: texts and signs of two letters."""
 _EXAMPLE = "an example is: distance < 20 and event == 'closest_approach'"
 
 
@@ -228,7 +227,7 @@ def _value(node: ast.expr, columns: Columns, query: str, depth: int) -> Any:
             value = _compared(node, columns, query, of)
         case _:
             raise ConfigError(
-                f"query: cannot use {ast.unparse(node)!r}: expected columns, numbers and texts"
+                f"query: cannot use {text_of(node)!r}: expected columns, numbers and texts"
                 f" with < <= > >= == != in, + - * /, and, or, not; {_EXAMPLE}"
             )
     return value
@@ -243,9 +242,9 @@ def _compared(
     parts = []
     for one, kind, other in zip(values, node.ops, values[1:], strict=False):
         if type(kind) not in _COMPARISONS:
-            raise ConfigError(f"query: cannot use {ast.unparse(node)!r}; {_EXAMPLE}")
+            raise ConfigError(f"query: cannot use {text_of(node)!r}; {_EXAMPLE}")
         if _is_text(one) != _is_text(other):
-            raise ConfigError(f"query: {ast.unparse(node)!r} compares a text with a number")
+            raise ConfigError(f"query: {text_of(node)!r} compares a text with a number")
         parts.append(np.asarray(_applied(_COMPARISONS[type(kind)], query, one, other)))
     return _folded(np.logical_and, parts)
 
@@ -258,18 +257,10 @@ def _check_quotes(node: ast.Compare, columns: Columns) -> None:
         parts = other.elts if isinstance(other, ast.List | ast.Tuple) else [other]
         words = {part.id for part in parts if isinstance(part, ast.Name)} - columns.keys()
         if words:
-            cure = ast.unparse(_Quoted(words).visit(node))
+            cure = text_of(_Quoted(words).visit(node))
             raise ConfigError(
                 f"query: no column {', '.join(sorted(words))}; texts need quotes: {cure}"
             )
-
-
-class _Dotted(ast.NodeTransformer):
-    """Transformer of a query's syntax tree that turns a.b, as in tables of results, into a name."""
-
-    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        value = self.visit(node.value)
-        return ast.Name(f"{value.id}.{node.attr}") if isinstance(value, ast.Name) else node
 
 
 class _Quoted(ast.NodeTransformer):

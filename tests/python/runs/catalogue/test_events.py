@@ -226,6 +226,69 @@ def test_columns_of_results_have_dots():
         matching_rows(table, "detect.track.flying > 1")
 
 
+ODD = {
+    "circles-1.elements": np.array([3, 8]),
+    "ms per scan": np.array([1.0, 2.0]),
+    "class": np.array(["a", "b"]),
+    "_0": np.array([5, 6]),
+    "": np.array([0, 1]),
+}
+
+
+@pytest.mark.parametrize(
+    ("query", "rows"),
+    [
+        ("`circles-1.elements` > 4", [1]),
+        ("`circles-1`.elements > 4", [1]),
+        ("0 < `circles-1.elements` - 2 * `ms per scan` <= 1", [0]),
+        ("`class` == 'a' or `class` in ('`b`', \"it's `a`\")", [0]),
+        ("`_0` == 6 and _0 > `circles-1.elements`-3", [1]),
+        ("`` == 1", [1]),
+        ("not `class` == 'a\\'`b`'", [0, 1]),
+    ],
+)
+def test_columns_of_any_name_stand_between_backticks(query, rows):
+    found = matching_rows(ODD, query)
+    assert found["_0"].tolist() == ODD["_0"][rows].tolist()
+    assert columns_named(query) <= ODD.keys()
+
+
+@pytest.mark.parametrize(
+    ("query", "text"),
+    [
+        ("circles-1.elements > 4", r"circles-1\.elements needs backticks: `circles-1\.elements`$"),
+        ("ms per scan > 4", "ms per scan needs backticks: `ms per scan`$"),
+        (
+            "`circles-2.elements` > 4",
+            r"got 'circles-2\.elements'; did you mean circles-1\.elements",
+        ),
+        ("`circles-1.elements > 4", "needs backticks: `circles-1.elements`$"),
+        ("`ms per scan > 4 and _0 > 3", "needs backticks: `ms per scan`$"),
+        ("_0 > 'ms per scan'", "compares a text with a number$"),
+        ("_0 < 4 `", "cannot read"),
+        ("subclass == 3", "expected one of .*, got 'subclass'"),
+        ("`class` = 'a'", "use == to compare: `class` == 'a'"),
+        ("`class` == a", "no column a; texts need quotes: `class` == 'a'"),
+        ("`class` < 3", "query: '`class` < 3' compares a text with a number"),
+        ("`ms per scan`.real() > 3", r"cannot use '`ms per scan\.real`\(\)'"),
+        ("distance is (" + "-" * 900 + "1)", "cannot "),
+    ],
+)
+def test_names_between_backticks_are_told_as_they_are_written(query, text):
+    with pytest.raises(ConfigError, match=text):
+        matching_rows(ODD, query)
+
+
+def test_texts_of_a_column_between_backticks_that_no_row_has_are_found():
+    assert absent_texts(ODD, "`class` == 'c'") == [("class", "c", ["a", "b"])]
+
+
+def test_the_command_takes_names_between_backticks(tmp_path):
+    (tmp_path / "a.csv").write_text("circles-1.elements,b\n3,1\n8,2\n")
+    done = invoke("events", "`circles-1.elements` > 4", tmp_path / "a.csv", "--json", "-")
+    assert json.loads(done.stdout) == [{"circles-1.elements": 8, "b": 2}]
+
+
 @pytest.mark.parametrize(
     ("query", "text"),
     [
@@ -259,7 +322,7 @@ def test_what_is_no_query_is_refused_in_words(query, text):
         matching_rows(TABLE, query)
 
 
-@given(st.text("distance<>=()'\"andornt_i 0123.-+*/[]{}:@\\\n", max_size=60))
+@given(st.text("distance<>=()`'\"andornt_i 0123.-+*/[]{}:@\\\n", max_size=60))
 def test_any_text_is_a_query_or_an_error(query):
     try:
         found = matching_rows(TABLE, query)
