@@ -17,6 +17,7 @@ from lidar_core.errors import (
     PluginError,
 )
 from lidar_core.geometry import cluster_points, traverse
+from lidar_core.util.lazy import first_use
 
 if TYPE_CHECKING:
     from lidar_core import batch as batch
@@ -39,11 +40,11 @@ if TYPE_CHECKING:
     from lidar_core.messages import TrackKind as TrackKind
 
 _HOMES = {
-    "VoxelMapConfig": "flying.config",
-    "IntegrateStats": "flying.voxel_map",
-    "VoxelMap": "flying.voxel_map",
-    "PointClass": "messages",
-    "TrackKind": "messages",
+    "VoxelMapConfig": "lidar_core.flying.config",
+    "IntegrateStats": "lidar_core.flying.voxel_map",
+    "VoxelMap": "lidar_core.flying.voxel_map",
+    "PointClass": "lidar_core.messages",
+    "TrackKind": "lidar_core.messages",
 }
 _LAZY = (
     "batch",
@@ -100,11 +101,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _LAZY:
         return import_module(f"lidar_core.{name}")
-    if name in _HOMES:
-        found = getattr(import_module(f"lidar_core.{_HOMES[name]}"), name)
-        globals()[name] = found
-        return found
-    raise AttributeError(f"module 'lidar_core' has no attribute {name!r}")
+    return first_use("lidar_core", _HOMES)(name)
 
 
 def __dir__() -> list[str]:

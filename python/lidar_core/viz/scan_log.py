@@ -1,17 +1,21 @@
 """Scans with their results for viewers, in MCAP files and on servers."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from lidar_core.circles import CircleFrame
-from lidar_core.flying import FlyingFrame
 from lidar_core.io.write.mcap import FoxgloveLog
 from lidar_core.messages import LaserScan, PointClass, Pose, PosedScan, Scan
+
+if TYPE_CHECKING:
+    from lidar_core.circles import CircleFrame
+    from lidar_core.flying import FlyingFrame
 
 CLASSES_TOPIC = "/classes"
 
 
 def log_flying(
-    log: FoxgloveLog, item: PosedScan[Scan], frame: FlyingFrame, *, frame_id: str
+    log: FoxgloveLog, item: PosedScan[Scan], frame: "FlyingFrame", *, frame_id: str
 ) -> None:
     """Log pose, cloud and flying tracks of a scan; `intensity` holds the class of each point.
 
@@ -34,7 +38,7 @@ def log_flying(
 
 
 def log_circles(
-    log: FoxgloveLog, item: PosedScan[LaserScan], frame: CircleFrame, *, frame_id: str
+    log: FoxgloveLog, item: PosedScan[LaserScan], frame: "CircleFrame", *, frame_id: str
 ) -> None:
     """Log pose and scan, and the circles and other shapes of the map after this scan."""
     _log_pose(log, item, frame_id)

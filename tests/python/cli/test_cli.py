@@ -173,6 +173,30 @@ def test_help_needs_no_heavy_import():
 
 
 @pytest.mark.parametrize(
+    ("arguments", "others"),
+    [
+        ("info missing.bag", {"circles", "evaluation", "flying", "fusion", "live", "sim", "viz"}),
+        ("detect missing.pcd -o run", {"batch", "circles", "fusion", "live", "sim"}),
+        ("circles missing.bag -o run", {"batch", "flying.detector", "fusion", "live", "sim"}),
+        ("fuse missing.csv -o run", {"batch", "circles", "flying.detector", "live", "sim"}),
+    ],
+)
+def test_a_command_does_not_import_the_others(arguments, others, tmp_path):
+    """They would make half of the time until it says that a file is missing."""
+    program = (
+        "import sys\nfrom lidar_core.cli import app\n"
+        f"try:\n    app({arguments.split()}, standalone_mode=False)\n"
+        "except FileNotFoundError:\n    print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    loaded = set(done.stdout.split())
+    assert "lidar_core.io" in loaded
+    assert loaded.isdisjoint({f"lidar_core.{name}" for name in others})
+
+
+@pytest.mark.parametrize(
     ("arguments", "what"),
     [
         (["info", "missing.bag"], "missing.bag"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,15 @@ from lidar_core.evaluation.config import EvaluationConfig
 from lidar_core.evaluation.matching.pairing import checked_estimates
 from lidar_core.evaluation.scoring import eligible
 from lidar_core.evaluation.types import Estimates, Truth
-from lidar_core.flying import FlyingFrame, Tracks
-from lidar_core.sim import SimulatedScan
 from lidar_core.util.steps import nearest_row
+
+if TYPE_CHECKING:
+    from lidar_core.flying import FlyingFrame, Tracks
+    from lidar_core.sim import SimulatedScan
 
 
 def truth_of(
-    made: SimulatedScan, *, is_burn_in: bool, config: EvaluationConfig | None = None
+    made: "SimulatedScan", *, is_burn_in: bool, config: EvaluationConfig | None = None
 ) -> Truth:
     """Return the targets of one simulated scan; none is required during the burn-in."""
     targets = made.truth
@@ -54,7 +57,7 @@ def joined(parts: Iterable[Truth]) -> Truth:
     )
 
 
-def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
+def estimates_of_tracks(tracks: "Iterable[Tracks]") -> Estimates:
     """Return flying tracks at successive times as one table; at equal times the last state."""
     states = [state.flying for state in {state.stamp_ns: state for state in tracks}.values()]
     stamps = np.array([state.stamp_ns for state in states], np.int64)
@@ -68,7 +71,7 @@ def estimates_of_tracks(tracks: Iterable[Tracks]) -> Estimates:
     )
 
 
-def estimates_of_detections(frames: Iterable[FlyingFrame]) -> Estimates:
+def estimates_of_detections(frames: "Iterable[FlyingFrame]") -> Estimates:
     """Return detections of successive scans as one table."""
     results = list(frames)
     stamps = np.array([frame.stamp_ns for frame in results], np.int64)

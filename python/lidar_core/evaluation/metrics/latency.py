@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from numpy.typing import ArrayLike
 
 from lidar_core.evaluation.spread import Spread
-from lidar_core.flying import FlyingFrame
+
+if TYPE_CHECKING:
+    from lidar_core.flying import FlyingFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +43,7 @@ class Latency:
         return cls(whole, {name: spread for name, spread in spreads if spread is not None})
 
     @classmethod
-    def of_frames(cls, frames: Iterable[FlyingFrame]) -> Self | None:
+    def of_frames(cls, frames: "Iterable[FlyingFrame]") -> Self | None:
         """Compute statistics of `timing_ms`; the total of a scan is the sum of its stages."""
         timings = [frame.timing_ms for frame in frames]
         names = list(timings[0]) if timings else []
